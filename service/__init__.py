@@ -1,0 +1,38 @@
+"""gapmes.service: cameras, Gaussians, .ply, CPU splatter, onnxruntime engine and HTTP service. Loads no torch."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .camera import Camera as Camera
+    from .gaussians import Gaussians as Gaussians
+    from .ply import read_ply as read_ply
+    from .ply import write_ply as write_ply
+    from .reconstruct import Reconstructor as Reconstructor
+    from .reconstruct import Scene as Scene
+    from .splat import Render as Render
+    from .splat import render as render
+    from .splat import render_reference as render_reference
+
+_HOME = {
+    "Camera": "camera",
+    "Gaussians": "gaussians",
+    "Reconstructor": "reconstruct",
+    "Render": "splat",
+    "Scene": "reconstruct",
+    "read_ply": "ply",
+    "render": "splat",
+    "render_reference": "splat",
+    "write_ply": "ply",
+}
+
+__all__ = ["Camera", "Gaussians", "Reconstructor", "Render", "Scene", "read_ply", "render", "render_reference", "write_ply"]
+
+
+def __getattr__(name: str) -> object:
+    """Load public names on first use, so that importing the package loads neither numba nor onnxruntime."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_HOME[name]}", __name__), name)

@@ -1,0 +1,132 @@
+"""The one error tree: every refusal has an HTTP status, a stable code, the field it is about and a cure.
+
+GapmesError                     500 internal_error
+├── InputError                  422 invalid_input
+│   ├── CameraError             422 camera_invalid
+│   │   ├── PoseError           422 pose_not_rotation
+│   │   ├── IntrinsicsError     422 intrinsics_implausible
+│   │   ├── OverlapError        422 views_do_not_overlap
+│   │   ├── BaselineError       422 no_baseline
+│   │   └── DepthRangeError     422 depth_range_invalid
+│   ├── ImageError              422 image_invalid
+│   │   ├── ImageUnreadable     415 image_unreadable
+│   │   └── ImageTooLarge       413 image_too_large
+│   ├── ViewCountError          422 view_count
+│   ├── ViewError               422 view_unknown
+│   ├── GaussiansError          422 gaussians_invalid
+│   └── PlyError                422 ply_invalid
+├── UploadTooLarge              413 upload_too_large
+├── SceneNotFound               404 scene_not_found
+├── ModelError                  500 model_invalid
+├── ServiceBusy                 503 service_busy
+└── StorageFull                 507 storage_full
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+
+class GapmesError(Exception):
+    """Base of all refusals; `message` says what is wrong with both numbers, `cure` what to do about it."""
+
+    status: ClassVar[int] = 500
+    code: ClassVar[str] = "internal_error"
+
+    def __init__(
+        self, message: str, *, field: str | None = None, index: int | None = None, cure: str | None = None, **extra: Any
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.field = field
+        self.index = index
+        self.cure = cure
+        self.extra = extra
+
+    def __str__(self) -> str:
+        where = "" if self.field is None else f"{self.field}: "
+        cure = "" if self.cure is None else f" ({self.cure})"
+        return f"{where}{self.message}{cure}"
+
+
+class InputError(GapmesError):
+    status = 422
+    code = "invalid_input"
+
+
+class CameraError(InputError):
+    code = "camera_invalid"
+
+
+class PoseError(CameraError):
+    code = "pose_not_rotation"
+
+
+class IntrinsicsError(CameraError):
+    code = "intrinsics_implausible"
+
+
+class OverlapError(CameraError):
+    code = "views_do_not_overlap"
+
+
+class BaselineError(CameraError):
+    code = "no_baseline"
+
+
+class DepthRangeError(CameraError):
+    code = "depth_range_invalid"
+
+
+class ImageError(InputError):
+    code = "image_invalid"
+
+
+class ImageUnreadable(ImageError):
+    status = 415
+    code = "image_unreadable"
+
+
+class ImageTooLarge(ImageError):
+    status = 413
+    code = "image_too_large"
+
+
+class ViewCountError(InputError):
+    code = "view_count"
+
+
+class ViewError(InputError):
+    code = "view_unknown"
+
+
+class GaussiansError(InputError):
+    code = "gaussians_invalid"
+
+
+class PlyError(InputError):
+    code = "ply_invalid"
+
+
+class UploadTooLarge(GapmesError):
+    status = 413
+    code = "upload_too_large"
+
+
+class SceneNotFound(GapmesError):
+    status = 404
+    code = "scene_not_found"
+
+
+class ModelError(GapmesError):
+    code = "model_invalid"
+
+
+class ServiceBusy(GapmesError):
+    status = 503
+    code = "service_busy"
+
+
+class StorageFull(GapmesError):
+    status = 507
+    code = "storage_full"

@@ -1,0 +1,96 @@
+"""The set of 3D Gaussians that everything else passes around: linear scales, plain opacities, world frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import GaussiansError
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+_TAIL = {"means": (3,), "scales": (3,), "rotations_wxyz": (4,), "opacities": ()}
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """N Gaussians; build them with `Gaussians.make`, which checks shapes, finiteness and ranges once."""
+
+    means: F64  # (N, 3) world, caller's units; float64 so that a far-off origin costs nothing
+    scales: F32  # (N, 3) standard deviations along the own axes, caller's units, >= 0
+    rotations_wxyz: F32  # (N, 4) unit quaternions, own axes to world
+    opacities: F32  # (N,) in [0, 1]
+    harmonics: F32  # (N, K, 3) SH coefficients in 3DGS order and sign, K = (degree + 1)^2
+
+    @classmethod
+    def make(
+        cls, means: object, scales: object, rotations_wxyz: object, opacities: object, harmonics: object
+    ) -> Gaussians:
+        """Check and build; quaternions are normalised, an all-zero one becomes the identity.
+
+        Raises `GaussiansError` that names the field, the first offending index and how many there are.
+        """
+        fields = {
+            "means": np.ascontiguousarray(means, dtype=np.float64),
+            "scales": np.ascontiguousarray(scales, dtype=np.float32),
+            "rotations_wxyz": np.ascontiguousarray(rotations_wxyz, dtype=np.float32),
+            "opacities": np.ascontiguousarray(opacities, dtype=np.float32),
+            "harmonics": np.ascontiguousarray(harmonics, dtype=np.float32),
+        }
+        count = len(fields["means"])
+        for name, tail in _TAIL.items():
+            if fields[name].shape != (count, *tail):
+                raise GaussiansError(f"shape is {fields[name].shape}, need {(count, *tail)}", field=name)
+        shape = fields["harmonics"].shape
+        if len(shape) != 3 or shape[0] != count or shape[1] not in (1, 4, 9, 16) or shape[2] != 3:
+            raise GaussiansError(f"shape is {shape}, need ({count}, 1|4|9|16, 3)", field="harmonics")
+        for name, value in fields.items():
+            _require(name, np.isfinite(value), value, "a finite number")
+        _require("scales", fields["scales"] >= 0, fields["scales"], "at least 0")
+        _require("opacities", (fields["opacities"] >= 0) & (fields["opacities"] <= 1), fields["opacities"], "in [0, 1]")
+        fields["rotations_wxyz"] = normalized_quaternions(fields["rotations_wxyz"])
+        return cls(**fields)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        return round(self.harmonics.shape[1] ** 0.5) - 1
+
+    def __getitem__(self, selection: object) -> Gaussians:
+        """The subset that a mask, slice or index array selects, in its order."""
+        return Gaussians(
+            self.means[selection],
+            self.scales[selection],
+            self.rotations_wxyz[selection],
+            self.opacities[selection],
+            self.harmonics[selection],
+        )
+
+
+def normalized_quaternions(wxyz: F32) -> F32:
+    """(N, 4) unit quaternions; dividing by the largest component first is right from 1e-44 to 1e38, zero -> identity."""
+    q = wxyz.astype(np.float64)
+    largest = np.abs(q).max(axis=1, keepdims=True, initial=0.0)
+    zero = largest[:, 0] == 0
+    q = q / np.where(largest > 0, largest, 1.0)
+    q[zero] = (1.0, 0.0, 0.0, 0.0)
+    return (q / np.linalg.norm(q, axis=1, keepdims=True)).astype(np.float32)
+
+
+def _require(name: str, ok: NDArray[np.bool_], value: NDArray, need: str) -> None:
+    if ok.all():
+        return
+    rows = np.flatnonzero(~ok.reshape(len(ok), -1).all(axis=1))
+    first = int(rows[0])
+    raise GaussiansError(
+        f"{len(rows)} of {len(ok)} rows are outside the range, first at index {first}: {value[first].tolist()}, "
+        f"need {need}",
+        field=name,
+        index=first,
+        count=len(rows),
+    )
