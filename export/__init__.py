@@ -1,1 +1,1 @@
-"""placeholder"""
+"""gapmes.export: torch to ONNX, verification against torch, quantisation."""

@@ -1,0 +1,106 @@
+"""torch to ONNX: the dynamo exporter with a symbolic number of views, checks, shape inference and metadata."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+
+import onnx
+import torch
+from torch.export import Dim
+
+from gapmes.model.config import PIXELS_PER_PATCH
+from gapmes.model.network import GaPMeS
+
+from .contract import FORMAT, INPUTS, MAX_VIEWS, MIN_VIEWS, NEAR_FAR_RULE, OPSET, output_names
+from .graph import SceneGraph, folded_position_embeddings
+from .samples import random_scene
+
+TRACE_VIEWS = 3  # neither the smallest count nor one that a hidden size could equal
+
+
+def export_graph(network: GaPMeS, height: int, width: int) -> onnx.ModelProto:
+    """The float32 graph of `network` for H x W pixels and 2 to 6 views, checked and shape-inferred.
+
+    Raises `ValueError` for a size that is not a multiple of 16, `onnx.checker.ValidationError` for a broken graph.
+    """
+    for name, size in (("height", height), ("width", width)):
+        if size < 2 * PIXELS_PER_PATCH or size % PIXELS_PER_PATCH:
+            raise ValueError(f"{name} is {size} px, need a multiple of {PIXELS_PER_PATCH} of at least 32")
+    graph = SceneGraph(network).eval()
+    example = random_scene(TRACE_VIEWS, height, width, seed=0)
+    views = Dim("V", min=MIN_VIEWS, max=MAX_VIEWS)
+    shapes = {name: {0: views} for name in INPUTS}
+    shapes["near_far"] = {}
+    verbosity = logging.getLogger("torch.onnx").level
+    with torch.no_grad(), folded_position_embeddings(network, height, width):
+        program = torch.onnx.export(
+            graph,
+            example.tensors(),
+            dynamo=True,
+            input_names=list(INPUTS),
+            output_names=list(output_names(with_routing=graph.with_routing)),
+            dynamic_shapes=shapes,
+            opset_version=OPSET,
+            verbose=False,
+        )
+    logging.getLogger("torch.onnx").setLevel(verbosity)
+    if program is None:
+        raise ValueError("the exporter returned nothing")
+    model = program.model_proto
+    strip_tracing_notes(model)
+    onnx.checker.check_model(model, full_check=True)
+    return onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True)
+
+
+def strip_tracing_notes(model: onnx.ModelProto) -> None:
+    """Remove doc strings and per-node metadata: they hold source paths of the exporting machine."""
+    model.doc_string = ""
+    model.graph.doc_string = ""
+    for graph in [model.graph, *model.functions]:
+        for node in graph.node:
+            node.doc_string = ""
+            del node.metadata_props[:]
+    for value in [*model.graph.value_info, *model.graph.input, *model.graph.output, *model.graph.initializer]:
+        del value.metadata_props[:]
+    del model.graph.metadata_props[:]
+
+
+def add_metadata(model: onnx.ModelProto, values: Mapping[str, str]) -> None:
+    """Set `gapmes.*` metadata, sorted, replacing what is there."""
+    kept = {p.key: p.value for p in model.metadata_props if p.key.startswith("gapmes.")}
+    kept.update({f"gapmes.{key}": value for key, value in values.items()})
+    del model.metadata_props[:]
+    for key in sorted(kept):
+        model.metadata_props.add(key=key, value=kept[key])
+
+
+def contract_metadata(
+    network: GaPMeS, *, height: int, width: int, weights_sha256: str, licence: str, precision: str
+) -> dict[str, str]:
+    """What every file says about itself, without the tolerance, which verification adds."""
+    return {
+        "format": FORMAT,
+        "preset": network.config.preset,
+        "config": network.config.to_json(),
+        "weights_sha256": weights_sha256,
+        "opset": str(OPSET),
+        "height": str(height),
+        "width": str(width),
+        "size_rule": "fixed height and width",
+        "views": json.dumps([MIN_VIEWS, MAX_VIEWS]),
+        "patch_px": str(PIXELS_PER_PATCH),
+        "near_far": NEAR_FAR_RULE,
+        "licence": licence,
+        "precision": precision,
+    }
+
+
+def write_model(model: onnx.ModelProto, path: Path) -> None:
+    """Serialise deterministically, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(model.SerializeToString(deterministic=True))
+    part.replace(path)

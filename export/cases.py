@@ -1,0 +1,110 @@
+"""The list of verification cases: inputs, view counts and gate settings that an exported file must survive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import onnx
+import torch
+from onnx import numpy_helper
+
+from gapmes.model.network import GaPMeS
+from gapmes.service.camera_file import load_scene_folder
+from gapmes.service.depth_range import depth_range
+from gapmes.service.images import decode_image, fit_view
+from gapmes.service.shipped import sample_folder
+
+from .contract import MAX_VIEWS, MIN_VIEWS
+from .graph import SceneInputs
+from .samples import hostile_scenes, random_scene
+
+GateSetting = Literal["as trained", "all tied", "one expert", "two experts"]
+_GATES = "mixture.gates."
+_NAMES = tuple(f"{_GATES}{gate}.{part}" for gate in ("expert_gate", "task_gate") for part in ("weight", "bias"))
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run of both runtimes."""
+
+    name: str
+    gates: GateSetting
+    inputs: SceneInputs
+
+    @property
+    def views(self) -> int:
+        return self.inputs.images.shape[0]
+
+
+def verification_cases(height: int, width: int, *, quick: bool = False) -> Iterator[Case]:
+    """Random scenes and the sample at every view count, hostile scenes and gate settings at two; grouped by gates.
+
+    `quick` keeps one view count of each kind; it is for tests of the verifier itself.
+    """
+    counts = (MIN_VIEWS, 3) if quick else tuple(range(MIN_VIEWS, MAX_VIEWS + 1))
+    for views in counts:
+        yield Case("random", "as trained", random_scene(views, height, width, seed=views))
+        yield Case("sample", "as trained", sample_scene(views, height, width))
+    hostile = (3,) if quick else (2, 3)
+    for views in hostile:
+        for name, inputs in hostile_scenes(views, height, width).items():
+            yield Case(name, "as trained", inputs)
+    settings: tuple[GateSetting, ...] = ("all tied", "one expert", "two experts")
+    for gates in settings:
+        for views in hostile:
+            yield Case("random", gates, random_scene(views, height, width, seed=10 + views))
+
+
+def sample_scene(views: int, height: int, width: int) -> SceneInputs:
+    """The scene that the package carries, first `views` of its images, as the service would feed them."""
+    folder = load_scene_folder(sample_folder())
+    cameras, images = [], []
+    for index in range(views):
+        photo = decode_image(folder.image_paths[index].read_bytes(), index=index)
+        fitted = fit_view(photo, folder.file.views[index].camera, height, width)
+        images.append(fitted.image)
+        cameras.append(fitted.camera)
+    bounds = depth_range(cameras, folder.file.near, folder.file.far)
+    poses = np.stack([cameras[0].cam_from_world @ c.world_from_cam for c in cameras])
+    base = random_scene(views, height, width, seed=0)
+    return SceneInputs(
+        torch.from_numpy(np.stack(images)),
+        torch.from_numpy(np.stack([c.normalized_intrinsics for c in cameras]).astype(np.float32)),
+        torch.from_numpy(poses.astype(np.float32)),
+        torch.tensor([bounds.near, bounds.far], dtype=torch.float32),
+        base.patch_mask,
+    )
+
+
+def gate_values(network: GaPMeS, setting: GateSetting) -> dict[str, torch.Tensor]:
+    """State-dict entries of both gates under a setting; weights zero, so that the bias alone decides."""
+    state = network.state_dict()
+    if setting == "as trained":
+        return {name: state[name].clone() for name in _NAMES}
+    values = {name: torch.zeros_like(state[name]) for name in _NAMES}
+    if setting != "all tied":
+        values[f"{_GATES}expert_gate.bias"][-1] = 30.0
+    if setting == "two experts":
+        values[f"{_GATES}expert_gate.bias"][1] = 30.0
+    return values
+
+
+def with_gates(model: onnx.ModelProto, values: dict[str, torch.Tensor]) -> onnx.ModelProto:
+    """A copy of the graph with the gates' constants replaced. Raises `ValueError` when one is not in the graph."""
+    changed = onnx.ModelProto()
+    changed.CopyFrom(model)
+    pending = {f"network.{name}": value for name, value in values.items()}
+    for initializer in changed.graph.initializer:
+        value = pending.pop(initializer.name, None)
+        if value is None:
+            continue
+        array = value.numpy()
+        if list(array.shape) != list(initializer.dims):
+            array = array.T  # the exporter may store a linear layer's weight transposed
+        initializer.CopyFrom(numpy_helper.from_array(np.ascontiguousarray(array), initializer.name))
+    if pending:
+        raise ValueError(f"the graph has no constants named {sorted(pending)}; were the gates quantised or folded?")
+    return changed

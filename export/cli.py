@@ -1,0 +1,115 @@
+"""`gapmes-export`: a checkpoint of the network to a verified ONNX file."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from gapmes.model.checkpoint import CheckpointError, load_checkpoint, shipped_checkpoint
+from gapmes.model.config import PRESETS
+from gapmes.service.terminal import ProgressBars
+
+from .pipeline import Exported, ExportRejected, export_checkpoint
+from .tolerance import TOLERANCES
+
+REFUSED = 1
+USAGE = 2
+REJECTED = 3
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+errors = Console(stderr=True)
+
+
+@app.command()
+def export(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Path of the .onnx file to write.")],
+    preset: Annotated[str, typer.Option(help=f"One of {', '.join(PRESETS)}.")] = "tiny",
+    checkpoint: Annotated[
+        Path | None, typer.Option(help="A .safetensors checkpoint; the shipped one of the preset when left out.")
+    ] = None,
+    size: Annotated[str, typer.Option(help="HEIGHTxWIDTH in pixels, multiples of 16.")] = "256x256",
+    precision: Annotated[str, typer.Option(help=f"One of {', '.join(TOLERANCES)}.")] = "fp32",
+    quick: Annotated[bool, typer.Option(help="Verify at two view counts instead of five.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+) -> None:
+    """Export, verify against torch in a process of its own, and write OUT with its report beside it.
+
+    Exit status: 0 accepted; 1 refused (no such checkpoint); 2 wrong usage; 3 beyond tolerance, in which case the file
+    is kept as NAME.rejected.onnx and OUT is left as it was.
+    """
+    height, width = _size(size)
+    if preset not in PRESETS:
+        raise typer.BadParameter(f"{preset!r} is unknown, choose one of {', '.join(PRESETS)}", param_hint="--preset")
+    if precision not in TOLERANCES:
+        raise typer.BadParameter(
+            f"{precision!r} is unknown, choose one of {', '.join(TOLERANCES)}", param_hint="--precision"
+        )
+    try:
+        source = checkpoint or shipped_checkpoint(preset)
+        found = load_checkpoint(source).config.preset
+        if found != preset:
+            raise CheckpointError(f"{source} holds preset {found!r}, asked for {preset!r}")
+        with ProgressBars() as bars:
+            result = export_checkpoint(
+                source,
+                out,
+                height=height,
+                width=width,
+                precision=precision,  # type: ignore[arg-type]  # checked above
+                quick=quick,
+                listener=bars,
+            )
+    except (CheckpointError, ValueError) as error:
+        errors.print(f"[red]refused:[/] {error}", soft_wrap=True)
+        raise typer.Exit(REFUSED) from error
+    except ExportRejected as rejected:
+        errors.print(f"[red]rejected:[/] {rejected}", soft_wrap=True)
+        for failure in rejected.failures[1:20]:
+            errors.print(f"  {failure}", soft_wrap=True)
+        errors.print(f"file: {rejected.rejected}\nreport: {rejected.report_path}", soft_wrap=True)
+        raise typer.Exit(REJECTED) from rejected
+    _show(result, as_json)
+
+
+def _size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)x(\d+)", text)
+    if not match:
+        raise typer.BadParameter(f"{text!r} is not HEIGHTxWIDTH, for example 256x256", param_hint="--size")
+    return int(match[1]), int(match[2])
+
+
+def _show(result: Exported, as_json: bool) -> None:
+    worst = result.report.worst()
+    if as_json:
+        body = {
+            "model": str(result.model),
+            "report": str(result.report_path),
+            "sha256": result.report.model_sha256,
+            "cases": len(result.report.cases),
+            "worst": worst,
+            "seconds": result.timings,
+        }
+        typer.echo(json.dumps(body))
+        return
+    megabytes = result.model.stat().st_size / 1e6
+    errors.print(f"{result.model}  ({megabytes:.1f} MB), {len(result.report.cases)} cases passed")
+    errors.print("largest error of every output, in units of its largest value:")
+    for name, value in worst.items():
+        errors.print(
+            f"  {name:15s} p99 {value['p99']:.1e}  mean {value['mean']:.1e}  "
+            f"max {value['max']:.1e}  jumps {value['jumps']:.1e}"
+        )
+
+
+def main() -> None:
+    """Entry point of `gapmes-export`."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

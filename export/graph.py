@@ -1,0 +1,85 @@
+"""The network as one scene of V views with plain tensors in and out: what the exporter sees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from gapmes.model.backbones import VitFeatures
+from gapmes.model.config import PIXELS_PER_PATCH
+from gapmes.model.network import GaPMeS
+
+
+@dataclass(frozen=True)
+class SceneInputs:
+    """The five inputs of the contract for V views of H x W pixels."""
+
+    images: Tensor  # (V, 3, H, W) in [0, 1]
+    intrinsics: Tensor  # (V, 3, 3) normalised
+    world_from_cam: Tensor  # (V, 4, 4) relative to camera 0
+    near_far: Tensor  # (2,)
+    patch_mask: Tensor  # (V, P) bool
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        return self.images, self.intrinsics, self.world_from_cam, self.near_far, self.patch_mask
+
+
+class SceneGraph(nn.Module):
+    """Outputs in the order of `contract.output_names`."""
+
+    def __init__(self, network: GaPMeS) -> None:
+        super().__init__()
+        self.network = network
+
+    @property
+    def with_routing(self) -> bool:
+        return self.network.mixture.gates is not None
+
+    def forward(
+        self, images: Tensor, intrinsics: Tensor, world_from_cam: Tensor, near_far: Tensor, patch_mask: Tensor
+    ) -> tuple[Tensor, ...]:
+        prediction = self.network(
+            images.unsqueeze(0),
+            intrinsics.unsqueeze(0),
+            world_from_cam.unsqueeze(0),
+            near_far.unsqueeze(0),
+            patch_mask.unsqueeze(0),
+        )
+        g = prediction.gaussians
+        values = [g.means, g.scales, g.rotations_wxyz, g.opacities, g.harmonics]
+        outputs = [v.squeeze(0) for v in values] + [prediction.depth.squeeze(0), prediction.confidence.squeeze(0)]
+        routing = prediction.routing
+        if routing is not None:
+            patches = (images.shape[-2] // PIXELS_PER_PATCH) * (images.shape[-1] // PIXELS_PER_PATCH)
+            for value in (routing.expert_index, routing.expert_weight, routing.task_weight):
+                outputs.append(value.reshape(-1, patches, value.shape[-1]))
+        return tuple(outputs)
+
+
+@contextmanager
+def folded_position_embeddings(network: GaPMeS, height: int, width: int) -> Iterator[None]:
+    """While exporting a fixed size, each ViT's position embedding is the constant for that size.
+
+    The library would interpolate it bicubically in the graph, where backends differ.
+    """
+    replaced = []
+    for module in network.modules():
+        if not isinstance(module, VitFeatures):
+            continue
+        patch = module.config.patch
+        pixels = (height // PIXELS_PER_PATCH * patch, width // PIXELS_PER_PATCH * patch)
+        embeddings = module.vit.embeddings
+        with torch.no_grad():
+            tokens = torch.zeros(1, 1 + (pixels[0] // patch) * (pixels[1] // patch), module.config.hidden)
+            constant = embeddings.interpolate_pos_encoding(tokens, *pixels).detach().clone()
+        embeddings.interpolate_pos_encoding = lambda *_, constant=constant: constant
+        replaced.append(embeddings)
+    try:
+        yield
+    finally:
+        for embeddings in replaced:
+            del embeddings.interpolate_pos_encoding

@@ -1,0 +1,114 @@
+"""Checkpoint to verified file: build, quantise if asked, verify in a process of its own, accept or reject."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import onnx
+
+from gapmes.model.checkpoint import WEIGHTS_LICENCE, file_sha256, load_checkpoint
+from gapmes.service.progress import Listener, Stage, Stages, silent
+
+from .build import add_metadata, contract_metadata, export_graph, write_model
+from .quantise import quantised
+from .report import Report
+from .tolerance import Precision
+from .verify import FAILED
+
+
+class ExportRejected(Exception):
+    """The file is beyond tolerance: it is kept under another name, with the report that says why."""
+
+    def __init__(self, rejected: Path, report_path: Path, report: Report) -> None:
+        self.rejected, self.report_path, self.report = rejected, report_path, report
+        self.failures = [
+            f"{case.name} ({case.gates}, {case.views} views): {failure}"
+            for case in report.cases
+            for failure in case.failures
+        ]
+        super().__init__(f"{len(self.failures)} checks failed, first: {self.failures[0]}")
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an accepted export left on disk."""
+
+    model: Path
+    report_path: Path
+    report: Report
+    timings: dict[str, float]
+
+
+def export_checkpoint(
+    checkpoint: Path,
+    out: Path,
+    *,
+    height: int,
+    width: int,
+    precision: Precision = "fp32",
+    quick: bool = False,
+    listener: Listener = silent,
+) -> Exported:
+    """Export, verify and write `out` with its report beside it (`NAME.report.json`).
+
+    Raises `ExportRejected` when a check fails: the file is then `NAME.rejected.onnx` and `out` is left as it was;
+    `CheckpointError` and `ValueError` for a wrong checkpoint or size.
+    """
+    stages = Stages(listener)
+    with stages.stage("load checkpoint"):
+        network = load_checkpoint(checkpoint)
+    with stages.stage("export graph"):
+        model = export_graph(network, height, width)
+    if precision == "int8":
+        with stages.stage("quantise"):
+            model = quantised(model)
+    metadata = contract_metadata(
+        network,
+        height=height,
+        width=width,
+        weights_sha256=file_sha256(checkpoint),
+        licence=WEIGHTS_LICENCE,
+        precision=precision,
+    )
+    add_metadata(model, metadata)
+    candidate = out.with_name(f"{out.stem}.rejected.onnx")
+    report_path = out.with_name(f"{out.stem}.report.json")
+    write_model(model, candidate)
+    with stages.stage("verify"):
+        report = _verify_elsewhere(
+            candidate, checkpoint, report_path, quick, lambda done, total: listener(Stage("verify", done, total))
+        )
+    if not report.passed:
+        raise ExportRejected(candidate, report_path, report)
+    return _accept(model, candidate, out, report_path, report, stages.timings)
+
+
+def _accept(
+    model: onnx.ModelProto, candidate: Path, out: Path, report_path: Path, report: Report, timings: dict[str, float]
+) -> Exported:
+    add_metadata(model, {"tolerance": json.dumps(report.worst(), sort_keys=True)})
+    write_model(model, out)
+    candidate.unlink()
+    report = Report(file_sha256(out), report.precision, report.versions, report.cases)
+    report.write(report_path)
+    return Exported(out, report_path, report, timings)
+
+
+def _verify_elsewhere(
+    model: Path, checkpoint: Path, report: Path, quick: bool, on_case: Callable[[int, int], None]
+) -> Report:
+    command = [sys.executable, "-m", "gapmes.export.verify", str(model)]
+    command += ["--checkpoint", str(checkpoint), "--report", str(report), *(["--quick"] if quick else [])]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        for done, line in enumerate(process.stdout or (), start=1):
+            on_case(done, json.loads(line)["total"])
+        errors = process.stderr.read() if process.stderr else ""
+        code = process.wait()
+    if code not in (0, FAILED):
+        raise RuntimeError(f"the verification process ended with {code}: {errors.strip()[-2000:]}")
+    return Report.read(report)

@@ -1,0 +1,51 @@
+"""int8: the transformers' linear layers in 8 bits, everything that decides routes or depth in float32.
+
+Weights are quantised per output channel at export, activations per tensor at run time. The gates stay in float32, so
+that routes are decided with full precision; so do the matching (its products have no constant operand and are left
+alone by construction) and all convolutions.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import onnx
+from onnxruntime.quantization import QuantType, quantize_dynamic
+
+_FLOAT32_PARTS = ("mixture.gates.",)  # substrings of constants whose consumers keep float32
+
+
+def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
+    """The int8 variant of a float32 graph; raises `ValueError` when nothing could be quantised or a gate would be."""
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder, "fp32.onnx"), Path(folder, "int8.onnx")
+        onnx.save(model, source)
+        quantize_dynamic(
+            source,
+            target,
+            op_types_to_quantize=["MatMul", "Gemm"],
+            per_channel=True,
+            reduce_range=True,  # u8 x s8 products saturate on processors without VNNI; 7 bits give the same everywhere
+            weight_type=QuantType.QInt8,
+            nodes_to_exclude=_gate_nodes(model),
+            extra_options={"MatMulConstBOnly": True},
+        )
+        result = onnx.load(target)
+    integer = [node for node in result.graph.node if node.op_type == "MatMulInteger"]
+    if not integer:
+        raise ValueError("the graph has no linear layer with constant weights to quantise")
+    kept = {i.name for i in result.graph.initializer}
+    lost = [i.name for i in model.graph.initializer if _is_float32_part(i.name) and i.name not in kept]
+    if lost:
+        raise ValueError(f"constants that must stay float32 were quantised: {lost}")
+    onnx.checker.check_model(result)
+    return result
+
+
+def _gate_nodes(model: onnx.ModelProto) -> list[str]:
+    return [node.name for node in model.graph.node if any(_is_float32_part(name) for name in node.input)]
+
+
+def _is_float32_part(name: str) -> bool:
+    return any(part in name for part in _FLOAT32_PARTS)

@@ -1,0 +1,70 @@
+"""The verification report as data: one row per case, written as JSON beside the exported file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from .compare import Deviation, RouteAgreement
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """One case: how far every output was off, how routes agreed, and what failed (nothing, when it passed)."""
+
+    name: str
+    gates: str
+    views: int
+    outputs: dict[str, Deviation]
+    routes: RouteAgreement | None
+    failures: list[str]
+
+
+@dataclass(frozen=True)
+class Report:
+    """All cases of one file."""
+
+    model_sha256: str
+    precision: str
+    versions: dict[str, str]
+    cases: list[CaseResult]
+
+    @property
+    def passed(self) -> bool:
+        return bool(self.cases) and not any(case.failures for case in self.cases)
+
+    def worst(self) -> dict[str, dict[str, float]]:
+        """Per output the largest maximum, p99 and mean over all cases: what goes into the file's metadata."""
+        result: dict[str, dict[str, float]] = {}
+        for case in self.cases:
+            for name, value in case.outputs.items():
+                entry = result.setdefault(name, {"max": 0.0, "p99": 0.0, "mean": 0.0, "jumps": 0.0})
+                entry["max"] = max(entry["max"], value.maximum)
+                entry["p99"] = max(entry["p99"], value.p99)
+                entry["mean"] = max(entry["mean"], value.mean)
+                entry["jumps"] = max(entry["jumps"], value.jumps)
+        return result
+
+    def to_json(self) -> str:
+        body = {"passed": self.passed, "worst": self.worst(), **asdict(self)}
+        return json.dumps(body, indent=2, sort_keys=True) + "\n"
+
+    def write(self, path: Path) -> None:
+        path.write_text(self.to_json())
+
+    @staticmethod
+    def read(path: Path) -> Report:
+        body = json.loads(path.read_text())
+        cases = [
+            CaseResult(
+                name=case["name"],
+                gates=case["gates"],
+                views=case["views"],
+                outputs={name: Deviation(**value) for name, value in case["outputs"].items()},
+                routes=RouteAgreement(**case["routes"]) if case["routes"] else None,
+                failures=case["failures"],
+            )
+            for case in body["cases"]
+        ]
+        return Report(body["model_sha256"], body["precision"], body["versions"], cases)

@@ -1,0 +1,74 @@
+"""Checkpoints as safetensors: weights, the configuration that built them, and their sha256."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from .config import ModelConfig
+from .network import GaPMeS
+
+WEIGHTS_LICENCE = "MIT"
+SHIPPED = Path(__file__).parent / "weights"
+
+
+class CheckpointError(ValueError):
+    """A file that is not a checkpoint of ours, or that does not fit the configuration it claims."""
+
+
+def shipped_checkpoint(preset: str) -> Path:
+    """Path of the checkpoint that the package carries for a preset; raises `CheckpointError` when it carries none."""
+    path = SHIPPED / f"{preset}.safetensors"
+    if not path.is_file():
+        shipped = sorted(p.stem for p in SHIPPED.glob("*.safetensors"))
+        raise CheckpointError(f"no weights are shipped for preset {preset!r} (shipped: {', '.join(shipped)})")
+    return path
+
+
+def save_checkpoint(path: Path, model: GaPMeS, *, half: bool = False, extra: dict[str, str] | None = None) -> None:
+    """Write the weights and the configuration, whole or not at all; `half` stores them as float16."""
+    tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
+    if half:
+        tensors = {k: v.half() if v.is_floating_point() else v for k, v in tensors.items()}
+    metadata = {"gapmes.config": model.config.to_json(), "gapmes.licence": WEIGHTS_LICENCE, **(extra or {})}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    save_file(tensors, part, metadata=metadata)
+    os.replace(part, path)
+
+
+def load_checkpoint(path: Path) -> GaPMeS:
+    """Build the network that the file describes and load every tensor strictly, in float32 and evaluation mode."""
+    if not path.is_file():
+        raise CheckpointError(f"{path} is not a file")
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata() or {}
+        if "gapmes.config" not in metadata:
+            raise CheckpointError(f"{path} carries no gapmes.config; is it a checkpoint of another network?")
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  not a dict
+    model = GaPMeS(ModelConfig.from_json(metadata["gapmes.config"]))
+    expected = model.state_dict()
+    missing, unexpected = sorted(expected.keys() - tensors.keys()), sorted(tensors.keys() - expected.keys())
+    shapes = [
+        f"{name} {tuple(tensors[name].shape)} instead of {tuple(expected[name].shape)}"
+        for name in expected.keys() & tensors.keys()
+        if tensors[name].shape != expected[name].shape
+    ]
+    if missing or unexpected or shapes:
+        raise CheckpointError(
+            f"{path} does not fit its configuration: missing {missing[:5]}, unexpected {unexpected[:5]}, "
+            f"misshapen {sorted(shapes)[:5]} ({len(missing)}, {len(unexpected)}, {len(shapes)} in all)"
+        )
+    model.load_state_dict({k: v.to(torch.float32) if v.is_floating_point() else v for k, v in tensors.items()})
+    return model.eval()
+
+
+def file_sha256(path: Path) -> str:
+    """Hex digest of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,131 @@
+"""Network configuration: the presets `tiny`, `small` and `base`, and the switches of the ablation study."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+
+PIXELS_PER_CELL = 4  # the paper's s = 4: the aligned grid has a quarter of the input resolution
+CELLS_PER_PATCH = 4  # a routed patch is 4 x 4 cells, that is 16 x 16 pixels
+PIXELS_PER_PATCH = PIXELS_PER_CELL * CELLS_PER_PATCH
+
+
+@dataclass(frozen=True)
+class VitConfig:
+    """Shape of one vision transformer; `patch` is its own patch size in the pixels that it sees."""
+
+    hidden: int
+    layers: int
+    heads: int
+    patch: int
+    mlp_ratio: int
+    image_size: int  # px, the size that its position embedding is stored for
+
+    def tokens(self, size: int) -> int:
+        """Tokens along an image side of `size` px: one per routed patch, whatever the ViT's own patch size is."""
+        return size // PIXELS_PER_PATCH
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Everything that defines the graph; stored with every checkpoint and in every ONNX file."""
+
+    preset: str
+    semantic_vit: VitConfig
+    depth_vit: VitConfig
+    freeze_vits: bool  # frozen pretrained backbones (paper) or trained with the rest (tiny)
+    half_channels: int  # CNN features at 1/2 resolution
+    quarter_channels: int  # CNN features at 1/4 resolution
+    eighth_channels: int  # cross-view transformer at 1/8 resolution
+    cross_view_blocks: int
+    match_channels: int  # features that are correlated in the plane sweep
+    volume_channels: int  # features of the cost-volume network
+    refine_channels: int  # features of the half-resolution refinement
+    stream_channels: int  # C_dim of Eq. 1
+    depth_planes: int = 32  # candidates of the plane sweep, uniform in inverse depth
+    refine_candidates: int = 9
+    experts: int = 6  # N_e
+    top_k: int = 2  # k
+    temperature: float = 0.8  # tau of Eq. 10
+    sh_degree: int = 0
+    backing: bool = True  # coarse opaque layer behind the far surface, so that no hole shows through
+    without_depth: bool = False  # Table 5: no depth stream
+    without_experts: bool = False  # Table 5: no feature-learning experts and no gate for them
+    without_tasks: bool = False  # Table 5: no task gate, every head reads the full map
+
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """Names of the aligned streams in channel order."""
+        return ("texture", "semantic") if self.without_depth else ("depth", "texture", "semantic")
+
+    def to_json(self) -> str:
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @staticmethod
+    def from_json(text: str) -> ModelConfig:
+        """Inverse of `to_json`; unknown keys are an error of the file, not ignored."""
+        values = json.loads(text)
+        values["semantic_vit"] = VitConfig(**values["semantic_vit"])
+        values["depth_vit"] = VitConfig(**values["depth_vit"])
+        return ModelConfig(**values)
+
+
+_VIT_TINY = VitConfig(hidden=96, layers=3, heads=4, patch=16, mlp_ratio=2, image_size=256)
+_VIT_S = VitConfig(hidden=384, layers=12, heads=6, patch=14, mlp_ratio=4, image_size=518)
+_VIT_B = VitConfig(hidden=768, layers=12, heads=12, patch=14, mlp_ratio=4, image_size=518)
+
+PRESETS: dict[str, ModelConfig] = {
+    "tiny": ModelConfig(
+        preset="tiny",
+        semantic_vit=_VIT_TINY,
+        depth_vit=_VIT_TINY,
+        freeze_vits=False,
+        half_channels=32,
+        quarter_channels=64,
+        eighth_channels=96,
+        cross_view_blocks=2,
+        match_channels=32,
+        volume_channels=80,
+        refine_channels=48,
+        stream_channels=32,
+    ),
+    "small": ModelConfig(
+        preset="small",
+        semantic_vit=_VIT_S,
+        depth_vit=_VIT_S,
+        freeze_vits=True,
+        half_channels=48,
+        quarter_channels=96,
+        eighth_channels=128,
+        cross_view_blocks=4,
+        match_channels=64,
+        volume_channels=128,
+        refine_channels=64,
+        stream_channels=64,
+        depth_planes=64,
+        sh_degree=2,
+    ),
+    "base": ModelConfig(
+        preset="base",
+        semantic_vit=_VIT_B,
+        depth_vit=_VIT_B,
+        freeze_vits=True,
+        half_channels=64,
+        quarter_channels=128,
+        eighth_channels=192,
+        cross_view_blocks=6,
+        match_channels=128,
+        volume_channels=192,
+        refine_channels=96,
+        stream_channels=128,
+        depth_planes=128,
+        sh_degree=2,
+    ),
+}
+
+
+def preset(name: str, **changes: object) -> ModelConfig:
+    """The named preset with fields replaced; raises `KeyError` that lists the names when it is unknown."""
+    if name not in PRESETS:
+        raise KeyError(f"preset {name!r} is unknown, choose one of {', '.join(PRESETS)}")
+    return replace(PRESETS[name], **changes)  # type: ignore[arg-type]

@@ -1,0 +1,142 @@
+"""Matching between views: plane sweep by correlation at 1/4 resolution, local candidates at 1/2 resolution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, rigid_inverse, warp_positions
+from .layers import replicate_pad
+
+# The correlation map of one pair is (h*w)^2 numbers: 67 MB at 64 x 64. Rows of the reference are taken in this many
+# pieces, one after the other, which divides the peak memory and changes no number.
+SWEEP_PIECES = 4
+
+
+@dataclass(frozen=True)
+class Views:
+    """Cameras of B scenes with V views: K (B, V, 3, 3) normalised, poses (B, V, 4, 4), inverse-depth range (B, 1)."""
+
+    intrinsics: Tensor
+    world_from_cam: Tensor
+    inverse_far: Tensor
+    inverse_near: Tensor
+
+    @staticmethod
+    def make(intrinsics: Tensor, world_from_cam: Tensor, near_far: Tensor) -> Views:
+        """near_far (B, 2)."""
+        return Views(intrinsics, world_from_cam, 1 / near_far[:, 1:], 1 / near_far[:, :1])
+
+    @property
+    def count(self) -> int:
+        return self.intrinsics.shape[1]
+
+    def per_view(self, values: Tensor) -> Tensor:
+        """(B, 1) -> (B*V, 1, 1, 1)."""
+        return values.expand(-1, self.count).reshape(-1, 1, 1, 1)
+
+    def inverse_depth(self, normalised: Tensor) -> Tensor:
+        """Normalised inverse depth (B*V, c, h, w), 0 at far and 1 at near, to 1 / z."""
+        low, high = self.per_view(self.inverse_far), self.per_view(self.inverse_near)
+        return low + (high - low) * normalised
+
+    def pairs(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Reference K, source K (m, 3, 3) and source_from_reference (m, 4, 4) of all m = B*V*(V-1) ordered pairs."""
+        others = self.count - 1
+        reference_pose = repeat_for_pairs(self.world_from_cam, others).reshape(-1, 4, 4)
+        source_pose = other_views(self.world_from_cam).reshape(-1, 4, 4)
+        return (
+            repeat_for_pairs(self.intrinsics, others).reshape(-1, 3, 3),
+            other_views(self.intrinsics).reshape(-1, 3, 3),
+            rigid_inverse(source_pose) @ reference_pose,
+        )
+
+
+class PatchDescriptor(nn.Module):
+    """Zero-mean normalised 4x4 grey patches with stride 2: correlating them is ZNCC, which needs no training."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("taps", torch.eye(16).reshape(16, 1, 4, 4), persistent=False)
+
+    def forward(self, grey: Tensor) -> Tensor:
+        """(n, 1, h, w) -> (n, 16, h/2, w/2), unit length up to a floor for flat patches."""
+        patch = F.conv2d(replicate_pad(grey, 1), self.taps, stride=2)
+        patch = patch - patch.mean(1, keepdim=True)
+        return patch / (patch.square().sum(1, keepdim=True) + 16e-3).sqrt()
+
+
+def sweep(features: list[Tensor], views: Views, planes: int) -> tuple[list[Tensor], Tensor]:
+    """Mean correlation with the other views on `planes` depths uniform in inverse depth.
+
+    features: tensors (B*V, C_i, h, w). Correlate first (one matrix product per pair), then sample the correlation map
+    along the epipolar line: bilinear sampling is linear, so this equals sampling the features and is far cheaper.
+    Returns one (B*V, D, h, w) per feature tensor, averaged over the views that see the point, and the share of them.
+    """
+    n, _, h, w = features[0].shape
+    reference_k, source_k, motion = views.pairs()
+    rays = camera_rays(pixel_grid(h, w, features[0].device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
+    bins = torch.linspace(0, 1, planes, device=features[0].device).reshape(1, planes, 1, 1)
+    inverse = views.inverse_depth(bins)[:, :, 0, 0]  # (B*V, D)
+    others = views.count - 1
+    inverse = inverse.reshape(-1, views.count, planes).unsqueeze(2).expand(-1, -1, others, -1).reshape(-1, 1, planes)
+    reference = [
+        repeat_for_pairs(f.reshape(-1, views.count, *f.shape[1:]), others).reshape(-1, *f.shape[1:]) for f in features
+    ]
+    source = [other_views(f.reshape(-1, views.count, *f.shape[1:])).reshape(-1, *f.shape[1:]) for f in features]
+    pieces, insides = [[] for _ in features], []
+    for start in range(0, h, -(-h // SWEEP_PIECES)):
+        stop = min(h, start + -(-h // SWEEP_PIECES))
+        rows = rays[:, :, start:stop].flatten(2)
+        grid, inside = warp_positions(rows, inverse.expand(-1, rows.shape[2], -1), source_k, motion)
+        insides.append(inside.to(rows.dtype))
+        for number, (ref, src) in enumerate(zip(reference, source, strict=True)):
+            correlation = ref[:, :, start:stop].flatten(2).transpose(1, 2) @ src.flatten(2)
+            sampled = F.grid_sample(
+                correlation.reshape(-1, 1, h, w),
+                grid.reshape(-1, planes, 1, 2),
+                mode="bilinear",
+                padding_mode="zeros",
+                align_corners=False,
+            )
+            pieces[number].append(sampled.reshape(-1, rows.shape[2], planes) * insides[-1])
+    seen = torch.cat(insides, dim=1).reshape(-1, others, h * w, planes).sum(1)
+    volumes = []
+    for parts in pieces:
+        total = torch.cat(parts, dim=1).reshape(-1, others, h * w, planes).sum(1)
+        volumes.append((total / seen.clamp(min=1)).transpose(1, 2).reshape(n, planes, h, w))
+    return volumes, (seen / others).transpose(1, 2).reshape(n, planes, h, w)
+
+
+def local_matching(
+    features: Tensor, groups: list[int], candidates: Tensor, views: Views
+) -> tuple[list[Tensor], Tensor]:
+    """Mean correlation at per-pixel candidates (B*V, K, h, w) of normalised inverse depth.
+
+    features (B*V, sum(groups), h, w); each group of channels is correlated on its own. Returns one (B*V, K, h, w) per
+    group and the share of other views that see the point.
+    """
+    n, channels, h, w = features.shape
+    count, others = candidates.shape[1], views.count - 1
+    reference_k, source_k, motion = views.pairs()
+    rays = camera_rays(pixel_grid(h, w, features.device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
+    inverse = views.inverse_depth(candidates).flatten(2).transpose(1, 2)  # (B*V, P, K)
+    inverse = repeat_for_pairs(inverse.reshape(-1, views.count, h * w, count), others).reshape(-1, h * w, count)
+    grid, inside = warp_positions(rays.flatten(2), inverse, source_k, motion)
+    per_view = features.reshape(-1, views.count, channels, h, w)
+    source = other_views(per_view).reshape(-1, channels, h, w)
+    reference = repeat_for_pairs(per_view, others).reshape(-1, channels, h * w, 1)
+    sampled = F.grid_sample(source, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
+    product = reference * sampled  # (m, C, P, K)
+    mask = inside.to(features.dtype)
+    seen = mask.reshape(-1, others, h * w, count).sum(1)
+    scores, start = [], 0
+    for size in groups:
+        score = product[:, start : start + size].sum(1) * mask
+        score = score.reshape(-1, others, h * w, count).sum(1) / seen.clamp(min=1)
+        scores.append(score.transpose(1, 2).reshape(n, count, h, w))
+        start += size
+    return scores, (seen / others).transpose(1, 2).reshape(n, count, h, w)

@@ -1,0 +1,99 @@
+"""Depth from matching: softmax over the plane sweep, refinement among local candidates, convex upsampling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from .config import ModelConfig
+from .cost_volume import PatchDescriptor, Views, local_matching, sweep
+from .layers import ResidualBlock, replicate_pad, resize_to
+from .trunk import TrunkFeatures
+
+
+@dataclass(frozen=True)
+class DepthEstimate:
+    """Normalised inverse depth (0 at far, 1 at near) at three resolutions, and what the heads build on."""
+
+    quarter: Tensor  # (n, 1, H/4, W/4)
+    half: Tensor  # (n, 1, H/2, W/2)
+    full: Tensor  # (n, 1, H, W)
+    confidence: Tensor  # (n, 1, H/4, W/4) probability of the best plane
+    volume: Tensor  # (n, volume_channels, H/4, W/4) multi-view features of the cost volume
+    guide: Tensor  # (n, refine_channels, H/2, W/2) features of the refinement
+
+
+class DepthFromMatching(nn.Module):
+    """Two-stage matching; learned features and a fixed ZNCC descriptor vote side by side."""
+
+    def __init__(self, config: ModelConfig, mono_channels: int) -> None:
+        super().__init__()
+        self.planes, self.candidates = config.depth_planes, config.refine_candidates
+        c2, c4 = config.half_channels, config.quarter_channels
+        cu, cr, cm = config.volume_channels, config.refine_channels, config.match_channels
+        self.descriptor = PatchDescriptor()
+        self.match_quarter = nn.Conv2d(c4, cm, 1)
+        self.match_half = nn.Conv2d(c2 + c4 // 4, 16, 1)
+        self.volume_net = nn.Sequential(
+            nn.Conv2d(3 * self.planes + c4 + mono_channels, cu, 3, padding=1), ResidualBlock(cu), ResidualBlock(cu)
+        )
+        self.volume_logits = nn.Conv2d(cu, self.planes, 3, padding=1)
+        self.volume_up = nn.Conv2d(cu, 4 * 32, 1)
+        self.refine_net = nn.Sequential(
+            nn.Conv2d(3 * self.candidates + c2 + 2 + 32 + 12, cr, 3, padding=1), ResidualBlock(cr), ResidualBlock(cr)
+        )
+        self.refine_logits = nn.Conv2d(cr, self.candidates, 3, padding=1)
+        self.up_mask = nn.Conv2d(cr, 36, 1)
+        self.learned_sharpness = nn.Parameter(torch.tensor([8.0, 8.0]))
+        self.zncc_sharpness = nn.Parameter(torch.tensor([4.0, 4.0]))
+
+    def forward(self, images: Tensor, features: TrunkFeatures, mono: Tensor, views: Views) -> DepthEstimate:
+        """images (n, 3, H, W) in [0, 1]; mono (n, mono_channels, H/4, W/4) monocular cues."""
+        grey = images.mean(1, keepdim=True) * 2 - 1
+        quarter = F.normalize(self.match_quarter(features.quarter), dim=1)
+        zncc_quarter = self.descriptor(F.avg_pool2d(grey, 2))
+        (learned, zncc), seen = sweep([quarter, zncc_quarter], views, self.planes)
+        volume = self.volume_net(torch.cat([learned * 2, zncc, seen, features.quarter, mono], dim=1))
+        logits = self.volume_logits(volume) + learned * self.learned_sharpness[0] + zncc * self.zncc_sharpness[0]
+        probability = logits.softmax(1)
+        bins = torch.linspace(0, 1, self.planes, device=images.device).reshape(1, -1, 1, 1)
+        coarse = (probability * bins).sum(1, keepdim=True)
+        confidence = probability.amax(1, keepdim=True)
+
+        start = resize_to(coarse, features.half)
+        offsets = torch.linspace(-1.5, 1.5, self.candidates, device=images.device) / (self.planes - 1)
+        candidates = (start.detach() + offsets.reshape(1, -1, 1, 1)).clamp(-0.02, 1.1)
+        context = resize_to(features.quarter[:, : features.quarter.shape[1] // 4], features.half)
+        half = F.normalize(self.match_half(torch.cat([features.half, context], dim=1)), dim=1)
+        stacked = torch.cat([half, self.descriptor(grey)], dim=1)
+        (learned, zncc), seen = local_matching(stacked, [16, 16], candidates, views)
+        guide = self.refine_net(
+            torch.cat(
+                [
+                    learned * 2,
+                    zncc,
+                    seen,
+                    features.half,
+                    start,
+                    resize_to(confidence, features.half),
+                    F.pixel_shuffle(self.volume_up(volume), 2),
+                    F.pixel_unshuffle(images * 2 - 1, 2),
+                ],
+                dim=1,
+            )
+        )
+        logits = self.refine_logits(guide) + learned * self.learned_sharpness[1] + zncc * self.zncc_sharpness[1]
+        refined = start + (logits.softmax(1) * offsets.reshape(1, -1, 1, 1)).sum(1, keepdim=True)
+        return DepthEstimate(coarse, refined, self._upsample(refined, guide), confidence, volume, guide)
+
+    def _upsample(self, half: Tensor, guide: Tensor) -> Tensor:
+        """Each full-resolution pixel is a learned convex combination of the 3x3 half-resolution neighbours."""
+        n, _, h, w = half.shape
+        weights = self.up_mask(guide).reshape(n, 9, 4, h, w).softmax(1)
+        padded = replicate_pad(half, 1)
+        shifted = [padded[:, :, dy : dy + h, dx : dx + w] for dy in range(3) for dx in range(3)]
+        neighbours = torch.stack(shifted, dim=1)  # (n, 9, 1, h, w)
+        return F.pixel_shuffle((weights * neighbours).sum(1), 2)

@@ -1,0 +1,68 @@
+"""Feature-learning experts on routed patches (Eq. 12-14): only the patches that chose an expert run through it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from .config import CELLS_PER_PATCH
+from .routing import Routing
+
+
+class Expert(nn.Module):
+    """Three 3x3 convolutions on one patch, zero padding, so that a patch alone gives what it gives in a batch."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Conv2d(channels, channels, 3, padding=1),
+            nn.GELU(),
+            nn.Conv2d(channels, channels, 3, padding=1),
+            nn.GELU(),
+            nn.Conv2d(channels, channels, 3, padding=1),
+        )
+
+    def forward(self, patches: Tensor) -> Tensor:
+        """(m, C, 4, 4) -> (m, C, 4, 4)."""
+        return self.layers(patches)
+
+
+class ExpertGroup(nn.Module):
+    """N_e experts shared by the streams; each expert is one gather, one batch, one scatter to distinct rows."""
+
+    def __init__(self, experts: int, channels: int) -> None:
+        super().__init__()
+        self.channels = channels
+        self.experts = nn.ModuleList([Expert(channels) for _ in range(experts)])
+
+    def forward(self, patches: Tensor, routing: Routing) -> Tensor:
+        """patches (M, S*C, 4, 4) -> sum over selected experts of weight * expert, same shape.
+
+        A patch whose weight for an expert is exactly 0 (not selected, lambda = 1, masked) is not computed for it.
+        """
+        weights = dense_weights(routing, len(self.experts))
+        p = CELLS_PER_PATCH
+        result = torch.zeros_like(patches)
+        for number, expert in enumerate(self.experts):
+            weight = weights[:, number]
+            rows = torch.nonzero(weight != 0).squeeze(1)
+            streams = patches.index_select(0, rows).reshape(-1, self.channels, p, p)
+            output = expert(streams).reshape(-1, patches.shape[1], p, p)
+            result = result.index_add(0, rows, output * weight.index_select(0, rows).reshape(-1, 1, 1, 1))
+        return result
+
+    def dense(self, patches: Tensor, routing: Routing) -> Tensor:
+        """The same sum with every expert run on every patch: the readable twin that tests compare against."""
+        weights = dense_weights(routing, len(self.experts))
+        p = CELLS_PER_PATCH
+        streams = patches.reshape(-1, self.channels, p, p)
+        outputs = torch.stack([expert(streams).reshape(patches.shape) for expert in self.experts], dim=1)
+        return (outputs * weights[:, :, None, None, None]).sum(1)
+
+
+def dense_weights(routing: Routing, experts: int) -> Tensor:
+    """(M, N_e) weight of every expert for every patch, 0 where it was not selected."""
+    empty = torch.zeros(
+        routing.expert_weight.shape[0], experts, dtype=routing.expert_weight.dtype, device=routing.expert_weight.device
+    )
+    return empty.scatter(-1, routing.expert_index, routing.expert_weight)

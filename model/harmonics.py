@@ -1,0 +1,63 @@
+"""Rotation of spherical-harmonics coefficients in torch, by the same direct recursion as the service's."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gapmes.service.harmonics import BAND_1_AXES, C0, next_band
+
+SH_C0 = C0
+
+
+def rotate_bands(coefficients: Tensor, rotation: Tensor) -> Tensor:
+    """Turn bands 1 and up: coefficients (n, M, K - 1, 3) without DC, rotation (n, 3, 3), one for each of n cameras.
+
+    The function that comes out has at `rotation @ d` the value that went in at d. Every entry of a band's matrix is a
+    polynomial of the rotation's entries (Ivanic and Ruedenberg 1996), so the graph holds only products and sums.
+    """
+    degree = math.isqrt(coefficients.shape[2] + 1) - 1
+    first = np.empty((3, 3), dtype=object)
+    for i, row in enumerate(BAND_1_AXES):
+        for j, column in enumerate(BAND_1_AXES):
+            first[i, j] = rotation[:, row, column]
+    turned, previous, start = [], first, 0
+    for band in range(1, degree + 1):
+        entries = first if band == 1 else next_band(first, previous, band)
+        previous, size = entries, 2 * band + 1
+        signs = [(-1.0) ** m for m in range(-band, band + 1)]
+        rows = [torch.stack([entries[i, j] * (signs[i] * signs[j]) for j in range(size)], dim=-1) for i in range(size)]
+        matrix = torch.stack(rows, dim=-2)  # (n, size, size)
+        turned.append(matrix.unsqueeze(1) @ coefficients[:, :, start : start + size])
+        start += size
+    return torch.cat(turned, dim=2)
+
+
+def evaluate(coefficients: Tensor, directions: Tensor) -> Tensor:
+    """Colours 0.5 + sum of basis * coefficient, not clamped: coefficients (..., K, 3), unit directions (..., 3).
+
+    The same recurrence as `gapmes.service.harmonics.evaluate_basis` (DLMF 14.10.3), differentiable.
+    """
+    degree = math.isqrt(coefficients.shape[-2]) - 1
+    x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
+    basis: dict[int, Tensor] = {}
+    real, imaginary, diagonal = torch.ones_like(x), torch.zeros_like(x), 1.0
+    for m in range(degree + 1):
+        if m > 0:
+            real, imaginary = x * real - y * imaginary, x * imaginary + y * real
+            diagonal *= 2 * m - 1
+        before, legendre = torch.zeros_like(z), torch.full_like(z, diagonal)
+        for band in range(m, degree + 1):
+            if band > m:
+                following = ((2 * band - 1) * z * legendre - (band + m - 1) * before) / (band - m)
+                before, legendre = legendre, following
+            ratio = math.factorial(band - m) / math.factorial(band + m)
+            norm = (-1) ** m * math.sqrt((2 * band + 1) / (4 * math.pi) * ratio * (2 if m else 1))
+            basis[band * band + band + m] = norm * legendre * real
+            if m > 0:
+                basis[band * band + band - m] = norm * legendre * imaginary
+    stacked = torch.stack([basis[i] for i in range((degree + 1) ** 2)], dim=-1)
+    return 0.5 + (stacked.unsqueeze(-1) * coefficients).sum(-2)

@@ -1,0 +1,36 @@
+"""Small building blocks that several parts of the network share."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+
+def group_norm(channels: int) -> nn.GroupNorm:
+    return nn.GroupNorm(8 if channels % 8 == 0 else 4, channels)
+
+
+class ResidualBlock(nn.Module):
+    """x + conv(relu(conv(relu(norm(x))))), starting close to the identity."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.norm = group_norm(channels)
+        self.first = nn.Conv2d(channels, channels, 3, padding=1)
+        self.second = nn.Conv2d(channels, channels, 3, padding=1)
+        with torch.no_grad():
+            self.second.weight.mul_(0.3)
+            self.second.bias.zero_()
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.second(F.relu(self.first(F.relu(self.norm(x)))))
+
+
+def resize_to(x: Tensor, like: Tensor) -> Tensor:
+    """Bilinear resize of (n, C, h, w) to the grid of `like`; positions are pixel centres."""
+    return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)
+
+
+def replicate_pad(x: Tensor, margin: int) -> Tensor:
+    return F.pad(x, (margin, margin, margin, margin), mode="replicate")

@@ -1,0 +1,88 @@
+"""The two patch gates (Eq. 2-11): Gumbel top-k in training, deterministic top-k in evaluation, hybrid weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+TASKS = ("mu", "alpha", "epsilon", "colour")  # k in {mu, alpha, epsilon, c} of Eq. 15
+
+
+@dataclass(frozen=True)
+class Routing:
+    """Where M patches go; weights of a patch sum to 1 over its selected experts and over the tasks."""
+
+    expert_index: Tensor  # (M, k) int64, best first
+    expert_weight: Tensor  # (M, k)
+    task_weight: Tensor  # (M, 4)
+    balance_loss: Tensor  # scalar, 1 when the load is even
+
+
+def top_k_lowest_first(logits: Tensor, k: int) -> Tensor:
+    """(M, k) indices of the k largest logits (Eq. 7-8), ties to the lowest index.
+
+    k argmax steps instead of `torch.topk`: argmax returns the first maximum in torch and in onnxruntime, topk does not.
+    """
+    chosen = []
+    for _ in range(k):
+        index = logits.argmax(dim=-1, keepdim=True)
+        chosen.append(index)
+        logits = logits.scatter(-1, index, float("-inf"))
+    return torch.cat(chosen, dim=-1)
+
+
+def gumbel_noise(like: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """g = -log(-log(u)) of Eq. 5-6, u uniform in the open interval (0, 1)."""
+    uniform = torch.rand(like.shape, generator=generator, dtype=like.dtype, device=like.device)
+    uniform = uniform.clamp(1e-7, 1 - 1e-7)
+    return -torch.log(-torch.log(uniform))
+
+
+def hybrid_weights(soft: Tensor, balance: Tensor) -> Tensor:
+    """Eq. 11 read as l * hard + (1 - l) * soft, hard with the gradient of soft (straight through).
+
+    soft (M, c) sums to 1 per row; hard is one at its first maximum. The result sums to 1 for every l in [0, 1].
+    """
+    hard = torch.zeros_like(soft).scatter(-1, soft.argmax(dim=-1, keepdim=True), 1.0)
+    hard = hard + (soft - soft.detach())
+    return balance * hard + (1 - balance) * soft
+
+
+class Gates(nn.Module):
+    """Linear gates on the flattened query (Eq. 3-4); `lambda` of Eq. 11 is a sigmoid, one for each gate."""
+
+    def __init__(self, query_size: int, experts: int, top_k: int, temperature: float) -> None:
+        super().__init__()
+        self.top_k = top_k
+        self.temperature = temperature
+        self.noise_scale = 1.0  # 1 is the paper's Gumbel noise; the recipe anneals it to 0
+        self.expert_gate = nn.Linear(query_size, experts)
+        self.task_gate = nn.Linear(query_size, len(TASKS))
+        self.expert_balance = nn.Parameter(torch.zeros(()))
+        self.task_balance = nn.Parameter(torch.zeros(()))
+
+    def forward(self, query: Tensor) -> Routing:
+        """query (M, query_size) -> `Routing`; noise only while training (Eq. 5-6)."""
+        expert_logits, task_logits = self.expert_gate(query), self.task_gate(query)
+        clean = expert_logits
+        if self.training and self.noise_scale > 0:
+            expert_logits = expert_logits + self.noise_scale * gumbel_noise(expert_logits)
+            task_logits = task_logits + self.noise_scale * gumbel_noise(task_logits)
+        index = top_k_lowest_first(expert_logits, self.top_k)
+        soft = self._softmax(expert_logits.gather(-1, index))  # Eq. 10 over S_i
+        weight = hybrid_weights(soft, torch.sigmoid(self.expert_balance))
+        task_weight = hybrid_weights(self._softmax(task_logits), torch.sigmoid(self.task_balance))
+        return Routing(index, weight, task_weight, _balance_loss(clean, index))
+
+    def _softmax(self, logits: Tensor) -> Tensor:
+        """softmax(logits / tau); the largest is taken off first, so that dividing cannot overflow."""
+        return torch.softmax((logits - logits.amax(-1, keepdim=True)) / self.temperature, dim=-1)
+
+
+def _balance_loss(logits: Tensor, index: Tensor) -> Tensor:
+    """N_e * sum_e (share of patches sent to e) * (mean probability of e): 1 when even (Fedus et al. 2021)."""
+    experts = logits.shape[-1]
+    share = torch.zeros_like(logits).scatter(-1, index, 1.0).mean(0) / index.shape[-1]
+    return experts * (share * torch.softmax(logits, dim=-1).mean(0)).sum()

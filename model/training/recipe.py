@@ -1,0 +1,64 @@
+"""The recipe as data: curriculum over resolution, views and baseline, learning rate, noise and loss weights."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of training with one kind of batch."""
+
+    share: float  # of all steps
+    size: int  # px, input images
+    scenes: int  # per step
+    views: tuple[int, ...]  # numbers of input views, taken in turn
+    baseline: tuple[float, float]  # in units of the mean scene depth
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that a run depends on besides code and data."""
+
+    steps: int = 4500
+    seed: int = 1
+    learning_rate: float = 1e-3
+    warm_up: int = 200
+    weight_decay: float = 1e-4
+    ema: float = 0.998
+    clip: float = 1.0
+    targets: int = 2
+    zoom_share: float = 0.3  # of steps whose targets have twice the input resolution: keeps scales from collapsing
+    input_noise: float = 0.01  # standard deviation, on every other step
+    depth_weight: tuple[float, float] = (1.0, 0.1)  # from, to
+    ssim_weight: float = 0.2
+    balance_weight: float = 0.01
+    phases: tuple[Phase, ...] = (
+        Phase(0.30, 64, 4, (2,), (0.06, 0.6)),
+        Phase(0.33, 96, 2, (2, 3), (0.06, 0.8)),
+        Phase(0.30, 128, 2, (2, 2, 3), (0.06, 0.8)),
+        Phase(0.07, 256, 1, (2, 2, 2, 3), (0.06, 0.6)),
+    )
+
+    def phase(self, step: int) -> Phase:
+        """The phase of a step; shares add up to 1."""
+        position, end = step / self.steps, 0.0
+        for phase in self.phases:
+            end += phase.share
+            if position < end - 1e-9:
+                return phase
+        return self.phases[-1]
+
+    def learning_rate_at(self, step: int) -> float:
+        """Linear warm-up, then a cosine down to 3 %."""
+        warm = min(1.0, (step + 1) / self.warm_up)
+        return self.learning_rate * warm * (0.03 + 0.97 * 0.5 * (1 + math.cos(math.pi * step / self.steps)))
+
+    def noise_scale_at(self, step: int) -> float:
+        """Gumbel noise, annealed to 0 at three quarters so that the last quarter trains what inference runs."""
+        return max(0.0, 1.0 - step / (0.75 * self.steps))
+
+    def depth_weight_at(self, step: int) -> float:
+        start, end = self.depth_weight
+        return start + (end - start) * step / self.steps

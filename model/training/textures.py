@@ -1,0 +1,77 @@
+"""The texture atlas of the scene generator: procedural textures with mip levels, drawn once, kept in a cache file."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .patterns import SIZE, draw
+
+Split = Literal["train", "validation"]
+
+VERSION = 1  # raise it whenever a pattern or the layout changes: it names the cache file
+COUNT = 512
+LEVELS = 6  # 256 px down to 8 px
+LEVEL_OFFSETS = tuple(sum((SIZE >> below) ** 2 * 3 for below in range(level)) for level in range(LEVELS))
+ROW_BYTES = LEVEL_OFFSETS[-1] + (SIZE >> (LEVELS - 1)) ** 2 * 3
+VALIDATION_EVERY = 8  # every eighth texture is never seen in training
+
+
+@dataclass(frozen=True, eq=False)
+class TextureAtlas:
+    """`texels` (COUNT, ROW_BYTES) uint8, all mip levels of a texture in one row, finest first; `flat` (COUNT,) bool."""
+
+    texels: NDArray[np.uint8]
+    flat: NDArray[np.bool_]
+
+    def indices(self, split: Split) -> NDArray[np.int64]:
+        """The textures of a split; the two splits share none."""
+        every = np.arange(len(self.texels))
+        held_out = every % VALIDATION_EVERY == 0
+        return every[held_out if split == "validation" else ~held_out]
+
+
+def mip_levels(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """(ROW_BYTES,) all levels of one (SIZE, SIZE, 3) image by repeated 2x2 means."""
+    levels = []
+    for _ in range(LEVELS):
+        levels.append((image * 255 + 0.5).astype(np.uint8).reshape(-1))
+        half = image.shape[0] // 2
+        image = image.reshape(half, 2, half, 2, 3).mean(axis=(1, 3))
+    return np.concatenate(levels)
+
+
+def build_atlas(seed: int = 0, count: int = COUNT) -> TextureAtlas:
+    """Draw the atlas; texture i depends on `seed` and i alone."""
+    texels = np.empty((count, ROW_BYTES), np.uint8)
+    flat = np.empty(count, np.bool_)
+    for i in range(count):
+        image, flat[i] = draw(np.random.default_rng((VERSION, seed, i)))
+        texels[i] = mip_levels(image)
+    return TextureAtlas(texels, flat)
+
+
+def cache_folder() -> Path:
+    """`$XDG_CACHE_HOME/gapmes`, else `~/.cache/gapmes`."""
+    root = os.environ.get("XDG_CACHE_HOME")
+    return (Path(root) if root else Path.home() / ".cache") / "gapmes"
+
+
+def load_atlas(seed: int = 0) -> TextureAtlas:
+    """The atlas of this version and seed, memory-mapped from the cache so that processes share it."""
+    path = cache_folder() / f"textures-v{VERSION}-seed{seed}.npy"
+    if not path.exists():
+        atlas = build_atlas(seed)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        rows = np.concatenate([atlas.texels, atlas.flat[:, None].astype(np.uint8)], axis=1)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npy", delete=False) as part:
+            np.save(part, rows)
+        os.replace(part.name, path)  # whole or not at all, whoever else is drawing it
+    rows = np.load(path, mmap_mode="r")
+    return TextureAtlas(np.asarray(rows)[:, :ROW_BYTES], np.asarray(rows[:, ROW_BYTES]) != 0)
