@@ -1,0 +1,107 @@
+"""Read a 3DGS .ply of any writer: ASCII or binary of either byte order, any property order, other elements around it.
+
+The rows that are read become `Gaussians`: exp of the scales, logistic function of the opacity. Nothing is repaired or
+dropped; what cannot be read rightly is refused with the property, the row and both numbers.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import PlyError
+from .gaussians import Gaussians
+from .ply_format import Header, parse_header, vertex_columns
+
+F64 = NDArray[np.float64]
+
+REQUIRED = (
+    "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
+    "rot_0", "rot_1", "rot_2", "rot_3",
+)  # fmt: skip
+REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1) for degrees 0 to 3
+LOG_SCALE_MAX = float(np.log(np.finfo(np.float32).max))
+
+
+def read_ply(source: str | PathLike[str] | bytes | bytearray | memoryview | BinaryIO) -> Gaussians:
+    """Read a path, the bytes of a file or an open binary file.
+
+    A logit opacity of +-inf is 1 or 0 and a log scale of -inf is 0, as writers without a clamp mean them; every other
+    number must be finite. Raises `PlyError` that says what is wrong where.
+    """
+    if isinstance(source, str | PathLike):
+        data = Path(source).read_bytes()
+    else:
+        data = bytes(source) if isinstance(source, bytes | bytearray | memoryview) else source.read()
+    header = parse_header(data)
+    rest = _checked_properties(header)
+    columns = vertex_columns(data, header)
+    _require_finite(columns)
+    scales = np.stack([columns[f"scale_{axis}"] for axis in range(3)], axis=1)
+    _require_range(scales, "scale", LOG_SCALE_MAX)
+    harmonics = np.empty((header.vertex.count, 1 + rest // 3, 3))
+    for channel in range(3):
+        harmonics[:, 0, channel] = columns[f"f_dc_{channel}"]
+        for k in range(rest // 3):
+            harmonics[:, 1 + k, channel] = columns[f"f_rest_{channel * (rest // 3) + k}"]
+    logit = np.clip(columns["opacity"], -700.0, 700.0)  # beyond it exp leaves float64 and the value is 0 or 1 anyway
+    return Gaussians.make(
+        means=np.stack([columns[axis] for axis in "xyz"], axis=1),
+        scales=np.exp(scales),
+        rotations_wxyz=np.stack([columns[f"rot_{part}"] for part in range(4)], axis=1),
+        opacities=1.0 / (1.0 + np.exp(-logit)),
+        harmonics=harmonics,
+    )
+
+
+def _checked_properties(header: Header) -> int:
+    """The number of f_rest properties, once all that is needed is there."""
+    names = {prop.name for prop in header.vertex.properties}
+    missing = [name for name in REQUIRED if name not in names]
+    if missing:
+        raise PlyError(
+            f"{len(missing)} of {len(REQUIRED)} properties are missing: {', '.join(missing)}",
+            field="vertex",
+            cure="is this a mesh or a point cloud? Gaussians need position, colour, opacity, scale and rotation",
+        )
+    rest = sum(name.startswith("f_rest_") for name in names)
+    if rest not in REST_COUNTS:
+        raise PlyError(f"there are {rest}, need 0, 9, 24 or 45 (SH degree 0 to 3)", field="vertex.f_rest")
+    gaps = [i for i in range(rest) if f"f_rest_{i}" not in names]
+    if gaps:
+        raise PlyError(f"of {rest} the one with index {gaps[0]} is missing", field="vertex.f_rest", index=gaps[0])
+    return rest
+
+
+def _require_finite(columns: dict[str, F64]) -> None:
+    for name, column in columns.items():
+        ok = np.isfinite(column)
+        if name == "opacity":
+            ok = ~np.isnan(column)
+        elif name.startswith("scale_"):
+            ok |= np.isneginf(column)
+        if name not in ("x", "y", "z"):  # those stay float64
+            ok &= ~np.isfinite(column) | (np.abs(column) <= np.finfo(np.float32).max)
+        _require(ok, column, name, "a finite number")
+
+
+def _require_range(columns: F64, name: str, high: float) -> None:
+    for i, column in enumerate(columns.T):
+        _require(column <= high, column, f"{name}_{i}", f"at most {high:.4g}, the logarithm of the largest float32")
+
+
+def _require(ok: NDArray[np.bool_], column: F64, name: str, need: str) -> None:
+    if ok.all():
+        return
+    bad = np.flatnonzero(~ok)
+    raise PlyError(
+        f"{len(bad)} of {len(column)} values are outside the range, first at row {bad[0]}: {column[bad[0]]:g}, "
+        f"need {need}",
+        field=f"vertex.{name}",
+        index=int(bad[0]),
+        count=len(bad),
+    )

@@ -1,0 +1,110 @@
+"""Write Gaussians as a 3DGS .ply: binary little-endian, no comments (some readers choke on them), same bytes always."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import BinaryIO, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import PlyError
+from .gaussians import Gaussians
+
+Positions = Literal["auto", "float32", "float64"]
+
+# sigmoid(17) = 1 - 4.1e-8 rounds to the float32 below 1: a wider range would store infinities and gain nothing.
+LOGIT_MAX = 17.0
+
+# A zero scale has no logarithm; this share of the median scale is a dot in every picture.
+ZERO_SCALE = 1e-12
+
+# Rounding x, y, z to float32 is accepted while it moves a Gaussian by at most this share of a typical one's size.
+POSITION_TOLERANCE = 1 / 8
+
+
+def write_ply(target: str | PathLike[str] | BinaryIO, gaussians: Gaussians, *, positions: Positions = "auto") -> None:
+    """Write to a path or an open binary file; see `ply_bytes`."""
+    data = ply_bytes(gaussians, positions=positions)
+    if isinstance(target, str | PathLike):
+        Path(target).write_bytes(data)
+    else:
+        target.write(data)
+
+
+def ply_bytes(gaussians: Gaussians, *, positions: Positions = "auto") -> bytes:
+    """The file as bytes; its numbers are float32, x, y, z perhaps float64.
+
+    `positions`: "auto" stores x, y, z as float64 only where float32 would move a Gaussian by more than an eighth of the
+    median largest scale (a world far from its origin). Opacities are clamped to logit +-17, a scale of 0 becomes 1e-12
+    of the median positive scale. Raises `PlyError` if float32 is asked for and a position does not fit it.
+    """
+    if positions not in ("auto", "float32", "float64"):
+        raise PlyError(f'is {positions!r}, need "auto", "float32" or "float64"', field="positions")
+    wide = positions == "float64" or (positions == "auto" and _needs_float64(gaussians))
+    if not wide:
+        _require_float32(gaussians.means)
+    rest = gaussians.harmonics.shape[1] - 1
+    names = ["nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(3 * rest)), "opacity"]
+    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    kind, word = ("<f8", "double") if wide else ("<f4", "float")
+    record = np.dtype([("xyz", kind, 3), ("rest", "<f4", len(names))])
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(gaussians)}"]
+    header += [f"property {word} {axis}" for axis in "xyz"] + [f"property float {name}" for name in names]
+    header += ["end_header", ""]
+    rows = np.zeros(len(gaussians), record)
+    rows["xyz"] = gaussians.means
+    # Channel-major, as in the 3DGS code: all higher coefficients of red, then green, then blue.
+    higher = gaussians.harmonics[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), 3 * rest)
+    rows["rest"] = np.concatenate(
+        [
+            np.zeros((len(gaussians), 3)),
+            gaussians.harmonics[:, 0],
+            higher,
+            _logit(gaussians.opacities)[:, None],
+            _log_scales(gaussians.scales),
+            gaussians.rotations_wxyz,
+        ],
+        axis=1,
+    )
+    return "\n".join(header).encode("ascii") + rows.tobytes()
+
+
+def _logit(opacities: NDArray[np.float32]) -> NDArray[np.float64]:
+    low = 1.0 / (1.0 + np.exp(LOGIT_MAX))
+    p = np.clip(opacities.astype(np.float64), low, 1.0 - low)
+    return np.log(p) - np.log1p(-p)
+
+
+def _log_scales(scales: NDArray[np.float32]) -> NDArray[np.float64]:
+    wide = scales.astype(np.float64)
+    positive = wide[wide > 0]
+    dot = ZERO_SCALE * (np.median(positive) if len(positive) else 1.0)
+    return np.log(np.where(wide > 0, wide, dot))
+
+
+def _needs_float64(gaussians: Gaussians) -> bool:
+    if not len(gaussians):
+        return False
+    with np.errstate(over="ignore"):
+        moved = float(np.abs(gaussians.means - gaussians.means.astype(np.float32)).max())
+    largest = gaussians.scales.max(axis=1).astype(np.float64)
+    positive = largest[largest > 0]
+    if len(positive):
+        return moved > POSITION_TOLERANCE * float(np.median(positive))
+    # Nothing but dots: what matters then is their distance from each other.
+    return moved > 1e-4 * float(np.ptp(gaussians.means, axis=0).max())
+
+
+def _require_float32(means: NDArray[np.float64]) -> None:
+    large = np.abs(means).max(axis=1, initial=0.0) > np.finfo(np.float32).max
+    if large.any():
+        index = int(np.flatnonzero(large)[0])
+        raise PlyError(
+            f"{int(large.sum())} of {len(means)} positions do not fit float32, first at index {index}: "
+            f"{means[index].tolist()}",
+            field="means",
+            index=index,
+            cure='write them with positions="float64"',
+        )

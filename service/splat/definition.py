@@ -1,0 +1,66 @@
+"""What image a set of Gaussians has: every constant that the splatter and its reference share, with its reason."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+
+
+@dataclass(frozen=True)
+class Definition:
+    """3D Gaussian splatting (Kerbl et al. 2023) with EWA projection (Zwicker et al. 2001); the knobs are its cuts.
+
+    `z > near` is strict; a Gaussian whose opacity times falloff lies below `alpha_min` at a pixel centre is skipped
+    there; the Gaussian that takes the transmittance to `stop` or below is still added, then the pixel is finished.
+    """
+
+    dilation: float = 0.3
+    """px^2 added to both variances in the image: a splat never falls between pixel centres (3DGS's low-pass)."""
+
+    alpha_min: float = 1 / 255
+    """A layer below this moves an 8-bit pixel by less than one level, and the cut keeps footprints finite. It also
+    bounds the rounding of the transmittance, at most 6e-8 of itself per layer, to 2.2e-8 / alpha_min = 6e-6."""
+
+    alpha_max: float = float(np.float32(0.99))
+    """One layer never hides everything. The value is exact in float32, so that two such layers (T = 0.99998e-4) fall
+    on the same side of `stop` in every precision; 0.99 itself lands on 1e-4 give or take the rounding."""
+
+    stop: float = 1e-4
+    """What lies behind a transmittance of 1e-4 moves a colour by at most 1e-4; added inclusively, so the worst error
+    is that and not stop / (1 - alpha_max) = 1e-2."""
+
+    near: float = 0.01
+    """Caller's units. A Gaussian at the camera's own plane has no projection; 0.01 is gsplat's default."""
+
+    far: float = 1e37
+    """Caller's units. Beyond it a depth no longer fits float32; it removes overflow, not scenery."""
+
+    fov_margin: float = 0.3
+    """The affine projection is evaluated at most this share of the half field of view outside the image (1.3 tan(fov)
+    in 3DGS when the principal point is central): further out it stretches splats without limit."""
+
+    max_entries: int = 1 << 24
+    """(tile, Gaussian) pairs held at a time, 4 bytes each; more are drawn in several batches, same image to the bit."""
+
+    def __post_init__(self) -> None:
+        for name in ("dilation", "alpha_min", "alpha_max", "stop", "near", "far", "fov_margin"):
+            if not math.isfinite(getattr(self, name)):
+                raise InputError(f"is {getattr(self, name)}, need a finite number", field=f"definition.{name}")
+        # Below 1e-30 the polynomial power of two would leave the normal range of float32.
+        _require("alpha_min", self.alpha_min, 1e-30, self.alpha_max)
+        _require("alpha_max", self.alpha_max, self.alpha_min, 1.0)
+        _require("dilation", self.dilation, 1e-3, 1e3)
+        _require("stop", self.stop, 0.0, 1.0)
+        _require("near", self.near, 0.0, self.far)
+        _require("far", self.far, self.near, 1e37)
+        _require("fov_margin", self.fov_margin, 0.0, 10.0)
+        _require("max_entries", self.max_entries, 1, 1 << 31)
+
+
+def _require(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise InputError(f"is {value:g}, need {low:g} to {high:g}", field=f"definition.{name}")

@@ -1,0 +1,63 @@
+"""Run a kernel over index ranges on a few threads; kernels release the interpreter lock, results do not depend on it.
+
+Plain threads instead of numba's parallel backends: those abort the process when two requests render at once or after a
+fork, and their idle threads spin against onnxruntime's.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import pairwise
+from typing import TypeVar
+
+from ..errors import InputError
+
+T = TypeVar("T")
+
+
+def available_threads() -> int:
+    """How many CPUs this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def checked_threads(threads: int | None) -> int:
+    """The number of threads to use; None is all that are available."""
+    if threads is None:
+        return available_threads()
+    if threads < 1:
+        raise InputError(f"is {threads}, need at least 1", field="threads")
+    return threads
+
+
+def run_ranges(work: Callable[[int, int], T], bounds: Sequence[int], threads: int) -> list[T]:
+    """[work(bounds[0], bounds[1]), work(bounds[1], bounds[2]), ...], empty ranges left out.
+
+    The caller's thread works too and never waits for a helper that has not started, so a busy or forked pool only costs
+    speed. `work` must write to places that depend on its range alone.
+    """
+    ranges = [(int(a), int(b)) for a, b in pairwise(bounds) if a < b]
+    results: list[T | None] = [None] * len(ranges)
+    if threads == 1 or len(ranges) < 2:
+        return [work(start, stop) for start, stop in ranges]
+    todo = iter(range(len(ranges)))
+
+    def drain(todo: Iterator[int]) -> None:
+        for item in todo:
+            results[item] = work(*ranges[item])
+
+    helpers = [_pool().submit(drain, todo) for _ in range(min(threads, len(ranges)) - 1)]
+    try:
+        drain(todo)
+    finally:
+        for helper in helpers:
+            if not helper.cancel():
+                helper.result()
+    return results
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=max(16, available_threads()), thread_name_prefix="gapmes-splat")

@@ -1,0 +1,78 @@
+"""The splatter's readable twin: the same definition by brute force in float64, every Gaussian at every pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import factorial, pi, sqrt
+
+import numpy as np
+from numpy.polynomial import Legendre
+from numpy.typing import NDArray
+
+from ..camera import Camera
+from ..gaussians import Gaussians
+from .definition import Definition
+from .order import depth_order
+from .render import Render, checked_background, checked_definition, checked_degree
+
+F64 = NDArray[np.float64]
+
+
+def sh_basis(directions: F64, degree: int) -> F64:
+    """(N, (degree+1)^2) real spherical harmonics of unit directions (N, 3), Condon-Shortley sign, m = -l..l."""
+    x, y, z = directions.T
+    columns = []
+    for band in range(degree + 1):
+        for m in range(-band, band + 1):
+            a = abs(m)
+            norm = sqrt((2 - (m == 0)) * (2 * band + 1) / (4 * pi) * factorial(band - a) / factorial(band + a))
+            ring = (x + 1j * y) ** a
+            azimuth = ring.imag if m < 0 else ring.real
+            columns.append((-1) ** a * norm * Legendre.basis(band).deriv(a)(z) * azimuth)
+    return np.stack(columns, axis=1)
+
+
+def rotation_matrix(wxyz: F64) -> F64:
+    """(3, 3) rotation of a quaternion (4,) of any length: I + 2 w [v] + 2 [v]^2 with [v] u = v x u (Rodrigues)."""
+    w, *v = wxyz / np.linalg.norm(wxyz)
+    cross = np.cross(v, np.eye(3)).T
+    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+
+
+def render_reference(
+    gaussians: Gaussians,
+    camera: Camera,
+    *,
+    background: Sequence[float] | None = None,
+    sh_degree: int | None = None,
+    near: float | None = None,
+    definition: Definition | None = None,
+) -> Render:
+    """The image that `render` approximates, in float64; takes N x H x W steps."""
+    rule, degree = checked_definition(definition, near), checked_degree(sh_degree, gaussians)
+    offset = gaussians.means - camera.center
+    x, y, z = (offset @ camera.rotation).T
+    drawn = (z > rule.near) & (z <= rule.far) & (gaussians.opacities.astype(np.float64) >= rule.alpha_min)
+    half = 0.5 * rule.fov_margin * np.array([camera.width, camera.height])
+    low = -(np.array([camera.cx, camera.cy]) + half) / (camera.fx, camera.fy)
+    high = (np.array([camera.width - camera.cx, camera.height - camera.cy]) + half) / (camera.fx, camera.fy)
+    columns, rows = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
+    light, mass = np.ones((camera.height, camera.width)), np.zeros((camera.height, camera.width))
+    colour, depth = np.zeros((camera.height, camera.width, 3)), np.zeros_like(light)
+    for i in depth_order(z, drawn, gaussians):
+        tan = np.clip([x[i] / z[i], y[i] / z[i]], low, high)
+        jacobian = np.array([[camera.fx, 0, -camera.fx * tan[0]], [0, camera.fy, -camera.fy * tan[1]]]) / z[i]
+        own = rotation_matrix(gaussians.rotations_wxyz[i].astype(np.float64))
+        a = np.hstack([jacobian @ camera.rotation.T @ own * gaussians.scales[i], sqrt(rule.dilation) * np.eye(2)])
+        l1 = np.linalg.norm(a[0])
+        k = a[0] @ a[1] / l1**2
+        dx, dy = columns - (camera.fx * x[i] / z[i] + camera.cx), rows - (camera.fy * y[i] / z[i] + camera.cy)
+        distance2 = (dx / l1) ** 2 + ((dy - k * dx) / np.linalg.norm(a[1] - k * a[0])) ** 2
+        alpha = np.minimum(gaussians.opacities[i].astype(np.float64) * np.exp(-0.5 * distance2), rule.alpha_max)
+        weight = np.where((alpha >= rule.alpha_min) & (light > rule.stop), alpha * light, 0.0)
+        basis = sh_basis(offset[i : i + 1] / np.linalg.norm(offset[i]), degree)[0]
+        colour += weight[..., None] * np.maximum(0.5 + basis @ gaussians.harmonics[i, : len(basis)], 0.0)
+        depth, mass, light = depth + weight * z[i], mass + weight, light - weight
+    depth = np.divide(depth, mass, out=np.zeros_like(depth), where=mass > 0)
+    colour += light[..., None] * checked_background(background)
+    return Render(colour, 1.0 - light, depth, {"count": len(gaussians), "projected": int(drawn.sum())})

@@ -1,0 +1,69 @@
+"""Compiled kernels find a writable folder of their own, and no kernel assumes NaN away."""
+
+import os
+
+import pytest
+
+from gapmes.service.splat.kernel_cache import cache_folder, kernel
+
+
+@pytest.fixture
+def bare(monkeypatch, tmp_path):
+    """No settings, a home of its own, and a package folder that cannot be written."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return tmp_path / "missing" / "package"
+
+
+@pytest.fixture
+def denied(monkeypatch):
+    """`denied(path)` makes a folder refuse writes, also for root."""
+    closed = []
+    access, mkdir = os.access, os.mkdir
+
+    def covers(path) -> bool:
+        return any(str(path).startswith(str(folder)) for folder in closed)
+
+    def refused_mkdir(path, *args, **kwargs):
+        if covers(path):
+            raise PermissionError(path)
+        return mkdir(path, *args, **kwargs)
+
+    monkeypatch.setattr(os, "access", lambda path, mode: not covers(path) and access(path, mode))
+    monkeypatch.setattr(os, "mkdir", refused_mkdir)
+    return closed.append
+
+
+def test_numba_chooses_when_told_or_when_the_package_is_writable(monkeypatch, tmp_path, bare):
+    assert cache_folder(tmp_path) is None
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert cache_folder(bare) is None
+
+
+def test_the_users_cache_folder_comes_next(monkeypatch, tmp_path, bare, denied):
+    denied(bare)
+    assert cache_folder(bare) == tmp_path / "home" / ".cache" / "gapmes"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    assert cache_folder(bare) == tmp_path / "xdg" / "gapmes"
+    assert (tmp_path / "xdg" / "gapmes").stat().st_mode & 0o777 == 0o700
+
+
+def test_a_container_without_a_home_uses_a_private_temporary_folder(tmp_path, bare, denied):
+    denied(bare)
+    denied(tmp_path / "home")
+    expected = tmp_path / f"gapmes-{os.getuid()}"
+    assert cache_folder(bare) == expected
+    # A folder that others may write could hold their code.
+    expected.chmod(0o777)
+    other = cache_folder(bare)
+    assert other != expected
+    assert other.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize("flags", [{"nnan"}, {"ninf"}, {"fast", "contract"}])
+def test_flags_that_delete_the_nan_tests_are_refused(flags):
+    with pytest.raises(ValueError, match="NaN"):
+        kernel(fastmath=frozenset(flags))

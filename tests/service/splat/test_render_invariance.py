@@ -1,0 +1,165 @@
+"""What must not change the image: threads, order of the input, batches, units, tile borders, the world's origin."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from splat_cases import bits, camera, compare, dots, moved, rotation, scene
+
+from gapmes.service.camera import Camera
+from gapmes.service.gaussians import Gaussians
+from gapmes.service.splat import Definition, render
+from gapmes.service.splat.binning import Grid, TileLists, count_range, fill_range, tile_lists
+from gapmes.service.splat.blend import blend, blend_range, composite_rows, start_planes
+from gapmes.service.splat.order import depth_order
+from gapmes.service.splat.project import project, project_range
+
+
+def test_threads_and_repeats_give_the_same_bits():
+    gaussians, view = scene(3000, 3, 2), camera(130, 70, 90.0)
+    first = bits(render(gaussians, view, threads=1))
+    for threads in (1, 2, 3, 7):
+        assert bits(render(gaussians, view, threads=threads)) == first
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=st.integers(0, 2**31), degree=st.integers(0, 3))
+def test_a_permuted_input_gives_the_same_bits(seed, degree):
+    gaussians = scene(60, seed, degree)
+    order = np.random.default_rng(seed).permutation(60)
+    assert bits(render(gaussians[order], camera())) == bits(render(gaussians, camera()))
+
+
+@pytest.mark.parametrize("count", [2, 100, 3000])
+def test_coplanar_gaussians_in_any_order_give_the_same_bits(count):
+    rng = np.random.default_rng(count)
+    means = np.concatenate([rng.uniform(-1, 1, (count, 2)), np.full((count, 1), 2.0)], axis=1)
+    wall = dots(means, rng.uniform(0.3, 1, count), rng.uniform(0, 1, (count, 3)), 0.08)
+    # A second layer at the very same places: only colour and opacity are left to order by.
+    twins = dots(means[: count // 2], rng.uniform(0.3, 1, count // 2), rng.uniform(0, 1, (count // 2, 3)), 0.08)
+    both = Gaussians(*(np.concatenate([getattr(wall, f), getattr(twins, f)]) for f in Gaussians.__dataclass_fields__))
+    first = bits(render(both, camera()))
+    for _ in range(3):
+        assert bits(render(both[rng.permutation(len(both))], camera())) == first
+    duplicated = both[np.concatenate([np.arange(len(both)), np.arange(len(both))])]
+    first = bits(render(duplicated, camera()))
+    assert bits(render(duplicated[rng.permutation(len(duplicated))], camera())) == first
+
+
+@pytest.mark.parametrize("max_entries", [1, 7, 100, 1000])
+def test_batches_give_the_same_bits_and_bound_the_lists(max_entries):
+    gaussians, view = scene(200, 4), camera(70, 50)
+    whole = render(gaussians, view)
+    split = render(gaussians, view, definition=Definition(max_entries=max_entries), threads=2)
+    assert bits(split) == bits(whole)
+    assert split.stats["entries"] == whole.stats["entries"]
+    assert split.stats["batches"] >= whole.stats["entries"] // max(max_entries, split.stats["tiles"])
+    projection = project(gaussians, view, Definition(), 0, 1)
+    order = depth_order(projection.depths, projection.status == 0, gaussians)
+    grid = Grid(view.width, view.height)
+    for lists in tile_lists(projection.footprints, order, grid, max_entries, 1):
+        assert len(lists.members) <= max(max_entries, grid.tiles)
+
+
+def test_tile_lists_and_row_clipping_leave_nothing_out():
+    """Every Gaussian in every tile, all rows: the same bits, so lists and rows are exact skips."""
+    for seed, scales in ((1, (0.02, 0.3)), (2, (1e-9, 3.0)), (3, (1e-4, 1e3))):
+        gaussians, view = scene(200, seed, 0, scales), camera(70, 50)
+        grid, rule = Grid(view.width, view.height), Definition()
+        projection = project(gaussians, view, rule, 0, 1)
+        order = depth_order(projection.depths, projection.status == 0, gaussians)
+        (lists,) = tile_lists(projection.footprints, order, grid, rule.max_entries, 1)
+        planes = start_planes(grid)
+        blend(lists, projection.footprints, projection.shades, planes, grid, rule, 1)
+        everything = TileLists(np.arange(grid.tiles + 1) * len(order), np.tile(order, grid.tiles).astype(np.int32))
+        tall = projection.footprints.copy()
+        tall[:, 6] = 1e6
+        full = start_planes(grid)
+        blend(everything, tall, projection.shades, full, grid, rule, 1)
+        for plane, other in zip(planes, full, strict=True):
+            assert plane.tobytes() == other.tobytes()
+        assert len(lists.members) < len(everything.members)
+
+
+@pytest.mark.parametrize(("left", "top"), [(5, 0), (0, 9), (7, 3), (16, 16)])
+def test_tile_borders_do_not_show(left, top):
+    """A window of the image, cut at another place than the tiles; float32 starts from other corners."""
+    gaussians, view = scene(200, 6), camera(80, 64)
+    # The projection is clamped relative to the image border, so only centres well inside compare.
+    x, y = view.project(gaussians.means)[0].T
+    gaussians = gaussians[(x > 20) & (x < 60) & (y > 20) & (y < 50)]
+    window = render(gaussians, view.cropped(left, top, 80 - left, 64 - top))
+    whole = render(gaussians, view)
+    difference = np.abs(window.rgb - whole.rgb[top:, left:]).max(axis=2)
+    assert np.quantile(difference, 0.999) < 2e-6
+    assert difference.max() < 2 / 255
+
+
+@pytest.mark.parametrize("power", [-20, -3, 5, 20])
+def test_units_of_a_power_of_two_give_the_same_bits(power):
+    unit = 2.0**power
+    gaussians, view = scene(200, 7, 1), camera()
+    other = moved(gaussians, means=gaussians.means * unit, scales=gaussians.scales * np.float32(unit))
+    ours, scaled = render(gaussians, view, near=0.01), render(other, view, near=0.01 * unit)
+    assert ours.rgb.tobytes() == scaled.rgb.tobytes()
+    assert ours.alpha.tobytes() == scaled.alpha.tobytes()
+    assert (ours.depth * np.float32(unit)).tobytes() == scaled.depth.tobytes()
+
+
+def test_any_unit_gives_the_same_image_up_to_jumps():
+    gaussians, view = scene(200, 7, 1), camera()
+    for unit in (1e-6, 1e6):
+        other = moved(gaussians, means=gaussians.means * unit, scales=gaussians.scales * np.float32(unit))
+        difference = np.abs(render(other, view, near=0.01 * unit).rgb - render(gaussians, view).rgb).max(axis=2)
+        assert np.quantile(difference, 0.99) < 1e-5
+        assert difference.max() < 2 / 255
+
+
+@pytest.mark.parametrize("offset", [1e3, 1e6, 1e7])
+def test_a_far_off_world_costs_nothing(offset):
+    """Positions are float64 and taken relative to the camera: at 1e6 they are exact to 1e-10, at 1e7 to 2e-9."""
+    gaussians, view = scene(200, 9, 1), camera()
+    shift = offset * np.array([1.0, -0.7, 0.4])
+    pose = view.world_from_cam.copy()
+    pose[:3, 3] += shift
+    far = render(moved(gaussians, means=gaussians.means + shift), view.posed(pose))
+    difference = np.abs(far.rgb - render(gaussians, view).rgb).max(axis=2)
+    assert np.quantile(difference, 0.99) < 1e-5
+    assert difference.max() < 2 / 255
+
+
+def test_a_rigid_motion_of_the_world_gives_the_same_image_up_to_jumps():
+    rng = np.random.default_rng(10)
+    gaussians, view = scene(200, 10), camera()
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = rotation(rng), rng.standard_normal(3)
+    w = 0.5 * np.sqrt(1.0 + np.trace(motion[:3, :3]))
+    r = motion[:3, :3]
+    v = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / (4 * w)
+    qw, qv = gaussians.rotations_wxyz[:, :1].astype(float), gaussians.rotations_wxyz[:, 1:].astype(float)
+    rotated = np.concatenate([w * qw - qv @ v[:, None], w * qv + qw * v + np.cross(v, qv)], axis=1)
+    other = moved(gaussians, means=gaussians.means @ r.T + motion[:3, 3], rotations_wxyz=rotated.astype(np.float32))
+    difference = np.abs(render(other, view.posed(motion @ view.world_from_cam)).rgb - render(gaussians, view).rgb).max(
+        axis=2
+    )
+    assert np.quantile(difference, 0.99) < 1e-5
+    assert difference.max() < 2 / 255
+
+
+def test_strided_and_read_only_arrays_are_drawn_alike_by_the_same_kernels():
+    gaussians = scene(100, 11, 2)
+    frozen = replace(gaussians)
+    for field in Gaussians.__dataclass_fields__:
+        getattr(frozen, field).flags.writeable = False
+    assert bits(render(frozen[::2], camera())) == bits(render(frozen[np.arange(0, 100, 2)], camera()))
+    for kernel in (project_range, count_range, fill_range, blend_range, composite_rows):
+        assert len(kernel.signatures) == 1  # nothing is compiled while a request waits
+
+
+def test_a_lens_of_unequal_focal_lengths_and_a_far_principal_point():
+    gaussians = scene(150, 12, 1)
+    for fx, fy, cx, cy in ((4.0, 700.0, 20.0, 20.0), (45.0, 30.0, -40.0, 60.0), (60.0, 50.0, 80.0, -3.0)):
+        result = compare(gaussians, Camera.make(40, 36, fx, fy, cx, min(cy, 72.0), np.eye(4)))
+        assert result.smooth < 2e-6

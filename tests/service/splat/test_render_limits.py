@@ -1,0 +1,171 @@
+"""Extreme and empty input: a finite image or a named refusal, and everything left out is counted."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from splat_cases import bits, camera, compare, dots, moved, scene
+
+from gapmes.service.camera import Camera
+from gapmes.service.errors import GaussiansError, InputError
+from gapmes.service.gaussians import Gaussians
+from gapmes.service.splat import Definition, render, render_reference
+
+
+def assert_finite(image) -> None:
+    assert np.isfinite(image.rgb).all()
+    assert np.isfinite(image.depth).all()
+    assert (image.rgb >= 0).all()
+    assert ((image.alpha >= 0) & (image.alpha <= 1)).all()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 37), (37, 1), (17, 33), (15, 16), (4096, 16)])
+def test_no_gaussians_is_exactly_the_background(width, height):
+    view = Camera.make(width, height, width, height, width / 2, height / 2, np.eye(4))
+    image = render(scene(0), view, background=(0.25, 0.5, 1.0))
+    assert image.rgb.shape == (height, width, 3)
+    assert (image.rgb == np.float32([0.25, 0.5, 1.0])).all()
+    assert (image.alpha == 0).all()
+    assert (image.depth == 0).all()
+    assert image.stats["projected"] == image.stats["entries"] == 0
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 37), (37, 1), (17, 33), (15, 16), (49, 31)])
+def test_odd_sizes_match_the_reference(width, height):
+    assert compare(scene(80, 1), camera(width, height, max(width, height) / 2)).smooth < 2e-6
+
+
+@pytest.mark.parametrize("near", [1e-8, 1e-3, 0.2, 1.0])
+def test_the_near_plane_is_strict(near):
+    depths = [near, near * (1 - 1e-7), near * (1 + 1e-7), 0.0, -0.0, 5e-324, -1e30, 1e30, -near]
+    means = np.stack([np.zeros(len(depths)), np.zeros(len(depths)), depths], axis=1)
+    image = render(dots(means, np.full(len(depths), 0.5), (1, 1, 1), 1e-12), camera(9, 9, 9.0), near=near)
+    assert image.stats["projected"] == 2
+    assert image.stats["culled"]["near"] == len(depths) - 2
+    assert_finite(image)
+    assert image.alpha[4, 4] == pytest.approx(0.75, abs=1e-6)
+
+
+def test_gaussians_that_reach_behind_the_near_plane_are_counted():
+    means = [[0, 0, 0.5], [0, 0, 5.0]]
+    assert render(dots(means, [0.5, 0.5], (1, 1, 1), 0.3), camera()).stats["crossing_near"] == 1
+
+
+def test_every_gaussian_is_drawn_or_counted_with_its_reason():
+    means = [[0, 0, 2], [0, 0, -2], [0, 0, 1e38], [0, 0, 2], [0, 0, 2], [50, 0, 2]]
+    gaussians = dots(means, [0.5, 0.5, 0.5, 0.003, 0.5, 0.5], (1, 1, 1), 0.01)
+    gaussians.scales[4] = np.nan
+    stats = render(gaussians, camera()).stats
+    assert stats["culled"] == {"near": 1, "far": 1, "faint": 1, "not_finite": 1, "outside": 1}
+    assert stats["projected"] == 1
+    assert stats["count"] == 6
+
+
+@pytest.mark.parametrize("field", ["means", "scales", "rotations_wxyz", "opacities", "harmonics"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_bad_number_is_refused_at_the_border_and_harmless_behind_it(field, value):
+    good = scene(50, 2)
+    arrays = {name: getattr(good, name).copy() for name in Gaussians.__dataclass_fields__}
+    arrays[field].reshape(50, -1)[31, 0] = value
+    with pytest.raises(GaussiansError, match="first at index 31") as refusal:
+        Gaussians.make(**arrays)
+    assert (refusal.value.field, refusal.value.index) == (field, 31)
+    with np.errstate(all="ignore"):
+        assert_finite(render(Gaussians(**arrays), camera()))
+
+
+number = st.one_of(
+    st.floats(-(2.0**126), 2.0**126, width=32),
+    st.floats(-3, 3, width=32),
+    st.sampled_from([0.0, -0.0, 1e-45, 3.4e38, -3.4e38]),
+)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.tuples(*[number] * 14), min_size=1, max_size=6), st.sampled_from([0.0, 1e-8, 0.01]))
+def test_any_finite_numbers_give_a_finite_image(rows, near):
+    table = np.array(rows, np.float32)
+    gaussians = Gaussians.make(
+        table[:, :3],
+        np.abs(table[:, 3:6]),
+        table[:, 6:10],
+        np.abs(np.clip(table[:, 10], -1, 1)),
+        table[:, None, 11:14],
+    )
+    image = render(gaussians, camera(20, 18, 19.0), near=near)
+    assert_finite(image)
+    stats = image.stats
+    assert stats["projected"] + sum(stats["culled"].values()) == len(rows)
+
+
+def test_a_colour_equal_to_the_background_is_invisible():
+    """Weights and transmittance sum to 1; measured 3e-7."""
+    gaussians = scene(400, 3)
+    gaussians = moved(gaussians, harmonics=np.full((400, 1, 3), (0.7 - 0.5) / 0.28209479177387814, np.float32))
+    assert np.abs(render(gaussians, camera(), background=(0.7, 0.7, 0.7)).rgb - 0.7).max() < 1e-6
+
+
+def test_opacity_zero_draws_nothing():
+    image = render(dots([[0, 0, 2]], [0.0], (1, 1, 1)), camera())
+    assert (image.alpha == 0).all()
+    assert image.stats["culled"]["faint"] == 1
+
+
+def test_huge_gaussians_in_bounded_batches():
+    """2,000 faint sheets over 64 tiles are 128,000 entries; 500 at a time hold eight sheets each."""
+    rng = np.random.default_rng(5)
+    means = np.stack([*rng.uniform(-1, 1, (2, 2000)), rng.uniform(1, 5, 2000)], axis=1)
+    sheets = dots(means, np.full(2000, 0.01), rng.uniform(0, 1, (2000, 3)), 1e3)
+    view = camera(128, 128, 100.0)
+    image = render(sheets, view, definition=Definition(max_entries=512))
+    assert bits(image) == bits(render(sheets, view))
+    # 0.99^917 falls below the stop, so the batches behind are never binned.
+    assert image.stats["batches"] < 130
+    assert image.stats["entries"] < 70_000
+
+
+def test_lower_bands_are_drawn_alone():
+    gaussians = scene(100, 6, 3)
+    flat = moved(gaussians, harmonics=np.ascontiguousarray(gaussians.harmonics[:, :4]))
+    assert bits(render(gaussians, camera(), sh_degree=1)) == bits(render(flat, camera()))
+    assert bits(render(flat, camera(), sh_degree=3)) == bits(render(flat, camera()))
+    assert (
+        np.abs(
+            render_reference(gaussians, camera(), sh_degree=0).rgb - render(flat[:], camera(), sh_degree=0).rgb
+        ).max()
+        < 1e-5
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"background": (1, 2)}, "background"),
+        ({"background": (0, 0, np.nan)}, "background"),
+        ({"sh_degree": 4}, "sh_degree"),
+        ({"sh_degree": -1}, "sh_degree"),
+        ({"threads": 0}, "threads"),
+        ({"near": -1.0}, "definition.near"),
+        ({"near": np.nan}, "definition.near"),
+    ],
+)
+def test_senseless_options_are_refused_by_name(options, field):
+    with pytest.raises(InputError) as refusal:
+        render(scene(3), camera(), **options)
+    assert refusal.value.field == field
+
+
+@pytest.mark.parametrize("field", ["dilation", "alpha_min", "alpha_max", "stop", "far", "fov_margin", "max_entries"])
+def test_a_definition_outside_its_range_is_refused(field):
+    with pytest.raises(InputError, match="need"):
+        Definition(**{field: -1})
+
+
+def test_eight_bit_image_rounds_and_clips():
+    image = render(dots([[0, 0, 2]], [0.99], (2.0, 0.5, 0.0), 1.0), camera(3, 3, 3.0))
+    assert image.rgb8()[1, 1].tolist() == [255, round(0.495 * 255), 0]
+
+
+def test_a_view_of_far_off_centre_lens_is_a_camera():
+    view = Camera.make(16, 16, 20.0, 20.0, -16.0, 32.0, np.eye(4))
+    assert_finite(render(scene(50, 1), view))
