@@ -19,6 +19,7 @@ from gapmes.service.shipped import sample_folder
 
 from .contract import MAX_VIEWS, MIN_VIEWS
 from .graph import SceneInputs
+from .quantise import TRANSPOSED
 from .samples import hostile_scenes, random_scene
 
 GateSetting = Literal["as trained", "all tied", "one expert", "two experts"]
@@ -98,12 +99,12 @@ def with_gates(model: onnx.ModelProto, values: dict[str, torch.Tensor]) -> onnx.
     changed.CopyFrom(model)
     pending = {f"network.{name}": value for name, value in values.items()}
     for initializer in changed.graph.initializer:
-        value = pending.pop(initializer.name, None)
+        value = pending.pop(initializer.name.removesuffix(TRANSPOSED), None)
         if value is None:
             continue
         array = value.numpy()
         if list(array.shape) != list(initializer.dims):
-            array = array.T  # the exporter may store a linear layer's weight transposed
+            array = array.T  # as the quantiser stores it
         initializer.CopyFrom(numpy_helper.from_array(np.ascontiguousarray(array), initializer.name))
     if pending:
         raise ValueError(f"the graph has no constants named {sorted(pending)}; were the gates quantised or folded?")

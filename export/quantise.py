@@ -13,6 +13,7 @@ from pathlib import Path
 import onnx
 from onnxruntime.quantization import QuantType, quantize_dynamic
 
+TRANSPOSED = "_Transposed"  # the quantiser turns Gemm with a transposed weight into MatMul and renames the weight
 _FLOAT32_PARTS = ("mixture.gates.",)  # substrings of constants whose consumers keep float32
 
 
@@ -20,7 +21,10 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
     """The int8 variant of a float32 graph; raises `ValueError` when nothing could be quantised or a gate would be."""
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder, "fp32.onnx"), Path(folder, "int8.onnx")
-        onnx.save(model, source)
+        bare = onnx.ModelProto()
+        bare.CopyFrom(model)
+        del bare.graph.value_info[:]  # the quantiser turns Gemm into MatMul, after which recorded shapes are stale
+        onnx.save(bare, source)
         quantize_dynamic(
             source,
             target,
@@ -35,7 +39,7 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
     integer = [node for node in result.graph.node if node.op_type == "MatMulInteger"]
     if not integer:
         raise ValueError("the graph has no linear layer with constant weights to quantise")
-    kept = {i.name for i in result.graph.initializer}
+    kept = {i.name.removesuffix(TRANSPOSED) for i in result.graph.initializer}
     lost = [i.name for i in model.graph.initializer if _is_float32_part(i.name) and i.name not in kept]
     if lost:
         raise ValueError(f"constants that must stay float32 were quantised: {lost}")
@@ -44,7 +48,8 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def _gate_nodes(model: onnx.ModelProto) -> list[str]:
-    return [node.name for node in model.graph.node if any(_is_float32_part(name) for name in node.input)]
+    names = [node.name for node in model.graph.node if any(_is_float32_part(name) for name in node.input)]
+    return names + [f"{name}_MatMul" for name in names]  # the names that the quantiser gives to what were Gemm nodes
 
 
 def _is_float32_part(name: str) -> bool:

@@ -28,7 +28,17 @@ _HOME = {
     "write_ply": "ply",
 }
 
-__all__ = ["Camera", "Gaussians", "Reconstructor", "Render", "Scene", "read_ply", "render", "render_reference", "write_ply"]
+__all__ = [
+    "Camera",
+    "Gaussians",
+    "Reconstructor",
+    "Render",
+    "Scene",
+    "read_ply",
+    "render",
+    "render_reference",
+    "write_ply",
+]
 
 
 def __getattr__(name: str) -> object:

@@ -49,7 +49,9 @@ class Camera:
         """Check and build. Raises `CameraError`, `IntrinsicsError` or `PoseError` naming field, index and numbers."""
         if int(width) != width or int(height) != height or width < 1 or height < 1:
             raise CameraError(
-                f"image size is {width} x {height}, need whole numbers of at least 1", field=f"{field}.size", index=index
+                f"image size is {width} x {height}, need whole numbers of at least 1",
+                field=f"{field}.size",
+                index=index,
             )
         numbers = {"fx": fx, "fy": fy, "cx": cx, "cy": cy}
         for name, value in numbers.items():
@@ -146,8 +148,10 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
     """Parse a (4, 4) or (3, 4) rigid motion; a drift below 1e-4 is projected onto SO(3), anything else is refused."""
     try:
         matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise PoseError("is not a matrix of numbers", field=field, index=index, cure="give 4 rows of 4 numbers") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise PoseError(
+            "is not a matrix of numbers", field=field, index=index, cure="give 4 rows of 4 numbers"
+        ) from error
     if matrix.shape == (3, 4):
         matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
     if matrix.shape != (4, 4):

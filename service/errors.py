@@ -7,6 +7,7 @@ GapmesError                     500 internal_error
 │   │   ├── IntrinsicsError     422 intrinsics_implausible
 │   │   ├── OverlapError        422 views_do_not_overlap
 │   │   ├── BaselineError       422 no_baseline
+│   │   ├── ContradictionError  422 photos_contradict_poses
 │   │   └── DepthRangeError     422 depth_range_invalid
 │   ├── ImageError              422 image_invalid
 │   │   ├── ImageUnreadable     415 image_unreadable
@@ -15,10 +16,14 @@ GapmesError                     500 internal_error
 │   ├── ViewError               422 view_unknown
 │   ├── GaussiansError          422 gaussians_invalid
 │   └── PlyError                422 ply_invalid
+├── MalformedRequest            400 malformed_request
+├── UnsupportedMediaType        415 unsupported_media_type
+├── NotAcceptable               406 not_acceptable
 ├── UploadTooLarge              413 upload_too_large
 ├── SceneNotFound               404 scene_not_found
 ├── ModelError                  500 model_invalid
 ├── ServiceBusy                 503 service_busy
+│   └── ModelNotReady           503 model_not_ready
 └── StorageFull                 507 storage_full
 """
 
@@ -74,6 +79,10 @@ class BaselineError(CameraError):
     code = "no_baseline"
 
 
+class ContradictionError(CameraError):
+    code = "photos_contradict_poses"
+
+
 class DepthRangeError(CameraError):
     code = "depth_range_invalid"
 
@@ -108,6 +117,21 @@ class PlyError(InputError):
     code = "ply_invalid"
 
 
+class MalformedRequest(GapmesError):
+    status = 400
+    code = "malformed_request"
+
+
+class UnsupportedMediaType(GapmesError):
+    status = 415
+    code = "unsupported_media_type"
+
+
+class NotAcceptable(GapmesError):
+    status = 406
+    code = "not_acceptable"
+
+
 class UploadTooLarge(GapmesError):
     status = 413
     code = "upload_too_large"
@@ -125,6 +149,10 @@ class ModelError(GapmesError):
 class ServiceBusy(GapmesError):
     status = 503
     code = "service_busy"
+
+
+class ModelNotReady(ServiceBusy):
+    code = "model_not_ready"
 
 
 class StorageFull(GapmesError):

@@ -73,7 +73,7 @@ class Gaussians:
 
 
 def normalized_quaternions(wxyz: F32) -> F32:
-    """(N, 4) unit quaternions; dividing by the largest component first is right from 1e-44 to 1e38, zero -> identity."""
+    """(N, 4) unit quaternions; dividing by the largest component first is right from 1e-44 to 1e38. Zero: identity."""
     q = wxyz.astype(np.float64)
     largest = np.abs(q).max(axis=1, keepdims=True, initial=0.0)
     zero = largest[:, 0] == 0

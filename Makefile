@@ -1,0 +1,29 @@
+# Two commands from a bare checkout: `make demo` (runtime only, no torch) and `make test` (everything).
+# Both keep their environment in .venv and reuse it until pyproject.toml changes. pip's own settings apply, for example
+# PIP_EXTRA_INDEX_URL for an index that has the CPU build of torch.
+
+PYTHON ?= python3
+BIN := .venv/bin
+.PHONY: demo test clean
+
+demo: .venv/.runtime
+	$(BIN)/gapmes demo --output demo
+
+test: .venv/.dev
+	$(BIN)/ruff check .
+	$(BIN)/python -m pytest
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "gapmes needs Python 3.11 or newer; set PYTHON=")'
+	$(PYTHON) -m venv .venv
+
+.venv/.runtime: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+.venv/.dev: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@touch .venv/.runtime $@
+
+clean:
+	rm -rf .venv demo build *.egg-info

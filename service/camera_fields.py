@@ -1,0 +1,89 @@
+"""The value types that camera files parse into, and the checks of their single fields."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera, checked_pose, rigid_inverse
+from .errors import CameraError
+
+F64 = NDArray[np.float64]
+
+SizeOf = Callable[[str | None, int], tuple[int, int]]  # (image name, view index) -> (width, height) in px
+OPENCV_FROM_OPENGL = np.diag(
+    [1.0, -1.0, -1.0, 1.0]
+)  # x right, y up, z backward -> x right, y down, z forward; own inverse
+
+
+@dataclass(frozen=True)
+class NamedView:
+    """A camera and the name of its photograph, as the file has it."""
+
+    image: str | None
+    camera: Camera
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """What a camera file says; near and far are None where it says nothing."""
+
+    views: tuple[NamedView, ...]
+    near: float | None = None
+    far: float | None = None
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        return tuple(view.camera for view in self.views)
+
+
+def number_of(entry: Mapping, name: str, *, field: str, index: int | None = None) -> float:
+    """The finite number under `name`. Raises `CameraError` where it is missing or anything else."""
+    if name not in entry:
+        raise CameraError(f"{name} is missing", field=field, index=index)
+    value = entry[name]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise CameraError(f"{name} = {value!r} is not a number", field=f"{field}.{name}", index=index)
+    try:
+        number = float(value)
+    except OverflowError:  # JSON integers have no upper limit
+        number = math.inf
+    if not math.isfinite(number):
+        raise CameraError(f"{name} = {number}, need a finite number", field=f"{field}.{name}", index=index)
+    return number
+
+
+def optional_number(obj: Mapping, name: str) -> float | None:
+    """The number under `name`, None where it is absent or null."""
+    return None if obj.get(name) is None else number_of(obj, name, field="cameras")
+
+
+def image_name(entry: Mapping, name: str, *, field: str, index: int) -> str | None:
+    """The string under `name`, None where it is absent or null. Raises `CameraError`."""
+    value = entry.get(name)
+    if value is not None and not isinstance(value, str):
+        raise CameraError(f"{name} = {value!r} is not a file name", field=f"{field}.{name}", index=index)
+    return value
+
+
+def list_of(obj: Mapping, name: str) -> Sequence[Mapping]:
+    """The non-empty list of objects under `name`. Raises `CameraError`."""
+    entries = obj[name]
+    if not isinstance(entries, list) or not entries:
+        raise CameraError(f"{name} must be a non-empty list of views", field=f"cameras.{name}")
+    for index, entry in enumerate(entries):
+        if not isinstance(entry, Mapping):
+            raise CameraError(f"is a {type(entry).__name__}, need an object", field=f"cameras.{name}", index=index)
+    return entries
+
+
+def opencv_pose(matrix: object, *, axes: str, pose: str, field: str, index: int) -> F64:
+    """(4, 4) world_from_cam in OpenCV axes; `axes` (opencv | opengl) and `pose` (c2w | w2c) say what `matrix` is."""
+    world_from_cam = checked_pose(matrix, field=field, index=index)
+    if pose == "w2c":
+        world_from_cam = rigid_inverse(world_from_cam)
+    return world_from_cam @ OPENCV_FROM_OPENGL if axes == "opengl" else world_from_cam

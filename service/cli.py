@@ -1,0 +1,54 @@
+"""The command `gapmes`: serve, reconstruct, render, demo; a refusal is one line on stderr and exit code 1."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+
+import typer
+from rich.console import Console
+
+from .commands import demo, reconstruct, render, serve
+from .errors import GapmesError
+from .problem_document import of_error
+
+app = typer.Typer(
+    name="gapmes",
+    help="3D Gaussians from two to six posed photographs, on an ordinary CPU.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+for module in (serve, reconstruct, render, demo):
+    app.command()(getattr(module, module.__name__.rpartition(".")[2]))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one command. Exit codes: 0 done, 1 refused (with the reason and its cure), 2 wrong usage, 130 interrupted.
+
+    With `--json` a refusal is also printed to stdout, as {"error": {...}}.
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    try:
+        app(arguments)
+    except GapmesError as error:
+        console.print(f"error: {_one_line(error)}", markup=False)
+        if "--json" in arguments:
+            sys.stdout.write(json.dumps({"error": of_error(error)}) + "\n")
+        sys.exit(1)
+    except OSError as error:
+        console.print(f"error: {error}", markup=False)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _one_line(error: GapmesError) -> str:
+    where = "" if error.index is None else f"view {error.index}: "
+    return f"{where}{error}".replace("\n", " ")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,70 @@
+"""Small grey copies of the views, and one seen from another as if all lay at one depth: a coarse plane sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .images import FittedView
+
+F64 = NDArray[np.float64]
+
+COARSE_SIDE = 64  # px; enough to tell right poses from wrong ones and near from far
+
+
+@dataclass(frozen=True)
+class CoarseView:
+    grey: F64  # (h, w) in [0, 1]
+    camera: Camera
+
+
+def coarse_view(view: FittedView) -> CoarseView:
+    """Grey, averaged over whole blocks down to about 64 px; the camera follows."""
+    height, width = view.image.shape[1:]
+    block = max(1, min(height, width) // COARSE_SIDE)
+    rows, columns = height // block, width // block
+    grey = view.image.mean(axis=0, dtype=np.float64)[: rows * block, : columns * block]
+    grey = grey.reshape(rows, block, columns, block).mean(axis=(1, 3))
+    camera = view.camera.cropped(0, 0, columns * block, rows * block).resized(columns, rows)
+    return CoarseView(grey, camera)
+
+
+def warp_to(
+    shape: tuple[int, int], camera: Camera, source: F64, source_camera: Camera, depths: F64
+) -> tuple[F64, NDArray[np.bool_]]:
+    """`source` as `camera` would see it if all lay at one z-depth, for each of D depths: (D, h, w), and where seen."""
+    rows, columns = shape
+    rays = camera.rays(pixel_grid(shape)) @ source_camera.rotation
+    offset = (camera.center - source_camera.center) @ source_camera.rotation
+    points = offset + depths[:, None, None] * rays
+    front = points[..., 2] > 0
+    z = np.where(front, points[..., 2], 1.0)
+    x = source_camera.fx * points[..., 0] / z + source_camera.cx - 0.5
+    y = source_camera.fy * points[..., 1] / z + source_camera.cy - 0.5
+    height, width = source.shape
+    seen = front & (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    x, y = np.where(seen, x, 0.0), np.where(seen, y, 0.0)
+    i, j = np.minimum(x.astype(np.intp), width - 2), np.minimum(y.astype(np.intp), height - 2)
+    a, b = x - i, y - j
+    flat, corner = source.ravel(), j * width + i
+    upper = (1 - a) * flat[corner] + a * flat[corner + 1]
+    lower = (1 - a) * flat[corner + width] + a * flat[corner + width + 1]
+    return ((1 - b) * upper + b * lower).reshape(-1, rows, columns), seen.reshape(-1, rows, columns)
+
+
+def pixel_grid(shape: tuple[int, int]) -> F64:
+    """(h * w, 2) pixel centres (x, y), row by row."""
+    rows, columns = shape
+    return np.stack(np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5), axis=-1).reshape(-1, 2)
+
+
+def nearest_neighbours(cameras: Sequence[Camera]) -> list[int]:
+    """Per camera the index of the one closest to it."""
+    centers = np.stack([camera.center for camera in cameras])
+    distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)
+    np.fill_diagonal(distances, np.inf)
+    return [int(index) for index in distances.argmin(axis=1)]

@@ -1,0 +1,47 @@
+"""`gapmes demo`: the packaged sample scene through a service of its own, which is what `make demo` runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..terminal import ProgressBars
+
+
+def demo(
+    output: Annotated[Path, typer.Option("-o", "--output", help="folder for the results")] = Path("demo"),
+    keep: Annotated[
+        bool, typer.Option("--keep", help="leave the service running [also: KEEP=1 in the environment]")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="print the result to stdout as one JSON object")] = False,
+) -> None:
+    """Start the service, reconstruct the sample scene, render novel views and compare them with the truth."""
+    from ..demo import run_demo
+
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # unwinds, so that the service is stopped then as well
+    keep = keep or os.environ.get("KEEP", "") not in ("", "0")
+    with ProgressBars() as bars:
+        result = run_demo(output, bars, keep=keep)
+    scores = ", ".join(f"{score:.1f}" for score in result.psnr)
+    bars.say(f"PSNR of the novel views: {scores} dB")
+    for path in result.files:
+        bars.say(f"wrote {path}")
+    if keep:
+        bars.say(f"the page stays at {result.address}/ ; stop it with: kill {result.pid}")
+    else:
+        bars.say(f"the page was at {result.address}/ ; KEEP=1 make demo leaves it there")
+    if as_json:
+        document = {
+            "scene": result.scene_id,
+            "address": result.address,
+            "pid": result.pid if keep else None,
+            "psnr_db": result.psnr,
+            "files": [str(path) for path in result.files],
+        }
+        sys.stdout.write(json.dumps(document) + "\n")

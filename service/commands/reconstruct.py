@@ -1,0 +1,64 @@
+"""`gapmes reconstruct`: a folder of posed photographs into a .ply."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..terminal import ProgressBars
+from .selection import view_indices
+
+
+def reconstruct(
+    scene_dir: Annotated[
+        Path, typer.Argument(metavar="SCENE_DIR", help="folder with cameras.json or transforms.json and its images")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help=".ply to write")],
+    views: Annotated[str | None, typer.Option(help="2 to 6 view indices such as 4,8 [default: all]")] = None,
+    near: Annotated[float | None, typer.Option(help="nearest depth, in the cameras' units")] = None,
+    far: Annotated[float | None, typer.Option(help="farthest depth, in the cameras' units")] = None,
+    model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
+) -> None:
+    """Reconstruct a scene from some of the views of a folder."""
+    from ..camera_file import load_scene_folder
+    from ..errors import InputError
+    from ..images import decode_image
+    from ..ply import write_ply
+    from ..progress import Stages
+    from ..reconstruct import Reconstructor
+
+    if not output.parent.is_dir():  # said before the work, not after it
+        raise InputError(f"{output.parent} is not a folder", field="output")
+    folder = load_scene_folder(scene_dir)
+    count = len(folder.file.views)
+    chosen = list(range(count)) if views is None else view_indices(views, count)
+    with ProgressBars() as bars:
+        stages = Stages(bars)
+        with stages.stage("load model"):
+            reconstructor = Reconstructor(model, threads=threads)
+        with stages.stage("read images", len(chosen)) as step:
+            photos = []
+            for index in chosen:
+                photos.append(decode_image(folder.image_paths[index].read_bytes(), index=index))
+                step(len(photos))
+        scene = reconstructor.reconstruct(
+            photos,
+            [folder.file.views[index].camera for index in chosen],
+            near=folder.file.near if near is None else near,
+            far=folder.file.far if far is None else far,
+            listener=bars,
+        )
+        with stages.stage("write .ply"):
+            write_ply(output, scene.gaussians)
+    bars.say(f"{len(scene.gaussians)} Gaussians in {output}")
+    for warning in scene.document.get("warnings", ()):
+        bars.say(f"warning: {warning['message']}")
+    if as_json:
+        document = {"ply": str(output), "selected_views": chosen, **scene.document}
+        sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")

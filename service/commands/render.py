@@ -1,0 +1,68 @@
+"""`gapmes render`: pictures of a .ply from the cameras of a file, by index or between two."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from ..terminal import ProgressBars
+from .selection import read_camera_file, view_specs
+
+
+def render(
+    ply: Annotated[Path, typer.Argument(metavar="SCENE.PLY", help="the scene, in the 3DGS dialect")],
+    cameras: Annotated[Path, typer.Option(help="cameras.json or transforms.json")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="folder for the pictures, made where it is missing")],
+    views: Annotated[str | None, typer.Option(help="such as 5,6,7 or 5.5 between two [default: all]")] = None,
+    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in px; another aspect is cropped to")] = None,
+    crop: Annotated[Literal["none", "square"], typer.Option(help="square: the centred square of each view")] = "none",
+    channel: Annotated[Literal["rgb", "alpha", "depth"], typer.Option(help="colour, opacity or z-depth")] = "rgb",
+    background: Annotated[str, typer.Option(help="rrggbb in hex, black, white or grey")] = "black",
+    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
+) -> None:
+    """Render views of a scene as PNG files named view_<view>.png."""
+    from ..errors import PlyError
+    from ..framing import frame, parse_size, square
+    from ..picture import encode, parse_background
+    from ..ply import read_ply
+    from ..progress import Stages
+    from ..scene_views import SceneViews
+    from ..splat import render as draw
+
+    file = read_camera_file(cameras)
+    specs = [str(index) for index in range(len(file.views))] if views is None else view_specs(views)
+    scene = SceneViews(file.cameras, file.near, file.far)
+    shots = [scene.resolve(spec, field="views") for spec in specs]
+    if crop == "square":
+        shots = [square(camera) for camera in shots]
+    if size is not None:
+        shots = [frame(camera, *parse_size(size)) for camera in shots]
+    colour = parse_background(background)
+    if not ply.is_file():
+        raise PlyError(f"{ply} is not a file", field="SCENE.PLY")
+    written = []
+    with ProgressBars() as bars:
+        stages = Stages(bars)
+        with stages.stage("read .ply"):
+            gaussians = read_ply(ply)
+        output.mkdir(parents=True, exist_ok=True)
+        with stages.stage("render", len(shots)) as step:
+            for spec, camera in zip(specs, shots, strict=True):
+                drawn = draw(gaussians, camera, background=colour, threads=threads, **scene.near_plane)
+                picture = encode(drawn, channel)
+                path = output / f"view_{spec.replace(':', '_')}.png"
+                path.write_bytes(picture.data)
+                entry = {"view": spec, "file": str(path), "width": camera.width, "height": camera.height}
+                if picture.depth_range is not None:
+                    entry["depth_range"] = picture.depth_range
+                written.append(entry)
+                step(len(written))
+    bars.say(f"{len(written)} pictures in {output}")
+    if as_json:
+        document = {"gaussians": len(gaussians), "views": written, "timings": stages.timings}
+        sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")

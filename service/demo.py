@@ -1,0 +1,132 @@
+"""The demonstration: the packaged sample scene through a real service, to a .ply, novel views and a comparison."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+from PIL import Image
+
+from .contact_sheet import Cell, Row, contact_sheet, psnr
+from .local_server import checked, local_server, wait_until_ready
+from .progress import Stage, Stages
+from .shipped import sample_folder
+from .terminal import ProgressBars
+
+REQUEST_TIMEOUT_S = 600.0  # two views take seconds; a machine under load may take minutes
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What was written, and how well the novel views match the photographs that were held back."""
+
+    scene_id: str
+    address: str
+    pid: int
+    psnr: tuple[float, ...]  # dB, one per target view
+    files: tuple[Path, ...]
+
+
+def run_demo(output: Path, bars: ProgressBars, *, keep: bool = False) -> DemoResult:
+    """Write scene.ply, view_<i>.png and comparison.png into `output`; the service is left running only with `keep`."""
+    output.mkdir(parents=True, exist_ok=True)
+    log = output / "server.log"
+    stages = Stages(bars)
+    with ExitStack() as stack:
+        sample = sample_folder()
+        cameras = json.loads((sample / "cameras.json").read_text(encoding="utf-8"))
+        context, targets = cameras["suggested"]["context2"], cameras["suggested"]["target2"]
+        store = Path(
+            tempfile.mkdtemp(prefix="scenes-", dir=output)
+        )  # empty, so that every run measures the work itself
+        if not keep:
+            stack.callback(shutil.rmtree, store, ignore_errors=True)
+        address, process = stack.enter_context(local_server(log, store=store, keep=keep))
+        bars.say(f"service: {address}/ (log in {log})")
+        client = stack.enter_context(httpx.Client(base_url=address, timeout=REQUEST_TIMEOUT_S))
+        wait_until_ready(client, process, log, stages)
+        scene = _reconstruct(client, sample, cameras, context, stages, bars)
+        with stages.stage("fetch .ply"):
+            ply = output / "scene.ply"
+            ply.write_bytes(checked(client.get(scene["links"]["ply"])).content)
+        renders = _render(client, scene["id"], cameras, targets, output, stages)
+        with stages.stage("compare"):
+            truths = [_pixels((sample / cameras["views"][index]["image"]).read_bytes()) for index in targets]
+            inputs = [_pixels((sample / cameras["views"][index]["image"]).read_bytes()) for index in context]
+            scores = [psnr(_pixels(path.read_bytes()), truth) for path, truth in zip(renders, truths, strict=True)]
+            comparison = output / "comparison.png"
+            _sheet(context, inputs, targets, truths, renders, scores).save(comparison)
+    return DemoResult(scene["id"], address, process.pid, tuple(scores), (ply, *renders, comparison))
+
+
+def _reconstruct(
+    client: httpx.Client,
+    sample: Path,
+    cameras: dict[str, Any],
+    context: Sequence[int],
+    stages: Stages,
+    bars: ProgressBars,
+) -> dict[str, Any]:
+    """Post the context photographs with the whole camera file; the service pairs them by name."""
+    names = [cameras["views"][index]["image"] for index in context]
+    form = [("images", (Path(name).name, (sample / name).read_bytes(), "image/png")) for name in names]
+    form.append(("cameras", ("cameras.json", json.dumps(cameras).encode(), "application/json")))
+    with stages.stage("reconstruct"):
+        scene = checked(client.post("/reconstruct", files=form)).json()
+    for name, seconds in scene["timings"].items():
+        bars(Stage(f"  {name}", 1, 1, seconds))
+    return scene
+
+
+def _render(
+    client: httpx.Client, scene_id: str, cameras: dict[str, Any], targets: Sequence[int], output: Path, stages: Stages
+) -> list[Path]:
+    """Draw the scene from the cameras of the photographs that were not used."""
+    paths = []
+    with stages.stage("render views", len(targets)) as step:
+        for number, index in enumerate(targets):
+            camera = json.dumps(cameras["views"][index])
+            picture = checked(client.get("/render", params={"scene": scene_id, "camera": camera})).content
+            paths.append(output / f"view_{number}.png")
+            paths[-1].write_bytes(picture)
+            step(len(paths))
+    return paths
+
+
+def _sheet(
+    context: Sequence[int],
+    inputs: Sequence[np.ndarray],
+    targets: Sequence[int],
+    truths: Sequence[np.ndarray],
+    renders: Sequence[Path],
+    scores: Sequence[float],
+) -> Image.Image:
+    return contact_sheet(
+        [
+            Row("Inputs", [Cell(image, f"view {index}") for index, image in zip(context, inputs, strict=True)]),
+            Row(
+                "Truth, held back", [Cell(image, f"view {index}") for index, image in zip(targets, truths, strict=True)]
+            ),
+            Row(
+                "Renders",
+                [
+                    Cell(_pixels(path.read_bytes()), f"view {index}   {score:.1f} dB PSNR")
+                    for index, path, score in zip(targets, renders, scores, strict=True)
+                ],
+            ),
+        ]
+    )
+
+
+def _pixels(data: bytes) -> np.ndarray:
+    with Image.open(io.BytesIO(data)) as image:
+        return np.asarray(image.convert("RGB"))

@@ -1,0 +1,135 @@
+"""The depths between which the scene is looked for: given by the caller, or estimated from the cameras alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .errors import BaselineError, DepthRangeError
+from .overlap import best_partner_shares
+from .pose_readings import apart_when_inverted
+
+F64 = NDArray[np.float64]
+
+SPREAD = 5.0  # near = convergence / 5, far = 5 x convergence: covers the 1st to 99th depth percentile of real captures
+NEAR_ACROSS = 2.0  # near over baseline for cameras side by side; stereo rigs and slow pans have 3 and more
+NEAR_ALONG = 0.4  # near over baseline for cameras one behind the other; nothing in view is passed on the way
+FAR = 50.0  # far over baseline
+MIN_CONVERGENCE = math.radians(2.0)  # below this angle between optical axes, where they meet is chance
+MAX_MISS = 0.1  # of the depth: axes that pass each other farther off than this do not meet
+MIN_SHARE = 0.1  # of a view; what fewer than this share sees in two views cannot be matched
+_SCAN = 24  # depths at which the overlap is looked at
+
+
+@dataclass(frozen=True)
+class DepthRange:
+    """near < far, z-depth in the caller's units, the same for all views."""
+
+    near: float
+    far: float
+    source: Literal["given", "estimated"]
+
+    @property
+    def middle(self) -> float:
+        """Geometric mean, the middle on a logarithmic scale."""
+        return math.sqrt(self.near) * math.sqrt(self.far)
+
+
+def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float | None = None) -> DepthRange:
+    """Check the given range, or estimate one where both are None.
+
+    Estimate: let D_v be the z-depth in view v of the point closest to all optical axes (least squares). If the axes
+    really meet in front of the cameras (widest angle at least 2 degrees, every axis within D_v / 10 of the point), then
+
+        near = min D_v / 5,   far = 5 max D_v;   else   near = 2 B_across + 0.4 B_along,   far = 50 B,
+
+    B the largest distance between two cameras, with its parts across and along their mean axis. Both ends are then
+    drawn in to where at least one pair of views shares a tenth of its picture: nothing outside can be matched.
+
+    Raises `DepthRangeError` for a range that is none and `BaselineError` where all cameras stand in one place.
+    """
+    if near is None and far is None:
+        return _estimated(cameras)
+    if near is None or far is None:
+        missing = "near" if near is None else "far"
+        raise DepthRangeError(
+            f"{missing} is missing", field=missing, cure="give near and far, or neither to have both estimated"
+        )
+    for name, value in (("near", near), ("far", far)):
+        if not math.isfinite(value) or value <= 0:
+            raise DepthRangeError(f"{name} = {value:g}, need a finite depth above 0", field=name)
+    if not near < far:
+        cure = "they are swapped" if near > far else "the scene needs some depth"
+        raise DepthRangeError(f"near = {near:g}, far = {far:g}, need near < far", field="near", cure=cure)
+    return DepthRange(float(near), float(far), "given")
+
+
+def _estimated(cameras: Sequence[Camera]) -> DepthRange:
+    depths = convergence_depths(cameras)
+    if depths is None:
+        low, high = _range_from_baseline(cameras)
+    else:
+        low, high = float(depths.min()) / SPREAD, float(depths.max()) * SPREAD
+    scan = np.geomspace(low, high, _SCAN)
+    shared = np.flatnonzero(best_partner_shares(cameras, scan).max(axis=0) >= MIN_SHARE)
+    if len(shared) >= 2:
+        low, high = float(scan[shared[0]]), float(scan[shared[-1]])
+    return DepthRange(low, high, "estimated")
+
+
+def convergence_depths(cameras: Sequence[Camera]) -> F64 | None:
+    """(V,) z-depths of the point where the optical axes meet, None where they do not meet in front of all cameras.
+
+    The point p solves sum_v (I - a_v a_v^T)(p - c_v) = 0 with centres c_v and unit axes a_v: the least sum of squared
+    distances to the axes. Centres are taken relative to the first, so that a far-off origin costs no digits.
+    """
+    axes = np.stack([camera.rotation[:, 2] for camera in cameras])
+    centers = np.stack([camera.center for camera in cameras]) - cameras[0].center
+    widest = max((angle_between(axes[i], axes[j]) for i in range(len(axes)) for j in range(i)), default=0.0)
+    if widest < MIN_CONVERGENCE:
+        return None
+    projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    point = np.linalg.solve(projectors.sum(axis=0), np.einsum("vij,vj->i", projectors, centers))
+    to_point = point - centers
+    depths = np.einsum("vi,vi->v", to_point, axes)
+    misses = np.linalg.norm(np.cross(to_point, axes), axis=1)
+    return depths if (depths > 0).all() and (misses <= MAX_MISS * depths).all() else None
+
+
+def angle_between(one: F64, other: F64) -> float:
+    """Angle in radians between two unit vectors; by atan2, so that small angles keep their digits."""
+    return float(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other))
+
+
+def largest_baseline(cameras: Sequence[Camera]) -> F64:
+    """(3,) the longest vector between two camera centres. Raises `BaselineError` where it is zero to rounding."""
+    centers = np.stack([camera.center for camera in cameras])
+    vectors = (centers[:, None] - centers[None]).reshape(-1, 3)
+    longest = vectors[np.argmax(np.linalg.norm(vectors, axis=1))]
+    length = float(np.linalg.norm(longest))
+    if length <= 1e-12 * float(np.abs(centers).max()):
+        raise BaselineError(
+            f"all {len(cameras)} cameras stand in one place (largest distance {length:.3g}): without a baseline "
+            "there is no depth",
+            field="cameras",
+            cure=f"move the camera between the photographs{apart_when_inverted(cameras)}",
+        )
+    return longest
+
+
+def _range_from_baseline(cameras: Sequence[Camera]) -> tuple[float, float]:
+    baseline = largest_baseline(cameras)
+    size = float(np.linalg.norm(baseline))
+    axis = np.sum([camera.rotation[:, 2] for camera in cameras], axis=0)
+    length = float(np.linalg.norm(axis))
+    if length < 1e-3:  # the views look in opposite directions: there is no along and across
+        return NEAR_ACROSS * size, FAR * size
+    along = abs(float(baseline @ axis)) / length
+    across = float(np.linalg.norm(np.cross(baseline, axis))) / length
+    return NEAR_ACROSS * across + NEAR_ALONG * along, FAR * size

@@ -1,0 +1,69 @@
+"""The scene document: what was computed, from what, how long it took, and what was left out. Plain JSON values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .camera_file import camera_document
+from .depth_range import DepthRange
+from .images import FittedView
+from .model_info import ModelInfo
+
+TASKS = ("mean", "opacity", "covariance", "colour")  # order of the four task weights
+
+
+def scene_document(
+    *,
+    info: ModelInfo,
+    threads: int,
+    cameras: Sequence[Camera],
+    views: Sequence[FittedView],
+    depths: DepthRange,
+    outputs: Mapping[str, NDArray],
+    kept: int,
+    dropped: Mapping[str, int],
+    warnings: Sequence[Mapping[str, Any]],
+    timings: Mapping[str, float],
+) -> dict[str, Any]:
+    """Depths, scales and camera centres are in the caller's units; `timings` in seconds per stage."""
+    return {
+        "model": {
+            "preset": info.preset,
+            "weights_sha256": info.weights_sha256,
+            "file_sha256": info.file_sha256,
+            "precision": info.precision,
+            "licence": info.licence,
+            "height": info.height,
+            "width": info.width,
+            "threads": threads,
+        },
+        "near": depths.near,
+        "far": depths.far,
+        "depth_range_source": depths.source,
+        "cameras": [camera_document(camera) for camera in cameras],
+        "view_cameras": [camera_document(view.camera) for view in views],
+        "crop": [{"kept_share": round(view.kept_share, 6)} for view in views],
+        "gaussians": {"count": kept, "sh_degree": round(outputs["harmonics"].shape[1] ** 0.5) - 1},
+        "dropped": [{"reason": reason, "count": count} for reason, count in dropped.items()],
+        "routing": routing_summary(outputs),
+        "warnings": [dict(warning) for warning in warnings],
+        "timings": {stage: round(seconds, 6) for stage, seconds in timings.items()},
+    }
+
+
+def routing_summary(outputs: Mapping[str, NDArray]) -> dict[str, Any]:
+    """How many patches each expert worked on (weight above 0), and the mean weight of each task."""
+    index, weight = outputs["expert_index"], outputs["expert_weight"]
+    worked = index[weight > 0]
+    experts = np.bincount(worked.ravel(), minlength=int(index.max(initial=-1)) + 1)
+    tasks = outputs["task_weight"].reshape(-1, len(TASKS)).mean(axis=0)
+    return {
+        "patches": int(index.shape[0] * index.shape[1]),
+        "patches_per_expert": {str(expert): int(count) for expert, count in enumerate(experts)},
+        "mean_task_weight": {name: round(float(value), 6) for name, value in zip(TASKS, tasks, strict=True)},
+    }

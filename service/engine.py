@@ -1,0 +1,169 @@
+"""The network as an ONNX file: load it with onnxruntime, check that it is one of ours, run it, check what comes out."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import ModelError
+from .model_info import ModelInfo, parse_model_info
+
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by onnxruntime when it is first imported
+
+INPUTS = ("images", "intrinsics", "world_from_cam", "near_far", "patch_mask")
+OUTPUTS = (
+    "means",
+    "scales",
+    "rotations_wxyz",
+    "opacities",
+    "harmonics",
+    "depth",
+    "confidence",
+    "expert_index",
+    "expert_weight",
+    "task_weight",
+)
+
+Arrays = dict[str, NDArray]
+
+
+class Engine:
+    """A loaded model; `run` may be called from several threads at once."""
+
+    def __init__(self, model: str | Path | None = None, *, threads: int | None = None) -> None:
+        """Load `model` (default: the one in the package) for `threads` threads (default: the CPUs of this process).
+
+        Raises `ModelError` where the file is missing, is no ONNX file, or is not a gapmes model of this format.
+        """
+        import onnxruntime as ort
+        from onnxruntime.capi import onnxruntime_pybind11_state as native
+
+        ort.disable_telemetry_events()
+        self._failures = (native.Fail, native.RuntimeException, native.InvalidArgument, native.EPFail)
+        path = default_model() if model is None else Path(model)
+        file_sha256 = _sha256(path)
+        self.threads = threads if threads is not None else len(os.sched_getaffinity(0))
+        if self.threads < 1:
+            raise ModelError(f"threads = {self.threads}, need at least 1", field="threads")
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = self.threads
+        options.inter_op_num_threads = 1
+        options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+        options.use_deterministic_compute = True
+        options.log_severity_level = 3
+        options.add_session_config_entry("session.set_denormal_as_zero", "1")
+        damaged = (*self._failures, native.InvalidProtobuf, native.InvalidGraph, native.NotImplemented, native.NoModel)
+        try:
+            self._session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        except damaged as error:
+            raise ModelError(f"{path} cannot be loaded by onnxruntime: {error}", field="model") from error
+        self.info = parse_model_info(self._session.get_modelmeta().custom_metadata_map, path, file_sha256)
+        _check_signature(self._session, path)
+
+    def run(
+        self,
+        images: NDArray[np.float32],
+        intrinsics: NDArray[np.float32],
+        world_from_cam: NDArray[np.float32],
+        near_far: NDArray[np.float32],
+        patch_mask: NDArray[np.bool_],
+    ) -> Arrays:
+        """Run the network on V views.
+
+        images (V, 3, H, W) float32 in [0, 1]; intrinsics (V, 3, 3) float32, rows normalised by width and height;
+        world_from_cam (V, 4, 4) float32 relative to camera 0; near_far (2,) float32; patch_mask (V, P) bool, False
+        leaves a patch out. Returns means (N, 3), scales (N, 3), rotations_wxyz (N, 4), opacities (N,), harmonics
+        (N, K, 3), depth and confidence (V, H, W), expert_index (V, P, k) int64, expert_weight (V, P, k), task_weight
+        (V, P, 4). The first V * H * W Gaussians belong to the pixels, view by view, row by row; others may follow.
+        Same bits for the same input and thread count. Raises `ModelError` for other shapes and for outputs that are
+        not finite.
+        """
+        info, views = self.info, len(images)
+        feed = {
+            "images": (images, np.float32, (views, 3, info.height, info.width)),
+            "intrinsics": (intrinsics, np.float32, (views, 3, 3)),
+            "world_from_cam": (world_from_cam, np.float32, (views, 4, 4)),
+            "near_far": (near_far, np.float32, (2,)),
+            "patch_mask": (patch_mask, np.bool_, (views, info.patches)),
+        }
+        for name, (value, dtype, shape) in feed.items():
+            if value.dtype != dtype or value.shape != shape:
+                raise ModelError(
+                    f"is {value.dtype} {value.shape}, the model needs {np.dtype(dtype)} {shape}", field=name
+                )
+        try:
+            values = self._session.run(list(OUTPUTS), {name: value for name, (value, _, _) in feed.items()})
+        except self._failures as error:
+            raise ModelError(f"onnxruntime failed on {views} views: {error}", field="model") from error
+        outputs = dict(zip(OUTPUTS, values, strict=True))
+        _check_outputs(outputs, views, info)
+        return outputs
+
+
+def default_model() -> Path:
+    """The model that the package ships."""
+    return Path(str(resources.files(__package__) / "assets" / "tiny.onnx"))
+
+
+def _sha256(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise ModelError(
+            f"{path} cannot be read: {error.strerror}",
+            field="model",
+            cure="make one with gapmes-export, or name another file",
+        ) from error
+
+
+def _check_signature(session: Any, path: Path) -> None:
+    """Names of inputs and outputs; further outputs are allowed. Raises `ModelError`."""
+    inputs = [value.name for value in session.get_inputs()]
+    outputs = [value.name for value in session.get_outputs()]
+    if set(inputs) != set(INPUTS):
+        raise ModelError(f"{path} has the inputs {sorted(inputs)}, need {sorted(INPUTS)}", field="model")
+    missing = [name for name in OUTPUTS if name not in outputs]
+    if missing:
+        raise ModelError(f"{path} lacks the outputs {', '.join(missing)}", field="model")
+
+
+def _check_outputs(outputs: Arrays, views: int, info: ModelInfo) -> None:
+    """Shapes against the contract, then finiteness, naming output, first row and count."""
+    count = len(outputs["means"])
+    coefficients = outputs["harmonics"].shape[1:2]
+    chosen = outputs["expert_index"].shape[2:3]
+    maps, patches = (views, info.height, info.width), (views, info.patches)
+    shapes = {
+        "means": (count, 3),
+        "scales": (count, 3),
+        "rotations_wxyz": (count, 4),
+        "opacities": (count,),
+        "harmonics": (count, *coefficients, 3),
+        "depth": maps,
+        "confidence": maps,
+        "expert_index": (*patches, *chosen),
+        "expert_weight": (*patches, *chosen),
+        "task_weight": (*patches, 4),
+    }
+    for name, shape in shapes.items():
+        if outputs[name].shape != shape:
+            raise ModelError(f"output is {outputs[name].shape}, need {shape}", field=name)
+    if count < views * info.height * info.width:
+        raise ModelError(f"{count} Gaussians, need one per pixel: {views * info.height * info.width}", field="means")
+    for name, value in outputs.items():
+        _require(np.isfinite(value), name, "finite")
+    _require(outputs["scales"] >= 0, "scales", "at least 0")
+    _require((outputs["opacities"] >= 0) & (outputs["opacities"] <= 1), "opacities", "in [0, 1]")
+
+
+def _require(ok: NDArray[np.bool_], name: str, need: str) -> None:
+    if not ok.all():
+        first = [int(i) for i in np.argwhere(~ok)[0]]
+        raise ModelError(f"{int((~ok).sum())} of {ok.size} numbers are not {need}, first at {first}", field=name)

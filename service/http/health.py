@@ -1,0 +1,32 @@
+"""Probes: /healthz says that the process answers, /readyz that model and kernels are loaded, and which."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Response
+
+from ..errors import ModelNotReady
+from . import problems
+from .responses import json_response
+from .runtime import Runtime, runtime_of
+
+router = APIRouter(tags=["operations"])
+
+
+@router.get("/healthz")
+async def healthz() -> dict[str, str]:
+    """200 as long as the event loop answers."""
+    return {"status": "ok"}
+
+
+@router.get("/readyz", responses={503: problems.DESCRIPTION})
+async def readyz(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
+    """200 with what was loaded and how long it took; 503 before that, with the stage or the reason of a failure."""
+    try:
+        model: dict[str, Any] = runtime.model_summary()
+    except ModelNotReady as error:
+        state = "starting" if runtime.failure is None else "failed"
+        error.extra |= {"state": state, "stage": runtime.stage, "timings": runtime.timings}
+        raise
+    return json_response({"status": "ready", "model": model, "timings": runtime.timings})

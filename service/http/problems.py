@@ -1,0 +1,83 @@
+"""Every error of the service, the framework's own and unexpected ones included, as an RFC 9457 problem document."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+
+from ..errors import GapmesError, ServiceBusy
+from ..problem_document import of_error, problem
+
+MEDIA_TYPE = "application/problem+json"
+RETRY_AFTER_S = 2  # a reconstruction with the small networks takes about this long
+
+# Codes of the errors that the framework raises itself; any other status becomes `http_<status>`.
+FRAMEWORK_CODES = {404: "route_not_found", 405: "method_not_allowed"}
+
+# What a route declares in its `responses` for OpenAPI.
+DESCRIPTION = {"description": "problem document (RFC 9457)", "content": {MEDIA_TYPE: {}}}
+
+_log = logging.getLogger("gapmes")
+
+
+def response(document: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> Response:
+    body = json.dumps(document, allow_nan=False)  # ASCII, so that no lone surrogate in a file name can break it
+    return Response(body, status_code=int(document["status"]), media_type=MEDIA_TYPE, headers=dict(headers or {}))
+
+
+def install(app: FastAPI) -> None:
+    """Make every error of the application a problem document, the framework's own and unexpected ones included."""
+    app.add_exception_handler(GapmesError, _own)
+    app.add_exception_handler(RequestValidationError, _validation)
+    app.add_exception_handler(HTTPException, _framework)
+    app.add_exception_handler(ClientDisconnect, _gone)
+    app.add_exception_handler(Exception, _unexpected)
+
+
+async def _own(_: Request, error: GapmesError) -> Response:
+    headers = {"Retry-After": str(RETRY_AFTER_S)} if isinstance(error, ServiceBusy) else {}
+    return response(of_error(error), headers)
+
+
+async def _validation(_: Request, error: RequestValidationError) -> Response:
+    """One document for the first wrong parameter; `errors` lists all of them."""
+    errors = [
+        {"field": ".".join(str(part) for part in item["loc"][1:]), "detail": str(item["msg"])}
+        for item in error.errors()
+    ]
+    first = errors[0]
+    document = problem(422, "parameter_invalid", first["detail"], field=first["field"], extra={"errors": errors})
+    return response(document)
+
+
+async def _framework(request: Request, error: HTTPException) -> Response:
+    code = FRAMEWORK_CODES.get(error.status_code, f"http_{error.status_code}")
+    if error.status_code == 404:
+        detail, cure = f"nothing is served at {request.url.path}", "GET /openapi.json lists the routes"
+    elif error.status_code == 405:
+        detail, cure = f"{request.method} is not offered at {request.url.path}", "the Allow header lists what is"
+    else:
+        detail, cure = str(error.detail) or HTTPStatus(error.status_code).phrase, None
+    return response(problem(error.status_code, code, detail, cure=cure), error.headers)
+
+
+async def _gone(_: Request, __: ClientDisconnect) -> Response:
+    """Nobody reads this answer; it keeps a broken upload from being logged as a fault of the service."""
+    return response(problem(400, "client_disconnected", "the request ended before its body was complete"))
+
+
+async def _unexpected(request: Request, error: Exception) -> Response:
+    """A fault of ours: the log gets the traceback, the caller no internals."""
+    _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
+    detail = f"the service failed with an unexpected {type(error).__name__}"
+    return response(
+        problem(500, "internal_error", detail, cure="this is a fault of the service; its log has the details")
+    )

@@ -1,0 +1,72 @@
+"""`GET /render`: one picture of a stored scene, from a view of it or from any camera."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..camera_json import camera_from_json
+from ..errors import ViewError
+from ..framing import frame
+from ..picture import Channel, Format, Picture, encode, parse_background
+from ..problem_document import plain
+from ..scene_views import SceneViews
+from . import problems
+from .drawing import check_size, draw
+from .limits import parse_json
+from .runtime import Runtime, runtime_of
+
+router = APIRouter(tags=["views"])
+
+
+class RenderQuery(BaseModel):
+    """The query parameters; one that is not among them is refused, so that a slip of the pen is noticed."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    view: str | None = Field(None, max_length=100, description="input view 2, between two 1.5, orbit:30; default 0")
+    camera: str | None = Field(None, max_length=10_000, description="any camera: one view object of cameras.json")
+    scene: str | None = Field(None, max_length=200, description="id of the scene; default: the newest")
+    width: int | None = Field(None, ge=1, le=65_535, description="px; with height alone the aspect stays")
+    height: int | None = Field(None, ge=1, le=65_535, description="px; another aspect crops about the middle")
+    channel: Channel = Field("rgb", description="colour, opacity or z-depth")
+    format: Format = Field("png", description="png is exact; depth has 16 bits there and 8 bits elsewhere")
+    background: str = Field("black", max_length=50, description="rrggbb in hex, black, white or grey")
+
+
+@router.get(
+    "/render",
+    response_class=Response,
+    responses={
+        200: {"content": {"image/png": {}, "image/webp": {}, "image/jpeg": {}}},
+        "4XX": problems.DESCRIPTION,
+        "5XX": problems.DESCRIPTION,
+    },
+)
+async def render(query: Annotated[RenderQuery, Query()], runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
+    """Draw a scene on the CPU; headers say which scene it was and what the splatter left out."""
+    if query.view is not None and query.camera is not None:
+        raise ViewError("view and camera are both given, need one", field="camera")
+    runtime.reconstructor  # noqa: B018  refuses until the kernels are warm
+    scene_id = query.scene if query.scene is not None else runtime.store.newest()
+    views = SceneViews.of_document(runtime.store.document(scene_id))
+    background = parse_background(query.background)
+    if query.camera is not None:
+        camera = camera_from_json(parse_json(query.camera, "camera"))
+    else:
+        camera = views.resolve(query.view if query.view is not None else "0")
+    camera = check_size(frame(camera, query.width, query.height), runtime.settings.max_render_pixels)
+
+    def work() -> tuple[Picture, str]:
+        drawn = draw(runtime, scene_id, camera, views, background)
+        return encode(drawn, query.channel, query.format), json.dumps(plain(drawn.stats))
+
+    async with runtime.gate.admitted():
+        picture, stats = await runtime.gate.run(work)
+    headers = {"X-Gapmes-Scene": scene_id, "X-Gapmes-Stats": stats, "Cache-Control": "no-cache"}
+    if picture.depth_range is not None:
+        headers["X-Gapmes-Depth-Min"], headers["X-Gapmes-Depth-Max"] = map(repr, picture.depth_range)
+    return Response(picture.data, media_type=picture.media_type, headers=headers)

@@ -1,0 +1,58 @@
+"""The successful answers: JSON, and which of the three forms of a scene the Accept header asks for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from fastapi import Response
+
+from ..errors import NotAcceptable
+
+JSON = "application/json"
+PLY = "application/octet-stream"
+ZIP = "application/zip"
+OFFERED = (JSON, PLY, ZIP)
+
+
+def json_response(content: Any, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
+    body = json.dumps(content, allow_nan=False)  # ASCII, so that no lone surrogate in a file name can break it
+    return Response(body, status_code=status, media_type=JSON, headers=dict(headers or {}))
+
+
+def accepted(header: str | None) -> str:
+    """The offered media type that the Accept header weighs highest; the first offered one wins ties.
+
+    RFC 9110 section 12.5.1: a type's weight is that of the most specific range that covers it. Raises
+    `NotAcceptable` when all weigh zero.
+    """
+    if not header or not header.strip():
+        return JSON
+    ranges: dict[str, float] = {}
+    for item in header.split(","):
+        media_range, *parameters = (part.strip().lower() for part in item.split(";"))
+        ranges[media_range] = max(ranges.get(media_range, 0.0), _weight(parameters))
+    weights = {offer: _weight_of(offer, ranges) for offer in OFFERED}
+    best = max(OFFERED, key=lambda offer: weights[offer])
+    if weights[best] <= 0:
+        raise NotAcceptable(f"{header[:100]!r} accepts none of {', '.join(OFFERED)}", field="Accept")
+    return best
+
+
+def _weight_of(offer: str, ranges: Mapping[str, float]) -> float:
+    for media_range in (offer, "application/*", "*/*"):
+        if media_range in ranges:
+            return ranges[media_range]
+    return 0.0
+
+
+def _weight(parameters: list[str]) -> float:
+    for parameter in parameters:
+        name, _, value = parameter.partition("=")
+        if name.strip() == "q":
+            try:
+                return min(1.0, max(0.0, float(value)))
+            except ValueError:
+                return 0.0
+    return 1.0

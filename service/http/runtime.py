@@ -1,0 +1,105 @@
+"""What one running service holds: settings, store, the gate to the CPU, and the model once it is loaded and warm."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from typing import TYPE_CHECKING, Any
+
+import anyio
+import anyio.to_thread
+from fastapi import Request
+
+from ..errors import ModelNotReady
+from ..settings import Settings
+from ..store import SceneStore
+from .gate import Gate
+
+if TYPE_CHECKING:
+    from ..reconstruct import Reconstructor
+
+_log = logging.getLogger("gapmes")
+
+
+class Runtime:
+    """Built with the application; the lifespan runs the application inside `running`."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.store = SceneStore(settings.store, cache_bytes=settings.cache_bytes)
+        self.gate = Gate(settings.concurrency, settings.max_waiting)
+        self.stage = "start"
+        self.timings: dict[str, float] = {}
+        self._loading: asyncio.Task[None] | None = None
+        self._reconstructor: Reconstructor | None = None
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Load in the background for as long as the block lasts; a failure is logged and kept for /readyz."""
+        self._loading = asyncio.create_task(anyio.to_thread.run_sync(self._load, abandon_on_cancel=True))
+        self._loading.add_done_callback(_log_failure)
+        try:
+            yield
+        finally:
+            self._loading.cancel()
+
+    def _load(self) -> None:
+        """Import the heavy libraries, load the model, compile or load the kernels."""
+        with self._timed("import"):
+            from ..reconstruct import Reconstructor
+            from ..splat import warm_up
+        with self._timed("model"):
+            reconstructor = Reconstructor(self.settings.model, threads=self.settings.threads)
+        with self._timed("kernels"):
+            warm_up()
+        self.stage = "ready"
+        self._reconstructor = reconstructor
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        self.stage = stage
+        start = time.perf_counter()
+        yield
+        self.timings[stage] = time.perf_counter() - start
+
+    @property
+    def failure(self) -> BaseException | None:
+        """Why loading ended without a model, None while it runs or when it succeeded."""
+        task = self._loading
+        return task.exception() if task is not None and task.done() and not task.cancelled() else None
+
+    @property
+    def reconstructor(self) -> Reconstructor:
+        """The loaded model; raises `ModelNotReady` before that."""
+        if self._reconstructor is not None:
+            return self._reconstructor
+        if self.failure is not None:
+            raise ModelNotReady(
+                f"loading failed in stage {self.stage!r}: {self.failure}", cure="see the log; is GAPMES_MODEL right?"
+            )
+        raise ModelNotReady(f"the service is starting, stage {self.stage!r}", cure="poll /readyz and retry")
+
+    def model_summary(self) -> dict[str, Any]:
+        """What was loaded, for /readyz."""
+        info = self.reconstructor.engine.info
+        return {
+            "preset": info.preset,
+            "weights_sha256": info.weights_sha256,
+            "file_sha256": info.file_sha256,
+            "width": info.width,
+            "height": info.height,
+            "precision": info.precision,
+            "licence": info.licence,
+        }
+
+
+def _log_failure(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and task.exception() is not None:
+        _log.error("the service cannot become ready", exc_info=task.exception())
+
+
+def runtime_of(request: Request) -> Runtime:
+    return request.app.state.runtime

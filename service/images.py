@@ -1,0 +1,216 @@
+"""Photographs: decode uploaded bytes within bounds, match them with their camera, fit them to the network's grid."""
+
+from __future__ import annotations
+
+import io
+import struct
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from .camera import Camera
+from .errors import ImageError, ImageTooLarge, ImageUnreadable
+
+FORMATS = ("JPEG", "PNG", "WEBP")
+MAX_PIXELS = 64_000_000  # 192 MB once decoded; the largest phone photographs have 50 to 60 million
+MIN_SIDE = 32  # px; two patches of the network, below that there is nothing to match
+OPAQUE = 128  # alpha of 8 bits from here on keeps a pixel
+_ORIENTATION = 0x0112  # EXIF tag
+_TURNED = (5, 6, 7, 8)  # orientations that swap width and height
+_DAMAGED = (OSError, SyntaxError, ValueError, EOFError, struct.error)  # what Pillow's decoders raise on damaged files
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """A decoded photograph as stored in its file (EXIF orientation not applied, but remembered)."""
+
+    rgb: NDArray[np.uint8]  # (H, W, 3), sRGB
+    mask: NDArray[np.bool_] | None = None  # (H, W), True keeps; None keeps everything
+    orientation: int = 1  # EXIF 1..8
+
+    @property
+    def height(self) -> int:
+        return self.rgb.shape[0]
+
+    @property
+    def width(self) -> int:
+        return self.rgb.shape[1]
+
+    @classmethod
+    def from_array(cls, array: object, *, index: int | None = None) -> Photo:
+        """Check (H, W, 3) or (H, W, 4) uint8 RGB values; the fourth channel is the mask. Raises `ImageError`."""
+        pixels = np.asarray(array)
+        if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
+            raise ImageError(
+                f"array is {pixels.dtype} of shape {pixels.shape}, need uint8 (H, W, 3) or (H, W, 4)",
+                field="images",
+                index=index,
+            )
+        _check_smallest(pixels.shape[1], pixels.shape[0], index)
+        mask = None
+        if pixels.shape[2] == 4:
+            mask = pixels[:, :, 3] >= OPAQUE
+            if not mask.any():
+                raise ImageError(
+                    f"alpha is below {OPAQUE} everywhere: the mask leaves no pixel", field="images", index=index
+                )
+        return cls(np.ascontiguousarray(pixels[:, :, :3]), None if mask is None or mask.all() else mask)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedView:
+    """A photograph on the network's pixel grid, with the camera that belongs to that grid."""
+
+    image: NDArray[np.float32]  # (3, H, W) in [0, 1]
+    mask: NDArray[np.bool_] | None  # (H, W), True keeps
+    camera: Camera
+    kept_share: float  # of the photograph's area inside the crop
+
+
+def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Photo:
+    """Decode JPEG, PNG or WEBP bytes; the size is read and bounded before any pixel is decoded.
+
+    Greyscale, palette, CMYK and 16-bit images become 8-bit RGB; an alpha channel becomes the mask.
+    Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (below 32 x 32, animated).
+    """
+    try:
+        image = Image.open(io.BytesIO(data), formats=FORMATS)
+    except UnidentifiedImageError as error:
+        raise ImageUnreadable(
+            f"{len(data)} bytes are not a {', '.join(FORMATS)} file", field="images", index=index
+        ) from error
+    except Image.DecompressionBombError as error:
+        raise ImageTooLarge(
+            f"has more pixels than the limit of {max_pixels}", field="images", index=index, cure="scale it down"
+        ) from error
+    except _DAMAGED as error:
+        raise _damaged(error, index) from error
+    with image:
+        width, height = image.size
+        if width * height > max_pixels:
+            raise ImageTooLarge(
+                f"has {width} x {height} = {width * height} pixels, the limit is {max_pixels}",
+                field="images",
+                index=index,
+                cure="scale it down; the network works on far smaller images",
+            )
+        _check_smallest(width, height, index)
+        if getattr(image, "is_animated", False) and image.format in ("PNG", "WEBP"):
+            raise ImageError(f"is an animation of {image.n_frames} frames, need one", field="images", index=index)
+        try:
+            orientation = image.getexif().get(_ORIENTATION, 1)
+            pixels = _eight_bit(image)
+        except _DAMAGED as error:
+            raise _damaged(error, index) from error
+    photo = Photo.from_array(pixels, index=index)
+    return replace(photo, orientation=orientation if orientation in range(1, 9) else 1)
+
+
+def match_photo(photo: Photo, camera: Camera, *, index: int | None = None) -> tuple[Photo, Camera]:
+    """The photograph and its camera on one pixel grid.
+
+    Sizes that agree in aspect within 1 px (of the coarser grid) are one view at two resolutions: the camera is resized
+    to the photograph. EXIF orientation is applied only where the camera has the upright size and not the stored one.
+    Raises `ImageError` with both sizes.
+    """
+    if _same_aspect(photo.width, photo.height, camera):
+        return photo, camera.resized(photo.width, photo.height)
+    if photo.orientation in _TURNED and _same_aspect(photo.height, photo.width, camera):
+        upright = _upright(photo)
+        return upright, camera.resized(upright.width, upright.height)
+    cure = "the camera must describe this very image: crop neither alone"
+    if _same_aspect(photo.height, photo.width, camera):
+        cure = "one of them is turned by 90 degrees"
+    raise ImageError(
+        f"the photograph is {photo.width} x {photo.height} px, its camera {camera.width} x {camera.height} px: "
+        "the aspects differ",
+        field="images",
+        index=index,
+        cure=cure,
+    )
+
+
+def fit_view(photo: Photo, camera: Camera, height: int, width: int) -> FittedView:
+    """Centre crop to the aspect of `height` x `width`, then resample; `camera` must have the photograph's size.
+
+    The crop window is real-valued, so that nothing is rounded: a pixel position p of the photograph lands at
+    (p - corner) * (new size / window size), and the intrinsics follow by the same map.
+    """
+    window_w = min(photo.width, photo.height * width / height)
+    window_h = min(photo.height, photo.width * height / width)
+    left, top = (photo.width - window_w) / 2, (photo.height - window_h) / 2
+    sx, sy = width / window_w, height / window_h
+    fitted = replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx * sx,
+        fy=camera.fy * sy,
+        cx=(camera.cx - left) * sx,
+        cy=(camera.cy - top) * sy,
+    )
+    box = (left, top, left + window_w, top + window_h)
+    rgb, mask = _resampled(photo, (width, height), box)
+    image = np.ascontiguousarray(rgb.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
+    return FittedView(image, mask, fitted, window_w * window_h / (photo.width * photo.height))
+
+
+def _resampled(
+    photo: Photo, size: tuple[int, int], box: tuple[float, float, float, float]
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
+    """Antialiased by Lanczos. Under a mask colours are weighted by it, so that no masked colour bleeds in; the filter
+    is then a Hamming window, since the negative lobes of Lanczos make such weights overshoot."""
+    whole = Image.fromarray(photo.rgb)
+    if photo.mask is None:
+        return np.asarray(whole.resize(size, Image.Resampling.LANCZOS, box=box)), None
+    whole.putalpha(Image.fromarray(photo.mask.astype(np.uint8) * 255))
+    resized = np.asarray(whole.resize(size, Image.Resampling.HAMMING, box=box))
+    mask = resized[:, :, 3] >= OPAQUE
+    return np.where(mask[:, :, None], resized[:, :, :3], 0).astype(np.uint8), mask
+
+
+def _eight_bit(image: Image.Image) -> NDArray[np.uint8]:
+    """(H, W, 3 or 4) uint8 of an opened image of any mode that the three formats can have."""
+    if image.mode.startswith("I"):  # 16-bit greyscale; Pillow's own conversion would clip it at 255
+        grey = np.rint(np.asarray(image, dtype=np.float64) * (255 / 65535)).clip(0, 255).astype(np.uint8)
+        return np.repeat(grey[:, :, None], 3, axis=2)
+    transparent = image.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in image.info
+    return np.asarray(image.convert("RGBA" if transparent else "RGB"))
+
+
+def _upright(photo: Photo) -> Photo:
+    """Undo a camera turned on its side, EXIF 5..8: transpose, then mirror as the tag says."""
+
+    def turn(a: NDArray) -> NDArray:
+        a = np.swapaxes(a, 0, 1)
+        if photo.orientation in (6, 7):
+            a = a[:, ::-1]
+        if photo.orientation in (7, 8):
+            a = a[::-1]
+        return np.ascontiguousarray(a)
+
+    return Photo(turn(photo.rgb), None if photo.mask is None else turn(photo.mask))
+
+
+def _same_aspect(width: int, height: int, camera: Camera) -> bool:
+    """Whether one size is the other at another resolution, up to rounding one side by at most 1 px."""
+    if width > camera.width:
+        small, large = (camera.width, camera.height), (width, height)
+    else:
+        small, large = (width, height), (camera.width, camera.height)
+    by_width = abs(large[1] * small[0] / large[0] - small[1])
+    by_height = abs(large[0] * small[1] / large[1] - small[0])
+    return min(by_width, by_height) <= 1.0
+
+
+def _check_smallest(width: int, height: int, index: int | None) -> None:
+    if width < MIN_SIDE or height < MIN_SIDE:
+        raise ImageError(
+            f"is {width} x {height} px, need at least {MIN_SIDE} x {MIN_SIDE}", field="images", index=index
+        )
+
+
+def _damaged(error: Exception, index: int | None) -> ImageUnreadable:
+    return ImageUnreadable(f"cannot be decoded: {error}", field="images", index=index, cure="is the upload complete?")

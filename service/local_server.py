@@ -1,0 +1,95 @@
+"""A service of one's own on loopback: started as a subprocess, waited for, and stopped whatever happens."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from .errors import GapmesError, ModelError
+from .progress import Stages
+
+READY_TIMEOUT_S = 300.0  # the first start compiles every kernel, which a slow core needs a minute or two for
+POLL_S = 0.2
+STOP_TIMEOUT_S = 10.0
+LOADING = ("start", "import", "model", "kernels")  # the stages that /readyz names, in order
+
+
+@contextmanager
+def local_server(log: Path, *, store: Path, keep: bool = False) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Yield (address, process) of `gapmes serve` on a free port; stopped at the end unless `keep` and no failure."""
+    port = _free_port()
+    command = [sys.executable, "-m", "gapmes.service.cli", "serve", "--host", "127.0.0.1", "--port", str(port)]
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            [*command, "--store", str(store)],
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            start_new_session=True,  # Ctrl-C reaches this process alone, which then stops the server in order
+        )
+    done = False
+    try:
+        yield f"http://127.0.0.1:{port}", process
+        done = True
+    finally:
+        if not (keep and done):
+            process.terminate()
+            try:
+                process.wait(STOP_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def wait_until_ready(
+    client: httpx.Client, process: subprocess.Popen[bytes], log: Path, stages: Stages
+) -> dict[str, Any]:
+    """Poll /readyz and return what it says; raises `ModelError` when the service fails, ends or takes too long."""
+    deadline = time.monotonic() + READY_TIMEOUT_S
+    with stages.stage("start service", len(LOADING)) as step:
+        while time.monotonic() < deadline:
+            if process.poll() is not None:
+                raise ModelError(f"the service ended with code {process.returncode}", cure=f"see {log}")
+            try:
+                answer = client.get("/readyz")
+            except httpx.TransportError:
+                time.sleep(POLL_S)
+                continue
+            body = answer.json()
+            if answer.status_code == 200:
+                return body
+            if body.get("state") == "failed":
+                raise ModelError(body["detail"], cure=f"see {log}")
+            step(LOADING.index(body["stage"]) if body.get("stage") in LOADING else 0)
+            time.sleep(POLL_S)
+    raise ModelError(f"the service is not ready after {READY_TIMEOUT_S:.0f} s", cure=f"see {log}")
+
+
+def checked(answer: httpx.Response) -> httpx.Response:
+    """The answer, or its problem document raised as an error."""
+    if answer.is_success:
+        return answer
+    problem = answer.json()
+    asked = f"{answer.request.method} {answer.request.url.path}"
+    raise GapmesError(
+        f"{asked} -> {answer.status_code} {problem['code']}: {problem['detail']}",
+        field=problem.get("field"),
+        index=problem.get("index"),
+        cure=problem.get("cure"),
+    )
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

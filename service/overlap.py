@@ -1,0 +1,48 @@
+"""How much of each view the other views see at a given depth: frusta sampled by a grid of rays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+
+F64 = NDArray[np.float64]
+
+GRID = 12  # rays per side; a share is then known to about 1 / 12 of the width, which every use here can bear
+
+
+def shared_shares(cameras: Sequence[Camera], depths: Sequence[float]) -> F64:
+    """(V, V, D): entry [i, j, d] is the share of view i that, if it lay at z-depth `depths[d]`, view j would see."""
+    count = len(cameras)
+    shares = np.ones((count, count, len(depths)))
+    places = (np.arange(GRID) + 0.5) / GRID
+    grid = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
+    for i, one in enumerate(cameras):
+        pixels = grid * (one.width, one.height)
+        points = np.concatenate([one.unproject(pixels, np.full(len(pixels), z)) for z in depths])
+        for j, other in enumerate(cameras):
+            if i != j:
+                shares[i, j] = _seen(other, points).reshape(len(depths), -1).mean(axis=1)
+    return shares
+
+
+def best_partner_shares(cameras: Sequence[Camera], depths: Sequence[float]) -> F64:
+    """(V, D): the largest share of each view that one other view sees, per depth, mean of both directions."""
+    shares = shared_shares(cameras, depths)
+    both = 0.5 * (shares + shares.transpose(1, 0, 2))
+    both[np.arange(len(cameras)), np.arange(len(cameras))] = 0.0
+    return both.max(axis=1)
+
+
+def inverse_depth_steps(near: float, far: float, count: int) -> F64:
+    """(count,) depths from near to far in equal steps of inverse depth: about equal steps in pixels."""
+    return 1.0 / np.linspace(1.0 / near, 1.0 / far, count)
+
+
+def _seen(camera: Camera, points: F64) -> NDArray[np.bool_]:
+    pixels, z = camera.project(points)
+    inside = (pixels >= 0) & (pixels < (camera.width, camera.height))  # NaN behind the camera compares as False
+    return inside.all(axis=1) & (z > 0)

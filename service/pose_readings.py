@@ -1,0 +1,55 @@
+"""The other readings of a set of poses that users mean when they get the convention wrong, each with its cure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .camera import Camera, rigid_inverse
+from .camera_fields import OPENCV_FROM_OPENGL
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The cameras as they would be if the poses meant something else."""
+
+    looks_like: str  # finishes the sentence "these poses look like ..."
+    cure: str
+    cameras: tuple[Camera, ...]
+
+
+def other_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
+    """World-to-camera instead of camera-to-world, OpenGL instead of OpenCV axes, and both at once."""
+    poses = [camera.world_from_cam for camera in cameras]
+    readings = (
+        (
+            "world-to-camera matrices",
+            'invert them, or say "pose": "w2c" in the camera file',
+            [rigid_inverse(pose) for pose in poses],
+        ),
+        (
+            "OpenGL axes (x right, y up, z backward)",
+            'negate columns 1 and 2 of each c2w, or say "axes": "opengl" in the camera file',
+            [pose @ OPENCV_FROM_OPENGL for pose in poses],
+        ),
+        (
+            "world-to-camera matrices in OpenGL axes",
+            'say "pose": "w2c" and "axes": "opengl" in the camera file',
+            [rigid_inverse(pose) @ OPENCV_FROM_OPENGL for pose in poses],
+        ),
+    )
+    return tuple(
+        Reading(name, cure, tuple(c.posed(pose) for c, pose in zip(cameras, changed, strict=True)))
+        for name, cure, changed in readings
+    )
+
+
+def apart_when_inverted(cameras: Sequence[Camera]) -> str:
+    """Part of a cure where cameras stand in one place: world-to-camera matrices of a ring about the origin do that."""
+    centers = np.stack([rigid_inverse(camera.world_from_cam)[:3, 3] for camera in cameras])
+    apart = max(float(np.linalg.norm(a - b)) for a in centers for b in centers)
+    if apart <= 1e-6 * float(np.abs(centers).max()):
+        return ""
+    return f'; if these are world-to-camera matrices ("pose": "w2c"), the cameras stand {apart:.4g} apart'

@@ -1,0 +1,120 @@
+"""Posed photographs in, 3D Gaussians in the caller's world out: checks, fitting, the network, and the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .depth_range import depth_range
+from .depth_sweep import narrowed
+from .document import scene_document
+from .engine import Engine
+from .errors import CameraError, ViewCountError
+from .gaussians import Gaussians
+from .images import FittedView, Photo, fit_view, match_photo
+from .masks import kept_rows, patch_mask
+from .photo_checks import check_photos
+from .progress import Listener, Stages, silent
+from .view_checks import Notice, check_count, check_views
+from .world_frame import WorldFrame
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A reconstruction: the Gaussians in the caller's world and units, and everything that is known about them."""
+
+    gaussians: Gaussians
+    cameras: tuple[Camera, ...]  # as given
+    view_cameras: tuple[Camera, ...]  # of the crops that the network saw
+    document: dict[str, Any]  # plain JSON values, see document.py
+
+
+class Reconstructor:
+    """Holds the loaded network; `reconstruct` may be called any number of times, also from several threads."""
+
+    def __init__(self, model: str | Path | Engine | None = None, *, threads: int | None = None) -> None:
+        """`model`: an ONNX file, an engine, or None for the one in the package. Raises `ModelError`."""
+        self.engine = model if isinstance(model, Engine) else Engine(model, threads=threads)
+
+    def reconstruct(
+        self,
+        images: Sequence[NDArray[np.uint8] | Photo],
+        cameras: Sequence[Camera],
+        *,
+        near: float | None = None,
+        far: float | None = None,
+        listener: Listener = silent,
+    ) -> Scene:
+        """2..6 photographs, uint8 (H, W, 3 or 4) or `Photo`, with one camera each -> `Scene`.
+
+        `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
+        `listener` hears the stages cameras, images, network, gaussians. Raises `InputError` and `ModelError`.
+        """
+        stages = Stages(listener)
+        info = self.engine.info
+        warnings: list[Notice] = []
+        with stages.stage("cameras"):
+            cameras = _as_cameras(cameras, len(images))
+            depths = depth_range(cameras, near, far)
+            warnings += check_views(cameras, depths)
+        with stages.stage("images", len(images) + 1) as done:
+            views: list[FittedView] = []
+            for index, (image, camera) in enumerate(zip(images, cameras, strict=True)):
+                photo = image if isinstance(image, Photo) else Photo.from_array(image, index=index)
+                warnings += _photo_notices(photo, camera, index)
+                views.append(fit_view(*match_photo(photo, camera, index=index), info.height, info.width))
+                done(index + 1)
+            warnings += check_photos(views, depths)
+            depths = narrowed(depths, views)
+        frame = WorldFrame.of(cameras, depths)
+        with stages.stage("network"):
+            outputs = self.engine.run(
+                np.stack([view.image for view in views]),
+                np.stack([view.camera.normalized_intrinsics for view in views]).astype(np.float32),
+                frame.poses(cameras),
+                frame.near_far(depths),
+                patch_mask(views, info.patch),
+            )
+        with stages.stage("gaussians"):
+            rows, dropped = kept_rows(outputs, views, frame)
+            gaussians = frame.to_world(outputs, rows)
+        document = scene_document(
+            info=info,
+            threads=self.engine.threads,
+            cameras=cameras,
+            views=views,
+            depths=depths,
+            outputs=outputs,
+            kept=len(gaussians),
+            dropped=dropped,
+            warnings=warnings,
+            timings=stages.timings,
+        )
+        return Scene(gaussians, cameras, tuple(view.camera for view in views), document)
+
+
+def _as_cameras(cameras: Sequence[Camera], images: int) -> tuple[Camera, ...]:
+    if len(cameras) != images:
+        raise ViewCountError(f"{images} images and {len(cameras)} cameras, need one camera per image", field="cameras")
+    check_count(images)
+    for index, camera in enumerate(cameras):
+        if not isinstance(camera, Camera):
+            raise CameraError(f"is a {type(camera).__name__}", field="cameras", index=index, cure="use Camera.make")
+    return tuple(cameras)
+
+
+def _photo_notices(photo: Photo, camera: Camera, index: int) -> list[Notice]:
+    """EXIF says turned, but the camera has the stored size: the pixels are left as stored, which is worth knowing."""
+    if photo.orientation == 1 or abs(photo.width / photo.height - camera.width / camera.height) > 0.01:
+        return []
+    message = (
+        f"EXIF orientation {photo.orientation} is not applied: the camera has the stored size "
+        f"{camera.width} x {camera.height}"
+    )
+    return [{"code": "exif_orientation_ignored", "field": "images", "index": index, "message": message}]

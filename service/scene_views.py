@@ -1,0 +1,46 @@
+"""The cameras of a scene and the depths between which it lies: which camera a view means, and where drawing begins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .camera import Camera
+from .camera_json import camera_from_json
+from .errors import ViewError
+from .views import resolve_view
+
+# Nothing of a scene lies in front of its near depth as its own cameras see it; a tenth of it leaves room to move in
+# and keeps the near plane in the caller's units, whatever they are.
+NEAR_PLANE_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class SceneViews:
+    """Cameras with the near and far depth that were given or estimated for them, where there were any."""
+
+    cameras: Sequence[Camera]
+    near: float | None = None
+    far: float | None = None
+
+    @classmethod
+    def of_document(cls, document: Mapping[str, Any]) -> SceneViews:
+        """The fitted cameras, so that a view renders at the size and crop that the network saw."""
+        cameras = [camera_from_json(camera) for camera in document["view_cameras"]]
+        return cls(cameras, document["near"], document["far"])
+
+    def resolve(self, spec: str, *, field: str = "view") -> Camera:
+        """The camera of "2", "1.5" or "orbit:30"; an orbit turns about the geometric mean of near and far."""
+        pivot = math.sqrt(self.near * self.far) if self.near and self.far else 1.0
+        try:
+            return resolve_view(spec, self.cameras, pivot_depth=pivot)
+        except ViewError as error:
+            error.field = field
+            raise
+
+    @property
+    def near_plane(self) -> dict[str, float]:
+        """The splatter's `near` as a keyword, or nothing where the scene's depth is unknown."""
+        return {} if self.near is None else {"near": NEAR_PLANE_SHARE * self.near}

@@ -1,0 +1,142 @@
+"""Checks of a set of cameras before anything is computed: count, plausible lenses, baseline, depth range, overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .camera import Camera
+from .depth_range import DepthRange, depth_range
+from .errors import BaselineError, IntrinsicsError, OverlapError, ViewCountError
+from .overlap import best_partner_shares, inverse_depth_steps
+from .pose_readings import apart_when_inverted, other_readings
+from .rotations import rotation_angle
+
+MIN_VIEWS = 2
+MAX_VIEWS = 6
+MIN_PARALLAX_PX = 0.25  # the largest shift between near and infinity; below it depth is noise
+SAME_POSITION = 1e-6  # of the near depth: 1e-3 px at f = 1000 px
+SAME_ROTATION = 1e-6  # rad
+MIN_SHARE = 0.1  # of a view, at the depth where it shares most; real captures have 0.9 and more
+LITTLE_SHARE = 0.3  # below it, a warning
+TIE = 0.1  # readings of the poses that overlap about equally are all named
+WIDE_RANGE = 1000.0  # far / near from which the depth steps are too coarse beyond some 10 x near
+DEPTH_PLANES = 128  # of the depth-step table in the warning
+_DEPTHS = 16  # at which the overlap is looked at
+
+Notice = dict[str, Any]  # code, message and what it is about
+
+
+def check_views(cameras: Sequence[Camera], depths: DepthRange) -> list[Notice]:
+    """Refuse sets of cameras that cannot give a scene; return warnings about those that hardly can.
+
+    Raises `ViewCountError`, `IntrinsicsError`, `BaselineError` (same view twice, or no parallax) or `OverlapError`,
+    which says what the poses look like if another reading of them would overlap.
+    """
+    check_count(len(cameras))
+    for index, camera in enumerate(cameras):
+        _check_principal_point(camera, index)
+    _check_baselines(cameras, depths)
+    return [*_range_notices(depths), *_check_overlap(cameras, depths)]
+
+
+def check_count(count: int) -> None:
+    """Raises `ViewCountError` outside 2..6."""
+    if not MIN_VIEWS <= count <= MAX_VIEWS:
+        raise ViewCountError(
+            f"{count} views, need {MIN_VIEWS} to {MAX_VIEWS}",
+            field="cameras",
+            cure="one view has no parallax"
+            if count < MIN_VIEWS
+            else "choose views that overlap, from different places",
+        )
+
+
+def _check_principal_point(camera: Camera, index: int) -> None:
+    """A principal point within one pixel of the upper left corner is a normalised one."""
+    if 0 < camera.cx <= 1 < camera.width / 8 and 0 < camera.cy <= 1 < camera.height / 8:
+        raise IntrinsicsError(
+            f"cx, cy = {camera.cx:g}, {camera.cy:g} px in an image of {camera.width} x {camera.height} px",
+            field="cameras.cx",
+            index=index,
+            cure=f"these look normalised; in pixels they are {camera.cx * camera.width:g}, "
+            f"{camera.cy * camera.height:g}",
+        )
+
+
+def _check_baselines(cameras: Sequence[Camera], depths: DepthRange) -> None:
+    widest = (0.0, 0, 1)
+    for j, one in enumerate(cameras):
+        for i, other in enumerate(cameras[:j]):
+            baseline = float(np.linalg.norm(one.center - other.center))
+            angle = rotation_angle(one.rotation.T @ other.rotation)
+            if baseline <= SAME_POSITION * depths.near and angle <= SAME_ROTATION:
+                raise BaselineError(
+                    f"views {i} and {j} have the same pose (distance {baseline:.3g}, angle {angle:.3g} rad)",
+                    field="cameras",
+                    index=j,
+                    cure="leave one of them out; is each pose the one of its own photograph?",
+                )
+            parallax = max(one.fx, one.fy, other.fx, other.fy) * baseline / depths.near
+            widest = max(widest, (parallax, i, j))
+    parallax, i, j = widest
+    if parallax < MIN_PARALLAX_PX:
+        raise BaselineError(
+            f"no pair of views has parallax: the widest, views {i} and {j}, shifts a point at near = {depths.near:g} "
+            f"by {parallax:.3g} px, need at least {MIN_PARALLAX_PX}",
+            field="cameras",
+            index=j,
+            cure="move the camera between the photographs; are positions and near in the same unit?"
+            + apart_when_inverted(cameras),
+        )
+
+
+def _range_notices(depths: DepthRange) -> list[Notice]:
+    """Half a step between depth planes is z^2 (1 / near - 1 / far) / (2 (planes - 1)): it grows with z squared."""
+    ratio = depths.far / depths.near
+    if ratio <= WIDE_RANGE:
+        return []
+    step = (1 / depths.near - 1 / depths.far) / (2 * (DEPTH_PLANES - 1))
+    table = {f"{z:.4g}": f"{100 * z * step:.2g} %" for z in depths.near * np.array([1.0, 10.0, 100.0, 1000.0])}
+    return [
+        {
+            "code": "depth_range_wide",
+            "field": "near",
+            "message": f"far / near = {ratio:.3g}: depth steps are coarse beyond {10 * depths.near:.3g}; "
+            f"half a step with {DEPTH_PLANES} planes, by depth: "
+            + ", ".join(f"{depth}: {share}" for depth, share in table.items()),
+        }
+    ]
+
+
+def _check_overlap(cameras: Sequence[Camera], depths: DepthRange) -> list[Notice]:
+    steps = inverse_depth_steps(depths.near, depths.far, _DEPTHS)
+    shares = best_partner_shares(cameras, steps).max(axis=1)
+    lonely = int(np.argmin(shares))
+    if shares[lonely] >= LITTLE_SHARE:
+        return []
+    message = (
+        f"view {lonely} shares at most {100 * shares[lonely]:.0f} % of its picture with any other view, "
+        f"at any depth from {depths.near:.4g} to {depths.far:.4g}"
+    )
+    if shares[lonely] >= MIN_SHARE:
+        return [{"code": "little_overlap", "field": "cameras", "index": lonely, "message": message}]
+    cure = "are near and far in the unit of the poses? is each pose the one of its own photograph?"
+    shares_by_reading = []
+    for reading in other_readings(cameras):
+        steps = inverse_depth_steps(*_range_for(reading.cameras, depths), _DEPTHS)
+        shares_by_reading.append((float(best_partner_shares(reading.cameras, steps).max(axis=1).min()), reading))
+    best = max(share for share, _ in shares_by_reading)
+    if best >= LITTLE_SHARE:
+        likely = [reading for share, reading in shares_by_reading if share >= best - TIE]
+        cure = "these poses look like " + "; or ".join(f"{reading.looks_like}: {reading.cure}" for reading in likely)
+    raise OverlapError(f"{message}; need {100 * MIN_SHARE:.0f} %", field="cameras", index=lonely, cure=cure)
+
+
+def _range_for(cameras: Sequence[Camera], depths: DepthRange) -> tuple[float, float]:
+    """A given range holds for any reading of the poses; an estimate was made from them and is made again."""
+    if depths.source == "estimated":
+        depths = depth_range(cameras)
+    return depths.near, depths.far

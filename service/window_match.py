@@ -1,0 +1,55 @@
+"""How well a picture matches several warped pictures: zero-mean normalised correlation in small windows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+
+RADIUS = 3  # windows of 7 x 7 px
+MIN_SEEN = 0.6  # share of a window that must be seen
+NOT_SEEN = -1.0  # the correlation of a window of which less is seen
+_NOISE = 1e-8  # variance below which a window has no texture; (0.03 of an 8-bit level)^2
+
+
+def correlations(picture: F64, warped: F64, seen: NDArray[np.bool_]) -> F64:
+    """(D, h, w) in -1..1: windows of `picture` (h, w) against those of each `warped` picture (D, h, w), where seen."""
+    mask = seen.astype(np.float64)
+    amount = window_mean(mask)
+    safe = np.maximum(amount, 1e-9)
+    mean_a, mean_b = window_mean(picture * mask) / safe, window_mean(warped * mask) / safe
+    var_a = window_mean(picture**2 * mask) / safe - mean_a**2
+    var_b = window_mean(warped**2 * mask) / safe - mean_b**2
+    covariance = window_mean(picture * warped * mask) / safe - mean_a * mean_b
+    correlation = covariance / np.sqrt(np.maximum(var_a * var_b, 0.0) + _NOISE)
+    return np.where(amount >= MIN_SEEN, correlation, NOT_SEEN)
+
+
+def contrast(picture: F64) -> F64:
+    """(h, w) standard deviation of each window; 0 where it is noise."""
+    return np.sqrt(np.maximum(window_mean(picture**2) - window_mean(picture) ** 2 - _NOISE, 0.0))
+
+
+def match_score(picture: F64, warped: F64, seen: NDArray[np.bool_]) -> tuple[float, float]:
+    """Best correlation over the D warped pictures, mean over the windows of `picture` by their contrast.
+
+    Windows that are seen in no warped picture do not count. Returns the mean, in [0, 1], and the sum of the weights.
+    """
+    best = correlations(picture, warped, seen).max(axis=0)
+    weights = np.where(best > NOT_SEEN, contrast(picture), 0.0)
+    total = float(weights.sum())
+    return (float((np.clip(best, 0.0, 1.0) * weights).sum() / total), total) if total > 0 else (0.0, 0.0)
+
+
+def window_mean(values: F64) -> F64:
+    """(..., h, w) means over windows of 2 * RADIUS + 1 px, cut off at the border; by running sums."""
+    for axis in (-2, -1):
+        count = values.shape[axis]
+        low = np.maximum(np.arange(count) - RADIUS, 0)
+        high = np.minimum(np.arange(count) + RADIUS + 1, count)
+        sums = np.cumsum(values, axis=axis)
+        sums = np.concatenate([np.zeros_like(np.take(sums, [0], axis=axis)), sums], axis=axis)
+        size = (high - low).reshape((-1, 1) if axis == -2 else (-1,))
+        values = (np.take(sums, high, axis=axis) - np.take(sums, low, axis=axis)) / size
+    return values

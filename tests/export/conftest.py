@@ -1,0 +1,41 @@
+"""Exports that several tests share: the shipped checkpoint at 64 x 64 pixels, made once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import onnx
+import pytest
+
+from gapmes.export.build import add_metadata, contract_metadata, export_graph
+from gapmes.model.checkpoint import WEIGHTS_LICENCE, file_sha256, load_checkpoint, shipped_checkpoint
+from gapmes.model.network import GaPMeS
+
+SIZE = 64
+
+
+@pytest.fixture(scope="session")
+def checkpoint() -> Path:
+    return shipped_checkpoint("tiny")
+
+
+@pytest.fixture
+def network(checkpoint: Path) -> GaPMeS:
+    return load_checkpoint(checkpoint)
+
+
+@pytest.fixture(scope="session")
+def small_graph(checkpoint: Path) -> onnx.ModelProto:
+    """The shipped network for 64 x 64 pixels, with metadata; copy it before changing it."""
+    network = load_checkpoint(checkpoint)
+    model = export_graph(network, SIZE, SIZE)
+    metadata = contract_metadata(
+        network,
+        height=SIZE,
+        width=SIZE,
+        weights_sha256=file_sha256(checkpoint),
+        licence=WEIGHTS_LICENCE,
+        precision="fp32",
+    )
+    add_metadata(model, metadata)
+    return model

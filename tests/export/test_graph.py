@@ -1,0 +1,117 @@
+"""The exported graph: symbolic views, metadata, sparse experts, and equality with torch at every view count."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+
+from gapmes.export.build import export_graph
+from gapmes.export.cases import Case, gate_values, with_gates
+from gapmes.export.contract import INPUTS, MAX_VIEWS, MIN_VIEWS, OPSET, output_names
+from gapmes.export.samples import hostile_scenes, random_scene
+from gapmes.export.tolerance import TOLERANCES
+from gapmes.export.verify import verify
+from gapmes.model.checkpoint import file_sha256
+from gapmes.model.network import GaPMeS
+
+SIZE, PATCHES = 64, 16
+
+
+def feed(inputs) -> dict[str, np.ndarray]:
+    return {name: value.numpy() for name, value in zip(INPUTS, inputs.tensors(), strict=True)}
+
+
+def test_inputs_and_outputs_are_those_of_the_contract(small_graph: onnx.ModelProto) -> None:
+    assert tuple(i.name for i in small_graph.graph.input) == INPUTS
+    assert tuple(o.name for o in small_graph.graph.output) == output_names(with_routing=True)
+    assert {o.domain: o.version for o in small_graph.opset_import}[""] == OPSET
+    shape = small_graph.graph.input[0].type.tensor_type.shape.dim
+    assert shape[0].dim_param
+    assert [d.dim_value for d in shape[1:]] == [3, SIZE, SIZE]
+
+
+def test_metadata_says_what_the_file_is(small_graph: onnx.ModelProto, network: GaPMeS, checkpoint) -> None:
+    found = {p.key: p.value for p in small_graph.metadata_props}
+    assert found["gapmes.preset"] == "tiny"
+    assert found["gapmes.weights_sha256"] == file_sha256(checkpoint)
+    assert found["gapmes.config"] == network.config.to_json()
+    assert (found["gapmes.height"], found["gapmes.width"], found["gapmes.patch_px"]) == ("64", "64", "16")
+    assert json.loads(found["gapmes.views"]) == [MIN_VIEWS, MAX_VIEWS]
+    assert all(key.startswith("gapmes.") for key in found)
+
+
+def test_no_path_of_the_exporting_machine_is_left_in_the_file(small_graph: onnx.ModelProto) -> None:
+    text = small_graph.SerializeToString()
+    assert b"site-packages" not in text
+    assert b".py" not in text
+
+
+@pytest.mark.parametrize("views", [2, 3, 4, 5, 6])
+def test_every_view_count_agrees_with_torch(small_graph: onnx.ModelProto, network: GaPMeS, views: int) -> None:
+    cases = [Case("random", "as trained", random_scene(views, SIZE, SIZE, seed=views))]
+    (result,) = verify(small_graph, network, cases, TOLERANCES["fp32"])
+    assert result.failures == []
+    assert result.routes is not None
+    assert result.routes.patches == views * PATCHES
+
+
+@pytest.mark.parametrize("gates", ["all tied", "one expert", "two experts"])
+def test_gate_settings_agree_with_torch(small_graph: onnx.ModelProto, network: GaPMeS, gates: str) -> None:
+    before = {k: v.clone() for k, v in network.state_dict().items()}
+    (result,) = verify(
+        small_graph, network, [Case("random", gates, random_scene(3, SIZE, SIZE, seed=1))], TOLERANCES["fp32"]
+    )
+    assert result.failures == []
+    assert all(torch.equal(before[k], v) for k, v in network.state_dict().items())
+
+
+def test_hostile_scenes_stay_finite_and_agree(small_graph: onnx.ModelProto, network: GaPMeS) -> None:
+    cases = [Case(name, "as trained", inputs) for name, inputs in hostile_scenes(2, SIZE, SIZE).items()]
+    for result in verify(small_graph, network, cases, TOLERANCES["fp32"]):
+        assert result.failures == [], result.name
+        assert all(d.finite for d in result.outputs.values())
+
+
+def expert_rows(model: onnx.ModelProto, inputs) -> list[int]:
+    """Batch sizes of the first convolution of every expert in one run: 3 streams times its patches."""
+    watched = onnx.ModelProto()
+    watched.CopyFrom(model)
+    names = []
+    for number in range(6):
+        weight = f"network.mixture.experts.experts.{number}.layers.0.weight"
+        (node,) = [n for n in watched.graph.node if weight in n.input]
+        names.append(node.output[0])
+        watched.graph.output.append(onnx.helper.make_empty_tensor_value_info(node.output[0]))
+    session = onnxruntime.InferenceSession(watched.SerializeToString(), providers=["CPUExecutionProvider"])
+    return [value.shape[0] for value in session.run(names, feed(inputs))]
+
+
+@pytest.mark.parametrize("gates", ["as trained", "all tied", "one expert", "two experts"])
+def test_each_expert_runs_on_just_the_patches_that_chose_it(
+    small_graph: onnx.ModelProto, network: GaPMeS, gates: str
+) -> None:
+    model = with_gates(small_graph, gate_values(network, gates))
+    inputs = random_scene(3, SIZE, SIZE, seed=4)
+    session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    (index,) = session.run(["expert_index"], feed(inputs))
+    chosen = np.bincount(index.ravel(), minlength=6)
+    assert chosen.sum() == 3 * PATCHES * 2
+    assert expert_rows(model, inputs) == (3 * chosen).tolist()
+    if gates == "two experts":
+        assert sorted(np.flatnonzero(chosen)) == [1, 5]
+
+
+def test_left_out_patches_run_through_no_expert(small_graph: onnx.ModelProto) -> None:
+    inputs = hostile_scenes(3, SIZE, SIZE)
+    assert sum(expert_rows(small_graph, inputs["all masked"])) == 0
+    assert sum(expert_rows(small_graph, inputs["half masked"])) == 3 * 2 * 3 * PATCHES // 2
+
+
+def test_a_size_that_does_not_fit_is_refused(network: GaPMeS) -> None:
+    with pytest.raises(ValueError, match="height is 100 px, need a multiple of 16"):
+        export_graph(network, 100, 64)

@@ -1,0 +1,26 @@
+"""A running application over a stand-in model; `http_requests` has the requests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from http_requests import MAX_UPLOAD, wait_until_ready
+from starlette.testclient import TestClient
+
+from gapmes.service.app import create_app
+from gapmes.service.settings import Settings
+
+
+@pytest.fixture(scope="session")
+def settings(standin_model: Path, tmp_path_factory: pytest.TempPathFactory) -> Settings:
+    store = tmp_path_factory.mktemp("service") / "scenes"
+    return Settings(model=standin_model, store=store, threads=1, max_upload_bytes=MAX_UPLOAD)
+
+
+@pytest.fixture(scope="session")
+def client(settings: Settings) -> Iterator[TestClient]:
+    with TestClient(create_app(settings), raise_server_exceptions=False) as client:
+        wait_until_ready(client)
+        yield client

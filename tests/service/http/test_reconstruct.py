@@ -1,0 +1,217 @@
+"""`POST /reconstruct` answers a scene in three forms, pairs by name or order, and computes the same input once."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+from http_requests import camera_object, photograph, post, stored
+from PIL import Image
+from starlette.testclient import TestClient
+
+from gapmes.service import read_ply
+from gapmes.service.settings import Settings
+
+
+@pytest.fixture(autouse=True)
+def emptied(client: TestClient) -> None:
+    for scene in client.get("/scenes").json()["scenes"]:
+        client.delete(scene["links"]["self"])
+
+
+def test_scene_document(client: TestClient) -> None:
+    answer = post(client)
+    assert answer.status_code == 201
+    body = answer.json()
+    assert answer.headers["location"] == f"/scenes/{body['id']}" == body["links"]["self"]
+    assert set(body["timings"]) >= {"cameras", "images", "network", "gaussians"}
+    assert (body["near"], body["far"]) == (1.0, 10.0)
+    assert body["cameras"] == camera_object(2)["views"]
+    assert body["model"]
+    for link in (body["links"]["self"], body["links"]["ply"], *body["links"]["views"]):
+        assert client.get(link).status_code == 200
+    assert client.get(body["links"]["self"]).json() == body
+
+
+def test_same_input_is_the_same_scene(client: TestClient, settings: Settings) -> None:
+    first = post(client)
+    before = stored(settings)
+    second = post(client)
+    assert (first.status_code, second.status_code) == (201, 200)
+    assert first.json() == second.json()
+    assert second.headers["location"] == first.headers["location"]
+    assert stored(settings) == before
+    for change in (
+        {"images": [photograph(0), photograph(2)]},
+        {"near": "2"},
+        {"cameras": camera_object(2, offset=1.0)},
+    ):
+        assert post(client, **change).json()["id"] != first.json()["id"]
+
+
+def test_same_bytes_after_deletion(client: TestClient) -> None:
+    first = post(client)
+    ply = client.get(first.json()["links"]["ply"]).content
+    client.delete(first.headers["location"])
+    second = post(client, accept="application/octet-stream")
+    assert second.status_code == 201
+    assert second.content == ply
+
+
+def test_posted_at_once_is_computed_once(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    runtime = client.app.state.runtime
+    calls = []
+    original = runtime.reconstructor.reconstruct
+    monkeypatch.setattr(
+        runtime.reconstructor.__class__,
+        "reconstruct",
+        lambda _, *args, **options: calls.append(1) or original(*args, **options),
+    )
+    with ThreadPoolExecutor(6) as pool:
+        answers = list(pool.map(lambda _: post(client), range(6)))
+    assert sorted(answer.status_code for answer in answers) == [200] * 5 + [201]
+    assert len({answer.text for answer in answers}) == 1
+    assert len(calls) == 1
+
+
+def test_ply(client: TestClient) -> None:
+    answer = post(client, accept="application/octet-stream")
+    assert answer.status_code == 201
+    assert answer.headers["content-type"] == "application/octet-stream"
+    assert answer.headers["location"]
+    assert answer.content == client.get(answer.headers["location"] + ".ply").content
+    assert len(read_ply(answer.content)) > 0
+
+
+def test_zip(client: TestClient) -> None:
+    answer = post(client, accept="application/zip", views="0, 0.5, orbit:10")
+    assert answer.status_code == 201
+    bundle = zipfile.ZipFile(io.BytesIO(answer.content))
+    pictures = ["renders/view_0.png", "renders/view_0.5.png", "renders/view_orbit_10.png"]
+    assert sorted(bundle.namelist()) == sorted(["scene.ply", "scene.json", *pictures])
+    assert bundle.testzip() is None
+    document = json.loads(bundle.read("scene.json"))
+    assert bundle.read("scene.ply") == client.get(document["links"]["ply"]).content
+    for name, link in zip(pictures, document["links"]["renders"], strict=True):
+        assert bundle.read(name) == client.get(link).content
+    again = post(client, accept="application/zip", views="0, 0.5, orbit:10")
+    assert (again.status_code, again.content) == (200, answer.content)
+
+
+@pytest.mark.parametrize(
+    ("accept", "kind"),
+    [
+        ("*/*", "application/json"),
+        ("application/*", "application/json"),
+        ("application/zip, application/json;q=0.5", "application/zip"),
+        ("text/html, application/octet-stream;q=0.2, */*;q=0.1", "application/octet-stream"),
+    ],
+)
+def test_accept(client: TestClient, accept: str, kind: str) -> None:
+    assert post(client, accept=accept).headers["content-type"] == kind
+
+
+def test_cameras_as_a_text_field(client: TestClient) -> None:
+    as_file = post(client)
+    parts = [("images", ("0.png", photograph(0))), ("images", ("1.png", photograph(1)))]
+    parts.append(("cameras", (None, json.dumps(camera_object(2)).encode())))
+    assert client.post("/reconstruct", files=parts).json()["id"] == as_file.json()["id"]
+
+
+def named(*names: str) -> dict[str, Any]:
+    cameras = camera_object(len(names))
+    for view, name in zip(cameras["views"], names, strict=True):
+        view["image"] = f"images/{name}"
+    return cameras
+
+
+def centres(body: dict[str, Any]) -> list[float]:
+    return [camera["c2w"][0][3] for camera in body["cameras"]]
+
+
+def test_cameras_are_matched_by_name(client: TestClient) -> None:
+    cameras = named("a.png", "b.png", "c.png", "d.png")
+    body = post(client, cameras=cameras, names=["C.png", "b.png"]).json()
+    assert centres(body) == pytest.approx([0.4, 0.2])
+    assert body["paired_by"] == "name"
+    assert body["images"] == ["C.png", "b.png"]
+
+
+def test_cameras_of_other_names_are_matched_by_order_and_it_is_said(client: TestClient) -> None:
+    body = post(client, cameras=named("a.png", "b.png"), names=["x.png", "y.png"]).json()
+    assert centres(body) == [0.0, 0.2]
+    assert body["paired_by"] == "order"
+    assert any(warning["code"] == "names_differ" for warning in body["warnings"])
+
+
+def test_names_that_occur_twice_settle_nothing(client: TestClient) -> None:
+    body = post(client, cameras=named("a.png", "a.png"), names=["a.png", "a.png"]).json()
+    assert body["paired_by"] == "order"
+
+
+def test_transforms_json_is_the_same_scene(client: TestClient) -> None:
+    """OpenGL axes, field of view instead of focal length, and no size: it is read from the images."""
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    frames = [
+        {"file_path": f"./{index}", "transform_matrix": (np.array(view["c2w"]) @ flip).tolist()}
+        for index, view in enumerate(camera_object(2)["views"])
+    ]
+    transforms = {"fl_x": 80.0, "fl_y": 80.0, "frames": frames}
+    answer = post(client, cameras=transforms, near="1", far="10")
+    assert answer.status_code == 201, answer.text
+    assert answer.json()["id"] == post(client).json()["id"]
+
+
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_number_of_views(client: TestClient, count: int) -> None:
+    answer = post(client, [photograph(seed) for seed in range(count)])
+    assert answer.status_code == 201, answer.text
+    assert len(answer.json()["view_cameras"]) == count
+
+
+def test_other_formats(client: TestClient) -> None:
+    images = [photograph(0, kind="JPEG"), photograph(1, kind="WEBP")]
+    assert post(client, images, names=["0.jpg", "1.webp"]).status_code == 201
+
+
+def test_depth_is_estimated_and_reported(client: TestClient) -> None:
+    cameras = camera_object(2)
+    del cameras["near"], cameras["far"]
+    body = post(client, cameras=cameras).json()
+    assert 0 < body["near"] < body["far"]
+
+
+def test_alpha_is_a_mask(client: TestClient) -> None:
+    """The right half of every photograph is left out: about half of the Gaussians remain."""
+    whole = post(client).json()
+    masked = []
+    for data in (photograph(0), photograph(1)):
+        pixels = np.asarray(Image.open(io.BytesIO(data)))
+        alpha = np.full((*pixels.shape[:2], 1), 255, np.uint8)
+        alpha[:, pixels.shape[1] // 2 :] = 0
+        buffer = io.BytesIO()
+        Image.fromarray(np.concatenate([pixels, alpha], 2)).save(buffer, "PNG")
+        masked.append(buffer.getvalue())
+    half = post(client, masked).json()
+    counts = [len(read_ply(client.get(body["links"]["ply"]).content)) for body in (whole, half)]
+    assert 0.3 * counts[0] < counts[1] < 0.7 * counts[0]
+
+
+def test_huge_world_offset(client: TestClient) -> None:
+    """A million units from the origin the scene is the same scene there, and renders to the same picture."""
+    offset = 1e6
+    near_by, far_off = post(client).json(), post(client, cameras=camera_object(2, offset=offset)).json()
+    clouds = [read_ply(client.get(body["links"]["ply"]).content) for body in (near_by, far_off)]
+    # 0.2 apart at 1e6 is known to 1e6 * 2^-53 = 1e-10; the scene lies within ten units of the cameras
+    np.testing.assert_allclose(clouds[1].means - offset, clouds[0].means, atol=1e-5)
+    pictures = [
+        np.asarray(Image.open(io.BytesIO(client.get(body["links"]["views"][1]).content))).astype(int)
+        for body in (near_by, far_off)
+    ]
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1
+    assert pictures[0].max() > 0

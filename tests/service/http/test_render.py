@@ -1,0 +1,133 @@
+"""`GET /render`: views, cameras, sizes, channels, formats, and the refusal of what makes no sense."""
+
+from __future__ import annotations
+
+import io
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from http_requests import assert_problem, camera_object, photograph, post
+from PIL import Image
+from starlette.testclient import TestClient
+
+
+@pytest.fixture(scope="module")
+def scene(client: TestClient) -> dict[str, Any]:
+    return post(client, [photograph(7), photograph(8)]).json()
+
+
+def picture(answer: Any) -> np.ndarray:
+    assert answer.status_code == 200, answer.text
+    return np.asarray(Image.open(io.BytesIO(answer.content)))
+
+
+def test_default_is_view_0_of_the_newest_at_the_fitted_size(client: TestClient, scene: dict[str, Any]) -> None:
+    answer = client.get("/render")
+    fitted = scene["view_cameras"][0]
+    assert picture(answer).shape == (fitted["height"], fitted["width"], 3)
+    assert answer.headers["content-type"] == "image/png"
+    assert answer.headers["x-gapmes-scene"] == scene["id"]
+    assert json.loads(answer.headers["x-gapmes-stats"])["count"] > 0
+    assert answer.content == client.get("/render", params={"scene": scene["id"], "view": "0"}).content
+
+
+def test_view_and_camera_are_the_same_picture(client: TestClient, scene: dict[str, Any]) -> None:
+    for view in (0, 1):
+        by_view = client.get("/render", params={"view": view})
+        by_camera = client.get("/render", params={"camera": json.dumps(scene["view_cameras"][view])})
+        assert by_view.content == by_camera.content
+    assert client.get("/render?view=0.5").content != client.get("/render?view=0").content
+
+
+def test_camera_in_other_axes(client: TestClient, scene: dict[str, Any]) -> None:
+    camera = dict(scene["view_cameras"][1])
+    pose = np.array(camera.pop("c2w")) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    camera |= {"axes": "opengl", "pose": "w2c", "w2c": np.linalg.inv(pose).tolist()}
+    assert client.get("/render", params={"camera": json.dumps(camera)}).content == client.get("/render?view=1").content
+
+
+def test_size(client: TestClient, scene: dict[str, Any]) -> None:
+    fitted = scene["view_cameras"][0]
+    aspect = fitted["height"] / fitted["width"]
+    assert picture(client.get("/render?width=40")).shape == (round(40 * aspect), 40, 3)
+    assert picture(client.get("/render?height=30")).shape == (30, round(30 / aspect), 3)
+    assert picture(client.get("/render?width=50&height=20")).shape == (20, 50, 3)
+
+
+@pytest.mark.parametrize(("name", "mode"), [("png", "PNG"), ("webp", "WEBP"), ("jpeg", "JPEG")])
+@pytest.mark.parametrize("channel", ["rgb", "alpha", "depth"])
+def test_formats_and_channels(client: TestClient, scene: dict[str, Any], name: str, mode: str, channel: str) -> None:
+    answer = client.get("/render", params={"format": name, "channel": channel})
+    assert answer.status_code == 200
+    assert answer.headers["content-type"] == f"image/{name}"
+    assert Image.open(io.BytesIO(answer.content)).format == mode
+    assert ("x-gapmes-depth-max" in answer.headers) == (channel == "depth")
+
+
+def test_depth_levels_mean_what_the_headers_say(client: TestClient, scene: dict[str, Any]) -> None:
+    answer = client.get("/render?channel=depth")
+    levels = picture(answer)
+    low, high = (float(answer.headers[f"x-gapmes-depth-{end}"]) for end in ("min", "max"))
+    assert levels.dtype == np.uint16 or levels.dtype == np.int32
+    assert levels.max() == 65535 or low == high
+    assert 0.5 * scene["near"] < low <= high < 2 * scene["far"]
+
+
+def test_background_shows_where_nothing_is(client: TestClient, scene: dict[str, Any]) -> None:
+    away = dict(scene["view_cameras"][0])
+    away["c2w"] = [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
+    for text, colour in (
+        ("ff8000", (255, 128, 0)),
+        ("#0000FF", (0, 0, 255)),
+        ("white", (255,) * 3),
+        ("black", (0,) * 3),
+    ):
+        image = picture(client.get("/render", params={"camera": json.dumps(away), "background": text}))
+        assert (image == colour).all()
+
+
+@pytest.mark.parametrize("view", ["99", "abc", "-1", "1.5", "nan", "inf", "1e9", "orbit:", "orbit:nan", "0,1", "", "٣"])
+def test_unknown_view(client: TestClient, scene: dict[str, Any], view: str) -> None:
+    body = assert_problem(client.get("/render", params={"view": view}), 422, "view_unknown", "view")
+    if view == "99":
+        assert "2" in body["detail"] + body.get("cure", "")
+
+
+@pytest.mark.parametrize(
+    ("query", "field"),
+    [
+        ("width=0", "width"),
+        ("width=-5", "width"),
+        ("width=abc", "width"),
+        ("height=99999999999999999999", "height"),
+        ("channel=red", "channel"),
+        ("format=gif", "format"),
+        ("veiw=1", "veiw"),
+        ("view=" + "1" * 1000, "view"),
+    ],
+)
+def test_bad_parameters(client: TestClient, scene: dict[str, Any], query: str, field: str) -> None:
+    body = assert_problem(client.get(f"/render?{query}"), 422, "parameter_invalid", field)
+    assert body["errors"][0]["field"] == field
+
+
+def test_other_refusals(client: TestClient, scene: dict[str, Any]) -> None:
+    assert_problem(client.get("/render?width=60000&height=60000"), 422, "invalid_input", "width")
+    assert_problem(client.get("/render?background=reddish"), 422, "view_unknown", "background")
+    assert_problem(client.get("/render?view=0&camera={}"), 422, "view_unknown", "camera")
+    assert_problem(client.get("/render?camera={"), 400, "malformed_request", "camera")
+    assert_problem(client.get("/render?camera=[]"), 422, "camera_invalid", "camera")
+    mirrored = camera_object(1)["views"][0] | {"c2w": np.diag([-1.0, 1, 1, 1]).tolist()}
+    assert_problem(client.get("/render", params={"camera": json.dumps(mirrored)}), 422, "pose_not_rotation")
+    assert client.get("/render").status_code == 200
+
+
+@pytest.mark.parametrize(
+    "scene_id", ["0" * 32, "nothing", "..", "../..", "..%2f..", "%2e%2e%2f", "a" * 300, "", "\x00"]
+)
+def test_unknown_scene(client: TestClient, scene: dict[str, Any], scene_id: str) -> None:
+    answer = client.get("/render", params={"scene": scene_id})
+    code = "parameter_invalid" if len(scene_id) > 200 else "scene_not_found"
+    assert_problem(answer, 422 if len(scene_id) > 200 else 404, code, "scene")

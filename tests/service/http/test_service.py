@@ -1,0 +1,151 @@
+"""The service around its work: probes, the page, errors of every kind, start-up that loads no torch."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from http_requests import assert_problem, photograph, post, wait_until_ready
+from starlette.testclient import TestClient
+
+from gapmes.service.app import create_app
+from gapmes.service.settings import Settings
+
+
+def test_probes(client: TestClient) -> None:
+    assert client.get("/healthz").json() == {"status": "ok"}
+    ready = client.get("/readyz").json()
+    assert ready["status"] == "ready"
+    assert len(ready["model"]["weights_sha256"]) == 64
+    assert set(ready["timings"]) == {"import", "model", "kernels"}
+
+
+def test_not_ready_before_the_model_is_loaded(settings: Settings, tmp_path: Path) -> None:
+    """Without a lifespan nothing is loaded: the process lives, the work is refused with Retry-After."""
+    idle = TestClient(create_app(settings.model_copy(update={"store": tmp_path})), raise_server_exceptions=False)
+    assert idle.get("/healthz").status_code == 200
+    assert_problem(idle.get("/readyz"), 503, "model_not_ready")
+    for answer in (idle.get("/render"), post(idle)):
+        assert_problem(answer, 503, "model_not_ready")
+        assert int(answer.headers["retry-after"]) > 0
+    assert idle.get("/scenes").json() == {"scenes": []}
+
+
+@pytest.mark.parametrize("content", [None, b"no model"])
+def test_model_that_cannot_be_loaded(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "model.onnx"
+    if content is not None:
+        path.write_bytes(content)
+    app = create_app(Settings(model=path, store=tmp_path / "scenes"))
+    with TestClient(app, raise_server_exceptions=False) as client:
+        deadline = time.monotonic() + 60
+        while (body := client.get("/readyz").json())["state"] == "starting":
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        assert body["state"] == "failed"
+        assert body["code"] == "model_not_ready"
+        assert "model.onnx" in body["detail"]
+        assert client.get("/healthz").status_code == 200
+
+
+def test_page_loads_nothing_from_elsewhere(client: TestClient) -> None:
+    page = client.get("/")
+    assert page.headers["content-type"].startswith("text/html")
+    policy = dict(part.strip().split(" ", 1) for part in page.headers["content-security-policy"].split(";"))
+    assert policy["default-src"] == "'none'"
+    assert policy["script-src"] == policy["style-src"] == "'self'"
+    sources = re.findall(r'(?:src|href|action)="([^"]*)"', page.text)
+    assert sources
+    assert all(source.startswith("/") and not source.startswith("//") for source in sources)
+    assert not re.search(r"<script[^>]*>[^<]|\son\w+=|style=", page.text), "inline code that the policy forbids"
+    for source in sources:
+        if source.startswith("/static/"):
+            answer = client.get(source)
+            assert answer.status_code == 200
+            assert "http://" not in answer.text
+            assert "https://" not in answer.text
+            assert "innerHTML" not in answer.text
+
+
+def test_elements_that_the_script_uses_are_in_the_page(client: TestClient) -> None:
+    used = set(re.findall(r'\$\("([\w-]+)"\)', client.get("/static/page.js").text))
+    there = set(re.findall(r'id="([\w-]+)"', client.get("/").text))
+    assert used
+    assert used <= there
+
+
+@pytest.mark.parametrize("name", ["nothing.js", "..%2fapp.py", "index.html%00", "__init__.py"])
+def test_no_other_file_is_served(client: TestClient, name: str) -> None:
+    assert_problem(client.get(f"/static/{name}"), 404, "route_not_found")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status", "code"),
+    [
+        ("GET", "/nowhere", 404, "route_not_found"),
+        ("GET", "/docs", 404, "route_not_found"),
+        ("GET", "/reconstruct", 405, "method_not_allowed"),
+        ("POST", "/render", 405, "method_not_allowed"),
+        ("PUT", "/scenes", 405, "method_not_allowed"),
+        ("PATCH", "/scenes/abc", 405, "method_not_allowed"),
+        ("DELETE", "/", 405, "method_not_allowed"),
+    ],
+)
+def test_framework_errors_are_problems(client: TestClient, method: str, path: str, status: int, code: str) -> None:
+    answer = client.request(method, path)
+    assert_problem(answer, status, code)
+    if status == 405:
+        assert answer.headers["allow"]
+
+
+def test_unexpected_exception_is_a_problem_without_internals(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    runtime = client.app.state.runtime
+
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("secret")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runtime.reconstructor.__class__, "reconstruct", broken)
+        answer = post(client, [photograph(50), photograph(51)])
+    body = assert_problem(answer, 500, "internal_error")
+    assert "secret" not in answer.text
+    assert "ZeroDivisionError" in body["detail"]
+    assert "secret" in caplog.text
+    again = post(client, [photograph(50), photograph(51)])
+    assert again.status_code == 201
+    client.delete(again.headers["location"])
+
+
+def test_a_full_queue_refuses_with_retry_after(settings: Settings, tmp_path: Path) -> None:
+    full = create_app(settings.model_copy(update={"store": tmp_path, "max_waiting": 0}))
+    with TestClient(full, raise_server_exceptions=False) as client:
+        wait_until_ready(client)
+        full.state.runtime.gate._admitted = 1
+        answer = post(client)
+        assert_problem(answer, 503, "service_busy")
+        assert int(answer.headers["retry-after"]) > 0
+        full.state.runtime.gate._admitted = 0
+        assert post(client).status_code == 201
+
+
+def test_openapi_lists_the_routes(client: TestClient) -> None:
+    document = client.get("/openapi.json").json()
+    assert {"/reconstruct", "/render", "/scenes", "/healthz", "/readyz"} <= set(document["paths"])
+    schema = document["paths"]["/reconstruct"]["post"]["requestBody"]["content"]["multipart/form-data"]["schema"]
+    assert set(schema["required"]) == {"images", "cameras"}
+
+
+def test_import_loads_nothing_heavy() -> None:
+    code = """if True:
+        import sys, gapmes.service.app, gapmes.service.cli
+        heavy = ("torch", "numba", "onnxruntime", "gapmes.model", "gapmes.export")
+        print([name for name in heavy if name in sys.modules])
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,231 @@
+"""The command `gapmes`: what it writes, its exit codes, and one line instead of a traceback."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from rich.console import Console
+
+from gapmes.service import cli, read_ply
+from gapmes.service.commands.selection import view_indices, view_specs
+from gapmes.service.contact_sheet import Cell, Row, contact_sheet, psnr
+from gapmes.service.errors import ViewError
+from gapmes.service.progress import Stages
+from gapmes.service.terminal import ProgressBars
+
+
+@pytest.fixture
+def scene_dir(tmp_path: Path) -> Path:
+    """Four photographs of noise, side by side, with a cameras.json."""
+    (tmp_path / "scene" / "images").mkdir(parents=True)
+    views = []
+    for index in range(4):
+        name = f"images/{index:03d}.png"
+        pixels = np.random.default_rng(index).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+        Image.fromarray(pixels).save(tmp_path / "scene" / name)
+        pose = np.eye(4)
+        pose[0, 3] = 0.2 * index
+        views.append(
+            {
+                "image": name,
+                "width": 64,
+                "height": 48,
+                "fx": 60.0,
+                "fy": 60.0,
+                "cx": 32.0,
+                "cy": 24.0,
+                "c2w": pose.tolist(),
+            }
+        )
+    (tmp_path / "scene" / "cameras.json").write_text(json.dumps({"near": 1.0, "far": 10.0, "views": views}))
+    return tmp_path / "scene"
+
+
+def run(*arguments: object) -> int:
+    """The exit code of `gapmes` with these arguments."""
+    try:
+        cli.main([str(argument) for argument in arguments])
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def reconstruct(scene_dir: Path, model: Path, *more: object) -> int:
+    return run("reconstruct", scene_dir, "--model", model, "--threads", 1, "-o", scene_dir / "out.ply", *more)
+
+
+def test_reconstruct_and_render(scene_dir: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert reconstruct(scene_dir, standin_model, "--views", "0,2", "--json") == 0
+    out, err = capfd.readouterr()
+    document = json.loads(out)
+    assert document["selected_views"] == [0, 2]
+    assert document["gaussians"]["count"] == len(read_ply(scene_dir / "out.ply"))
+    for stage in ("load model", "read images", "cameras", "images", "network", "gaussians", "write .ply"):
+        assert re.search(rf"^{re.escape(stage)} +\d+\.\d\d s$", err, re.MULTILINE), err
+
+    cameras = scene_dir / "cameras.json"
+    out_dir = scene_dir / "views"
+    arguments = ("render", scene_dir / "out.ply", "--cameras", cameras, "-o", out_dir, "--threads", 1)
+    assert run(*arguments, "--views", "1,2.5", "--json") == 0
+    written = json.loads(capfd.readouterr().out)["views"]
+    assert [(entry["view"], entry["width"], entry["height"]) for entry in written] == [("1", 64, 48), ("2.5", 64, 48)]
+    assert sorted(path.name for path in out_dir.iterdir()) == ["view_1.png", "view_2.5.png"]
+
+    assert run(*arguments, "--crop", "square", "--size", "32x32", "--views", "3") == 0
+    assert Image.open(out_dir / "view_3.png").size == (32, 32)
+    assert capfd.readouterr().out == ""
+
+
+def test_reconstruction_is_the_same_twice(scene_dir: Path, standin_model: Path) -> None:
+    assert reconstruct(scene_dir, standin_model, "--views", "0,1") == 0
+    first = (scene_dir / "out.ply").read_bytes()
+    assert reconstruct(scene_dir, standin_model, "--views", "0,1") == 0
+    assert (scene_dir / "out.ply").read_bytes() == first
+
+
+def test_transforms_json_without_sizes(scene_dir: Path, standin_model: Path) -> None:
+    assert reconstruct(scene_dir, standin_model, "--views", "0,1") == 0
+    expected = (scene_dir / "out.ply").read_bytes()
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    cameras = json.loads((scene_dir / "cameras.json").read_text())
+    frames = [
+        {"file_path": view["image"], "transform_matrix": (np.array(view["c2w"]) @ flip).tolist()}
+        for view in cameras["views"]
+    ]
+    (scene_dir / "cameras.json").unlink()
+    (scene_dir / "transforms.json").write_text(json.dumps({"fl_x": 60.0, "frames": frames}))
+    assert reconstruct(scene_dir, standin_model, "--views", "0,1", "--near", 1, "--far", 10) == 0
+    assert (scene_dir / "out.ply").read_bytes() == expected
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--views", "0,9"), "view 9 does not exist"),
+        (("--views", "0"), "need 2 to 6"),
+        (("--views", "0,0"), "given twice"),
+        (("--views", "a,b"), "is not a view index"),
+        (("--near", "5", "--far", "2"), "near"),
+        (("--model", "missing.onnx"), "missing.onnx"),
+    ],
+)
+def test_refusals_of_reconstruct(
+    scene_dir: Path, standin_model: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
+) -> None:
+    if "--views" not in arguments:
+        arguments = (*arguments, "--views", "0,1")
+    assert reconstruct(scene_dir, standin_model, *arguments, "--json") == 1
+    assert_refusal(capfd, words)
+    assert not (scene_dir / "out.ply").exists()
+
+
+def assert_refusal(capfd: pytest.CaptureFixture[str], words: str) -> dict[str, Any]:
+    """One line on stderr, no traceback, and the problem as JSON on stdout."""
+    out, err = capfd.readouterr()
+    lines = [line for line in err.splitlines() if line.startswith("error: ")]
+    assert len(lines) == 1, err
+    assert words in lines[0]
+    assert "Traceback" not in err
+    error = json.loads(out)["error"]
+    assert error["code"]
+    assert error["detail"]
+    return error
+
+
+def test_other_refusals(scene_dir: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    cameras = scene_dir / "cameras.json"
+    missing = tmp_path / "missing"
+    assert run("reconstruct", missing, "-o", tmp_path / "x.ply", "--json") == 1
+    assert_refusal(capfd, "missing")
+    assert run("render", missing, "--cameras", cameras, "-o", tmp_path / "v", "--json") == 1
+    assert_refusal(capfd, "missing")
+    assert run("render", cameras, "--cameras", cameras, "-o", tmp_path / "v", "--json") == 1
+    assert_refusal(capfd, "")
+    assert run("render", cameras, "--cameras", missing, "-o", tmp_path / "v", "--json") == 1
+    assert_refusal(capfd, "missing")
+    assert run("render", cameras, "--cameras", cameras, "-o", tmp_path / "v", "--size", "huge", "--json") == 1
+    assert_refusal(capfd, "is not a size")
+    assert run("render", cameras, "--cameras", cameras, "-o", tmp_path / "v", "--views", "7", "--json") == 1
+    assert_refusal(capfd, "7")
+    (scene_dir / "images" / "000.png").write_text("no image")
+    assert run("reconstruct", scene_dir, "-o", tmp_path / "x.ply", "--model", missing, "--json") == 1
+    assert_refusal(capfd, "missing")
+
+
+def test_image_that_is_none(scene_dir: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (scene_dir / "images" / "002.png").write_text("no image")
+    assert reconstruct(scene_dir, standin_model, "--views", "0,2", "--json") == 1
+    assert assert_refusal(capfd, "view 2")["code"] == "image_unreadable"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("nothing",),
+        ("reconstruct",),
+        ("render", "a.ply"),
+        ("serve", "--port", "x"),
+        ("serve", "--port", "70000"),
+        ("demo", "--what"),
+    ],
+)
+def test_wrong_usage(arguments: tuple[str, ...], capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(*arguments) == 2
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_serve_refuses_before_it_listens(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run("serve", "--model", "missing.onnx") == 1
+    assert "missing.onnx" in capfd.readouterr().err
+    monkeypatch.setenv("GAPMES_MAX_WAITING", "many")
+    assert run("serve") == 1
+    assert "GAPMES_MAX_WAITING" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["serve", "reconstruct", "render", "demo"])
+def test_help(command: str, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(command, "--help") == 0
+    assert "Usage" in capfd.readouterr().out
+
+
+def test_views_on_the_command_line() -> None:
+    assert view_indices("4, 8", 9) == [4, 8]
+    assert view_specs("5,6.5,5") == ["5", "6.5"]
+    for text in ("", "1,,2", "-1", "1.5", "٣"):
+        with pytest.raises(ViewError):
+            view_indices(text, 9)
+    with pytest.raises(ViewError):
+        view_specs("1,,2")
+
+
+def test_progress_is_drawn_on_a_terminal_and_written_elsewhere(capfd: pytest.CaptureFixture[str]) -> None:
+    for terminal in (True, False):
+        console = Console(file=sys.stderr, force_terminal=terminal, width=100, color_system=None)
+        with ProgressBars(console) as bars, Stages(bars).stage("network", 4) as step:
+            step(2)
+        out, err = capfd.readouterr()
+        assert out == ""
+        assert re.search(r"network.* \d\.\d\d s", err)
+        assert ("4/4" in err) == terminal
+
+
+def test_comparison_holds_every_picture() -> None:
+    colours = [(200, 0, 0), (0, 200, 0), (0, 0, 200)]
+    cells = [Cell(np.full((256, 256, 3), colour, np.uint8), "label") for colour in colours]
+    sheet = np.asarray(contact_sheet([Row("One", cells[:1]), Row("Two", cells[1:])]))
+    for colour in colours:
+        assert (sheet == colour).all(axis=2).sum() == 256 * 256
+
+
+def test_psnr_is_the_formula() -> None:
+    a = np.zeros((4, 4, 3), np.uint8)
+    assert psnr(a, a) == float("inf")
+    assert psnr(a, a + 255) == pytest.approx(0.0)
+    assert psnr(a, a + 51) == pytest.approx(-20 * np.log10(0.2))

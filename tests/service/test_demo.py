@@ -1,0 +1,98 @@
+"""The demonstration from end to end over a stand-in model; the service it starts never outlives it unasked."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from PIL import Image
+
+from gapmes.service import read_ply
+
+COMMAND = [sys.executable, "-m", "gapmes.service.cli", "demo"]
+
+
+@pytest.fixture
+def environment(standin_model: Path) -> dict[str, str]:
+    return os.environ | {"GAPMES_MODEL": str(standin_model), "GAPMES_THREADS": "1", "KEEP": ""}
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def wait_for(condition: object, seconds: float = 120) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_demo_leaves_its_files_and_stops_its_service(tmp_path: Path, environment: dict[str, str]) -> None:
+    done = subprocess.run([*COMMAND, "-o", tmp_path, "--json"], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    pictures = [f"view_{number}.png" for number in range(4)]
+    expected = ["comparison.png", "scene.ply", "server.log", *pictures]
+    assert sorted(path.name for path in tmp_path.iterdir()) == expected
+    assert len(result["psnr_db"]) == 4
+    assert all(np.isfinite(result["psnr_db"]))
+    assert len(read_ply(tmp_path / "scene.ply")) > 0
+    for name in pictures:
+        assert np.asarray(Image.open(tmp_path / name)).std() > 5, "an empty picture"
+    assert result["address"] in done.stderr
+    for stage in ("start service", "reconstruct", "network", "render views", "compare"):
+        assert stage in done.stderr
+    with pytest.raises(httpx.ConnectError):
+        httpx.get(result["address"] + "/healthz")
+
+
+def test_keep_leaves_the_service(tmp_path: Path, environment: dict[str, str]) -> None:
+    done = subprocess.run(
+        [*COMMAND, "-o", tmp_path, "--json"], env=environment | {"KEEP": "1"}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    try:
+        scenes = httpx.get(result["address"] + "/scenes").json()["scenes"]
+        assert [scene["id"] for scene in scenes] == [result["scene"]]
+    finally:
+        os.kill(result["pid"], signal.SIGTERM)
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_interruption_stops_the_service(tmp_path: Path, environment: dict[str, str], ending: signal.Signals) -> None:
+    with subprocess.Popen([*COMMAND, "-o", tmp_path, "--keep"], env=environment, stderr=subprocess.PIPE) as demo:
+        log = tmp_path / "server.log"
+        wait_for(lambda: log.exists() and b"Started server process" in log.read_bytes())
+        server = int(log.read_text().split("Started server process [")[1].split("]")[0])
+        demo.send_signal(ending)
+        assert demo.wait(30) != 0
+    wait_for(lambda: not alive(server))
+
+
+def test_failure_is_one_line_and_stops_the_service(tmp_path: Path, environment: dict[str, str]) -> None:
+    model = tmp_path / "model.onnx"
+    model.write_bytes(b"no model")
+    done = subprocess.run(
+        [*COMMAND, "-o", tmp_path], env=environment | {"GAPMES_MODEL": str(model)}, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    assert len(lines) == 1
+    assert "model.onnx" in lines[0]
+    server = int((tmp_path / "server.log").read_text().split("Started server process [")[1].split("]")[0])
+    assert not alive(server)

@@ -1,0 +1,145 @@
+"""The depth range: the formula on cameras whose convergence is known, invariance, and refusals."""
+
+import math
+
+import numpy as np
+import pytest
+
+from gapmes.service.camera import Camera
+from gapmes.service.depth_range import convergence_depths, depth_range, largest_baseline
+from gapmes.service.errors import BaselineError, DepthRangeError
+from gapmes.service.overlap import best_partner_shares, inverse_depth_steps, shared_shares
+from gapmes.service.rotations import about_axis
+
+
+def look_at(center, target, width=64, height=64, focal=60.0):
+    z = np.asarray(target, float) - center
+    z = z / np.linalg.norm(z)
+    x = np.cross([0.0, 1.0, 0.0], z)
+    x = x / np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    pose[:3, 3] = center
+    return Camera.make(width, height, focal, focal, width / 2, height / 2, pose)
+
+
+def arc(angles, distance=6.0, target=(1.0, 2.0, 3.0)):
+    return [look_at(np.add(target, [distance * math.sin(a), 0, -distance * math.cos(a)]), target) for a in angles]
+
+
+def side_by_side(count=2, step=0.1, rotation=None):
+    rotation = np.eye(3) if rotation is None else rotation
+    cameras = []
+    for i in range(count):
+        pose = np.eye(4)
+        pose[:3, :3] = rotation
+        pose[:3, 3] = rotation[:, 0] * step * i
+        cameras.append(Camera.make(64, 64, 60, 60, 32, 32, pose))
+    return cameras
+
+
+def test_axes_that_meet_are_found_exactly():
+    np.testing.assert_allclose(convergence_depths(arc([-0.2, 0.1, 0.3])), 6.0, rtol=1e-12)
+    skew = [look_at(np.array([0.0, 0, 0]), (0, 0, 5)), look_at(np.array([1.0, 0.2, 0]), (0, 0.2, 5))]
+    depths = convergence_depths(skew)  # the axes pass each other at 0.2; the point lies between them
+    np.testing.assert_allclose(depths, [5.0, math.sqrt(26)], rtol=1e-9)
+
+
+def test_estimate_is_the_documented_formula():
+    estimate = depth_range(arc([-0.05, 0.05]))
+    assert estimate.source == "estimated"
+    assert (estimate.near, estimate.far) == (pytest.approx(6 / 5), pytest.approx(30))
+    across = depth_range(side_by_side(3, step=0.1))  # B = 0.2, all of it across
+    assert (across.near, across.far) == (pytest.approx(0.4), pytest.approx(10))
+    walk = side_by_side(1)
+    ahead = np.eye(4)
+    ahead[2, 3] = 0.5
+    walk.append(walk[0].posed(ahead))
+    along = depth_range(walk)
+    assert along.far == pytest.approx(25)
+    assert along.near >= 0.4 * 0.5
+
+
+def test_near_is_drawn_in_to_where_two_views_share_a_tenth():
+    cameras = arc([-0.6, 0.6])
+    estimate = depth_range(cameras)
+    assert estimate.near > 6 / 5
+    assert best_partner_shares(cameras, [estimate.near, estimate.far]).max(axis=0).min() >= 0.1
+    assert estimate.near < 6 < estimate.far
+
+
+@pytest.mark.parametrize("flip", [np.diag([1.0, -1.0, -1.0, 1.0])])
+def test_axes_that_meet_behind_do_not_count(flip):
+    assert convergence_depths([camera.posed(camera.world_from_cam @ flip) for camera in arc([-0.2, 0.2])]) is None
+
+
+def test_the_estimate_moves_with_the_world_and_its_unit():
+    rotation = about_axis(np.array([0.6, 0.8, 0.0]), 1.0)
+    for cameras in (arc([-0.2, 0.1, 0.3]), side_by_side(3)):
+        plain = depth_range(cameras)
+        for unit, offset in ((1e-3, 0.0), (1.0, 1e6), (2.5, -1e5)):
+            moved = []
+            for camera in cameras:
+                pose = np.eye(4)
+                pose[:3, :3] = rotation @ camera.rotation
+                pose[:3, 3] = unit * (rotation @ camera.center) + offset
+                moved.append(camera.posed(pose))
+            other = depth_range(moved)
+            # An offset of 1e6 leaves 1e-10 of a camera position; across 0.1 units that is 1e-9 of the depth.
+            assert other.near == pytest.approx(unit * plain.near, rel=1e-7)
+            assert other.far == pytest.approx(unit * plain.far, rel=1e-7)
+
+
+def test_a_given_range_is_taken_as_it_is():
+    given = depth_range(side_by_side(), 0.5, 9)
+    assert (given.near, given.far, given.source) == (0.5, 9.0, "given")
+    assert given.middle == pytest.approx(math.sqrt(4.5))
+
+
+@pytest.mark.parametrize(
+    ("near", "far", "match"),
+    [
+        (2.0, 1.0, "near = 2, far = 1, need near < far"),
+        (1.0, 1.0, "need near < far"),
+        (0.0, 1.0, "near = 0, need a finite depth above 0"),
+        (-1.0, 1.0, "near = -1"),
+        (1.0, math.inf, "far = inf"),
+        (math.nan, 1.0, "near = nan"),
+        (None, 1.0, "near is missing"),
+        (1.0, None, "far is missing"),
+    ],
+)
+def test_what_is_no_range_is_refused(near, far, match):
+    with pytest.raises(DepthRangeError, match=match):
+        depth_range(side_by_side(), near, far)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_cameras_in_one_place_have_no_depth(offset):
+    cameras = []
+    for angle in (0.0, 0.3):
+        pose = np.eye(4)
+        pose[:3, :3] = about_axis(np.array([0.0, 1.0, 0.0]), angle)
+        pose[:3, 3] = offset
+        cameras.append(Camera.make(64, 64, 60, 60, 32, 32, pose))
+    with pytest.raises(BaselineError, match="stand in one place"):
+        depth_range(cameras)
+    with pytest.raises(BaselineError):
+        largest_baseline(cameras)
+
+
+def test_shares_are_the_areas_of_shifted_squares():
+    """Side by side, a plane at depth z is shifted by f b / z px: the share is 1 minus that over the width."""
+    cameras = side_by_side(2, step=0.5)
+    depths = [1.0, 2.0, 4.0, 100.0]
+    shares = shared_shares(cameras, depths)
+    expected = [max(0.0, 1 - 60 * 0.5 / z / 64) for z in depths]
+    np.testing.assert_allclose(shares[0, 1], expected, atol=1 / 12)
+    np.testing.assert_allclose(shares[1, 0], expected, atol=1 / 12)
+    np.testing.assert_array_equal(shares[0, 0], 1.0)
+
+
+def test_inverse_depth_steps():
+    steps = inverse_depth_steps(0.5, 8, 16)
+    assert (steps[0], steps[-1]) == (pytest.approx(0.5), pytest.approx(8))
+    np.testing.assert_allclose(np.diff(1 / steps), -(2 - 1 / 8) / 15)

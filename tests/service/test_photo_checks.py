@@ -1,0 +1,126 @@
+"""Do the photographs agree with the cameras: drawn photographs of a plane, under right and wrong poses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plane_scene import DEPTH, PlaneScene
+
+from gapmes.service.camera import rigid_inverse
+from gapmes.service.depth_range import DepthRange
+from gapmes.service.errors import ContradictionError
+from gapmes.service.images import Photo, fit_view
+from gapmes.service.photo_checks import check_photos, coarse_view, consistency, warp_to
+from gapmes.service.rotations import about_axis
+from gapmes.service.window_match import RADIUS, match_score, window_mean
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+DEPTHS = DepthRange(2.0, 8.0, "given")
+WRONG = {
+    "world-to-camera matrices: ": rigid_inverse,
+    "OpenGL axes": lambda pose: pose @ FLIP,
+    "world-to-camera matrices in OpenGL axes": lambda pose: rigid_inverse(pose @ FLIP),
+}
+
+
+def fitted(scene, change=lambda pose: pose, size=(72, 96)):
+    views = [fit_view(Photo(i), c, *size) for i, c in zip(scene.images, scene.cameras, strict=True)]
+    return [replace(v, camera=v.camera.posed(change(v.camera.world_from_cam))) for v in views]
+
+
+@pytest.fixture(scope="module")
+def off_origin(plane_scene):
+    """The plane in a world whose origin is elsewhere and whose axes are turned, as in any real file."""
+    return plane_scene.moved(about_axis(np.array([0.6, 0.0, 0.8]), 1.2), np.array([5.0, -3.0, 8.0]), 1.0)
+
+
+def test_right_poses_pass(plane_scene, off_origin):
+    assert check_photos(fitted(plane_scene), DEPTHS) == []
+    assert check_photos(fitted(off_origin), DEPTHS) == []
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_wrong_readings_are_named(off_origin, wrong):
+    with pytest.raises(ContradictionError, match="match with score") as caught:
+        check_photos(fitted(off_origin, WRONG[wrong]), DEPTHS)
+    assert wrong in caught.value.cure
+    assert caught.value.extra["other_score"] > caught.value.extra["score"] + 0.15
+
+
+def test_swapped_cameras_of_two_photographs_are_noticed():
+    scene = PlaneScene.make(np.random.default_rng(5), count=2, turn=0)
+    views = fitted(scene)
+    swapped = [replace(v, camera=o.camera) for v, o in zip(views, reversed(views), strict=True)]
+    assert check_photos(views, DEPTHS) == []
+    with pytest.raises(ContradictionError) as caught:
+        check_photos(swapped, DEPTHS)
+    assert "the cameras of the other photograph" in caught.value.cure
+
+
+def test_unrelated_photographs_are_a_warning(plane_scene):
+    others = [PlaneScene.make(np.random.default_rng(seed)).images[0] for seed in (1, 2, 3)]
+    notices = check_photos(fitted(replace(plane_scene, images=tuple(others))), DEPTHS)
+    assert [notice["code"] for notice in notices] in (["photos_hardly_match"], ["poses_doubtful"])
+
+
+def test_photographs_without_texture_are_a_warning(plane_scene):
+    flat = tuple(np.full_like(image, 90) for image in plane_scene.images)
+    notices = check_photos(fitted(replace(plane_scene, images=flat)), DEPTHS)
+    assert [notice["code"] for notice in notices] == ["no_texture"]
+
+
+def test_the_score_is_highest_at_the_true_depth(plane_scene):
+    coarse = [coarse_view(view) for view in fitted(plane_scene)]
+    cameras = [view.camera for view in coarse]
+    around = [consistency(coarse, cameras, DepthRange(z, z * 1.0001, "given")) for z in (2.5, 3.3, DEPTH, 5.0, 8.0)]
+    assert int(np.argmax(around)) == 2
+    assert around[2] > 0.9
+
+
+def test_warping_at_the_true_depth_reproduces_the_photograph(plane_scene):
+    """Camera 0 looks nearly along z and the plane is z = 4; each view sees it at about that depth."""
+    views = [coarse_view(view) for view in fitted(plane_scene)]
+    straight = np.eye(4)
+    camera = views[0].camera.posed(straight)
+    warps = [warp_to(v.grey.shape, camera, v.grey, v.camera, np.array([DEPTH])) for v in views]
+    both = warps[0][1][0] & warps[1][1][0]
+    assert both.mean() > 0.5
+    np.testing.assert_allclose(warps[0][0][0][both], warps[1][0][0][both], atol=0.08)  # bilinear blur; contrast is 0.6
+    assert np.corrcoef(warps[0][0][0][both], warps[1][0][0][both])[0, 1] > 0.99
+
+
+def test_coarse_views_are_block_means_with_their_camera(plane_scene):
+    view = fitted(plane_scene, size=(192, 256))[1]
+    coarse = coarse_view(view)
+    assert coarse.grey.shape == (64, 85)
+    assert coarse.grey[3, 4] == pytest.approx(view.image[:, 9:12, 12:15].mean(), abs=1e-6)
+    pixels, _ = coarse.camera.project(view.camera.unproject(np.array([[30.0, 60.0]]), np.array([2.0])))
+    np.testing.assert_allclose(pixels, [[10.0, 20.0]], atol=1e-12)
+
+
+def test_window_means_and_correlation_by_brute_force():
+    rng = np.random.default_rng(0)
+    a, b = rng.random((9, 11)), rng.random((2, 9, 11))
+    seen = rng.random((2, 9, 11)) > 0.2
+    means = window_mean(a)
+    best, weights = np.full((9, 11), -1.0), np.zeros((9, 11))
+    for y in range(9):
+        for x in range(11):
+            window = np.s_[max(0, y - RADIUS) : y + RADIUS + 1, max(0, x - RADIUS) : x + RADIUS + 1]
+            assert means[y, x] == pytest.approx(a[window].mean())
+            for d in range(2):
+                ok = seen[d][window]
+                if ok.mean() >= 0.6:
+                    weights[y, x] = a[window].std()
+                    best[y, x] = max(best[y, x], np.corrcoef(a[window][ok], b[d][window][ok])[0, 1])
+    expected = (np.clip(best, 0, 1) * weights).sum() / weights.sum()
+    score, total = match_score(a, b, seen)
+    assert score == pytest.approx(expected, abs=1e-5)
+    assert total == pytest.approx(weights.sum(), rel=1e-5)
+
+
+def test_a_picture_matches_itself_whatever_the_exposure():
+    picture = np.random.default_rng(1).random((20, 20))
+    score, _ = match_score(picture, 0.3 * picture[None] + 0.2, np.ones((1, 20, 20), bool))
+    assert score == pytest.approx(1, abs=1e-4)
+    assert match_score(picture, picture[None], np.zeros((1, 20, 20), bool)) == (0.0, 0.0)

@@ -1,0 +1,224 @@
+"""Reconstruction with the stand-in network: its Gaussians are known in closed form, in any world and unit."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from standin_model import BAND_1, C0, EXTRA, HEIGHT, OPACITY, ROTATION, SCALES, WIDTH
+
+from gapmes.service.camera import Camera
+from gapmes.service.errors import (
+    CameraError,
+    ContradictionError,
+    DepthRangeError,
+    ImageError,
+    ModelError,
+    ViewCountError,
+)
+from gapmes.service.harmonics import evaluate_basis
+from gapmes.service.images import Photo, fit_view
+from gapmes.service.reconstruct import Reconstructor
+from gapmes.service.rotations import about_axis, matrix_from_quaternion
+
+# The network's frame is float32 with near = 1: positions up to `far / near` units carry 24 bits.
+RTOL_F32 = 2e-6  # of the depth; worst 3e-7 over the cases below
+
+
+@pytest.fixture(scope="module")
+def reconstructor(engine):
+    return Reconstructor(engine)
+
+
+@pytest.fixture(scope="module")
+def scene(reconstructor, plane_scene):
+    return reconstructor.reconstruct(
+        plane_scene.images, plane_scene.cameras, near=plane_scene.near, far=plane_scene.far
+    )
+
+
+def pixel_centres():
+    return np.stack(np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5), -1).reshape(-1, 2)
+
+
+def test_every_pixel_lies_on_the_ray_of_its_photograph(scene, plane_scene):
+    """Pixel of the crop -> the network's point -> the caller's camera: the photograph's pixel, to 1e-4 px."""
+    depth = math.sqrt(plane_scene.near * plane_scene.far)
+    per_view = HEIGHT * WIDTH
+    for index, (camera, view) in enumerate(zip(plane_scene.cameras, scene.view_cameras, strict=True)):
+        means = scene.gaussians.means[index * per_view : (index + 1) * per_view]
+        pixels, z = camera.project(means)
+        np.testing.assert_allclose(z, depth, rtol=RTOL_F32)
+        scale = min(camera.width / WIDTH, camera.height / HEIGHT)
+        corner = (camera.width - WIDTH * scale) / 2, (camera.height - HEIGHT * scale) / 2
+        np.testing.assert_allclose(pixels, pixel_centres() * scale + corner, atol=1e-4)
+        np.testing.assert_allclose(means, view.unproject(pixel_centres(), np.full(per_view, depth)), rtol=0, atol=1e-5)
+
+
+def test_scales_rotations_and_colours_are_in_the_world(scene, plane_scene):
+    gaussians, first = scene.gaussians, plane_scene.cameras[0]
+    depth = math.sqrt(plane_scene.near * plane_scene.far)
+    np.testing.assert_allclose(gaussians.scales, np.tile(SCALES * depth, (len(gaussians), 1)), rtol=RTOL_F32)
+    expected = first.rotation @ matrix_from_quaternion(ROTATION)
+    np.testing.assert_allclose(matrix_from_quaternion(gaussians.rotations_wxyz[5]), expected, atol=1e-6)
+    view = fit_view(Photo(plane_scene.images[1]), plane_scene.cameras[1], HEIGHT, WIDTH)
+    dc = gaussians.harmonics[HEIGHT * WIDTH : 2 * HEIGHT * WIDTH, 0]
+    np.testing.assert_allclose(0.5 + C0 * dc, view.image.reshape(3, -1).T, atol=1e-6)
+    # the first band, seen from a world direction, is the network's seen from that direction in camera 0
+    d = np.array([[0.6, -0.48, 0.64]])
+    world = evaluate_basis(d, 1)[:, 1:] @ gaussians.harmonics[7, 1:]
+    np.testing.assert_allclose(world, evaluate_basis(d @ first.rotation, 1)[:, 1:] @ BAND_1, atol=1e-6)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 3.7, 1e4])
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_gaussians_move_with_the_world(reconstructor, scene, plane_scene, unit, offset):
+    """x -> unit R x + t: the same Gaussians moved, as far as float64 holds an origin that far away."""
+    rotation = about_axis(np.array([0.48, -0.6, 0.64]), 2.3)
+    translation = offset * unit * np.array([1.0, -0.7, 0.4])
+    moved = plane_scene.moved(rotation, translation, unit)
+    result = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far).gaussians
+    # In units: float32 inside the frame, and the rounding of camera positions at the offset (2^-53 * 1e6 = 1e-10).
+    atol = 1e-5 if offset == 0 else 1e-5 + 1e-9
+    expected = scene.gaussians.means @ rotation.T
+    assert result.means.dtype == np.float64
+    np.testing.assert_allclose((result.means - translation) / unit, expected, rtol=0, atol=atol)
+    np.testing.assert_allclose(result.scales, scene.gaussians.scales * unit, rtol=1e-6)
+    np.testing.assert_array_equal(result.opacities, scene.gaussians.opacities)
+    turned = rotation @ matrix_from_quaternion(scene.gaussians.rotations_wxyz[0])
+    np.testing.assert_allclose(matrix_from_quaternion(result.rotations_wxyz[0]), turned, atol=1e-6)
+    np.testing.assert_allclose(result.harmonics[:, 0], scene.gaussians.harmonics[:, 0], atol=1e-6)
+    d = np.array([[0.0, 0.6, 0.8]])
+    before = evaluate_basis(d, 1) @ scene.gaussians.harmonics[3]
+    np.testing.assert_allclose(evaluate_basis(d @ rotation.T, 1) @ result.harmonics[3], before, atol=1e-6)
+
+
+def test_a_far_origin_keeps_every_pixel(reconstructor, plane_scene):
+    """At 1e6 units a float32 world would be off by tens of pixels; here the rays still meet theirs."""
+    moved = plane_scene.moved(np.eye(3), np.array([1e6, -2e6, 5e5]), 1.0)
+    result = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far)
+    pixels, _ = result.view_cameras[1].project(result.gaussians.means[HEIGHT * WIDTH : 2 * HEIGHT * WIDTH])
+    np.testing.assert_allclose(pixels, pixel_centres(), atol=1e-4)  # worst 1.3e-5
+
+
+def test_estimated_depths_move_with_the_world_too(reconstructor, plane_scene):
+    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras)
+    moved = plane_scene.moved(about_axis(np.array([1.0, 0, 0]), 0.4), np.array([10.0, 20.0, -5.0]), 250.0)
+    far_off = reconstructor.reconstruct(moved.images, moved.cameras)
+    assert plain.document["depth_range_source"] == "estimated"
+    for name in ("near", "far"):
+        assert far_off.document[name] == pytest.approx(250.0 * plain.document[name], rel=1e-6)
+    np.testing.assert_allclose(far_off.gaussians.scales, 250 * plain.gaussians.scales, rtol=1e-5)
+
+
+def test_document_is_plain_json_and_complete(scene, plane_scene, engine):
+    document = json.loads(json.dumps(scene.document, allow_nan=False))
+    assert document["model"]["file_sha256"] == engine.info.file_sha256
+    assert (document["near"], document["far"], document["depth_range_source"]) == (2.0, 8.0, "given")
+    assert len(document["cameras"]) == len(document["view_cameras"]) == len(plane_scene.cameras)
+    assert document["gaussians"] == {"count": 3 * (HEIGHT * WIDTH + EXTRA), "sh_degree": 1}
+    assert document["dropped"] == []
+    assert document["warnings"] == []
+    assert list(document["timings"]) == ["cameras", "images", "network", "gaussians"]
+    assert document["routing"]["patches_per_expert"] == {"0": 0, "1": 36, "2": 0, "3": 0, "4": 36}
+    assert sum(document["routing"]["mean_task_weight"].values()) == pytest.approx(1)
+    assert document["crop"][0]["kept_share"] == 1.0
+
+
+def test_stages_are_heard_in_order(reconstructor, plane_scene):
+    heard = []
+    reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, listener=heard.append)
+    assert [e.name for e in heard if e.seconds is not None] == ["cameras", "images", "network", "gaussians"]
+    assert [e.done for e in heard if e.name == "images"] == [0, 1, 2, 3, 4]
+
+
+def test_masked_pixels_and_patches_are_left_out_and_counted(reconstructor, plane_scene):
+    images = []
+    for image in plane_scene.images:
+        alpha = np.full((*image.shape[:2], 1), 255, np.uint8)
+        alpha[:, :40] = 0  # the left 40 of 96 columns: 26.67 of 64 in the crop
+        images.append(np.concatenate([image, alpha], axis=2))
+    result = reconstructor.reconstruct(images, plane_scene.cameras, near=2, far=8)
+    kept_columns = WIDTH - 27
+    dropped = {entry["reason"]: entry["count"] for entry in result.document["dropped"]}
+    assert dropped["opacity is 0"] == 3 * HEIGHT * 16  # one column of patches has no kept pixel
+    assert dropped["its pixel is masked"] == 3 * HEIGHT * 11
+    extra = len(result.gaussians) - 3 * HEIGHT * kept_columns
+    assert extra + dropped.get("behind masked pixels only", 0) == 3 * EXTRA
+    assert 0 < extra < 3 * EXTRA
+    pixels, _ = result.view_cameras[0].project(result.gaussians.means[: HEIGHT * kept_columns])
+    assert pixels[:, 0].min() > 27
+    assert (result.gaussians.opacities == np.float32(OPACITY)).all()
+
+
+def test_a_smaller_copy_of_the_photographs_gives_the_same_rays(reconstructor, plane_scene):
+    """A camera file made for the originals goes with photographs of half the size."""
+    doubled = [camera.resized(192, 144) for camera in plane_scene.cameras]
+    result = reconstructor.reconstruct(plane_scene.images, doubled, near=2, far=8)
+    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8)
+    np.testing.assert_array_equal(result.gaussians.means, plain.gaussians.means)
+
+
+def test_more_views_than_two_and_in_any_order(reconstructor, plane_scene):
+    order = [2, 0, 1]
+    result = reconstructor.reconstruct(
+        [plane_scene.images[i] for i in order], [plane_scene.cameras[i] for i in order], near=2, far=8
+    )
+    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8)
+    per_view = HEIGHT * WIDTH
+    for place, index in enumerate(order):
+        np.testing.assert_allclose(
+            result.gaussians.means[place * per_view : (place + 1) * per_view],
+            plain.gaussians.means[index * per_view : (index + 1) * per_view],
+            atol=1e-5,
+        )
+
+
+def refused(reconstructor, plane_scene, error, match, *, images=None, cameras=None, **depths):
+    images = plane_scene.images if images is None else images
+    cameras = plane_scene.cameras if cameras is None else cameras
+    with pytest.raises(error, match=match) as caught:
+        reconstructor.reconstruct(images, cameras, **depths)
+    return caught.value
+
+
+def test_wrong_input_is_refused_with_its_index(reconstructor, plane_scene):
+    images, cameras = list(plane_scene.images), list(plane_scene.cameras)
+    refused(reconstructor, plane_scene, ViewCountError, "3 images and 2 cameras", cameras=cameras[:2])
+    refused(reconstructor, plane_scene, ViewCountError, "1 views, need 2 to 6", images=images[:1], cameras=cameras[:1])
+    refused(reconstructor, plane_scene, ViewCountError, "7 views", images=[images[0]] * 7, cameras=[cameras[0]] * 7)
+    refused(reconstructor, plane_scene, DepthRangeError, "far is missing", near=1.0)
+    error = refused(
+        reconstructor, plane_scene, ImageError, "need uint8", images=[images[0], images[1] / 255, images[2]]
+    )
+    assert error.index == 1
+    error = refused(
+        reconstructor,
+        plane_scene,
+        ImageError,
+        "72 x 96 px, its camera 96 x 72",
+        images=[*images[:2], images[2].transpose(1, 0, 2)],
+    )
+    assert error.index == 2
+    error = refused(reconstructor, plane_scene, CameraError, "is a dict", cameras=[*cameras[:2], {}])
+    assert error.index == 2
+
+
+def test_photographs_contradict_flipped_axes(reconstructor, plane_scene):
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    cameras = [camera.posed(camera.world_from_cam @ flip) for camera in plane_scene.cameras]
+    error = refused(reconstructor, plane_scene, ContradictionError, "match with score", cameras=cameras, near=2, far=8)
+    assert "OpenGL axes" in error.cure
+
+
+def test_a_missing_model_is_named_at_once(tmp_path):
+    with pytest.raises(ModelError, match="cannot be read"):
+        Reconstructor(tmp_path / "none.onnx")
+
+
+def test_near_and_far_beyond_float32_units(reconstructor, plane_scene):
+    """A scene in units of 1e30: the network's frame divides by near, and only the last scaling is in float64."""
+    moved = plane_scene.moved(np.eye(3), np.zeros(3), 1e30)
+    result = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far)
+    assert np.isfinite(result.gaussians.means).all()
+    assert isinstance(result.cameras[0], Camera)

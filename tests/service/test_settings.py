@@ -1,0 +1,51 @@
+"""The settings: read from the environment, checked, and every one of them in the documentation's table."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from gapmes.service.settings import Settings, default_store
+
+TABLE = Path(__file__).parents[2] / "docs" / "settings.md"
+
+
+def documented() -> dict[str, tuple[str, str]]:
+    """Variable -> (default, meaning), as docs/settings.md has them."""
+    rows = re.findall(r"^\| `(GAPMES_\w+)` \| (.*?) \| (.*?) \|$", TABLE.read_text(encoding="utf-8"), re.MULTILINE)
+    return {name: (default.strip("`"), meaning) for name, default, meaning in rows}
+
+
+def test_every_setting_is_documented_with_its_default_and_meaning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_DATA_HOME", raising=False)
+    expected = {}
+    for name, field in Settings.model_fields.items():
+        default = field.get_default(call_default_factory=True)
+        shown = "" if default is None else str(default).replace(str(Path.home()), "~")
+        expected[f"GAPMES_{name.upper()}"] = (shown, field.description)
+    assert documented() == expected
+
+
+def test_environment_overrides_defaults_and_arguments_override_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GAPMES_PORT", "1234")
+    monkeypatch.setenv("GAPMES_THREADS", "")
+    assert Settings().port == 1234
+    assert Settings().threads is None
+    assert Settings(port=99).port == 99
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("PORT", "70000"), ("THREADS", "0"), ("PORT", "http"), ("CONCURRENCY", "0")]
+)
+def test_nonsense_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
+    monkeypatch.setenv(f"GAPMES_{name}", value)
+    with pytest.raises(ValidationError):
+        Settings()
+
+
+def test_store_follows_the_user_data_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", "/data")
+    assert default_store() == Path("/data/gapmes/scenes")
