@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import onnx
@@ -34,8 +36,7 @@ def export_graph(network: GaPMeS, height: int, width: int) -> onnx.ModelProto:
     views = Dim("V", min=MIN_VIEWS, max=MAX_VIEWS)
     shapes = {name: {0: views} for name in INPUTS}
     shapes["near_far"] = {}
-    verbosity = logging.getLogger("torch.onnx").level
-    with torch.no_grad(), folded_position_embeddings(network, height, width):
+    with torch.no_grad(), folded_position_embeddings(network, height, width), _quiet_exporter():
         program = torch.onnx.export(
             graph,
             example.tensors(),
@@ -46,13 +47,28 @@ def export_graph(network: GaPMeS, height: int, width: int) -> onnx.ModelProto:
             opset_version=OPSET,
             verbose=False,
         )
-    logging.getLogger("torch.onnx").setLevel(verbosity)
     if program is None:
         raise ValueError("the exporter returned nothing")
     model = program.model_proto
     strip_tracing_notes(model)
     onnx.checker.check_model(model, full_check=True)
     return onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True)
+
+
+@contextmanager
+def _quiet_exporter() -> Iterator[None]:
+    """The exporter warns of parts of torch that are not installed and of its own deprecations; neither concerns us."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module=r"torch\..*|copyreg")
+            warnings.simplefilter("ignore", FutureWarning)
+            warnings.simplefilter("ignore", DeprecationWarning)
+            yield
+    finally:
+        logger.setLevel(level)
 
 
 def strip_tracing_notes(model: onnx.ModelProto) -> None:

@@ -48,7 +48,7 @@ def test_axes_that_meet_are_found_exactly():
 def test_estimate_is_the_documented_formula():
     estimate = depth_range(arc([-0.05, 0.05]))
     assert estimate.source == "estimated"
-    assert (estimate.near, estimate.far) == (pytest.approx(6 / 5), pytest.approx(30))
+    assert (estimate.near, estimate.far) == (pytest.approx(6 / 8), pytest.approx(48))
     across = depth_range(side_by_side(3, step=0.1))  # B = 0.2, all of it across
     assert (across.near, across.far) == (pytest.approx(0.4), pytest.approx(10))
     walk = side_by_side(1)
@@ -63,7 +63,7 @@ def test_estimate_is_the_documented_formula():
 def test_near_is_drawn_in_to_where_two_views_share_a_tenth():
     cameras = arc([-0.6, 0.6])
     estimate = depth_range(cameras)
-    assert estimate.near > 6 / 5
+    assert estimate.near > 6 / 8
     assert best_partner_shares(cameras, [estimate.near, estimate.far]).max(axis=0).min() >= 0.1
     assert estimate.near < 6 < estimate.far
 

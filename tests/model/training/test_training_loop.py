@@ -1,0 +1,95 @@
+"""The training loop: a killed run that resumes ends with the weights of an unbroken one, and the loss falls."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numba
+import pytest
+import torch
+
+from gapmes.model.checkpoint import load_checkpoint
+from gapmes.model.config import preset
+from gapmes.model.training import loop
+from gapmes.model.training.recipe import Phase, Recipe
+from gapmes.model.training.scenes import SceneSampler
+from gapmes.model.training.step import to_tensors
+
+SMALL = replace(
+    Recipe(), steps=4, warm_up=2, phases=(Phase(0.5, 32, 1, (2, 3), (0.1, 0.4)), Phase(0.5, 48, 1, (2,), (0.1, 0.4)))
+)
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+    numba.set_num_threads(1)
+
+
+def run(recipe: Recipe, folder: Path) -> None:
+    loop.train(preset("tiny"), recipe, folder, validate_every=2, validation_scenes=1, save_seconds=0.0)
+
+
+def test_a_killed_run_resumes_to_the_same_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(SMALL, tmp_path / "whole")
+    real, done = loop._step, []
+
+    def killed(*arguments: object) -> object:
+        if len(done) == 2:
+            raise KeyboardInterrupt
+        done.append(1)
+        return real(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop, "_step", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run(SMALL, tmp_path / "broken")
+    run(SMALL, tmp_path / "broken")
+    whole, broken = (load_checkpoint(tmp_path / name / loop.WEIGHTS) for name in ("whole", "broken"))
+    assert all(torch.equal(a, b) for a, b in zip(whole.parameters(), broken.parameters(), strict=True))
+    rows = [json.loads(line) for line in (tmp_path / "broken" / loop.LOG).read_text().splitlines()]
+    assert [row["step"] for row in rows] == [2, 4]
+    assert set(rows[0]["validation"]) == {"wide", "narrow"}
+
+
+def test_the_loss_on_one_scene_falls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thirty steps on a single scene: the parts that can only fall by learning do fall."""
+    batch = SceneSampler(3, "train").batch(1, 2, 2, 32, baseline=(0.2, 0.2001))
+    monkeypatch.setattr(SceneSampler, "batch", lambda *_, **__: batch)
+    parts: list[dict[str, float]] = []
+    real = loop.training_loss
+
+    def recorded(*arguments: object) -> object:
+        loss, values = real(*arguments)
+        parts.append(values)
+        return loss, values
+
+    monkeypatch.setattr(loop, "training_loss", recorded)
+    recipe = replace(SMALL, steps=30, zoom_share=0.0, input_noise=0.0, phases=(Phase(1.0, 32, 1, (2,), (0.2, 0.2)),))
+    loop.train(preset("tiny"), recipe, tmp_path, validate_every=100, validation_scenes=1, save_seconds=1e9)
+    first, last = parts[0], parts[-1]
+    # measured over five seeds: colour error to 0.3-0.6 of the first, depth error to 0.1-0.4
+    assert last["mse"] < 0.8 * first["mse"]
+    assert last["depth"] < 0.6 * first["depth"]
+
+
+def test_zoomed_batches_halve_the_inputs_only() -> None:
+    batch = SceneSampler(5, "train").batch(1, 2, 2, 64, baseline=(0.2, 0.3))
+    plain, zoomed = to_tensors(batch, zoomed=False), to_tensors(batch, zoomed=True)
+    assert zoomed.images.shape[-2:] == (32, 32)
+    assert zoomed.depth.shape[-2:] == (32, 32)
+    assert zoomed.targets.shape == plain.targets.shape
+    torch.testing.assert_close(zoomed.images.mean(), plain.images.mean(), rtol=1e-4, atol=0)
+    assert torch.equal(zoomed.intrinsics, plain.intrinsics)  # normalised, so the size does not matter
+
+
+def test_recipe_schedules() -> None:
+    recipe = Recipe()
+    assert sum(phase.share for phase in recipe.phases) == pytest.approx(1.0)
+    assert [recipe.phase(s).size for s in (0, recipe.steps - 1)] == [64, 256]
+    assert recipe.noise_scale_at(0) == 1.0
+    assert recipe.noise_scale_at(recipe.steps - 1) == 0.0
+    assert recipe.learning_rate_at(recipe.steps - 1) < 0.04 * recipe.learning_rate
+    assert recipe.depth_weight_at(0) == 1.0

@@ -1,0 +1,68 @@
+"""Narrowing the depth range by the photographs of a plane, whose depths are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plane_scene import DEPTH, PlaneScene
+
+from gapmes.service.coarse_views import coarse_view, nearest_neighbours
+from gapmes.service.depth_range import DepthRange, depth_range
+from gapmes.service.depth_sweep import matched_depths, narrowed
+from gapmes.service.images import Photo, fit_view
+
+
+def fitted(scene):
+    return [fit_view(Photo(i), c, 72, 96) for i, c in zip(scene.images, scene.cameras, strict=True)]
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.0])
+def test_the_range_closes_in_on_the_plane(turn):
+    scene = PlaneScene.make(np.random.default_rng(3), turn=turn)
+    wide = depth_range(scene.cameras)
+    result = narrowed(wide, fitted(scene))
+    assert result.source == "estimated"
+    # the plane spans z = 3.5 to 4.6 over the turned views
+    assert 0.6 * 3.2 < result.near < 0.6 * 4.6
+    assert 1.5 * 3.5 < result.far < 1.5 * 5.2
+    assert wide.near <= result.near
+    assert result.far <= wide.far
+
+
+def test_matched_depths_are_those_of_the_plane():
+    scene = PlaneScene.make(np.random.default_rng(4), turn=0.0)
+    found, weights, share = matched_depths(
+        [coarse_view(view) for view in fitted(scene)], DepthRange(1.0, 30.0, "estimated")
+    )
+    assert share > 0.4
+    assert (weights > 0).all()
+    # half a step of 64 planes in inverse depth is 12 % at z = 4, and the third camera stands 0.2 nearer
+    assert np.percentile(found, 10) > DEPTH * 0.85
+    assert np.percentile(found, 90) < DEPTH * 1.15
+
+
+def test_the_range_moves_with_the_unit():
+    scene = PlaneScene.make(np.random.default_rng(3))
+    result = narrowed(depth_range(scene.cameras), fitted(scene))
+    moved = scene.moved(np.eye(3), np.array([1e4, 0.0, -3e4]), 100.0)
+    scaled = narrowed(depth_range(moved.cameras), fitted(moved))
+    assert scaled.near == pytest.approx(100 * result.near, rel=1e-6)
+    assert scaled.far == pytest.approx(100 * result.far, rel=1e-6)
+
+
+def test_a_given_range_stays():
+    given = DepthRange(0.1, 1000.0, "given")
+    assert narrowed(given, fitted(PlaneScene.make(np.random.default_rng(3)))) is given
+
+
+def test_without_matches_the_range_stays():
+    scene = PlaneScene.make(np.random.default_rng(3))
+    flat = replace(scene, images=tuple(np.full_like(image, 90) for image in scene.images))
+    wide = depth_range(scene.cameras)
+    assert narrowed(wide, fitted(flat)) is wide
+
+
+def test_nearest_neighbours():
+    first, second, third = PlaneScene.make(np.random.default_rng(3)).cameras
+    assert nearest_neighbours([first, second, third])[::2] == [1, 1]
+    assert nearest_neighbours([third, first, second])[:2] == [2, 2]

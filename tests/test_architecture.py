@@ -1,0 +1,61 @@
+"""The house rules that a machine can check: dependencies point one way, every file says what it holds."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGES = ("service", "model", "export")
+# what a package may import of the others
+ALLOWED = {"service": set(), "model": {"service"}, "export": {"service", "model"}}
+# libraries that must stay out of a package
+FORBIDDEN = {"service": {"torch", "transformers", "onnx", "plyfile"}, "model": {"fastapi", "onnx", "onnxruntime"}}
+LONGEST = 300
+
+FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+
+
+def imported(path: Path) -> set[str]:
+    """Absolute module names that a file imports, relative ones left out: they stay within the package."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names.add(node.module)
+    return names
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_a_file_keeps_to_the_house_rules(path: Path) -> None:
+    package = path.relative_to(ROOT).parts[0]
+    names = imported(path)
+    others = {name.split(".")[1] for name in names if name.startswith("gapmes.")}
+    assert others <= ALLOWED[package]
+    assert not {name.split(".")[0] for name in names} & FORBIDDEN.get(package, set())
+    assert not {name.split(".")[0] for name in names} & set(PACKAGES), "import by gapmes.*, never by folder name"
+    assert ast.get_docstring(ast.parse(path.read_text())), "a file opens with one sentence that says what it holds"
+    assert len(path.read_text().splitlines()) <= LONGEST
+
+
+def test_importing_the_app_or_the_public_names_loads_nothing_heavy() -> None:
+    code = (
+        "import sys, gapmes.service, gapmes.service.app\n"
+        "heavy = {'torch', 'transformers', 'onnx', 'onnxruntime', 'numba'} & set(sys.modules)\n"
+        "sys.exit(f'loaded: {sorted(heavy)}' if heavy else 0)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+def test_every_package_folder_is_listed_for_the_wheel() -> None:
+    text = (ROOT / "pyproject.toml").read_text()
+    for package in PACKAGES:
+        for init in (ROOT / package).rglob("__init__.py"):
+            folder = init.parent.relative_to(ROOT)
+            assert f'"gapmes.{".".join(folder.parts)}"' in text, folder
