@@ -17,7 +17,7 @@ from .pose_readings import apart_when_inverted
 
 F64 = NDArray[np.float64]
 
-SPREAD = 5.0  # near = convergence / 5, far = 5 x convergence: covers the 1st to 99th depth percentile of real captures
+SPREAD = 8.0  # near = convergence / 8, far = 8 x convergence: wide, since the photographs narrow it (depth_sweep)
 NEAR_ACROSS = 2.0  # near over baseline for cameras side by side; stereo rigs and slow pans have 3 and more
 NEAR_ALONG = 0.4  # near over baseline for cameras one behind the other; nothing in view is passed on the way
 FAR = 50.0  # far over baseline
@@ -47,7 +47,7 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
     Estimate: let D_v be the z-depth in view v of the point closest to all optical axes (least squares). If the axes
     really meet in front of the cameras (widest angle at least 2 degrees, every axis within D_v / 10 of the point), then
 
-        near = min D_v / 5,   far = 5 max D_v;   else   near = 2 B_across + 0.4 B_along,   far = 50 B,
+        near = min D_v / 8,   far = 8 max D_v;   else   near = 2 B_across + 0.4 B_along,   far = 50 B,
 
     B the largest distance between two cameras, with its parts across and along their mean axis. Both ends are then
     drawn in to where at least one pair of views shares a tenth of its picture: nothing outside can be matched.

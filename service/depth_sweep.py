@@ -19,13 +19,13 @@ PLANES = 64
 GOOD_MATCH = 0.7  # correlation
 AGREEMENT_PX = 1.5  # there and back again, on the coarse grid
 MIN_MATCHED = 0.1  # share of all pixels; with fewer the range stays as it was
-PERCENTILE = 0.01  # of the matched contrast, at either end
-BEFORE = 0.6  # near = 0.6 x the 1st percentile: room for what has no match, such as things at the border
-BEYOND = 2.0  # far = 2 x the 99th
+PERCENTILE = 0.03  # of the matched contrast, at either end; wrong matches make up a few per cent
+BEFORE = 0.6  # near = 0.6 x the 3rd percentile: room for what has no match, such as things at the border
+BEYOND = 1.5  # far = 1.5 x the 97th; what lies beyond differs by a fraction of a pixel of parallax
 
 
 def narrowed(depths: DepthRange, views: Sequence[FittedView]) -> DepthRange:
-    """An estimated range narrowed to 0.6 z_1 .. 2 z_99; a given one, and one without enough matches, as it is.
+    """An estimated range narrowed to 0.6 z_3 .. 1.5 z_97; a given one, and one without enough matches, as it is.
 
     z_p are the depths below which p per cent of the matched pixels lie, weighted by contrast; a pixel is matched if its
     best plane correlates by 0.7 with the nearest other view, and that view's best plane leads back to within 1.5 px.
