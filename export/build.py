@@ -1,13 +1,11 @@
-"""torch to ONNX: the dynamo exporter with a symbolic number of views, checks, shape inference and metadata."""
+"""torch to ONNX: the dynamo exporter with a symbolic number of views, checks and shape inference."""
 
 from __future__ import annotations
 
-import json
 import logging
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import onnx
 import torch
@@ -15,12 +13,14 @@ from torch.export import Dim
 
 from gapmes.model.config import PIXELS_PER_PATCH
 from gapmes.model.network import GaPMeS
+from gapmes.service.contract import INPUTS
 
-from .contract import FORMAT, INPUTS, MAX_VIEWS, MIN_VIEWS, NEAR_FAR_RULE, OPSET, output_names
 from .graph import SceneGraph, folded_position_embeddings
 from .samples import random_scene
 
-TRACE_VIEWS = 3  # neither the smallest count nor one that a hidden size could equal
+OPSET = 20  # the newest that every backend named in the documentation reads
+MIN_VIEWS, MAX_VIEWS = 2, 6
+TRACE_VIEWS = 3  # not the least, at which a loop over other views would run once; every count is verified afterwards
 
 
 def export_graph(network: GaPMeS, height: int, width: int) -> onnx.ModelProto:
@@ -42,7 +42,7 @@ def export_graph(network: GaPMeS, height: int, width: int) -> onnx.ModelProto:
             example.tensors(),
             dynamo=True,
             input_names=list(INPUTS),
-            output_names=list(output_names(with_routing=graph.with_routing)),
+            output_names=list(graph.output_names),
             dynamic_shapes=shapes,
             opset_version=OPSET,
             verbose=False,
@@ -82,41 +82,3 @@ def strip_tracing_notes(model: onnx.ModelProto) -> None:
     for value in [*model.graph.value_info, *model.graph.input, *model.graph.output, *model.graph.initializer]:
         del value.metadata_props[:]
     del model.graph.metadata_props[:]
-
-
-def add_metadata(model: onnx.ModelProto, values: Mapping[str, str]) -> None:
-    """Set `gapmes.*` metadata, sorted, replacing what is there."""
-    kept = {p.key: p.value for p in model.metadata_props if p.key.startswith("gapmes.")}
-    kept.update({f"gapmes.{key}": value for key, value in values.items()})
-    del model.metadata_props[:]
-    for key in sorted(kept):
-        model.metadata_props.add(key=key, value=kept[key])
-
-
-def contract_metadata(
-    network: GaPMeS, *, height: int, width: int, weights_sha256: str, licence: str, precision: str
-) -> dict[str, str]:
-    """What every file says about itself, without the tolerance, which verification adds."""
-    return {
-        "format": FORMAT,
-        "preset": network.config.preset,
-        "config": network.config.to_json(),
-        "weights_sha256": weights_sha256,
-        "opset": str(OPSET),
-        "height": str(height),
-        "width": str(width),
-        "size_rule": "fixed height and width",
-        "views": json.dumps([MIN_VIEWS, MAX_VIEWS]),
-        "patch_px": str(PIXELS_PER_PATCH),
-        "near_far": NEAR_FAR_RULE,
-        "licence": licence,
-        "precision": precision,
-    }
-
-
-def write_model(model: onnx.ModelProto, path: Path) -> None:
-    """Serialise deterministically, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(model.SerializeToString(deterministic=True))
-    part.replace(path)

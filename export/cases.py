@@ -4,27 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-import onnx
 import torch
-from onnx import numpy_helper
 
-from gapmes.model.network import GaPMeS
 from gapmes.service.camera_file import load_scene_folder
 from gapmes.service.depth_range import depth_range
 from gapmes.service.images import decode_image, fit_view
 from gapmes.service.shipped import sample_folder
 
-from .contract import MAX_VIEWS, MIN_VIEWS
+from .build import MAX_VIEWS, MIN_VIEWS
+from .gate_settings import GateSetting
 from .graph import SceneInputs
-from .quantise import TRANSPOSED
 from .samples import hostile_scenes, random_scene
-
-GateSetting = Literal["as trained", "all tied", "one expert", "two experts"]
-_GATES = "mixture.gates."
-_NAMES = tuple(f"{_GATES}{gate}.{part}" for gate in ("expert_gate", "task_gate") for part in ("weight", "bias"))
 
 
 @dataclass(frozen=True)
@@ -60,7 +52,7 @@ def verification_cases(height: int, width: int, *, quick: bool = False) -> Itera
 
 
 def sample_scene(views: int, height: int, width: int) -> SceneInputs:
-    """The scene that the package carries, first `views` of its images, as the service would feed them."""
+    """The scene that the package carries: its first `views` images, cameras relative to camera 0, its own units."""
     folder = load_scene_folder(sample_folder())
     cameras, images = [], []
     for index in range(views):
@@ -78,34 +70,3 @@ def sample_scene(views: int, height: int, width: int) -> SceneInputs:
         torch.tensor([bounds.near, bounds.far], dtype=torch.float32),
         base.patch_mask,
     )
-
-
-def gate_values(network: GaPMeS, setting: GateSetting) -> dict[str, torch.Tensor]:
-    """State-dict entries of both gates under a setting; weights zero, so that the bias alone decides."""
-    state = network.state_dict()
-    if setting == "as trained":
-        return {name: state[name].clone() for name in _NAMES}
-    values = {name: torch.zeros_like(state[name]) for name in _NAMES}
-    if setting != "all tied":
-        values[f"{_GATES}expert_gate.bias"][-1] = 30.0
-    if setting == "two experts":
-        values[f"{_GATES}expert_gate.bias"][1] = 30.0
-    return values
-
-
-def with_gates(model: onnx.ModelProto, values: dict[str, torch.Tensor]) -> onnx.ModelProto:
-    """A copy of the graph with the gates' constants replaced. Raises `ValueError` when one is not in the graph."""
-    changed = onnx.ModelProto()
-    changed.CopyFrom(model)
-    pending = {f"network.{name}": value for name, value in values.items()}
-    for initializer in changed.graph.initializer:
-        value = pending.pop(initializer.name.removesuffix(TRANSPOSED), None)
-        if value is None:
-            continue
-        array = value.numpy()
-        if list(array.shape) != list(initializer.dims):
-            array = array.T  # as the quantiser stores it
-        initializer.CopyFrom(numpy_helper.from_array(np.ascontiguousarray(array), initializer.name))
-    if pending:
-        raise ValueError(f"the graph has no constants named {sorted(pending)}; were the gates quantised or folded?")
-    return changed

@@ -14,11 +14,10 @@ from gapmes.model.checkpoint import CheckpointError, load_checkpoint, shipped_ch
 from gapmes.model.config import PRESETS
 from gapmes.service.terminal import ProgressBars
 
-from .pipeline import Exported, ExportRejected, export_checkpoint
+from .pipeline import Exported, ExportRejected, VerificationBroken, export_checkpoint
 from .tolerance import TOLERANCES
 
 REFUSED = 1
-USAGE = 2
 REJECTED = 3
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -39,8 +38,8 @@ def export(
 ) -> None:
     """Export, verify against torch in a process of its own, and write OUT with its report beside it.
 
-    Exit status: 0 accepted; 1 refused (no such checkpoint); 2 wrong usage; 3 beyond tolerance, in which case the file
-    is kept as NAME.rejected.onnx and OUT is left as it was.
+    Exit status: 0 accepted; 1 refused (checkpoint, size, disk); 2 wrong usage; 3 beyond tolerance, in which case the
+    file is kept as NAME.rejected.onnx and OUT is left as it was.
     """
     height, width = _size(size)
     if preset not in PRESETS:
@@ -64,7 +63,7 @@ def export(
                 quick=quick,
                 listener=bars,
             )
-    except (CheckpointError, ValueError) as error:
+    except (CheckpointError, VerificationBroken, ValueError, OSError) as error:
         errors.print(f"[red]refused:[/] {error}", soft_wrap=True)
         raise typer.Exit(REFUSED) from error
     except ExportRejected as rejected:

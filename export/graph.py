@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from gapmes.model.backbones import VitFeatures
 from gapmes.model.config import PIXELS_PER_PATCH
 from gapmes.model.network import GaPMeS
+from gapmes.service.contract import EXPERT_OUTPUTS, REQUIRED_OUTPUTS, TASK_OUTPUTS
 
 
 @dataclass(frozen=True)
@@ -29,15 +30,19 @@ class SceneInputs:
 
 
 class SceneGraph(nn.Module):
-    """Outputs in the order of `contract.output_names`."""
+    """Outputs in the order of `output_names`."""
 
     def __init__(self, network: GaPMeS) -> None:
         super().__init__()
         self.network = network
 
     @property
-    def with_routing(self) -> bool:
-        return self.network.mixture.gates is not None
+    def output_names(self) -> tuple[str, ...]:
+        """Those of the contract that this network has."""
+        gates = self.network.mixture.gates
+        experts = EXPERT_OUTPUTS if gates is not None and gates.expert_gate is not None else ()
+        tasks = TASK_OUTPUTS if gates is not None and gates.task_gate is not None else ()
+        return REQUIRED_OUTPUTS + experts + tasks
 
     def forward(
         self, images: Tensor, intrinsics: Tensor, world_from_cam: Tensor, near_far: Tensor, patch_mask: Tensor
@@ -56,7 +61,8 @@ class SceneGraph(nn.Module):
         if routing is not None:
             patches = (images.shape[-2] // PIXELS_PER_PATCH) * (images.shape[-1] // PIXELS_PER_PATCH)
             for value in (routing.expert_index, routing.expert_weight, routing.task_weight):
-                outputs.append(value.reshape(-1, patches, value.shape[-1]))
+                if value is not None:
+                    outputs.append(value.reshape(-1, patches, value.shape[-1]))
         return tuple(outputs)
 
 

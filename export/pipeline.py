@@ -5,20 +5,26 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import onnx
 
-from gapmes.model.checkpoint import WEIGHTS_LICENCE, file_sha256, load_checkpoint
+from gapmes.model.checkpoint import file_sha256, load_checkpoint, read_metadata
 from gapmes.service.progress import Listener, Stage, Stages, silent
 
-from .build import add_metadata, contract_metadata, export_graph, write_model
+from .build import export_graph
+from .metadata import add_metadata, contract_metadata, write_model
 from .quantise import quantised
 from .report import Report
 from .tolerance import Precision
 from .verify import FAILED
+
+
+class VerificationBroken(RuntimeError):
+    """The verification process ended without a verdict."""
 
 
 class ExportRejected(Exception):
@@ -56,8 +62,9 @@ def export_checkpoint(
 ) -> Exported:
     """Export, verify and write `out` with its report beside it (`NAME.report.json`).
 
-    Raises `ExportRejected` when a check fails: the file is then `NAME.rejected.onnx` and `out` is left as it was;
-    `CheckpointError` and `ValueError` for a wrong checkpoint or size.
+    Raises `ExportRejected` when a check fails: the file is then `NAME.rejected.onnx`, its report beside it, and `out`
+    is left as it was; `CheckpointError` and `ValueError` for a wrong checkpoint or size; `VerificationBroken` when
+    there is no verdict.
     """
     stages = Stages(listener)
     with stages.stage("load checkpoint"):
@@ -72,25 +79,25 @@ def export_checkpoint(
         height=height,
         width=width,
         weights_sha256=file_sha256(checkpoint),
-        licence=WEIGHTS_LICENCE,
+        licence=read_metadata(checkpoint).get("gapmes.licence", "not stated"),
         precision=precision,
     )
     add_metadata(model, metadata)
     candidate = out.with_name(f"{out.stem}.rejected.onnx")
-    report_path = out.with_name(f"{out.stem}.report.json")
+    rejected_report = out.with_name(f"{out.stem}.rejected.report.json")
     write_model(model, candidate)
     with stages.stage("verify"):
         report = _verify_elsewhere(
-            candidate, checkpoint, report_path, quick, lambda done, total: listener(Stage("verify", done, total))
+            candidate, checkpoint, rejected_report, quick, lambda done, total: listener(Stage("verify", done, total))
         )
     if not report.passed:
-        raise ExportRejected(candidate, report_path, report)
-    return _accept(model, candidate, out, report_path, report, stages.timings)
+        raise ExportRejected(candidate, rejected_report, report)
+    rejected_report.unlink()
+    return _accept(model, candidate, out, report, stages.timings)
 
 
-def _accept(
-    model: onnx.ModelProto, candidate: Path, out: Path, report_path: Path, report: Report, timings: dict[str, float]
-) -> Exported:
+def _accept(model: onnx.ModelProto, candidate: Path, out: Path, report: Report, timings: dict[str, float]) -> Exported:
+    report_path = out.with_name(f"{out.stem}.report.json")
     add_metadata(model, {"tolerance": json.dumps(report.worst(), sort_keys=True)})
     write_model(model, out)
     candidate.unlink()
@@ -104,11 +111,15 @@ def _verify_elsewhere(
 ) -> Report:
     command = [sys.executable, "-m", "gapmes.export.verify", str(model)]
     command += ["--checkpoint", str(checkpoint), "--report", str(report), *(["--quick"] if quick else [])]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    # a file for its warnings: a pipe that nobody empties would stop it when full
+    with (
+        tempfile.TemporaryFile("w+") as errors,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
+    ):
         for done, line in enumerate(process.stdout or (), start=1):
             on_case(done, json.loads(line)["total"])
-        errors = process.stderr.read() if process.stderr else ""
         code = process.wait()
-    if code not in (0, FAILED):
-        raise RuntimeError(f"the verification process ended with {code}: {errors.strip()[-2000:]}")
+        if code not in (0, FAILED):
+            errors.seek(0)
+            raise VerificationBroken(f"the verification process ended with {code}: {errors.read().strip()[-2000:]}")
     return Report.read(report)

@@ -6,7 +6,8 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from .compare import Deviation, RouteAgreement
+from .compare import Deviation
+from .routes import RouteAgreement
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,7 @@ class CaseResult:
     views: int
     outputs: dict[str, Deviation]
     routes: RouteAgreement | None
+    picture_psnr: float | None  # dB between what is drawn from both results, where that was done
     failures: list[str]
 
 
@@ -63,6 +65,7 @@ class Report:
                 views=case["views"],
                 outputs={name: Deviation(**value) for name, value in case["outputs"].items()},
                 routes=RouteAgreement(**case["routes"]) if case["routes"] else None,
+                picture_psnr=case["picture_psnr"],
                 failures=case["failures"],
             )
             for case in body["cases"]

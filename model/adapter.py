@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from gapmes.service.harmonics import C0
+
 from .cost_volume import Views
 from .geometry import camera_rays, matrix_to_quaternion, pixel_grid, quaternion_product
-from .harmonics import SH_C0, rotate_bands
+from .harmonics import rotate_bands
 from .heads import HeadOutputs
 
 
@@ -72,7 +74,7 @@ def gaussians_from_heads(
     coefficients = heads.colour.shape[1] // 3
     colour = heads.colour.flatten(2).transpose(1, 2).reshape(n, -1, coefficients, 3)
     pixels = images.flatten(2).transpose(1, 2).unsqueeze(2)
-    dc = ((pixels + colour[:, :, :1]).clamp(-0.1, 1.1) - 0.5) / SH_C0
+    dc = ((pixels + colour[:, :, :1]).clamp(-0.1, 1.1) - 0.5) / C0
     harmonics = dc
     if coefficients > 1:
         harmonics = torch.cat([dc, rotate_bands(colour[:, :, 1:], poses[:, :3, :3])], dim=2)

@@ -10,10 +10,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from gapmes.service.harmonics import C0
+
 from .adapter import GaussianBatch, footprint, per_scene, place
 from .cost_volume import Views
 from .geometry import matrix_to_quaternion
-from .harmonics import SH_C0
 from .layers import replicate_pad
 
 CELL = 8  # px
@@ -52,7 +53,7 @@ def backing_layer(images: Tensor, inverse: Tensor, views: Views, keep: Tensor, c
     axes = torch.tensor([1.0, 1.0, FLATNESS], device=device).reshape(1, 3, 1, 1)
     scales = (size * axes).flatten(2).transpose(1, 2)
     rotations = matrix_to_quaternion(poses[:, :3, :3]).unsqueeze(1).expand(-1, means.shape[1], -1)
-    dc = (colour.flatten(2).transpose(1, 2).unsqueeze(2) - 0.5) / SH_C0
+    dc = (colour.flatten(2).transpose(1, 2).unsqueeze(2) - 0.5) / C0
     harmonics = F.pad(dc, (0, 0, 0, coefficients - 1))
     v = views.count
     return GaussianBatch(

@@ -7,8 +7,8 @@ import os
 from pathlib import Path
 
 import torch
-from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save_file
 
 from .config import ModelConfig
 from .network import GaPMeS
@@ -30,11 +30,9 @@ def shipped_checkpoint(preset: str) -> Path:
     return path
 
 
-def save_checkpoint(path: Path, model: GaPMeS, *, half: bool = False, extra: dict[str, str] | None = None) -> None:
-    """Write the weights and the configuration, whole or not at all; `half` stores them as float16."""
+def save_checkpoint(path: Path, model: GaPMeS, *, extra: dict[str, str] | None = None) -> None:
+    """Write the weights and the configuration, whole or not at all."""
     tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
-    if half:
-        tensors = {k: v.half() if v.is_floating_point() else v for k, v in tensors.items()}
     metadata = {"gapmes.config": model.config.to_json(), "gapmes.licence": WEIGHTS_LICENCE, **(extra or {})}
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
@@ -42,16 +40,30 @@ def save_checkpoint(path: Path, model: GaPMeS, *, half: bool = False, extra: dic
     os.replace(part, path)
 
 
+def read_metadata(path: Path) -> dict[str, str]:
+    """What a checkpoint says of itself; raises `CheckpointError` when it is not one of ours."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+    except (OSError, SafetensorError) as error:
+        raise CheckpointError(f"{path} cannot be read as safetensors: {error}") from error
+    if "gapmes.config" not in metadata:
+        raise CheckpointError(f"{path} carries no gapmes.config; is it a checkpoint of another network?")
+    return metadata
+
+
 def load_checkpoint(path: Path) -> GaPMeS:
-    """Build the network that the file describes and load every tensor strictly, in float32 and evaluation mode."""
-    if not path.is_file():
-        raise CheckpointError(f"{path} is not a file")
-    with safe_open(path, framework="pt") as file:
-        metadata = file.metadata() or {}
-        if "gapmes.config" not in metadata:
-            raise CheckpointError(f"{path} carries no gapmes.config; is it a checkpoint of another network?")
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  not a dict
-    model = GaPMeS(ModelConfig.from_json(metadata["gapmes.config"]))
+    """Build the network that the file describes and load every tensor strictly, in float32 and evaluation mode.
+
+    Raises `CheckpointError` that names what is missing, unexpected or misshapen.
+    """
+    try:
+        config = ModelConfig.from_json(read_metadata(path)["gapmes.config"])
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, CheckpointError):
+            raise
+        raise CheckpointError(f"{path} has a configuration that this version cannot build: {error!r}") from error
+    tensors, model = load_file(path), GaPMeS(config)
     expected = model.state_dict()
     missing, unexpected = sorted(expected.keys() - tensors.keys()), sorted(tensors.keys() - expected.keys())
     shapes = [

@@ -21,10 +21,6 @@ class VitConfig:
     mlp_ratio: int
     image_size: int  # px, the size that its position embedding is stored for
 
-    def tokens(self, size: int) -> int:
-        """Tokens along an image side of `size` px: one per routed patch, whatever the ViT's own patch size is."""
-        return size // PIXELS_PER_PATCH
-
 
 @dataclass(frozen=True)
 class ModelConfig:

@@ -86,7 +86,9 @@ class DepthFromMatching(nn.Module):
             )
         )
         logits = self.refine_logits(guide) + learned * self.learned_sharpness[1] + zncc * self.zncc_sharpness[1]
-        refined = start + (logits.softmax(1) * offsets.reshape(1, -1, 1, 1)).sum(1, keepdim=True)
+        # clamped candidates coincide, so each votes for where it really lies
+        steps = candidates - start.detach()
+        refined = start + (logits.softmax(1) * steps).sum(1, keepdim=True)
         return DepthEstimate(coarse, refined, self._upsample(refined, guide), confidence, volume, guide)
 
     def _upsample(self, half: Tensor, guide: Tensor) -> Tensor:

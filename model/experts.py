@@ -62,7 +62,7 @@ class ExpertGroup(nn.Module):
 
 def dense_weights(routing: Routing, experts: int) -> Tensor:
     """(M, N_e) weight of every expert for every patch, 0 where it was not selected."""
-    empty = torch.zeros(
-        routing.expert_weight.shape[0], experts, dtype=routing.expert_weight.dtype, device=routing.expert_weight.device
-    )
-    return empty.scatter(-1, routing.expert_index, routing.expert_weight)
+    index, weight = routing.expert_index, routing.expert_weight
+    if index is None or weight is None:
+        raise ValueError("the routing has no experts: the gates were built without them")
+    return weight.new_zeros(weight.shape[0], experts).scatter(-1, index, weight)

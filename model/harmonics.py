@@ -8,9 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gapmes.service.harmonics import BAND_1_AXES, C0, next_band
-
-SH_C0 = C0
+from gapmes.service.harmonics import BAND_1_AXES, next_band
 
 
 def rotate_bands(coefficients: Tensor, rotation: Tensor) -> Tensor:

@@ -28,6 +28,17 @@ class HeadOutputs:
     colour: Tensor  # (n, 3 * K, H, W): DC residual in colour units, then bands as coefficients
 
 
+def unit_quaternions(raw: Tensor, identity: Tensor) -> Tensor:
+    """(n, 4, H, W) of unit length; all zeros become the identity.
+
+    Dividing by the largest component first keeps the squares away from underflow and overflow (numerics A1).
+    """
+    largest = raw.abs().amax(1, keepdim=True)
+    scaled = raw / torch.where(largest > 0, largest, torch.ones_like(largest))
+    scaled = torch.where(largest > 0, scaled, identity.expand_as(raw))
+    return scaled / scaled.square().sum(1, keepdim=True).sqrt()
+
+
 class TaskHead(nn.Module):
     """1x1 convolution, 2x shuffle, joined by the half-resolution guide, 1x1 convolution, 2x shuffle."""
 
@@ -69,7 +80,6 @@ class Heads(nn.Module):
         opacity = torch.sigmoid(self.alpha(maps[1], guide) * 2 + 1.5)
         epsilon = self.epsilon(maps[2], guide)
         scale = SCALE_FLOOR + SCALE_GAIN * F.softplus((epsilon[:, :3] * 3 - 1.5).clamp(max=20.0))
-        quaternion = epsilon[:, 3:] + self.identity
-        rotation = quaternion / (quaternion.square().sum(1, keepdim=True) + 1e-12).sqrt()
+        rotation = unit_quaternions(epsilon[:, 3:] + self.identity, self.identity)
         colour = torch.tanh(self.colour(maps[3], guide)) * self.gains
         return HeadOutputs(mu[:, :2], mu[:, 2:], opacity, scale, rotation, colour)

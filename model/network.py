@@ -65,7 +65,9 @@ class GaPMeS(nn.Module):
         patch_mask: Tensor | None = None,
     ) -> Prediction:
         """images (B, V, 3, H, W) in [0, 1], H and W multiples of 16; K (B, V, 3, 3) normalised by width and height;
-        poses (B, V, 4, 4) relative to a nearby origin; near_far (B, 2); patch_mask (B, V, P) bool, False leaves out.
+        poses (B, V, 4, 4) float32, which the caller has re-centred in float64 (`service/world_frame.py`,
+        `training/step.py`): an offset that stays in them costs that much precision; near_far (B, 2); patch_mask
+        (B, V, P) bool, False leaves out.
         """
         batch, count, _, height, width = images.shape
         flat = images.reshape(-1, 3, height, width)

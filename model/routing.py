@@ -12,12 +12,25 @@ TASKS = ("mu", "alpha", "epsilon", "colour")  # k in {mu, alpha, epsilon, c} of 
 
 @dataclass(frozen=True)
 class Routing:
-    """Where M patches go; weights of a patch sum to 1 over its selected experts and over the tasks."""
+    """Where M patches go; weights of a patch sum to 1 over its selected experts and over the tasks.
 
-    expert_index: Tensor  # (M, k) int64, best first
-    expert_weight: Tensor  # (M, k)
-    task_weight: Tensor  # (M, 4)
-    balance_loss: Tensor  # scalar, 1 when the load is even
+    What an ablated network does not have is None.
+    """
+
+    expert_index: Tensor | None  # (M, k) int64, best first
+    expert_weight: Tensor | None  # (M, k)
+    task_weight: Tensor | None  # (M, 4)
+    balance_loss: Tensor  # scalar, 1 when the load of the experts is even, 0 without experts
+
+    def kept(self, keep: Tensor) -> Routing:
+        """The same routes with the weights of left-out patches (keep (M,) = 0) set to 0."""
+        factor = keep.unsqueeze(-1)
+        return Routing(
+            self.expert_index,
+            None if self.expert_weight is None else self.expert_weight * factor,
+            None if self.task_weight is None else self.task_weight * factor,
+            self.balance_loss,
+        )
 
 
 def top_k_lowest_first(logits: Tensor, k: int) -> Tensor:
@@ -51,30 +64,42 @@ def hybrid_weights(soft: Tensor, balance: Tensor) -> Tensor:
 
 
 class Gates(nn.Module):
-    """Linear gates on the flattened query (Eq. 3-4); `lambda` of Eq. 11 is a sigmoid, one for each gate."""
+    """Linear gates on the flattened query (Eq. 3-4); `lambda` of Eq. 11 is a sigmoid, one for each gate.
 
-    def __init__(self, query_size: int, experts: int, top_k: int, temperature: float) -> None:
+    `experts` = 0 and `tasks` = False leave the respective gate out.
+    """
+
+    def __init__(self, query_size: int, experts: int, top_k: int, temperature: float, *, tasks: bool = True) -> None:
         super().__init__()
         self.top_k = top_k
         self.temperature = temperature
         self.noise_scale = 1.0  # 1 is the paper's Gumbel noise; the recipe anneals it to 0
-        self.expert_gate = nn.Linear(query_size, experts)
-        self.task_gate = nn.Linear(query_size, len(TASKS))
-        self.expert_balance = nn.Parameter(torch.zeros(()))
-        self.task_balance = nn.Parameter(torch.zeros(()))
+        self.expert_gate = nn.Linear(query_size, experts) if experts else None
+        self.task_gate = nn.Linear(query_size, len(TASKS)) if tasks else None
+        self.expert_balance = nn.Parameter(torch.zeros(())) if experts else None
+        self.task_balance = nn.Parameter(torch.zeros(())) if tasks else None
 
     def forward(self, query: Tensor) -> Routing:
         """query (M, query_size) -> `Routing`; noise only while training (Eq. 5-6)."""
-        expert_logits, task_logits = self.expert_gate(query), self.task_gate(query)
-        clean = expert_logits
+        index = weight = task_weight = None
+        balance_loss = query.new_zeros(())
+        if self.expert_gate is not None and self.expert_balance is not None:
+            clean = self.expert_gate(query)
+            logits = self._perturbed(clean)
+            index = top_k_lowest_first(logits, self.top_k)
+            soft = self._softmax(logits.gather(-1, index))  # Eq. 10 over S_i
+            weight = hybrid_weights(soft, torch.sigmoid(self.expert_balance))
+            balance_loss = _balance_loss(clean, index)
+        if self.task_gate is not None and self.task_balance is not None:
+            soft = self._softmax(self._perturbed(self.task_gate(query)))  # Eq. 10 over all tasks
+            task_weight = hybrid_weights(soft, torch.sigmoid(self.task_balance))
+        return Routing(index, weight, task_weight, balance_loss)
+
+    def _perturbed(self, logits: Tensor) -> Tensor:
+        """Eq. 5-6."""
         if self.training and self.noise_scale > 0:
-            expert_logits = expert_logits + self.noise_scale * gumbel_noise(expert_logits)
-            task_logits = task_logits + self.noise_scale * gumbel_noise(task_logits)
-        index = top_k_lowest_first(expert_logits, self.top_k)
-        soft = self._softmax(expert_logits.gather(-1, index))  # Eq. 10 over S_i
-        weight = hybrid_weights(soft, torch.sigmoid(self.expert_balance))
-        task_weight = hybrid_weights(self._softmax(task_logits), torch.sigmoid(self.task_balance))
-        return Routing(index, weight, task_weight, _balance_loss(clean, index))
+            return logits + self.noise_scale * gumbel_noise(logits)
+        return logits
 
     def _softmax(self, logits: Tensor) -> Tensor:
         """softmax(logits / tau); the largest is taken off first, so that dividing cannot overflow."""

@@ -18,7 +18,7 @@ class TaskMaps:
     """One feature map (n, S*C_dim, H/4, W/4) for each of the four tasks, and the routing that made them."""
 
     maps: list[Tensor]
-    routing: Routing | None  # None in the ablation without experts and without tasks
+    routing: Routing | None  # None without experts and without tasks
 
 
 def to_patches(grid: Tensor) -> Tensor:
@@ -48,7 +48,8 @@ class PatchMixture(nn.Module):
         self.gates = None
         if not (config.without_experts and config.without_tasks):
             query = self.channels * CELLS_PER_PATCH**2
-            self.gates = Gates(query, config.experts, config.top_k, config.temperature)
+            experts = 0 if config.without_experts else config.experts
+            self.gates = Gates(query, experts, config.top_k, config.temperature, tasks=not config.without_tasks)
         self.experts = None if config.without_experts else ExpertGroup(config.experts, width)
 
     def forward(self, streams: dict[str, Tensor], like: Tensor, patch_keep: Tensor) -> TaskMaps:
@@ -62,21 +63,14 @@ class PatchMixture(nn.Module):
         height, width = like.shape[-2:]
         routing = None
         if self.gates is not None:
-            routing = self.gates(query.flatten(1))
-            keep = patch_keep.unsqueeze(-1)
-            routing = Routing(
-                routing.expert_index,
-                routing.expert_weight * keep,
-                routing.task_weight * keep,
-                routing.balance_loss,
-            )
+            routing = self.gates(query.flatten(1)).kept(patch_keep)
         theta = query
         if self.experts is not None and routing is not None:
             theta = query + self.experts(query, routing)  # Eq. 12-14, residual
         maps = []
         for task in range(len(TASKS)):
             features = theta
-            if not self.config.without_tasks and routing is not None:
+            if routing is not None and routing.task_weight is not None:
                 features = theta * (1 + routing.task_weight[:, task].reshape(-1, 1, 1, 1))  # Eq. 15, residual form
             maps.append(from_patches(features, height, width))
         return TaskMaps(maps, routing)

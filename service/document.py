@@ -57,13 +57,17 @@ def scene_document(
 
 
 def routing_summary(outputs: Mapping[str, NDArray]) -> dict[str, Any]:
-    """How many patches each expert worked on (weight above 0), and the mean weight of each task."""
-    index, weight = outputs["expert_index"], outputs["expert_weight"]
-    worked = index[weight > 0]
-    experts = np.bincount(worked.ravel(), minlength=int(index.max(initial=-1)) + 1)
-    tasks = outputs["task_weight"].reshape(-1, len(TASKS)).mean(axis=0)
-    return {
-        "patches": int(index.shape[0] * index.shape[1]),
-        "patches_per_expert": {str(expert): int(count) for expert, count in enumerate(experts)},
-        "mean_task_weight": {name: round(float(value), 6) for name, value in zip(TASKS, tasks, strict=True)},
-    }
+    """How many patches each expert worked on (weight above 0), and the mean weight of each task.
+
+    A network without experts or without a task gate has nothing to say about them.
+    """
+    summary: dict[str, Any] = {}
+    if "expert_index" in outputs:
+        index, weight = outputs["expert_index"], outputs["expert_weight"]
+        experts = np.bincount(index[weight > 0].ravel(), minlength=int(index.max(initial=-1)) + 1)
+        summary["patches"] = int(index.shape[0] * index.shape[1])
+        summary["patches_per_expert"] = {str(expert): int(count) for expert, count in enumerate(experts)}
+    if "task_weight" in outputs:
+        tasks = outputs["task_weight"].reshape(-1, len(TASKS)).mean(axis=0)
+        summary["mean_task_weight"] = {n: round(float(v), 6) for n, v in zip(TASKS, tasks, strict=True)}
+    return summary

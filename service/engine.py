@@ -4,31 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import os
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from .errors import ModelError
 from .model_info import ModelInfo, parse_model_info
+from .shipped import shipped_model
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by onnxruntime when it is first imported
-
-INPUTS = ("images", "intrinsics", "world_from_cam", "near_far", "patch_mask")
-OUTPUTS = (
-    "means",
-    "scales",
-    "rotations_wxyz",
-    "opacities",
-    "harmonics",
-    "depth",
-    "confidence",
-    "expert_index",
-    "expert_weight",
-    "task_weight",
-)
 
 Arrays = dict[str, NDArray]
 
@@ -46,7 +33,7 @@ class Engine:
 
         ort.disable_telemetry_events()
         self._failures = (native.Fail, native.RuntimeException, native.InvalidArgument, native.EPFail)
-        path = default_model() if model is None else Path(model)
+        path = shipped_model() if model is None else Path(model)
         file_sha256 = _sha256(path)
         self.threads = threads if threads is not None else len(os.sched_getaffinity(0))
         if self.threads < 1:
@@ -64,7 +51,7 @@ class Engine:
         except damaged as error:
             raise ModelError(f"{path} cannot be loaded by onnxruntime: {error}", field="model") from error
         self.info = parse_model_info(self._session.get_modelmeta().custom_metadata_map, path, file_sha256)
-        _check_signature(self._session, path)
+        self.outputs = _checked_signature(self._session, path)
 
     def run(
         self,
@@ -80,7 +67,8 @@ class Engine:
         world_from_cam (V, 4, 4) float32 relative to camera 0; near_far (2,) float32; patch_mask (V, P) bool, False
         leaves a patch out. Returns means (N, 3), scales (N, 3), rotations_wxyz (N, 4), opacities (N,), harmonics
         (N, K, 3), depth and confidence (V, H, W), expert_index (V, P, k) int64, expert_weight (V, P, k), task_weight
-        (V, P, 4). The first V * H * W Gaussians belong to the pixels, view by view, row by row; others may follow.
+        (V, P, 4); of the last three those are missing that the network does not have. The first V * H * W Gaussians
+        belong to the pixels, view by view, row by row; others may follow.
         Same bits for the same input and thread count. Raises `ModelError` for other shapes and for outputs that are
         not finite.
         """
@@ -98,17 +86,12 @@ class Engine:
                     f"is {value.dtype} {value.shape}, the model needs {np.dtype(dtype)} {shape}", field=name
                 )
         try:
-            values = self._session.run(list(OUTPUTS), {name: value for name, (value, _, _) in feed.items()})
+            values = self._session.run(list(self.outputs), {name: value for name, (value, _, _) in feed.items()})
         except self._failures as error:
             raise ModelError(f"onnxruntime failed on {views} views: {error}", field="model") from error
-        outputs = dict(zip(OUTPUTS, values, strict=True))
+        outputs = dict(zip(self.outputs, values, strict=True))
         _check_outputs(outputs, views, info)
         return outputs
-
-
-def default_model() -> Path:
-    """The model that the package ships."""
-    return Path(str(resources.files(__package__) / "assets" / "tiny.onnx"))
 
 
 def _sha256(path: Path) -> str:
@@ -123,22 +106,23 @@ def _sha256(path: Path) -> str:
         ) from error
 
 
-def _check_signature(session: Any, path: Path) -> None:
-    """Names of inputs and outputs; further outputs are allowed. Raises `ModelError`."""
+def _checked_signature(session: Any, path: Path) -> tuple[str, ...]:
+    """The contract's outputs that this file has; further ones are allowed. Raises `ModelError` for missing names."""
     inputs = [value.name for value in session.get_inputs()]
     outputs = [value.name for value in session.get_outputs()]
     if set(inputs) != set(INPUTS):
         raise ModelError(f"{path} has the inputs {sorted(inputs)}, need {sorted(INPUTS)}", field="model")
-    missing = [name for name in OUTPUTS if name not in outputs]
+    missing = [name for name in REQUIRED_OUTPUTS if name not in outputs]
     if missing:
         raise ModelError(f"{path} lacks the outputs {', '.join(missing)}", field="model")
+    return REQUIRED_OUTPUTS + tuple(name for name in OPTIONAL_OUTPUTS if name in outputs)
 
 
 def _check_outputs(outputs: Arrays, views: int, info: ModelInfo) -> None:
     """Shapes against the contract, then finiteness, naming output, first row and count."""
     count = len(outputs["means"])
     coefficients = outputs["harmonics"].shape[1:2]
-    chosen = outputs["expert_index"].shape[2:3]
+    chosen = outputs["expert_index"].shape[2:3] if "expert_index" in outputs else ()
     maps, patches = (views, info.height, info.width), (views, info.patches)
     shapes = {
         "means": (count, 3),
@@ -152,9 +136,9 @@ def _check_outputs(outputs: Arrays, views: int, info: ModelInfo) -> None:
         "expert_weight": (*patches, *chosen),
         "task_weight": (*patches, 4),
     }
-    for name, shape in shapes.items():
-        if outputs[name].shape != shape:
-            raise ModelError(f"output is {outputs[name].shape}, need {shape}", field=name)
+    for name, value in outputs.items():
+        if value.shape != shapes[name]:
+            raise ModelError(f"output is {value.shape}, need {shapes[name]}", field=name)
     if count < views * info.height * info.width:
         raise ModelError(f"{count} Gaussians, need one per pixel: {views * info.height * info.width}", field="means")
     for name, value in outputs.items():

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .contract import FORMAT
 from .errors import ModelError
 
-FORMAT = "1"
 PATCH_PX = 16
 _REQUIRED = ("preset", "config", "weights_sha256", "opset", "height", "width", "patch_px", "licence", "precision")
 

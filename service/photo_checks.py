@@ -28,10 +28,11 @@ TIE = 0.03  # among other readings the one named first must lose by this much: t
 HARDLY = 0.55  # no reading matches better than this: a warning
 
 
-def check_photos(views: Sequence[FittedView], depths: DepthRange) -> list[Notice]:
+def check_photos(views: Sequence[FittedView], depths: DepthRange, *, trust_poses: bool = False) -> list[Notice]:
     """Compare how well the photographs match under the poses and under other readings of them.
 
-    Returns warnings; raises `ContradictionError` where another reading is right beyond doubt.
+    Returns warnings; raises `ContradictionError` where another reading is right beyond doubt, unless the caller says
+    that the poses are to be trusted.
     """
     coarse = [coarse_view(view) for view in views]
     cameras = [view.camera for view in coarse]
@@ -51,7 +52,9 @@ def check_photos(views: Sequence[FittedView], depths: DepthRange) -> list[Notice
         return [{"code": "photos_hardly_match", "field": "cameras", "message": f"{message} ({cure})", "score": given}]
     message = f"the photographs match with score {given:.2f} under these poses and {best:.2f} under another reading"
     cure = f"these look like {reading.looks_like}: {reading.cure}"
-    if given < POOR_SCORE and best >= GOOD_SCORE and best - given >= CLEAR_MARGIN:
+    beyond_doubt = given < POOR_SCORE and best >= GOOD_SCORE and best - given >= CLEAR_MARGIN
+    if beyond_doubt and not trust_poses:
+        cure += "; if the poses are right as they are, set trust_poses"
         raise ContradictionError(message, field="cameras", cure=cure, score=given, other_score=best)
     return [{"code": "poses_doubtful", "field": "cameras", "message": f"{message} ({cure})", "score": given}]
 

@@ -49,11 +49,13 @@ class Reconstructor:
         *,
         near: float | None = None,
         far: float | None = None,
+        trust_poses: bool = False,
         listener: Listener = silent,
     ) -> Scene:
         """2..6 photographs, uint8 (H, W, 3 or 4) or `Photo`, with one camera each -> `Scene`.
 
         `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
+        `trust_poses` turns the refusal of poses that the photographs contradict into a warning.
         `listener` hears the stages cameras, images, network, gaussians. Raises `InputError` and `ModelError`.
         """
         stages = Stages(listener)
@@ -70,7 +72,7 @@ class Reconstructor:
                 warnings += _photo_notices(photo, camera, index)
                 views.append(fit_view(*match_photo(photo, camera, index=index), info.height, info.width))
                 done(index + 1)
-            warnings += check_photos(views, depths)
+            warnings += check_photos(views, depths, trust_poses=trust_poses)
             depths = narrowed(depths, views)
         frame = WorldFrame.of(cameras, depths)
         with stages.stage("network"):

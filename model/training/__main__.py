@@ -15,11 +15,14 @@ from ..config import PRESETS, preset
 from .loop import WEIGHTS, train
 from .recipe import Recipe
 
+# a preset with frozen backbones would freeze random ones: it needs pretrained weights first
+TRAINABLE = sorted(name for name, config in PRESETS.items() if not config.freeze_vits)
+
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gapmes.model.training", description=__doc__)
     parser.add_argument("out", type=Path, help="folder of the run; an interrupted run continues from it")
-    parser.add_argument("--preset", choices=sorted(PRESETS), default="tiny")
+    parser.add_argument("--preset", choices=TRAINABLE, default="tiny")
     parser.add_argument("--steps", type=int, default=Recipe.steps)
     parser.add_argument("--seed", type=int, default=Recipe.seed)
     parser.add_argument("--threads", type=int, default=1, help="one thread per process is fastest on shared cores")

@@ -8,6 +8,7 @@ import logging
 import math
 import os
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,9 @@ def train(
     average = copy.deepcopy(model).requires_grad_(False)
     trained = [p for p in model.parameters() if p.requires_grad]
     optimiser = torch.optim.AdamW(trained, lr=recipe.learning_rate, betas=(0.9, 0.98), weight_decay=recipe.weight_decay)
-    start, seconds = _restore(folder / STATE, model, average, optimiser)
+    identity = {"config": config.to_json(), "recipe": json.dumps(asdict(recipe), sort_keys=True)}
+    start, seconds = _restore(folder / STATE, identity, model, average, optimiser)
+    _forget_rows_after(folder / LOG, start)
     held_out = {
         "wide": validation_batches(128, validation_scenes, (0.18, 0.5)),
         "narrow": validation_batches(128, max(1, validation_scenes // 2), (0.06, 0.15)),
@@ -68,8 +71,10 @@ def train(
             _report(folder / LOG, step + 1, recipe, elapsed, rate, sums, figures)
             sums = {}
         if last or now - last_save > save_seconds:
-            _save(folder, model, average, optimiser, step + 1, seconds + time.monotonic() - clock)
+            progress = {**identity, "step": step + 1, "seconds": seconds + time.monotonic() - clock}
+            _save(folder, progress, model, average, optimiser)
             last_save = time.monotonic()
+    save_checkpoint(folder / WEIGHTS, average, extra={"gapmes.step": str(recipe.steps)})
     return average.eval()
 
 
@@ -142,26 +147,45 @@ def _report(
 
 
 def _save(
-    folder: Path, model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer, step: int, seconds: float
+    folder: Path,
+    progress: dict[str, object],
+    model: GaPMeS,
+    average: GaPMeS,
+    optimiser: torch.optim.Optimizer,
 ) -> None:
+    """Everything that a later start needs, whole or not at all."""
     state = {
+        **progress,
         "model": model.state_dict(),
         "average": average.state_dict(),
         "optimiser": optimiser.state_dict(),
-        "step": step,
-        "seconds": seconds,
     }
     part = folder / (STATE + ".part")
     torch.save(state, part)
     os.replace(part, folder / STATE)
-    save_checkpoint(folder / WEIGHTS, average, extra={"gapmes.step": str(step)})
+    save_checkpoint(folder / WEIGHTS, average, extra={"gapmes.step": str(progress["step"])})
 
 
-def _restore(path: Path, model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer) -> tuple[int, float]:
+def _restore(
+    path: Path, identity: dict[str, str], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
+) -> tuple[int, float]:
+    """Step and seconds to go on from; raises `ValueError` when the folder holds a run of something else."""
     if not path.is_file():
         return 0, 0.0
     state = torch.load(path, weights_only=True)
+    for key, value in identity.items():
+        if state[key] != value:
+            raise ValueError(
+                f"{path} is of a run with another {key}: {state[key]}, asked for {value}; use a new folder"
+            )
     model.load_state_dict(state["model"])
     average.load_state_dict(state["average"])
     optimiser.load_state_dict(state["optimiser"])
     return int(state["step"]), float(state["seconds"])
+
+
+def _forget_rows_after(path: Path, step: int) -> None:
+    """Drop log rows of steps that were lost with a kill and will be done again."""
+    if path.is_file():
+        rows = [line for line in path.read_text().splitlines() if json.loads(line)["step"] <= step]
+        path.write_text("".join(row + "\n" for row in rows))

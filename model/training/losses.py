@@ -53,11 +53,17 @@ def normalised_inverse_depth(depth: Tensor, near_far: Tensor) -> Tensor:
 
 
 def depth_loss(estimate: DepthEstimate, final: Tensor, truth: Tensor) -> Tensor:
-    """L1 at 1/4, 1/2 and full resolution; truth (B, V, H, W) normalised inverse depth.
+    """L1 at 1/4, 1/2 and full resolution; truth (B, V, K, H, W) normalised inverse depth, K equally near samples.
 
-    The coarse levels are compared at their pixel centres by subsampling: averaging would invent depths at edges.
+    The centre of a coarse cell lies on a corner between four pixels. Averaging them would invent depths at edges, and
+    taking one of them would shift the truth by half a pixel: the prediction is compared with the closest of the four.
     """
-    truth = truth.flatten(0, 1).unsqueeze(1)
-    quarter = (estimate.quarter - truth[:, :, 2::4, 2::4]).abs().mean()
-    half = (estimate.half - truth[:, :, 1::2, 1::2]).abs().mean()
-    return 0.5 * quarter + half + (final - truth).abs().mean()
+    truth = truth.flatten(0, 1)
+    quarter = _closest(estimate.quarter, [truth[:, :, y::4, x::4] for y in (1, 2) for x in (1, 2)])
+    half = _closest(estimate.half, [truth[:, :, y::2, x::2] for y in (0, 1) for x in (0, 1)])
+    return 0.5 * quarter + half + _closest(final, [truth])
+
+
+def _closest(prediction: Tensor, samples: list[Tensor]) -> Tensor:
+    """Mean over pixels of the smallest absolute difference; prediction (n, 1, h, w), samples (n, K, h, w)."""
+    return (torch.cat(samples, dim=1) - prediction).abs().amin(1).mean()

@@ -6,9 +6,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from gapmes.service.harmonics import C0
+
 from ..adapter import GaussianBatch
 from ..geometry import quaternion_to_matrix
-from ..harmonics import SH_C0, evaluate
+from ..harmonics import evaluate
 from .splat import splat
 
 
@@ -27,7 +29,7 @@ def draw(
     pixels = intrinsics * torch.tensor([width, height, 1.0], dtype=intrinsics.dtype).reshape(1, 1, 3, 1)
     common = (gaussians.means, factors, gaussians.opacities)
     if gaussians.harmonics.shape[2] == 1:
-        colours = (0.5 + SH_C0 * gaussians.harmonics[:, :, 0]).clamp(min=0)
+        colours = (0.5 + C0 * gaussians.harmonics[:, :, 0]).clamp(min=0)
         return splat(*common, colours, world_from_cam, pixels, height, width, near=near, background=background)
     rgb, alpha = [], []
     for target in range(world_from_cam.shape[1]):

@@ -23,7 +23,7 @@ class TensorBatch:
     images: Tensor  # (B, V, 3, H, W)
     intrinsics: Tensor  # (B, V, 3, 3) normalised
     poses: Tensor  # (B, V, 4, 4) float32
-    depth: Tensor  # (B, V, H, W) true normalised inverse depth
+    depth: Tensor  # (B, V, K, H, W) true normalised inverse depth, K = 1, or the 2 x 2 finer samples when zoomed
     near_far: Tensor  # (B, 2)
     targets: Tensor  # (B, T, 3, h, w), h = H or 2 H
     target_intrinsics: Tensor  # (B, T, 3, 3) normalised
@@ -36,17 +36,17 @@ def to_tensors(batch: SceneBatch, *, zoomed: bool) -> TensorBatch:
     relative = (torch.linalg.inv(world[:, :1]) @ world).float()
     intrinsics = torch.from_numpy(batch.intrinsics).float()
     near_far = torch.from_numpy(batch.near_far).float()
-    images, depth = torch.from_numpy(batch.images), torch.from_numpy(batch.depths[:, : batch.inputs])
-    v = batch.inputs
-    inputs = images[:, :v]
+    images, v = torch.from_numpy(batch.images), batch.inputs
+    depth = normalised_inverse_depth(torch.from_numpy(batch.depths[:, :v]), near_far)
+    inputs, samples = images[:, :v], [depth]
     if zoomed:
         inputs = F.avg_pool2d(inputs.flatten(0, 1), 2).reshape(*inputs.shape[:3], inputs.shape[-2] // 2, -1)
-        depth = depth[:, :, 1::2, 1::2]
+        samples = [depth[:, :, y::2, x::2] for y in (0, 1) for x in (0, 1)]
     return TensorBatch(
         inputs,
         intrinsics[:, :v],
         relative[:, :v],
-        normalised_inverse_depth(depth, near_far),
+        torch.stack(samples, dim=2),
         near_far,
         images[:, v:],
         intrinsics[:, v:],

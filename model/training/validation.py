@@ -30,13 +30,14 @@ def validate(model: GaPMeS, batches: list[TensorBatch]) -> dict[str, object]:
         scores += psnr(rgb, truth).tolist()
         structure += gaussian_ssim(rgb, truth).tolist()
         holes.append(float((alpha < 0.5).float().mean()))
-        inverse = prediction.final_inverse.reshape(batch.depth.shape)
-        depth.append(float((inverse - batch.depth).abs().mean()))
+        truth_depth = batch.depth[:, :, 0]
+        inverse = prediction.final_inverse.reshape(truth_depth.shape)
+        depth.append(float((inverse - truth_depth).abs().mean()))
         distance = (batch.target_poses[:, :, None, :3, 3] - batch.poses[:, None, :, :3, 3]).norm(dim=-1)
         nearest = distance.argmin(-1)
         copied = torch.stack([batch.images[b, nearest[b]] for b in range(len(nearest))]).flatten(0, 1)
         copies += psnr(copied, truth).tolist()
-        if prediction.routing is not None:
+        if prediction.routing is not None and prediction.routing.expert_index is not None:
             index = prediction.routing.expert_index.flatten()
             shares.append(torch.bincount(index, minlength=model.config.experts).float() / len(index))
     model.train(was_training)

@@ -21,6 +21,7 @@ def reconstruct(
     views: Annotated[str | None, typer.Option(help="2 to 6 view indices such as 4,8 [default: all]")] = None,
     near: Annotated[float | None, typer.Option(help="nearest depth, in the cameras' units")] = None,
     far: Annotated[float | None, typer.Option(help="farthest depth, in the cameras' units")] = None,
+    trust_poses: Annotated[bool, typer.Option(help="only warn where the photographs contradict the poses")] = False,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
@@ -52,6 +53,7 @@ def reconstruct(
             [folder.file.views[index].camera for index in chosen],
             near=folder.file.near if near is None else near,
             far=folder.file.far if far is None else far,
+            trust_poses=trust_poses,
             listener=bars,
         )
         with stages.stage("write .ply"):

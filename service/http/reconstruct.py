@@ -29,6 +29,7 @@ _FORM = {
         "near": {"type": "number", "exclusiveMinimum": 0, "description": "nearest depth, in the cameras' units"},
         "far": {"type": "number", "exclusiveMinimum": 0, "description": "farthest depth, in the cameras' units"},
         "views": {"type": "string", "description": "views to render, comma separated: 0, 1.5, orbit:30"},
+        "trust_poses": {"type": "boolean", "description": "only warn where the photographs contradict the poses"},
     },
 }
 
@@ -60,7 +61,7 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
         model_sha256,
         [image.data for image in upload.pairing.images],
         [camera_document(camera) for camera in upload.pairing.cameras],
-        {"near": upload.near, "far": upload.far},
+        {"near": upload.near, "far": upload.far, "trust_poses": upload.trust_poses},
     )
     async with runtime.gate.admitted(), runtime.gate.alone(scene_id):
         created = not store.exists(scene_id)
@@ -74,7 +75,9 @@ def _compute(runtime: Runtime, scene_id: str, upload: Upload) -> None:
     pairing = upload.pairing
     limit = runtime.settings.max_image_pixels
     photos = [decode_image(image.data, index=index, max_pixels=limit) for index, image in enumerate(pairing.images)]
-    scene = runtime.reconstructor.reconstruct(photos, pairing.cameras, near=upload.near, far=upload.far)
+    scene = runtime.reconstructor.reconstruct(
+        photos, pairing.cameras, near=upload.near, far=upload.far, trust_poses=upload.trust_poses
+    )
     document = {
         "id": scene_id,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -24,7 +24,7 @@ from .limits import parse_json
 from .pairing import NamedImage, Pairing, pair, posted_size
 
 MAX_PARTS = 64  # far above what a valid request has, so that one image too many is told from a flood
-FIELDS = ("images", "cameras", "near", "far", "views")
+FIELDS = ("images", "cameras", "near", "far", "views", "trust_poses")
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ class Upload:
     near: float | None
     far: float | None
     views: tuple[str, ...]
+    trust_poses: bool
 
 
 async def read_upload(request: Request, *, max_camera_bytes: int, max_upload_bytes: int) -> Upload:
@@ -65,7 +66,7 @@ async def _parse(form: FormData, max_camera_bytes: int) -> Upload:
         await _cameras(form, max_camera_bytes), size_of=lambda name, index: posted_size(images, name, index)
     )
     near, far = (_number(form, name, given) for name, given in (("near", cameras.near), ("far", cameras.far)))
-    return Upload(pair(images, cameras.views), near, far, _views(form))
+    return Upload(pair(images, cameras.views), near, far, _views(form), _flag(form, "trust_poses"))
 
 
 async def _images(form: FormData) -> list[NamedImage]:
@@ -107,6 +108,13 @@ def _number(form: FormData, name: str, otherwise: float | None) -> float | None:
     if not math.isfinite(value):
         raise DepthRangeError(f"{value} is not finite", field=name)
     return value
+
+
+def _flag(form: FormData, name: str) -> bool:
+    text = _text(form, name).lower()
+    if text not in ("", "false", "true"):
+        raise InputError(f"{text[:100]!r} is neither true nor false", field=name)
+    return text == "true"
 
 
 def _views(form: FormData) -> tuple[str, ...]:

@@ -7,7 +7,8 @@ from pathlib import Path
 import onnx
 import pytest
 
-from gapmes.export.build import add_metadata, contract_metadata, export_graph
+from gapmes.export.build import export_graph
+from gapmes.export.metadata import add_metadata, contract_metadata
 from gapmes.model.checkpoint import WEIGHTS_LICENCE, file_sha256, load_checkpoint, shipped_checkpoint
 from gapmes.model.network import GaPMeS
 

@@ -10,14 +10,17 @@ import onnxruntime
 import pytest
 import torch
 
-from gapmes.export.build import export_graph
-from gapmes.export.cases import Case, gate_values, with_gates
-from gapmes.export.contract import INPUTS, MAX_VIEWS, MIN_VIEWS, OPSET, output_names
+from gapmes.export.build import MAX_VIEWS, MIN_VIEWS, OPSET, export_graph
+from gapmes.export.cases import Case
+from gapmes.export.gate_settings import gate_values, with_gates
+from gapmes.export.graph import SceneGraph
 from gapmes.export.samples import hostile_scenes, random_scene
 from gapmes.export.tolerance import TOLERANCES
 from gapmes.export.verify import verify
 from gapmes.model.checkpoint import file_sha256
+from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
+from gapmes.service.contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 
 SIZE, PATCHES = 64, 16
 
@@ -28,7 +31,7 @@ def feed(inputs) -> dict[str, np.ndarray]:
 
 def test_inputs_and_outputs_are_those_of_the_contract(small_graph: onnx.ModelProto) -> None:
     assert tuple(i.name for i in small_graph.graph.input) == INPUTS
-    assert tuple(o.name for o in small_graph.graph.output) == output_names(with_routing=True)
+    assert tuple(o.name for o in small_graph.graph.output) == REQUIRED_OUTPUTS + OPTIONAL_OUTPUTS
     assert {o.domain: o.version for o in small_graph.opset_import}[""] == OPSET
     shape = small_graph.graph.input[0].type.tensor_type.shape.dim
     assert shape[0].dim_param
@@ -98,10 +101,12 @@ def test_each_expert_runs_on_just_the_patches_that_chose_it(
     model = with_gates(small_graph, gate_values(network, gates))
     inputs = random_scene(3, SIZE, SIZE, seed=4)
     session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
-    (index,) = session.run(["expert_index"], feed(inputs))
-    chosen = np.bincount(index.ravel(), minlength=6)
-    assert chosen.sum() == 3 * PATCHES * 2
+    index, weight = session.run(["expert_index", "expert_weight"], feed(inputs))
+    chosen = np.bincount(index[weight != 0], minlength=6)
+    assert chosen.sum() == 3 * PATCHES * (1 if gates == "one expert" else 2)
     assert expert_rows(model, inputs) == (3 * chosen).tolist()
+    if gates == "one expert":
+        assert np.flatnonzero(chosen).tolist() == [5]
     if gates == "two experts":
         assert sorted(np.flatnonzero(chosen)) == [1, 5]
 
@@ -115,3 +120,24 @@ def test_left_out_patches_run_through_no_expert(small_graph: onnx.ModelProto) ->
 def test_a_size_that_does_not_fit_is_refused(network: GaPMeS) -> None:
     with pytest.raises(ValueError, match="height is 100 px, need a multiple of 16"):
         export_graph(network, 100, 64)
+
+
+@pytest.mark.parametrize(
+    ("changes", "height", "width"),
+    [
+        ({"without_depth": True, "sh_degree": 2}, 48, 80),
+        ({"without_experts": True}, 32, 32),
+        ({"without_tasks": True, "backing": False}, 32, 48),
+    ],
+)
+def test_ablations_other_shapes_and_harmonics_export_and_agree(changes: dict, height: int, width: int) -> None:
+    torch.manual_seed(0)
+    network = GaPMeS(preset("tiny", **changes)).eval()
+    model = export_graph(network, height, width)
+    names = SceneGraph(network).output_names
+    assert tuple(o.name for o in model.graph.output) == names
+    assert ("expert_index" in names) == ("without_experts" not in changes)
+    assert ("task_weight" in names) == ("without_tasks" not in changes)
+    cases = [Case("random", "as trained", random_scene(v, height, width, seed=v)) for v in (2, 4)]
+    for result in verify(model, network, cases, TOLERANCES["fp32"]):
+        assert result.failures == []

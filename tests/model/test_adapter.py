@@ -9,6 +9,7 @@ from small_networks import random_rotation, scene, tiny
 from gapmes.model.adapter import footprint, place
 from gapmes.model.geometry import matrix_to_quaternion, pixel_grid, quaternion_to_matrix, rigid_inverse
 from gapmes.model.harmonics import evaluate, rotate_bands
+from gapmes.model.heads import unit_quaternions
 from gapmes.service.harmonics import evaluate_basis
 
 
@@ -109,3 +110,13 @@ def test_camera_rotation_as_quaternion_matches_the_matrix() -> None:
     generator = torch.Generator().manual_seed(4)
     rotations = torch.stack([random_rotation(generator) for _ in range(50)]).float()
     torch.testing.assert_close(quaternion_to_matrix(matrix_to_quaternion(rotations)), rotations, atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-45, 1e-30, 1e-6, 1.0, 1e19, 3e38])
+def test_head_quaternions_are_units_whatever_their_length(size: float) -> None:
+    identity = torch.tensor([1.0, 0, 0, 0]).reshape(1, 4, 1, 1)
+    raw = torch.tensor([0.5, -1.0, 0.25, 0.75]).reshape(1, 4, 1, 1) * size
+    unit = unit_quaternions(raw, identity)
+    torch.testing.assert_close(unit.norm(dim=1), torch.ones(1, 1, 1), atol=2e-6, rtol=0)
+    if not raw.any():  # also the smallest denormal, which the processor may flush
+        assert torch.equal(unit, identity)

@@ -88,10 +88,12 @@ def test_a_textured_wall_is_matched_at_its_depth(depth: float) -> None:
     near, far = 1.0, 10.0
     (volume,), seen = sweep([features], Views.make(k, poses, torch.tensor([[near, far]])), planes)
     truth = (1 / depth - 1 / far) / (1 / near - 1 / far) * (planes - 1)
-    inner = seen[0].min(0).values > 0
-    found = volume[0].argmax(0)[inner].float()
-    assert len(found) > 200
-    # a 4x4 patch alone is ambiguous for a tenth of the pixels (measured 0.83 to 0.90 within one plane and a half); what
-    # must hold is that the vote is not shifted: half a pixel of misplaced centres moves the median by a plane
-    assert ((found - truth).abs() <= 1.5).float().mean() > 0.8
-    assert abs(float(found.median()) - truth) <= 0.5
+    for view in range(2):
+        inner = seen[view].min(0).values > 0
+        error = (volume[view].argmax(0)[inner].float() - truth).double()
+        inliers = error[error.abs() <= 1.5]
+        assert len(error) > 200
+        # a 4x4 patch alone is ambiguous for a tenth of the pixels: measured 0.83 to 0.90 within a plane and a half
+        assert len(inliers) > 0.8 * len(error)
+        # what must hold is that the vote is not shifted: measured 0.06 at most; centres half a cell off give 0.48
+        assert abs(float(inliers.mean())) < 0.2

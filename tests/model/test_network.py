@@ -42,10 +42,10 @@ def test_swapping_scenes_of_a_batch_swaps_the_results(network: GaPMeS) -> None:
     with torch.no_grad():
         straight = network(*one)
         swapped = network(*(value.flip(0) for value in one))
-    close = (swapped.gaussians.means.flip(0) - straight.gaussians.means).norm(dim=-1)
-    assert float(close.quantile(0.999)) < 1e-3
-    same = swapped.routing.expert_index.reshape(2, -1).flip(0) == straight.routing.expert_index.reshape(2, -1)
-    assert float(same.float().mean()) > 0.99
+    # every product is the same, only its place in the batch differs: measured 0 difference on one thread
+    torch.testing.assert_close(swapped.gaussians.means.flip(0), straight.gaussians.means, atol=1e-5, rtol=1e-5)
+    routes = swapped.routing.expert_index.reshape(2, -1).flip(0)
+    assert torch.equal(routes, straight.routing.expert_index.reshape(2, -1))
 
 
 def test_evaluation_is_deterministic_and_draws_no_noise(network: GaPMeS) -> None:
@@ -99,11 +99,16 @@ def test_without_tasks_every_head_reads_the_same_map() -> None:
 def test_gradient_reaches_gates_experts_and_balance_from_a_loss_on_gaussians() -> None:
     torch.manual_seed(0)
     network = tiny().train()
-    g = network(*scene(1, 2, 64)).gaussians
+    prediction = network(*scene(1, 2, 64))
+    g = prediction.gaussians
     loss = g.means.square().mean() + g.scales.log().mean() + g.opacities.square().mean() + g.harmonics.square().mean()
     loss.backward()
-    silent = [n for n, p in network.named_parameters() if p.requires_grad and p.grad is None]
-    assert silent == []
+    silent = {n for n, p in network.named_parameters() if p.requires_grad and (p.grad is None or not p.grad.any())}
+    # experts that no patch chose have no gradient
+    chosen = set(prediction.routing.expert_index.unique().tolist())
+    idle = {n for n in silent if n.startswith("mixture.experts.")}
+    assert silent == idle
+    assert all(int(n.split(".")[3]) not in chosen for n in idle)
     for name in ("expert_gate.weight", "task_gate.weight", "expert_balance", "task_balance"):
         gradient = network.mixture.gates.get_parameter(name).grad
         assert float(gradient.abs().sum()) > 0, name

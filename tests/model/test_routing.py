@@ -90,9 +90,17 @@ def test_gumbel_top_k_samples_in_proportion_to_the_softmax() -> None:
 
 def test_balance_loss_is_one_when_even_and_larger_when_not() -> None:
     g = gates()
+    even = torch.eye(6).repeat(8, 1) * 10  # every expert is first equally often, and second by the same turn
+    even = even + torch.eye(6).roll(1, 1).repeat(8, 1) * 5
     with torch.no_grad():
         g.expert_gate.weight.zero_()
+        g.expert_gate.weight[:, :6] = torch.eye(6)
         g.expert_gate.bias.zero_()
+    query = torch.zeros(48, 48)
+    query[:, :6] = even
+    assert float(g(query).balance_loss.detach()) == pytest.approx(1.0, abs=1e-5)
+    with torch.no_grad():
+        g.expert_gate.weight.zero_()
         g.expert_gate.bias[2] = 5.0
     assert float(g(torch.randn(32, 48)).balance_loss.detach()) > 2.5
 

@@ -46,6 +46,8 @@ def test_wrong_readings_are_named(off_origin, wrong):
         check_photos(fitted(off_origin, WRONG[wrong]), DEPTHS)
     assert wrong in caught.value.cure
     assert caught.value.extra["other_score"] > caught.value.extra["score"] + 0.15
+    (notice,) = check_photos(fitted(off_origin, WRONG[wrong]), DEPTHS, trust_poses=True)
+    assert notice["code"] == "poses_doubtful"
 
 
 def test_swapped_cameras_of_two_photographs_are_noticed():

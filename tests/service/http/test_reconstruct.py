@@ -215,3 +215,12 @@ def test_huge_world_offset(client: TestClient) -> None:
     ]
     assert np.abs(pictures[0] - pictures[1]).max() <= 1
     assert pictures[0].max() > 0
+
+
+def test_trust_poses_is_a_flag_of_its_own_scene(client: TestClient) -> None:
+    plain, trusting = post(client), post(client, trust_poses="true")
+    assert trusting.status_code == 201
+    assert trusting.json()["id"] != plain.json()["id"]
+    refused = post(client, trust_poses="perhaps")
+    assert refused.status_code == 422
+    assert refused.json()["field"] == "trust_poses"

@@ -1,0 +1,55 @@
+"""What a file says about itself: the `gapmes.*` metadata, and writing a model whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import onnx
+
+from gapmes.model.config import PIXELS_PER_PATCH
+from gapmes.model.network import GaPMeS
+from gapmes.service.contract import FORMAT
+
+from .build import MAX_VIEWS, MIN_VIEWS, OPSET
+
+NEAR_FAR_RULE = "z-depth range in the units of the poses; candidates are uniform in 1/z from 1/far to 1/near"
+
+
+def contract_metadata(
+    network: GaPMeS, *, height: int, width: int, weights_sha256: str, licence: str, precision: str
+) -> dict[str, str]:
+    """Everything but the tolerance, which verification adds."""
+    return {
+        "format": FORMAT,
+        "preset": network.config.preset,
+        "config": network.config.to_json(),
+        "weights_sha256": weights_sha256,
+        "opset": str(OPSET),
+        "height": str(height),
+        "width": str(width),
+        "size_rule": "fixed height and width",
+        "views": json.dumps([MIN_VIEWS, MAX_VIEWS]),
+        "patch_px": str(PIXELS_PER_PATCH),
+        "near_far": NEAR_FAR_RULE,
+        "licence": licence,
+        "precision": precision,
+    }
+
+
+def add_metadata(model: onnx.ModelProto, values: Mapping[str, str]) -> None:
+    """Set `gapmes.*` metadata, sorted; what is there stays unless replaced, other keys go."""
+    kept = {p.key: p.value for p in model.metadata_props if p.key.startswith("gapmes.")}
+    kept.update({f"gapmes.{key}": value for key, value in values.items()})
+    del model.metadata_props[:]
+    for key in sorted(kept):
+        model.metadata_props.add(key=key, value=kept[key])
+
+
+def write_model(model: onnx.ModelProto, path: Path) -> None:
+    """Serialise deterministically, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(model.SerializeToString(deterministic=True))
+    part.replace(path)

@@ -1,0 +1,14 @@
+"""The ONNX contract: names of inputs and outputs, the format's version, and how many views a file takes."""
+
+from __future__ import annotations
+
+INPUTS = ("images", "intrinsics", "world_from_cam", "near_far", "patch_mask")
+GAUSSIAN_OUTPUTS = ("means", "scales", "rotations_wxyz", "opacities", "harmonics")
+IMAGE_OUTPUTS = ("depth", "confidence")
+REQUIRED_OUTPUTS = GAUSSIAN_OUTPUTS + IMAGE_OUTPUTS
+# A network without experts or without a task gate has no such outputs.
+EXPERT_OUTPUTS = ("expert_index", "expert_weight")
+TASK_OUTPUTS = ("task_weight",)
+OPTIONAL_OUTPUTS = EXPERT_OUTPUTS + TASK_OUTPUTS
+
+FORMAT = "1"  # gapmes.format: bumped when names or meanings change
