@@ -1,4 +1,4 @@
-"""Losses of the recipe: colour, structure, depth in normalised inverse depth, and load balance."""
+"""Losses of the recipe and the figures it reports (Eq. 21-25): colour, structure, depth in inverse depth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Float64 projection of Gaussians into the image: footprints, shades and depths, with every culled one counted.
+"""Float64 projection of Gaussians into the image (Eq. 17-18): footprints, shades and depths, every culled one counted.
 
 A footprint is the ellipse factor of EWA projection (Zwicker et al. 2001) and never a covariance, which float32 or an
 inverse would ruin for thin splats. With A = [J W R S | sqrt(dilation) I] (2 x 5, rows a1 and a2), the lower triangle
