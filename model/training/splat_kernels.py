@@ -1,4 +1,4 @@
-"""Numba blending of projected Gaussians, front to back (Eq. 19-20), and its gradient, back to front; one image per thread."""
+"""Numba blending of projected Gaussians, front to back (Eq. 19-20), and its gradient; one image per thread."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numba projection of Gaussians to one image (Eq. 17-18) and its gradient: EWA in float64, without ever forming a covariance.
+"""Numba projection of Gaussians to one image (Eq. 17-18) and its gradient: EWA in float64, never a covariance.
 
 A Gaussian with covariance A A^T becomes the two rows `b1, b2` of J W A (J: the Jacobian of the pinhole projection at
 the mean, W: the world-to-camera rotation; Zwicker et al., "EWA Splatting", 2002). Its image covariance, dilated by

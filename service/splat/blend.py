@@ -1,4 +1,4 @@
-"""Front-to-back blending (Eq. 19-20), tile by tile in float32, from offsets that are formed in float64 per (tile, Gaussian).
+"""Front-to-back blending (Eq. 19-20), tile by tile in float32, from float64 offsets per (tile, Gaussian).
 
 Inside a tile the two normalised offsets u1, u2 change by constant steps; all three are formed in float64 at the tile's
 centre and only then rounded. So the error of an alpha does not grow with the footprint: at most 1.2e-6 was measured for
