@@ -13,7 +13,7 @@ from .layers import replicate_pad
 
 # The correlation map of one pair is (h*w)^2 numbers: 67 MB at 64 x 64. Rows of the reference are taken in this many
 # pieces, one after the other, which divides the peak memory and changes no number.
-SWEEP_PIECES = 4
+SWEEP_PIECES = 8
 
 
 @dataclass(frozen=True)

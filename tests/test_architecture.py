@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -59,3 +60,12 @@ def test_every_package_folder_is_listed_for_the_wheel() -> None:
         for init in (ROOT / package).rglob("__init__.py"):
             folder = init.parent.relative_to(ROOT)
             assert f'"gapmes.{".".join(folder.parts)}"' in text, folder
+
+
+def test_the_runtime_asks_for_no_torch_and_the_export_extra_does() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    heavy = ("torch", "transformers", "onnx>", "onnxscript", "plyfile")
+    assert not [name for name in project["dependencies"] if name.startswith(heavy)]
+    export = project["optional-dependencies"]["export"]
+    assert any(name.startswith("torch==") for name in export)
+    assert any(name.startswith("onnx>") for name in export)
