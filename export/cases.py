@@ -16,7 +16,7 @@ from gapmes.service.shipped import sample_folder
 from .build import MAX_VIEWS, MIN_VIEWS
 from .gate_settings import GateSetting
 from .graph import SceneInputs
-from .samples import hostile_scenes, random_scene
+from .samples import FLAT, hostile_scenes, random_scene
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,7 @@ class Case:
     name: str
     gates: GateSetting
     inputs: SceneInputs
+    flat: bool = False  # images of one colour, where normalisation amplifies rounding
 
     @property
     def views(self) -> int:
@@ -44,7 +45,7 @@ def verification_cases(height: int, width: int, *, quick: bool = False) -> Itera
     hostile = (3,) if quick else (2, 3)
     for views in hostile:
         for name, inputs in hostile_scenes(views, height, width).items():
-            yield Case(name, "as trained", inputs)
+            yield Case(name, "as trained", inputs, flat=name in FLAT)
     settings: tuple[GateSetting, ...] = ("all tied", "one expert", "two experts")
     for gates in settings:
         for views in hostile:

@@ -11,6 +11,8 @@ from gapmes.model.config import PIXELS_PER_PATCH
 
 from .graph import SceneInputs
 
+FLAT = ("black", "white", "grey")  # names of the hostile scenes whose images have one colour
+
 
 def rotation_y(angle: float) -> torch.Tensor:
     """(3, 3) turn about the camera's y axis."""

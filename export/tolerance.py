@@ -9,10 +9,15 @@ reported and not limited, since a jump has no size limit of its own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 Precision = Literal["fp32", "int8"]
+
+
+# An image of one colour has no variance, and group normalisation divides by the root of that plus 1e-5: a rounding of
+# 6e-8 grows up to 300 times per layer. Measured on such images: 6 times the p99 and 19 times the mean of all others.
+FLAT_FACTOR = 30.0
 
 
 @dataclass(frozen=True)
@@ -26,10 +31,26 @@ class Tolerance:
     spare_flips: int  # and this many more: in a small picture one patch is already some per cent
     picture_psnr: float  # dB, least agreement of what is drawn from both results
 
+    def for_flat_images(self) -> Tolerance:
+        """The limits for images of one colour.
+
+        Their smooth errors come near `JUMP`, so its share says nothing there. Patches that look alike change route
+        together: where quantisation may change some, it may change four times as many.
+        """
+        return replace(
+            self,
+            p99=FLAT_FACTOR * self.p99,
+            mean=FLAT_FACTOR * self.mean,
+            jumps=1.0,
+            unambiguous_flips=4 * self.unambiguous_flips,
+        )
+
 
 TOLERANCES: dict[Precision, Tolerance] = {
-    # FP32MEASURED
-    "fp32": Tolerance(p99=2e-4, mean=2e-5, jumps=2e-3, unambiguous_flips=0.0, spare_flips=0, picture_psnr=70.0),
-    # INT8MEASURED
-    "int8": Tolerance(p99=4e-2, mean=4e-3, jumps=1.0, unambiguous_flips=0.02, spare_flips=2, picture_psnr=40.0),
+    # Largest of 28 cases at 256 x 256 pixels: p99 8.4e-5, mean 6.9e-6, jumps 1.9e-3, picture 90 dB at least. The limits
+    # are three times that, since the order of sums differs between processors and versions.
+    "fp32": Tolerance(p99=3e-4, mean=2e-5, jumps=6e-3, unambiguous_flips=0.0, spare_flips=0, picture_psnr=70.0),
+    # Largest of the same cases: p99 4.6e-2 (opacities under a depth range of 1 to 1e6), mean 2.9e-3, 1.4 % of routes
+    # (4.1 % on images of one colour), picture 67 dB at least. Limits: about twice that.
+    "int8": Tolerance(p99=1e-1, mean=6e-3, jumps=1.0, unambiguous_flips=0.02, spare_flips=2, picture_psnr=40.0),
 }

@@ -18,6 +18,7 @@ F64 = NDArray[np.float64]
 # A rotation further than this from orthonormal moves a pixel by more than 0.1 px at f = 1000 px; below it the matrix
 # is projected onto SO(3), which is what rounding to six decimals in a text file needs.
 MAX_ORTHONORMALITY_ERROR = 1e-4
+ROUNDING = 1e-14  # what float64 leaves of orthonormality (some 1e-15); such a matrix is kept to the bit
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ class Camera:
         for name, value, size in (("cx", cx, width), ("cy", cy, height)):
             if not -size <= value <= 2 * size:
                 raise IntrinsicsError(
-                    f"{name} = {value:g} px lies far outside an image of {size} px",
+                    f"{name} = {value:g} px lies far outside an image of {size:g} px",
                     field=f"{field}.{name}",
                     index=index,
                     cure="principal point is in pixels from the upper left corner",
@@ -145,7 +146,10 @@ def rigid_inverse(matrix: F64) -> F64:
 
 
 def checked_pose(value: object, *, field: str = "c2w", index: int | None = None) -> F64:
-    """Parse a (4, 4) or (3, 4) rigid motion; a drift below 1e-4 is projected onto SO(3), anything else is refused."""
+    """Parse a (4, 4) or (3, 4) rigid motion; a drift below 1e-4 is projected onto SO(3), more is refused.
+
+    A rotation that is one to rounding stays as it is, so that a pose that was checked once is never changed again.
+    """
     try:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -183,9 +187,11 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
             index=index,
             cure=cure,
         )
-    u, _, vt = np.linalg.svd(rotation)
+    if drift > ROUNDING:
+        u, _, vt = np.linalg.svd(rotation)
+        rotation = u @ vt
     pose = np.eye(4)
-    pose[:3, :3] = u @ vt
+    pose[:3, :3] = rotation
     pose[:3, 3] = matrix[:3, 3]
     return pose
 
@@ -201,7 +207,7 @@ def _check_focal(value: float, size: int, name: str, field: str, index: int | No
     elif 0.1 <= value <= 20:
         cure = f"these look normalised; multiply {name} by the image size ({value * size:.4g} px)"
     raise IntrinsicsError(
-        f"{name} = {value:g} px for an image of {size} px, need between {0.1 * size:g} and {20 * size:g} px",
+        f"{name} = {value:g} px for an image of {size:g} px, need between {0.1 * size:g} and {20 * size:g} px",
         field=f"{field}.{name}",
         index=index,
         cure=cure,

@@ -62,7 +62,7 @@ def optional_number(obj: Mapping, name: str) -> float | None:
     return None if obj.get(name) is None else number_of(obj, name, field="cameras")
 
 
-def image_name(entry: Mapping, name: str, *, field: str, index: int) -> str | None:
+def image_name(entry: Mapping, name: str, *, field: str, index: int | None = None) -> str | None:
     """The string under `name`, None where it is absent or null. Raises `CameraError`."""
     value = entry.get(name)
     if value is not None and not isinstance(value, str):
@@ -81,7 +81,7 @@ def list_of(obj: Mapping, name: str) -> Sequence[Mapping]:
     return entries
 
 
-def opencv_pose(matrix: object, *, axes: str, pose: str, field: str, index: int) -> F64:
+def opencv_pose(matrix: object, *, axes: str, pose: str, field: str, index: int | None = None) -> F64:
     """(4, 4) world_from_cam in OpenCV axes; `axes` (opencv | opengl) and `pose` (c2w | w2c) say what `matrix` is."""
     world_from_cam = checked_pose(matrix, field=field, index=index)
     if pose == "w2c":

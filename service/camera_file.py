@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,9 @@ from .camera_fields import SizeOf, image_name, list_of, number_of, opencv_pose, 
 from .errors import CameraError, ImageError, ImageUnreadable
 from .transforms_file import parse_transforms
 
+# Which views of a file to read, given how many it has; the order is kept.
+Choice = Callable[[int], Sequence[int]]
+
 _FILE_NAMES = ("cameras.json", "transforms.json")
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG")  # a Blender file names images without one
@@ -23,47 +26,51 @@ _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG")  # a
 
 @dataclass(frozen=True)
 class SceneFolder:
-    """A folder with a camera file and the photographs that it names, one path per view."""
+    """A folder with a camera file and the photographs of its chosen views, one path per view."""
 
     root: Path
-    file: CameraFile
+    file: CameraFile  # the chosen views alone
     image_paths: tuple[Path, ...]
+    indices: tuple[int, ...]  # the chosen views' places in the file
 
 
-def parse_camera_file(obj: object, *, size_of: SizeOf | None = None) -> CameraFile:
+def parse_camera_file(
+    obj: object, *, size_of: SizeOf | None = None, indices: Sequence[int] | None = None
+) -> CameraFile:
     """Parse a decoded cameras.json or transforms.json into OpenCV camera-to-world cameras.
 
-    `size_of` supplies image sizes where a transforms.json leaves them out. Unknown keys are ignored.
+    `size_of` supplies image sizes where a transforms.json leaves them out. Unknown keys are ignored. With `indices`
+    only those views are looked at, and come in that order.
     Raises `CameraError` or one of its children, naming field and view index.
     """
-    if not isinstance(obj, Mapping):
-        raise CameraError(f"is a {type(obj).__name__}, need a JSON object", field="cameras")
-    if "views" in obj:
-        return _parse_views(obj)
-    if "frames" in obj:
-        return parse_transforms(obj, size_of=size_of)
-    raise CameraError(
-        f'has neither "views" (cameras.json) nor "frames" (transforms.json), only {sorted(map(str, obj))[:8]}',
-        field="cameras",
-    )
+    key = _list_name(obj)
+    if key == "views":
+        return _parse_views(obj, indices)
+    return parse_transforms(obj, size_of=size_of, indices=indices)
 
 
-def load_scene_folder(path: str | Path) -> SceneFolder:
+def load_scene_folder(path: str | Path, choose: Choice | None = None) -> SceneFolder:
     """Read `cameras.json`, else `transforms.json`, of a folder, or the named file; images are found, not decoded.
 
-    Raises `CameraError` for a missing or malformed file and `ImageError` for a photograph that is not there.
+    `choose` says which views are wanted: the others' photographs need not be there. Raises `CameraError` for a missing
+    or malformed file and `ImageError` for a photograph that is not there.
     """
     path = Path(path)
     source = path if path.is_file() else next((path / name for name in _FILE_NAMES if (path / name).is_file()), None)
     if source is None:
         raise CameraError(f"{path} holds neither {' nor '.join(_FILE_NAMES)}", field="cameras")
     root = source.parent
-    try:
-        obj = json.loads(source.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise CameraError(f"{source} is not readable JSON: {error}", field="cameras") from error
-    file = parse_camera_file(obj, size_of=lambda name, index: _size_in_file(_find_image(root, name, index), index))
-    return SceneFolder(root, file, tuple(_find_image(root, v.image, i) for i, v in enumerate(file.views)))
+    file, indices = _read(source, choose)
+    paths = (_find_image(root, view.image, index) for index, view in zip(indices, file.views, strict=True))
+    return SceneFolder(root, file, tuple(paths), indices)
+
+
+def read_camera_file(path: str | Path) -> CameraFile:
+    """Read a cameras.json or transforms.json; its photographs are needed only where it leaves their sizes out.
+
+    Raises `CameraError` for a missing or malformed file and `ImageError` for a photograph whose size is needed.
+    """
+    return _read(Path(path), None)[0]
 
 
 def camera_document(camera: Camera, image: str | None = None) -> dict[str, object]:
@@ -73,25 +80,62 @@ def camera_document(camera: Camera, image: str | None = None) -> dict[str, objec
     return ({} if image is None else {"image": image}) | entry | pose
 
 
-def _parse_views(obj: Mapping) -> CameraFile:
-    axes = _choice(obj, "axes", ("opencv", "opengl"))
-    pose = _choice(obj, "pose", ("c2w", "w2c"))
-    views = []
-    for index, entry in enumerate(list_of(obj, "views")):
-        missing = [name for name in _NUMBERS if name not in entry]
-        if missing:
-            raise CameraError(
-                f"{', '.join(missing)} missing", field="views", index=index, cure="sizes and focal lengths in px"
-            )
-        numbers = [number_of(entry, name, field="views", index=index) for name in _NUMBERS]
-        matrix = _matrix(entry, pose, index)
-        world_from_cam = opencv_pose(matrix, axes=axes, pose=pose, field="views.c2w", index=index)
-        camera = Camera.make(*numbers, world_from_cam, index=index, field="views")
-        views.append(NamedView(image_name(entry, "image", field="views", index=index), camera))
+def conventions(obj: Mapping, *, field: str) -> tuple[str, str]:
+    """What the poses mean: `axes` (opencv | opengl) and `pose` (c2w | w2c). Raises `CameraError`."""
+    return _choice(obj, "axes", ("opencv", "opengl"), field), _choice(obj, "pose", ("c2w", "w2c"), field)
+
+
+def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int | None = None) -> NamedView:
+    """One view object of a cameras.json. Raises `CameraError` or one of its children."""
+    missing = [name for name in _NUMBERS if name not in entry]
+    if missing:
+        raise CameraError(
+            f"{', '.join(missing)} missing", field=field, index=index, cure="sizes and focal lengths in px"
+        )
+    numbers = [number_of(entry, name, field=field, index=index) for name in _NUMBERS]
+    matrix = _matrix(entry, pose, field, index)
+    world_from_cam = opencv_pose(matrix, axes=axes, pose=pose, field=f"{field}.c2w", index=index)
+    camera = Camera.make(*numbers, world_from_cam, index=index, field=field)
+    return NamedView(image_name(entry, "image", field=field, index=index), camera)
+
+
+def _read(path: Path, choose: Choice | None) -> tuple[CameraFile, tuple[int, ...]]:
+    """The parsed file and which of its views these are."""
+    try:
+        obj = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise CameraError(f"{path} is not readable JSON: {error}", field="cameras") from error
+    count = len(list_of(obj, _list_name(obj)))
+    indices = tuple(range(count) if choose is None else choose(count))
+
+    def size_of(name: str | None, index: int) -> tuple[int, int]:
+        return _size_in_file(_find_image(path.parent, name, index), index)
+
+    return parse_camera_file(obj, size_of=size_of, indices=indices), indices
+
+
+def _list_name(obj: object) -> str:
+    """Which of the two formats this is: the name of its list of views. Raises `CameraError`."""
+    if not isinstance(obj, Mapping):
+        raise CameraError(f"is a {type(obj).__name__}, need a JSON object", field="cameras")
+    for name in ("views", "frames"):
+        if name in obj:
+            return name
+    raise CameraError(
+        f'has neither "views" (cameras.json) nor "frames" (transforms.json), only {sorted(map(str, obj))[:8]}',
+        field="cameras",
+    )
+
+
+def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
+    axes, pose = conventions(obj, field="cameras")
+    entries = list_of(obj, "views")
+    chosen = range(len(entries)) if indices is None else indices
+    views = (parse_view(entries[index], axes=axes, pose=pose, field="views", index=index) for index in chosen)
     return CameraFile(tuple(views), optional_number(obj, "near"), optional_number(obj, "far"))
 
 
-def _matrix(entry: Mapping, pose: str, index: int) -> object:
+def _matrix(entry: Mapping, pose: str, field: str, index: int | None) -> object:
     """The pose matrix under `c2w`, or under `w2c` where the file says that this is its direction."""
     if "c2w" in entry:
         return entry["c2w"]
@@ -99,15 +143,18 @@ def _matrix(entry: Mapping, pose: str, index: int) -> object:
         if pose == "w2c":
             return entry["w2c"]
         raise CameraError(
-            'has w2c, but the file does not say "pose": "w2c"', field="views.w2c", index=index, cure="say so at the top"
+            'has w2c, but the file does not say "pose": "w2c"',
+            field=f"{field}.w2c",
+            index=index,
+            cure="say so at the top",
         )
-    raise CameraError("c2w is missing", field="views.c2w", index=index, cure="give the 4x4 camera-to-world matrix")
+    raise CameraError("c2w is missing", field=f"{field}.c2w", index=index, cure="give the 4x4 camera-to-world matrix")
 
 
-def _choice(obj: Mapping, name: str, choices: tuple[str, str]) -> str:
+def _choice(obj: Mapping, name: str, choices: tuple[str, str], field: str) -> str:
     value = obj.get(name, choices[0])
     if value not in choices:
-        raise CameraError(f"{name} = {value!r}, need one of {', '.join(choices)}", field=f"cameras.{name}")
+        raise CameraError(f"{name} = {value!r}, need one of {', '.join(choices)}", field=f"{field}.{name}")
     return value
 
 

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from .camera import Camera
-from .camera_file import parse_camera_file
+from .camera_file import conventions, parse_view
 from .errors import CameraError
 
 
 def camera_from_json(obj: object) -> Camera:
-    """Parse one view object; `axes` and `pose` in it say otherwise as they do in a camera file."""
+    """Parse one view object; `axes` and `pose` in it say otherwise as they do in a camera file.
+
+    Raises `CameraError` or one of its children; their fields are `camera` or begin with `camera.`, without an index.
+    """
     if not isinstance(obj, Mapping):
         raise CameraError(
             f"is a {type(obj).__name__}, need an object", field="camera", cure="one view of a cameras.json"
         )
-    switches = {name: obj[name] for name in ("axes", "pose") if name in obj}
-    return parse_camera_file({**switches, "views": [obj]}).views[0].camera
+    axes, pose = conventions(obj, field="camera")
+    return parse_view(obj, axes=axes, pose=pose, field="camera").camera

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 
 from .commands import demo, reconstruct, render, serve
-from .errors import GapmesError
+from .errors import CameraError, GapmesError, ImageError
 from .problem_document import of_error
 
 app = typer.Typer(
@@ -46,7 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _one_line(error: GapmesError) -> str:
-    where = "" if error.index is None else f"view {error.index}: "
+    of_a_view = isinstance(error, CameraError | ImageError) and error.index is not None
+    where = f"view {error.index}: " if of_a_view else ""
     return f"{where}{error}".replace("\n", " ")
 
 

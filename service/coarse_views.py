@@ -13,6 +13,7 @@ from .images import FittedView
 
 F64 = NDArray[np.float64]
 
+MIN_BASELINE = 0.05  # of the largest distance; depth from less of a baseline is too coarse to check anything by
 COARSE_SIDE = 64  # px; enough to tell right poses from wrong ones and near from far
 
 
@@ -63,8 +64,12 @@ def pixel_grid(shape: tuple[int, int]) -> F64:
 
 
 def nearest_neighbours(cameras: Sequence[Camera]) -> list[int]:
-    """Per camera the index of the one closest to it."""
+    """Per camera the index of the closest one with parallax to it: at least 1/20 of the largest distance away.
+
+    Every camera has one: of the two that are farthest apart, one is at least half their distance away from it.
+    """
     centers = np.stack([camera.center for camera in cameras])
     distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)
+    distances[distances < MIN_BASELINE * distances.max()] = np.inf
     np.fill_diagonal(distances, np.inf)
     return [int(index) for index in distances.argmin(axis=1)]

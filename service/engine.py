@@ -14,6 +14,7 @@ from .contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from .errors import ModelError
 from .model_info import ModelInfo, parse_model_info
 from .shipped import shipped_model
+from .threads import available_threads
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by onnxruntime when it is first imported
 
@@ -35,7 +36,7 @@ class Engine:
         self._failures = (native.Fail, native.RuntimeException, native.InvalidArgument, native.EPFail)
         path = shipped_model() if model is None else Path(model)
         file_sha256 = _sha256(path)
-        self.threads = threads if threads is not None else len(os.sched_getaffinity(0))
+        self.threads = threads if threads is not None else available_threads()
         if self.threads < 1:
             raise ModelError(f"threads = {self.threads}, need at least 1", field="threads")
         options = ort.SessionOptions()

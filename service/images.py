@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import io
-import struct
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from .camera import Camera
-from .errors import ImageError, ImageTooLarge, ImageUnreadable
+from .errors import ImageError
+from .image_files import DAMAGED, MAX_PIXELS, damaged, open_image
 
-FORMATS = ("JPEG", "PNG", "WEBP")
-MAX_PIXELS = 64_000_000  # 192 MB once decoded; the largest phone photographs have 50 to 60 million
 MIN_SIDE = 32  # px; two patches of the network, below that there is nothing to match
 OPAQUE = 128  # alpha of 8 bits from here on keeps a pixel
+_STRIP = 64  # rows of a 16-bit image that are converted at a time
 _ORIENTATION = 0x0112  # EXIF tag
 _TURNED = (5, 6, 7, 8)  # orientations that swap width and height
-_DAMAGED = (OSError, SyntaxError, ValueError, EOFError, struct.error)  # what Pillow's decoders raise on damaged files
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,39 +70,33 @@ def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Ph
     """Decode JPEG, PNG or WEBP bytes; the size is read and bounded before any pixel is decoded.
 
     Greyscale, palette, CMYK and 16-bit images become 8-bit RGB; an alpha channel becomes the mask.
-    Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (below 32 x 32, animated).
+    Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (below 32 x 32, animated, a
+    JPEG of hundreds of scans).
     """
-    try:
-        image = Image.open(io.BytesIO(data), formats=FORMATS)
-    except UnidentifiedImageError as error:
-        raise ImageUnreadable(
-            f"{len(data)} bytes are not a {', '.join(FORMATS)} file", field="images", index=index
-        ) from error
-    except Image.DecompressionBombError as error:
-        raise ImageTooLarge(
-            f"has more pixels than the limit of {max_pixels}", field="images", index=index, cure="scale it down"
-        ) from error
-    except _DAMAGED as error:
-        raise _damaged(error, index) from error
-    with image:
-        width, height = image.size
-        if width * height > max_pixels:
-            raise ImageTooLarge(
-                f"has {width} x {height} = {width * height} pixels, the limit is {max_pixels}",
-                field="images",
-                index=index,
-                cure="scale it down; the network works on far smaller images",
-            )
-        _check_smallest(width, height, index)
+    with open_image(data, index=index, max_pixels=max_pixels) as image:
+        _check_smallest(*image.size, index)
         if getattr(image, "is_animated", False) and image.format in ("PNG", "WEBP"):
             raise ImageError(f"is an animation of {image.n_frames} frames, need one", field="images", index=index)
         try:
             orientation = image.getexif().get(_ORIENTATION, 1)
+            image.load()
             pixels = _eight_bit(image)
-        except _DAMAGED as error:
-            raise _damaged(error, index) from error
+        except DAMAGED as error:
+            raise damaged(error, index) from error
     photo = Photo.from_array(pixels, index=index)
     return replace(photo, orientation=orientation if orientation in range(1, 9) else 1)
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedPhoto:
+    """A photograph still in its file: decoded when it is its turn, so that only one lies in memory at full size."""
+
+    data: bytes
+    max_pixels: int = MAX_PIXELS
+
+    def decode(self, *, index: int) -> Photo:
+        """Raises as `decode_image`."""
+        return decode_image(self.data, index=index, max_pixels=self.max_pixels)
 
 
 def match_photo(photo: Photo, camera: Camera, *, index: int | None = None) -> tuple[Photo, Camera]:
@@ -174,10 +165,20 @@ def _resampled(
 def _eight_bit(image: Image.Image) -> NDArray[np.uint8]:
     """(H, W, 3 or 4) uint8 of an opened image of any mode that the three formats can have."""
     if image.mode.startswith("I"):  # 16-bit greyscale; Pillow's own conversion would clip it at 255
-        grey = np.rint(np.asarray(image, dtype=np.float64) * (255 / 65535)).clip(0, 255).astype(np.uint8)
-        return np.repeat(grey[:, :, None], 3, axis=2)
+        return _eight_bit_grey(image)
     transparent = image.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in image.info
-    return np.asarray(image.convert("RGBA" if transparent else "RGB"))
+    mode = "RGBA" if transparent else "RGB"
+    return np.asarray(image if image.mode == mode else image.convert(mode))
+
+
+def _eight_bit_grey(image: Image.Image) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 of 16-bit levels, strip by strip: round(level / 257), which has no ties."""
+    rgb = np.empty((image.height, image.width, 3), np.uint8)
+    for top in range(0, image.height, _STRIP):
+        bottom = min(top + _STRIP, image.height)
+        levels = np.asarray(image.crop((0, top, image.width, bottom)), dtype=np.int32).clip(0, 65535)
+        rgb[top:bottom] = ((levels + 128) // 257)[:, :, None]
+    return rgb
 
 
 def _upright(photo: Photo) -> Photo:
@@ -210,7 +211,3 @@ def _check_smallest(width: int, height: int, index: int | None) -> None:
         raise ImageError(
             f"is {width} x {height} px, need at least {MIN_SIDE} x {MIN_SIDE}", field="images", index=index
         )
-
-
-def _damaged(error: Exception, index: int | None) -> ImageUnreadable:
-    return ImageUnreadable(f"cannot be decoded: {error}", field="images", index=index, cure="is the upload complete?")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import ImageError
 from .images import FittedView
 
 if TYPE_CHECKING:
@@ -16,6 +17,19 @@ if TYPE_CHECKING:
 TRANSPARENT = "opacity is 0"
 MASKED = "its pixel is masked"
 UNSEEN = "behind masked pixels only"
+
+
+def check_kept(view: FittedView, index: int) -> None:
+    """Refuse a photograph whose mask keeps nothing of what the network sees of it. Raises `ImageError`."""
+    if view.mask is None or view.mask.any():
+        return
+    height, width = view.mask.shape
+    raise ImageError(
+        f"the mask keeps 0 of {width} x {height} px of the centre crop, {view.kept_share:.0%} of the photograph",
+        field="images",
+        index=index,
+        cure="crop the photograph about what the mask keeps, and take the crop's corner off cx and cy",
+    )
 
 
 def patch_mask(views: Sequence[FittedView], patch: int) -> NDArray[np.bool_]:

@@ -28,7 +28,7 @@ class ModelInfo:
     patch: int  # px
     opset: int
     licence: str
-    precision: str  # float32, int8, ...
+    precision: str  # fp32, int8, ...
     tolerance: dict[str, Any]  # measured at export, per output
 
     @property

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from .camera import Camera
 from .coarse_views import CoarseView, coarse_view, nearest_neighbours, warp_to
-from .depth_range import DepthRange, depth_range
+from .depth_range import DepthRange, depth_range_of_reading
 from .errors import ContradictionError
 from .images import FittedView
 from .overlap import inverse_depth_steps
@@ -41,7 +41,8 @@ def check_photos(views: Sequence[FittedView], depths: DepthRange, *, trust_poses
         return [{"code": "no_texture", "field": "images", "message": "the photographs have nothing to match in common"}]
     best, reading = given + MARGIN, None
     for other in _readings(cameras):
-        score = consistency(coarse, other.cameras, _range_for(other.cameras, depths))
+        other_depths = depth_range_of_reading(other.cameras, depths)
+        score = None if other_depths is None else consistency(coarse, other.cameras, other_depths)
         if score is not None and score > best + (TIE if reading is not None else 0.0):
             best, reading = score, other
     if reading is None:
@@ -76,7 +77,3 @@ def _readings(cameras: Sequence[Camera]) -> list[Reading]:
         swapped = tuple(reversed(cameras))
         readings.append(Reading("the cameras of the other photograph", "swap the two cameras or images", swapped))
     return readings
-
-
-def _range_for(cameras: Sequence[Camera], depths: DepthRange) -> DepthRange:
-    return depths if depths.source == "given" else depth_range(cameras)

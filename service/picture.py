@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from PIL import Image
 
-from .errors import ViewError
+from .errors import InputError, ViewError
 
 if TYPE_CHECKING:
     from .splat import Render
@@ -20,13 +20,15 @@ Format = Literal["png", "webp", "jpeg"]
 
 COLOURS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "grey": (0.5, 0.5, 0.5)}
 
-# Quality 90 without chroma subsampling keeps a render within about two 8-bit levels; PNG and the lossless channels
-# of WebP are exact.
+# Quality 90 without chroma subsampling keeps a render within about two 8-bit levels; PNG is exact, and so is WebP for
+# alpha and depth, whose levels mean something.
 _SAVE: dict[str, dict] = {
     "png": {"compress_level": 4},
     "webp": {"quality": 90, "method": 2},
     "jpeg": {"quality": 90, "subsampling": 0},
 }
+_EXACT_WEBP = {"lossless": True, "method": 2}
+MAX_SIDE: dict[str, int] = {"png": 2**31 - 1, "webp": 16_383, "jpeg": 65_500}  # px; of the format, libjpeg's for JPEG
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,23 @@ class Picture:
     depth_range: tuple[float, float] | None = None
 
 
+def check_format(width: int, height: int, channel: Channel, format: Format) -> None:
+    """Refuse what `encode` could not write, before anything is drawn. Raises `InputError`."""
+    if format == "jpeg" and channel != "rgb":
+        raise InputError(
+            f"{channel} in JPEG would lose its levels", field="format", cure="ask for png or webp, which are exact"
+        )
+    for field, side in (("width", width), ("height", height)):
+        if side > MAX_SIDE[format]:
+            raise InputError(
+                f"{field} is {side} px, the limit of {format} is {MAX_SIDE[format]}",
+                field=field,
+                cure="ask for a smaller picture or for png",
+            )
+
+
 def encode(render: Render, channel: Channel = "rgb", format: Format = "png") -> Picture:
-    """Encode one channel of a render.
+    """Encode one channel of a render; what `check_format` refuses is not for here.
 
     Depth: grey level 0 means nothing there; level 1 to the highest (65535 in PNG, else 255) is linear from
     `depth_range[0]` to `depth_range[1]`, the smallest and largest depth of this picture, in the caller's units.
@@ -52,7 +69,8 @@ def encode(render: Render, channel: Channel = "rgb", format: Format = "png") -> 
     else:
         pixels, depth_range = _depth_levels(render, 65535 if format == "png" else 255)
     buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, format.upper(), **_SAVE[format])
+    options = _EXACT_WEBP if format == "webp" and channel != "rgb" else _SAVE[format]
+    Image.fromarray(pixels).save(buffer, format.upper(), **options)
     return Picture(buffer.getvalue(), f"image/{format}", depth_range)
 
 

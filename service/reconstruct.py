@@ -17,8 +17,9 @@ from .document import scene_document
 from .engine import Engine
 from .errors import CameraError, ViewCountError
 from .gaussians import Gaussians
-from .images import FittedView, Photo, fit_view, match_photo
-from .masks import kept_rows, patch_mask
+from .images import EncodedPhoto, FittedView, Photo, fit_view, match_photo
+from .masks import check_kept, kept_rows, patch_mask
+from .model_info import ModelInfo
 from .photo_checks import check_photos
 from .progress import Listener, Stages, silent
 from .view_checks import Notice, check_count, check_views
@@ -44,7 +45,7 @@ class Reconstructor:
 
     def reconstruct(
         self,
-        images: Sequence[NDArray[np.uint8] | Photo],
+        images: Sequence[NDArray[np.uint8] | Photo | EncodedPhoto],
         cameras: Sequence[Camera],
         *,
         near: float | None = None,
@@ -52,10 +53,12 @@ class Reconstructor:
         trust_poses: bool = False,
         listener: Listener = silent,
     ) -> Scene:
-        """2..6 photographs, uint8 (H, W, 3 or 4) or `Photo`, with one camera each -> `Scene`.
+        """2..6 photographs, uint8 (H, W, 3 or 4), `Photo` or `EncodedPhoto`, with one camera each -> `Scene`.
 
+        An `EncodedPhoto` is decoded in its turn and dropped once it is fitted: one at a time is in memory.
         `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
-        `trust_poses` turns the refusal of poses that the photographs contradict into a warning.
+        `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
+        a warning.
         `listener` hears the stages cameras, images, network, gaussians. Raises `InputError` and `ModelError`.
         """
         stages = Stages(listener)
@@ -64,13 +67,13 @@ class Reconstructor:
         with stages.stage("cameras"):
             cameras = _as_cameras(cameras, len(images))
             depths = depth_range(cameras, near, far)
-            warnings += check_views(cameras, depths)
+            warnings += check_views(cameras, depths, trust_poses=trust_poses)
         with stages.stage("images", len(images) + 1) as done:
             views: list[FittedView] = []
             for index, (image, camera) in enumerate(zip(images, cameras, strict=True)):
-                photo = image if isinstance(image, Photo) else Photo.from_array(image, index=index)
-                warnings += _photo_notices(photo, camera, index)
-                views.append(fit_view(*match_photo(photo, camera, index=index), info.height, info.width))
+                view, notices = _fitted(image, camera, index, info)
+                views.append(view)
+                warnings += notices
                 done(index + 1)
             warnings += check_photos(views, depths, trust_poses=trust_poses)
             depths = narrowed(depths, views)
@@ -109,6 +112,20 @@ def _as_cameras(cameras: Sequence[Camera], images: int) -> tuple[Camera, ...]:
         if not isinstance(camera, Camera):
             raise CameraError(f"is a {type(camera).__name__}", field="cameras", index=index, cure="use Camera.make")
     return tuple(cameras)
+
+
+def _fitted(
+    image: NDArray[np.uint8] | Photo | EncodedPhoto, camera: Camera, index: int, info: ModelInfo
+) -> tuple[FittedView, list[Notice]]:
+    """One photograph on the network's grid; at full size it lives in here only."""
+    if isinstance(image, EncodedPhoto):
+        photo = image.decode(index=index)
+    else:
+        photo = image if isinstance(image, Photo) else Photo.from_array(image, index=index)
+    notices = _photo_notices(photo, camera, index)
+    view = fit_view(*match_photo(photo, camera, index=index), info.height, info.width)
+    check_kept(view, index)
+    return view, notices
 
 
 def _photo_notices(photo: Photo, camera: Camera, index: int) -> list[Notice]:

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from .camera import Camera
-from .camera_json import camera_from_json
 from .errors import ViewError
 from .views import resolve_view
 
@@ -28,7 +29,7 @@ class SceneViews:
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> SceneViews:
         """The fitted cameras, so that a view renders at the size and crop that the network saw."""
-        cameras = [camera_from_json(camera) for camera in document["view_cameras"]]
+        cameras = [_stored(camera) for camera in document["view_cameras"]]
         return cls(cameras, document["near"], document["far"])
 
     def resolve(self, spec: str, *, field: str = "view") -> Camera:
@@ -44,3 +45,9 @@ class SceneViews:
     def near_plane(self) -> dict[str, float]:
         """The splatter's `near` as a keyword, or nothing where the scene's depth is unknown."""
         return {} if self.near is None else {"near": NEAR_PLANE_SHARE * self.near}
+
+
+def _stored(entry: Mapping[str, Any]) -> Camera:
+    """A camera of a scene document. It was checked when it was given; a crop of it may have any principal point."""
+    lens = {name: float(entry[name]) for name in ("fx", "fy", "cx", "cy")}
+    return Camera(entry["width"], entry["height"], world_from_cam=np.array(entry["c2w"], dtype=np.float64), **lens)

@@ -37,5 +37,10 @@ class Settings(BaseSettings):
     max_upload_bytes: int = Field(128 * 2**20, ge=2**10, description="largest request body, in bytes")
     max_camera_bytes: int = Field(2**20, ge=2**10, description="largest `cameras` document, in bytes")
     max_image_pixels: int = Field(64_000_000, ge=32 * 32, description="largest photograph, in pixels before decoding")
+    max_request_pixels: int = Field(
+        192_000_000,
+        ge=2 * 32 * 32,
+        description="photographs of one request together, in pixels before decoding",
+    )
     max_render_pixels: int = Field(8_000_000, ge=1, description="largest picture that `GET /render` draws, in pixels")
     cache_bytes: int = Field(512 * 2**20, ge=0, description="memory that keeps read scenes between renders, in bytes")

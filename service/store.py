@@ -69,7 +69,7 @@ class SceneStore:
             return
         with shared(self.root / _LOCK), self._incoming() as folder:
             _write(folder / _PLY, ply)
-            _write(folder / _DOCUMENT, json.dumps(document, allow_nan=False, ensure_ascii=False).encode())
+            _write(folder / _DOCUMENT, json.dumps(document, allow_nan=False).encode())
             now = self._tick()
             os.utime(folder / _DOCUMENT, ns=(now, now))  # the order of `list`; a file system's own clock is coarser
             try:

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from .camera import Camera
 from .camera_fields import CameraFile, NamedView, SizeOf, image_name, list_of, number_of, opencv_pose, optional_number
+from .distortion import COEFFICIENTS, largest_shift
 from .errors import CameraError, IntrinsicsError
 
-_DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-_PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+# With all coefficients zero each of these is a pinhole.
+_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+MAX_SHIFT_PX = 0.5  # what distortion may move a point; more than that and a match is off by a pixel between two views
 
 
-def parse_transforms(obj: Mapping, *, size_of: SizeOf | None = None) -> CameraFile:
-    """Views in the order of `frames`; a value of a frame wins over the same name at the top.
+def parse_transforms(
+    obj: Mapping, *, size_of: SizeOf | None = None, indices: Sequence[int] | None = None
+) -> CameraFile:
+    """Views in the order of `frames`, or those of `indices`; a value of a frame wins over the same name at the top.
 
     Focal lengths are `fl_x`, `fl_y` (the latter defaults to the former) or `camera_angle_x`, `camera_angle_y`; the
-    principal point defaults to the image centre, the size to `size_of`. Raises `IntrinsicsError` for a lens that is not
-    a pinhole (non-zero distortion, fisheye) and `CameraError` for what is missing.
+    principal point defaults to the image centre, the size to `size_of`. Distortion that moves no point of the picture
+    by 0.5 px is left out. Raises `IntrinsicsError` for a lens that is not a pinhole (more distortion, fisheye) and
+    `CameraError` for what is missing.
     """
     views = []
-    for index, frame in enumerate(list_of(obj, "frames")):
+    frames = list_of(obj, "frames")
+    for index in range(len(frames)) if indices is None else indices:
+        frame = frames[index]
         values = {**{k: v for k, v in obj.items() if k != "frames"}, **frame}
         name = image_name(frame, "file_path", field="frames", index=index)
-        _require_pinhole(values, index)
+        _require_known_model(values, index)
         width, height = _size(values, name, size_of, index)
         fx = _focal(values, "x", width, index)
         has_fy = "fl_y" in values or "camera_angle_y" in values
@@ -36,28 +43,36 @@ def parse_transforms(obj: Mapping, *, size_of: SizeOf | None = None) -> CameraFi
         pose = opencv_pose(
             frame["transform_matrix"], axes="opengl", pose="c2w", field="frames.transform_matrix", index=index
         )
-        views.append(NamedView(name, Camera.make(width, height, fx, fy, cx, cy, pose, index=index, field="frames")))
+        camera = Camera.make(width, height, fx, fy, cx, cy, pose, index=index, field="frames")
+        _require_little_distortion(values, camera, index)
+        views.append(NamedView(name, camera))
     return CameraFile(tuple(views), optional_number(obj, "near"), optional_number(obj, "far"))
 
 
-def _require_pinhole(values: Mapping, index: int) -> None:
+def _require_known_model(values: Mapping, index: int) -> None:
     model = values.get("camera_model", "OPENCV")
-    if model not in _PINHOLES or values.get("is_fisheye"):
+    if model not in _MODELS or values.get("is_fisheye"):
         shown = "fisheye" if values.get("is_fisheye") else model
         raise IntrinsicsError(
-            f"camera_model is {shown}, need a pinhole ({', '.join(_PINHOLES)})",
+            f"camera_model is {shown}, need a pinhole ({', '.join(_MODELS)})",
             field="frames.camera_model",
             index=index,
             cure="undistort the photographs first",
         )
-    for name in _DISTORTION:
-        if name in values and number_of(values, name, field="frames", index=index) != 0:
-            raise IntrinsicsError(
-                f"distortion {name} = {values[name]:g}, need 0",
-                field=f"frames.{name}",
-                index=index,
-                cure="undistort the photographs first, for example with colmap image_undistorter",
-            )
+
+
+def _require_little_distortion(values: Mapping, camera: Camera, index: int) -> None:
+    given = {name: number_of(values, name, field="frames", index=index) for name in COEFFICIENTS if name in values}
+    given = {name: value for name, value in given.items() if value != 0}
+    shift = largest_shift(camera, given)
+    if shift >= MAX_SHIFT_PX:
+        listed = ", ".join(f"{name} = {value:g}" for name, value in given.items())
+        raise IntrinsicsError(
+            f"distortion {listed} moves a point of the picture by {shift:.3g} px, need less than {MAX_SHIFT_PX:g} px",
+            field=f"frames.{next(iter(given))}",
+            index=index,
+            cure="undistort the photographs first, for example with colmap image_undistorter",
+        )
 
 
 def _size(values: Mapping, name: str | None, size_of: SizeOf | None, index: int) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .camera import Camera
-from .depth_range import DepthRange, depth_range
+from .depth_range import DepthRange, depth_range_of_reading, largest_baseline
 from .errors import BaselineError, IntrinsicsError, OverlapError, ViewCountError
 from .overlap import best_partner_shares, inverse_depth_steps
 from .pose_readings import apart_when_inverted, other_readings
@@ -25,21 +25,23 @@ TIE = 0.1  # readings of the poses that overlap about equally are all named
 WIDE_RANGE = 1000.0  # far / near from which the depth steps are too coarse beyond some 10 x near
 DEPTH_PLANES = 128  # of the depth-step table in the warning
 _DEPTHS = 16  # at which the overlap is looked at
+_ANY_DEPTH = np.geomspace(0.1, 1000.0, 32)  # in baselines: where an estimated range may be wrong, this one is not
 
 Notice = dict[str, Any]  # code, message and what it is about
 
 
-def check_views(cameras: Sequence[Camera], depths: DepthRange) -> list[Notice]:
+def check_views(cameras: Sequence[Camera], depths: DepthRange, *, trust_poses: bool = False) -> list[Notice]:
     """Refuse sets of cameras that cannot give a scene; return warnings about those that hardly can.
 
     Raises `ViewCountError`, `IntrinsicsError`, `BaselineError` (same view twice, or no parallax) or `OverlapError`,
-    which says what the poses look like if another reading of them would overlap.
+    which says what the poses look like if another reading of them would overlap. Views that do not overlap within an
+    estimated depth range are refused only if they overlap at no other depth either; with `trust_poses` none are.
     """
     check_count(len(cameras))
     for index, camera in enumerate(cameras):
         _check_principal_point(camera, index)
     _check_baselines(cameras, depths)
-    return [*_range_notices(depths), *_check_overlap(cameras, depths)]
+    return [*_range_notices(depths), *_check_overlap(cameras, depths, trust_poses)]
 
 
 def check_count(count: int) -> None:
@@ -111,7 +113,7 @@ def _range_notices(depths: DepthRange) -> list[Notice]:
     ]
 
 
-def _check_overlap(cameras: Sequence[Camera], depths: DepthRange) -> list[Notice]:
+def _check_overlap(cameras: Sequence[Camera], depths: DepthRange, trust_poses: bool) -> list[Notice]:
     steps = inverse_depth_steps(depths.near, depths.far, _DEPTHS)
     shares = best_partner_shares(cameras, steps).max(axis=1)
     lonely = int(np.argmin(shares))
@@ -121,22 +123,27 @@ def _check_overlap(cameras: Sequence[Camera], depths: DepthRange) -> list[Notice
         f"view {lonely} shares at most {100 * shares[lonely]:.0f} % of its picture with any other view, "
         f"at any depth from {depths.near:.4g} to {depths.far:.4g}"
     )
-    if shares[lonely] >= MIN_SHARE:
-        return [{"code": "little_overlap", "field": "cameras", "index": lonely, "message": message}]
+    notices = [{"code": "little_overlap", "field": "cameras", "index": lonely, "message": message}]
+    if shares[lonely] >= MIN_SHARE or trust_poses:
+        return notices
+    if depths.source == "estimated":
+        steps = _ANY_DEPTH * float(np.linalg.norm(largest_baseline(cameras)))
+        shares = best_partner_shares(cameras, steps).max(axis=1)
+        if shares.min() >= MIN_SHARE:
+            return notices
+        lonely = int(np.argmin(shares))
+        share = 100 * shares[lonely]
+        message = f"view {lonely} shares at most {share:.0f} % of its picture with any other view, at any depth"
     cure = "are near and far in the unit of the poses? is each pose the one of its own photograph?"
     shares_by_reading = []
     for reading in other_readings(cameras):
-        steps = inverse_depth_steps(*_range_for(reading.cameras, depths), _DEPTHS)
-        shares_by_reading.append((float(best_partner_shares(reading.cameras, steps).max(axis=1).min()), reading))
-    best = max(share for share, _ in shares_by_reading)
+        other = depth_range_of_reading(reading.cameras, depths)
+        if other is not None:
+            steps = inverse_depth_steps(other.near, other.far, _DEPTHS)
+            shares_by_reading.append((float(best_partner_shares(reading.cameras, steps).max(axis=1).min()), reading))
+    best = max((share for share, _ in shares_by_reading), default=0.0)
     if best >= LITTLE_SHARE:
         likely = [reading for share, reading in shares_by_reading if share >= best - TIE]
         cure = "these poses look like " + "; or ".join(f"{reading.looks_like}: {reading.cure}" for reading in likely)
+    cure += "; if the poses are right as they are, set trust_poses"
     raise OverlapError(f"{message}; need {100 * MIN_SHARE:.0f} %", field="cameras", index=lonely, cure=cure)
-
-
-def _range_for(cameras: Sequence[Camera], depths: DepthRange) -> tuple[float, float]:
-    """A given range holds for any reading of the poses; an estimate was made from them and is made again."""
-    if depths.source == "estimated":
-        depths = depth_range(cameras)
-    return depths.near, depths.far

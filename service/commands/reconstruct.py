@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -21,7 +22,7 @@ def reconstruct(
     views: Annotated[str | None, typer.Option(help="2 to 6 view indices such as 4,8 [default: all]")] = None,
     near: Annotated[float | None, typer.Option(help="nearest depth, in the cameras' units")] = None,
     far: Annotated[float | None, typer.Option(help="farthest depth, in the cameras' units")] = None,
-    trust_poses: Annotated[bool, typer.Option(help="only warn where the photographs contradict the poses")] = False,
+    trust_poses: Annotated[bool, typer.Option(help="only warn where photographs or overlap oppose the poses")] = False,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
@@ -36,21 +37,19 @@ def reconstruct(
 
     if not output.parent.is_dir():  # said before the work, not after it
         raise InputError(f"{output.parent} is not a folder", field="output")
-    folder = load_scene_folder(scene_dir)
-    count = len(folder.file.views)
-    chosen = list(range(count)) if views is None else view_indices(views, count)
+    folder = load_scene_folder(scene_dir, None if views is None else partial(view_indices, views))
     with ProgressBars() as bars:
         stages = Stages(bars)
         with stages.stage("load model"):
             reconstructor = Reconstructor(model, threads=threads)
-        with stages.stage("read images", len(chosen)) as step:
+        with stages.stage("read images", len(folder.indices)) as step:
             photos = []
-            for index in chosen:
-                photos.append(decode_image(folder.image_paths[index].read_bytes(), index=index))
+            for index, path in zip(folder.indices, folder.image_paths, strict=True):
+                photos.append(decode_image(path.read_bytes(), index=index))
                 step(len(photos))
         scene = reconstructor.reconstruct(
             photos,
-            [folder.file.views[index].camera for index in chosen],
+            folder.file.cameras,
             near=folder.file.near if near is None else near,
             far=folder.file.far if far is None else far,
             trust_poses=trust_poses,
@@ -62,5 +61,5 @@ def reconstruct(
     for warning in scene.document.get("warnings", ()):
         bars.say(f"warning: {warning['message']}")
     if as_json:
-        document = {"ply": str(output), "selected_views": chosen, **scene.document}
+        document = {"ply": str(output), "selected_views": list(folder.indices), **scene.document}
         sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from ..terminal import ProgressBars
-from .selection import read_camera_file, view_specs
+from .selection import view_specs
 
 
 def render(
@@ -25,23 +25,30 @@ def render(
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
 ) -> None:
-    """Render views of a scene as PNG files named view_<view>.png."""
+    """Render views of a scene as PNG files named view_<view>.png.
+
+    Where the camera file lacks near or far, the depths of the Gaussians that its cameras see stand in for them.
+    """
+    from ..camera_file import read_camera_file
+    from ..depth_range import depth_range
     from ..errors import PlyError
     from ..framing import frame, parse_size, square
     from ..picture import encode, parse_background
     from ..ply import read_ply
     from ..progress import Stages
     from ..scene_views import SceneViews
+    from ..seen_depths import seen_depths
     from ..splat import render as draw
 
     file = read_camera_file(cameras)
     specs = [str(index) for index in range(len(file.views))] if views is None else view_specs(views)
-    scene = SceneViews(file.cameras, file.near, file.far)
-    shots = [scene.resolve(spec, field="views") for spec in specs]
-    if crop == "square":
-        shots = [square(camera) for camera in shots]
-    if size is not None:
-        shots = [frame(camera, *parse_size(size)) for camera in shots]
+    in_file = file.near is not None and file.far is not None
+    if in_file:
+        depth_range(file.cameras, file.near, file.far)  # refuses what is no range
+    scene = SceneViews(file.cameras, file.near, file.far) if in_file else SceneViews(file.cameras)
+    for spec in specs:  # what is no view is said before the work
+        scene.resolve(spec, field="views")
+    sides = None if size is None else parse_size(size)
     colour = parse_background(background)
     if not ply.is_file():
         raise PlyError(f"{ply} is not a file", field="SCENE.PLY")
@@ -50,6 +57,13 @@ def render(
         stages = Stages(bars)
         with stages.stage("read .ply"):
             gaussians = read_ply(ply)
+        if not in_file:
+            scene = SceneViews(file.cameras, *(seen_depths(gaussians, file.cameras) or (None, None)))
+        shots = [scene.resolve(spec, field="views") for spec in specs]
+        if crop == "square":
+            shots = [square(camera) for camera in shots]
+        if sides is not None:
+            shots = [frame(camera, *sides) for camera in shots]
         output.mkdir(parents=True, exist_ok=True)
         with stages.stage("render", len(shots)) as step:
             for spec, camera in zip(specs, shots, strict=True):

@@ -1,22 +1,10 @@
-"""What the commands share: the camera file and the lists of views that are given on the command line."""
+"""What the commands share: the lists of views that are given on the command line."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from pathlib import Path
 
-from ..camera_file import CameraFile, parse_camera_file
-from ..errors import CameraError, ViewError
-
-
-def read_camera_file(path: Path) -> CameraFile:
-    """Parse cameras.json or transforms.json without its photographs. Raises `CameraError`."""
-    try:
-        obj = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise CameraError(f"{path} is not readable JSON: {error}", field="cameras") from error
-    return parse_camera_file(obj)
+from ..errors import ViewError
 
 
 def view_indices(text: str, count: int) -> list[int]:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 
-from PIL import Image
-
 from ..camera import Camera
 from ..camera_file import NamedView
-from ..errors import CameraError, ImageUnreadable, ViewCountError
-from ..images import FORMATS
+from ..errors import CameraError, ViewCountError
+from ..image_files import image_size
 
 
 @dataclass(frozen=True)
@@ -56,21 +53,26 @@ def pair(images: Sequence[NamedImage], views: Sequence[NamedView]) -> Pairing:
     return Pairing(tuple(images), tuple(view.camera for view in views), "order", warnings)
 
 
-def posted_size(images: Sequence[NamedImage], name: str | None, index: int) -> tuple[int, int]:
-    """(width, height) of the image that a camera without a size belongs to, from its header alone."""
-    matches = [image for image in images if _same_file(image.name, name)]
-    if len(matches) != 1:
-        matches = list(images[index : index + 1])
-    if not matches:
-        cure = "write w and h into the file; no image of this name was sent to read them from"
-        raise CameraError("has no image size", field="frames", index=index, cure=cure)
-    try:
-        with Image.open(io.BytesIO(matches[0].data), formats=FORMATS) as image:
-            return image.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ImageUnreadable(
-            f"is not a {', '.join(FORMATS)} file", field="images", index=images.index(matches[0])
-        ) from error
+class PostedSizes:
+    """Sizes of the posted images for cameras that have none, from their headers alone; each is read at most once."""
+
+    def __init__(self, images: Sequence[NamedImage], max_pixels: int) -> None:
+        self._images = images
+        self._max_pixels = max_pixels
+        self._sizes: dict[int, tuple[int, int]] = {}
+
+    def __call__(self, name: str | None, index: int) -> tuple[int, int]:
+        """(width, height) in px of the image that the camera at `index` belongs to. Raises `CameraError`."""
+        places = [place for place, image in enumerate(self._images) if _same_file(image.name, name)]
+        if len(places) != 1:
+            places = [index] if index < len(self._images) else []
+        if not places:
+            cure = "write w and h into the file; no image of this name was sent to read them from"
+            raise CameraError("has no image size", field="frames", index=index, cure=cure)
+        (place,) = places
+        if place not in self._sizes:
+            self._sizes[place] = image_size(self._images[place].data, index=place, max_pixels=self._max_pixels)
+        return self._sizes[place]
 
 
 def _same_file(posted: str, wanted: str | None) -> bool:

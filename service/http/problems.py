@@ -25,6 +25,8 @@ FRAMEWORK_CODES = {404: "route_not_found", 405: "method_not_allowed"}
 # What a route declares in its `responses` for OpenAPI.
 DESCRIPTION = {"description": "problem document (RFC 9457)", "content": {MEDIA_TYPE: {}}}
 
+_OURS = "this is a fault of the service; its log has the details"
+
 _log = logging.getLogger("gapmes")
 
 
@@ -42,7 +44,10 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(Exception, _unexpected)
 
 
-async def _own(_: Request, error: GapmesError) -> Response:
+async def _own(request: Request, error: GapmesError) -> Response:
+    if error.status == 500:  # a fault of ours: what it says of paths and libraries is for the log
+        _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
+        return response(problem(500, error.code, f"the service failed with {type(error).__name__}", cure=_OURS))
     headers = {"Retry-After": str(RETRY_AFTER_S)} if isinstance(error, ServiceBusy) else {}
     return response(of_error(error), headers)
 
@@ -78,6 +83,4 @@ async def _unexpected(request: Request, error: Exception) -> Response:
     """A fault of ours: the log gets the traceback, the caller no internals."""
     _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
     detail = f"the service failed with an unexpected {type(error).__name__}"
-    return response(
-        problem(500, "internal_error", detail, cure="this is a fault of the service; its log has the details")
-    )
+    return response(problem(500, "internal_error", detail, cure=_OURS))

@@ -5,12 +5,16 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated
 
+import anyio.to_thread
 from fastapi import APIRouter, Depends, Request, Response
 
 from ..camera_file import camera_document
-from ..images import decode_image
+from ..image_files import check_total
+from ..images import EncodedPhoto
 from ..ply import ply_bytes
+from ..revision import ALGORITHM_REVISION
 from ..scene_views import SceneViews
+from ..store import SceneStore
 from . import problems
 from .bundle import zip_bundle
 from .responses import JSON, PLY, ZIP, accepted, json_response
@@ -29,7 +33,10 @@ _FORM = {
         "near": {"type": "number", "exclusiveMinimum": 0, "description": "nearest depth, in the cameras' units"},
         "far": {"type": "number", "exclusiveMinimum": 0, "description": "farthest depth, in the cameras' units"},
         "views": {"type": "string", "description": "views to render, comma separated: 0, 1.5, orbit:30"},
-        "trust_poses": {"type": "boolean", "description": "only warn where the photographs contradict the poses"},
+        "trust_poses": {
+            "type": "boolean",
+            "description": "warn only, where photographs or overlap speak against the poses",
+        },
     },
 }
 
@@ -49,32 +56,41 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
     """Reconstruct a scene, or find it in the store: 201 or 200, both with Location."""
     form = accepted(request.headers.get("accept"))
     model_sha256 = runtime.reconstructor.engine.info.file_sha256
-    settings = runtime.settings
-    upload = await read_upload(
-        request, max_camera_bytes=settings.max_camera_bytes, max_upload_bytes=settings.max_upload_bytes
-    )
-    views = SceneViews(upload.pairing.cameras)
-    for spec in upload.views:  # refuse an unknown view before the work, not after it
-        views.resolve(spec, field="views")
-    store = runtime.store
-    scene_id = store.scene_id(
+    async with runtime.gate.admitted():  # before the body is read, so that a full queue costs no memory
+        upload = await read_upload(request, runtime.settings)
+        views = SceneViews(upload.pairing.cameras)
+        for spec in upload.views:  # refuse an unknown view before the work, not after it
+            views.resolve(spec, field="views")
+        scene_id = await anyio.to_thread.run_sync(lambda: _scene_id(model_sha256, upload))
+        async with runtime.gate.alone(scene_id):
+            created = not runtime.store.exists(scene_id)
+            if created:
+                await runtime.gate.run(lambda: _compute(runtime, scene_id, upload))
+            return await _answer(runtime, scene_id, form, upload, 201 if created else 200)
+
+
+def _scene_id(model_sha256: str, upload: Upload) -> str:
+    """Everything that the stored scene depends on, and nothing else: file names are the request's own."""
+    return SceneStore.scene_id(
         model_sha256,
         [image.data for image in upload.pairing.images],
         [camera_document(camera) for camera in upload.pairing.cameras],
-        {"near": upload.near, "far": upload.far, "trust_poses": upload.trust_poses},
+        {
+            "near": upload.near,
+            "far": upload.far,
+            "trust_poses": upload.trust_poses,
+            "algorithm_revision": ALGORITHM_REVISION,
+        },
     )
-    async with runtime.gate.admitted(), runtime.gate.alone(scene_id):
-        created = not store.exists(scene_id)
-        if created:
-            await runtime.gate.run(lambda: _compute(runtime, scene_id, upload))
-        return await _answer(runtime, scene_id, form, upload.views, 201 if created else 200)
 
 
 def _compute(runtime: Runtime, scene_id: str, upload: Upload) -> None:
     """Decode, reconstruct and store, on a worker thread; the store keeps the whole scene or nothing."""
     pairing = upload.pairing
-    limit = runtime.settings.max_image_pixels
-    photos = [decode_image(image.data, index=index, max_pixels=limit) for index, image in enumerate(pairing.images)]
+    limits = runtime.settings
+    encoded = [image.data for image in pairing.images]
+    check_total(encoded, max_pixels=limits.max_image_pixels, max_total=limits.max_request_pixels)
+    photos = [EncodedPhoto(data, limits.max_image_pixels) for data in encoded]
     scene = runtime.reconstructor.reconstruct(
         photos, pairing.cameras, near=upload.near, far=upload.far, trust_poses=upload.trust_poses
     )
@@ -82,15 +98,19 @@ def _compute(runtime: Runtime, scene_id: str, upload: Upload) -> None:
         "id": scene_id,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         **scene.document,
-        "images": [image.name for image in pairing.images],
-        "paired_by": pairing.by,
-        "warnings": [*pairing.warnings, *scene.document["warnings"]],
     }
     runtime.store.put(scene_id, ply_bytes(scene.gaussians), document)
 
 
-async def _answer(runtime: Runtime, scene_id: str, form: str, views: tuple[str, ...], status: int) -> Response:
+async def _answer(runtime: Runtime, scene_id: str, form: str, upload: Upload, status: int) -> Response:
+    """The stored scene with what this request alone says: its file names and how they were paired."""
+    views, pairing = upload.views, upload.pairing
     document = with_links(runtime.store.document(scene_id), views)
+    document |= {
+        "images": [image.name for image in pairing.images],
+        "paired_by": pairing.by,
+        "warnings": [*pairing.warnings, *document["warnings"]],
+    }
     headers = {"Location": document["links"]["self"], "Vary": "Accept"}
     if form == JSON:
         return json_response(document, status, headers)

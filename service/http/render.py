@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from ..camera_json import camera_from_json
 from ..errors import ViewError
 from ..framing import frame
-from ..picture import Channel, Format, Picture, encode, parse_background
+from ..picture import Channel, Format, Picture, check_format, encode, parse_background
 from ..problem_document import plain
 from ..scene_views import SceneViews
 from . import problems
@@ -33,7 +33,7 @@ class RenderQuery(BaseModel):
     width: int | None = Field(None, ge=1, le=65_535, description="px; with height alone the aspect stays")
     height: int | None = Field(None, ge=1, le=65_535, description="px; another aspect crops about the middle")
     channel: Channel = Field("rgb", description="colour, opacity or z-depth")
-    format: Format = Field("png", description="png is exact; depth has 16 bits there and 8 bits elsewhere")
+    format: Format = Field("png", description="alpha and depth: png or webp; depth has 16 bits in png, 8 in webp")
     background: str = Field("black", max_length=50, description="rrggbb in hex, black, white or grey")
 
 
@@ -59,6 +59,7 @@ async def render(query: Annotated[RenderQuery, Query()], runtime: Annotated[Runt
     else:
         camera = views.resolve(query.view if query.view is not None else "0")
     camera = check_size(frame(camera, query.width, query.height), runtime.settings.max_render_pixels)
+    check_format(camera.width, camera.height, query.channel, query.format)
 
     def work() -> tuple[Picture, str]:
         drawn = draw(runtime, scene_id, camera, views, background)

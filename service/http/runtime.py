@@ -78,7 +78,7 @@ class Runtime:
             return self._reconstructor
         if self.failure is not None:
             raise ModelNotReady(
-                f"loading failed in stage {self.stage!r}: {self.failure}", cure="see the log; is GAPMES_MODEL right?"
+                f"loading failed in stage {self.stage!r}", cure="the service's log says why; is GAPMES_MODEL right?"
             )
         raise ModelNotReady(f"the service is starting, stage {self.stage!r}", cure="poll /readyz and retry")
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
+import anyio.to_thread
 from fastapi import Request
 from starlette.datastructures import FormData, UploadFile
 from starlette.exceptions import HTTPException
 
-from ..camera_file import parse_camera_file
+from ..camera_file import CameraFile, parse_camera_file
 from ..errors import (
     DepthRangeError,
     InputError,
@@ -19,10 +19,12 @@ from ..errors import (
     UploadTooLarge,
     ViewCountError,
 )
+from ..settings import Settings
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
 from .limits import parse_json
-from .pairing import NamedImage, Pairing, pair, posted_size
+from .pairing import NamedImage, Pairing, PostedSizes, pair
 
+MAX_FRAMES = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
 MAX_PARTS = 64  # far above what a valid request has, so that one image too many is told from a flood
 FIELDS = ("images", "cameras", "near", "far", "views", "trust_poses")
 
@@ -38,8 +40,11 @@ class Upload:
     trust_poses: bool
 
 
-async def read_upload(request: Request, *, max_camera_bytes: int, max_upload_bytes: int) -> Upload:
-    """Read and check the form; raises the error that names the field, never a framework's own."""
+async def read_upload(request: Request, settings: Settings) -> Upload:
+    """Read and check the form; raises the error that names the field, never a framework's own.
+
+    What takes long, parsing the cameras and reading sizes, runs on a worker thread.
+    """
     media_type = request.headers.get("content-type", "")
     if media_type.partition(";")[0].strip().lower() != "multipart/form-data":
         raise UnsupportedMediaType(
@@ -48,25 +53,41 @@ async def read_upload(request: Request, *, max_camera_bytes: int, max_upload_byt
             cure="curl -F images=@a.jpg -F images=@b.jpg -F cameras=@cameras.json",
         )
     try:
-        form = await request.form(max_files=MAX_PARTS, max_fields=MAX_PARTS, max_part_size=max_upload_bytes)
+        form = await request.form(max_files=MAX_PARTS, max_fields=MAX_PARTS, max_part_size=settings.max_upload_bytes)
     except HTTPException as error:
         raise MalformedRequest(f"the multipart body cannot be read: {error.detail}", field="body") from error
+    except UnicodeError as error:
+        raise MalformedRequest("names are not in the body's declared charset", field="body") from error
     try:
-        return await _parse(form, max_camera_bytes)
+        return await _parse(form, settings)
     finally:
         await form.close()
 
 
-async def _parse(form: FormData, max_camera_bytes: int) -> Upload:
+async def _parse(form: FormData, settings: Settings) -> Upload:
     for name in form:
         if name not in FIELDS:
             raise InputError("is not a field of this route", field=name[:100], cure=f"fields: {', '.join(FIELDS)}")
     images = await _images(form)
-    cameras = parse_camera_file(
-        await _cameras(form, max_camera_bytes), size_of=lambda name, index: posted_size(images, name, index)
-    )
+    document = await _cameras(form, settings.max_camera_bytes)
+    sizes = PostedSizes(images, settings.max_image_pixels)
+    cameras, pairing = await anyio.to_thread.run_sync(lambda: _paired(document, images, sizes))
     near, far = (_number(form, name, given) for name, given in (("near", cameras.near), ("far", cameras.far)))
-    return Upload(pair(images, cameras.views), near, far, _views(form), _flag(form, "trust_poses"))
+    return Upload(pairing, near, far, _views(form), _flag(form, "trust_poses"))
+
+
+def _paired(document: str | bytes, images: list[NamedImage], sizes: PostedSizes) -> tuple[CameraFile, Pairing]:
+    obj = parse_json(document, "cameras")
+    for name in ("views", "frames"):
+        count = len(obj[name]) if isinstance(obj, dict) and isinstance(obj.get(name), list) else 0
+        if count > MAX_FRAMES:
+            raise InputError(
+                f"has {count} {name}, the limit is {MAX_FRAMES}",
+                field="cameras",
+                cure="send the cameras of the posted images alone",
+            )
+    cameras = parse_camera_file(obj, size_of=sizes)
+    return cameras, pair(images, cameras.views)
 
 
 async def _images(form: FormData) -> list[NamedImage]:
@@ -82,10 +103,15 @@ async def _images(form: FormData) -> list[NamedImage]:
             field="images",
             cure="repeat the part `images`, once per photograph",
         )
-    return [NamedImage(part.filename or "", await part.read()) for part in parts]
+    return [NamedImage(_encodable(part.filename or ""), await part.read()) for part in parts]
 
 
-async def _cameras(form: FormData, max_bytes: int) -> Any:
+def _encodable(name: str) -> str:
+    """Lone surrogates, which some charsets let in and UTF-8 cannot hold, as text: \\ud800."""
+    return name.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+async def _cameras(form: FormData, max_bytes: int) -> str | bytes:
     part = _single(form, "cameras")
     if part is None:
         raise InputError(
@@ -94,7 +120,7 @@ async def _cameras(form: FormData, max_bytes: int) -> Any:
     size = (part.size or 0) if isinstance(part, UploadFile) else len(part)
     if size > max_bytes:
         raise UploadTooLarge(f"{size} bytes, the limit is {max_bytes}", field="cameras")
-    return parse_json(await part.read() if isinstance(part, UploadFile) else part, "cameras")
+    return await part.read() if isinstance(part, UploadFile) else part
 
 
 def _number(form: FormData, name: str, otherwise: float | None) -> float | None:

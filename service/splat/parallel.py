@@ -6,7 +6,6 @@ fork, and their idle threads spin against onnxruntime's.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -14,13 +13,9 @@ from itertools import pairwise
 from typing import TypeVar
 
 from ..errors import InputError
+from ..threads import available_threads
 
 T = TypeVar("T")
-
-
-def available_threads() -> int:
-    """How many CPUs this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def checked_threads(threads: int | None) -> int:

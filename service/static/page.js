@@ -41,7 +41,9 @@ async function problemOf(response) {
 const unreachable = { title: "Unreachable", detail: "the service does not answer" };
 
 function renderUrl(small) {
-  const query = new URLSearchParams({ scene: chosen.id, view, channel: $("channel").value, format: small ? "jpeg" : "png" });
+  const channel = $("channel").value;
+  const format = small && channel === "rgb" ? "jpeg" : "png";
+  const query = new URLSearchParams({ scene: chosen.id, view, channel, format });
   if (small) {
     const fitted = chosen.view_cameras[0];
     query.set(fitted.width >= fitted.height ? "width" : "height", String(SMALL));

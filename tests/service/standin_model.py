@@ -31,7 +31,7 @@ METADATA = {
     "patch_px": str(PATCH),
     "near_far": "any",
     "licence": "MIT",
-    "precision": "float32",
+    "precision": "fp32",
     "tolerance": "{}",
 }
 

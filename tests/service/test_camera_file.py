@@ -1,37 +1,18 @@
 """Camera files: ours and transforms.json, in every stated convention, and a named refusal for everything else."""
 
-import copy
 import json
 import math
 
 import numpy as np
 import pytest
+from camera_documents import FLIP, broken, our_file, pose, transforms
 from PIL import Image
 
 from gapmes.service.camera import Camera, rigid_inverse
-from gapmes.service.camera_file import camera_document, load_scene_folder, parse_camera_file
+from gapmes.service.camera_file import camera_document, load_scene_folder, parse_camera_file, read_camera_file
+from gapmes.service.camera_json import camera_from_json
 from gapmes.service.errors import CameraError, ImageError, ImageUnreadable, IntrinsicsError, PoseError
 from gapmes.service.rotations import about_axis
-
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-
-
-def pose(index=0):
-    matrix = np.eye(4)
-    matrix[:3, :3] = about_axis(np.array([0.6, 0.0, 0.8]), 0.3 + index)
-    matrix[:3, 3] = [1.5 + index, -2.0, 0.25]
-    return matrix
-
-
-def our_file(count=2):
-    cameras = [Camera.make(640, 480, 500.5, 510.25, 322, 236.5, pose(i)) for i in range(count)]
-    views = [camera_document(camera, f"images/{i:03d}.png") for i, camera in enumerate(cameras)]
-    return {"near": 1, "far": 20.5, "views": views, "licence": "CC0", "suggested": {"context2": [0, 1]}}
-
-
-def transforms(count=2, **top):
-    frames = [{"file_path": f"images/{i}.png", "transform_matrix": (pose(i) @ FLIP).tolist()} for i in range(count)]
-    return {"fl_x": 500.0, "fl_y": 510.0, "cx": 322.0, "cy": 236.5, "w": 640, "h": 480, "frames": frames} | top
 
 
 def test_our_file_reads_back_to_the_bit():
@@ -44,7 +25,49 @@ def test_our_file_reads_back_to_the_bit():
     again = parse_camera_file({"views": [camera_document(view.camera) for view in file.views]})
     assert again.near is None
     for one, two in zip(file.cameras, again.cameras, strict=True):
-        np.testing.assert_allclose(one.world_from_cam, two.world_from_cam, atol=1e-15)
+        np.testing.assert_array_equal(one.world_from_cam, two.world_from_cam)
+
+
+def test_a_pose_that_was_checked_once_stays_to_the_bit():
+    rng = np.random.default_rng(0)
+    for _ in range(500):
+        axis = rng.normal(size=3)
+        matrix = np.eye(4)
+        matrix[:3, :3] = about_axis(axis / np.linalg.norm(axis), rng.uniform(-np.pi, np.pi))
+        matrix[:3, 3] = rng.normal(size=3)
+        camera = Camera.make(640, 480, 500, 500, 320, 240, matrix)
+        np.testing.assert_array_equal(camera.world_from_cam, matrix)
+        rounded = Camera.make(640, 480, 500, 500, 320, 240, np.round(matrix, 6))
+        for one in (camera, rounded):
+            text = json.dumps(camera_document(one))
+            np.testing.assert_array_equal(camera_from_json(json.loads(text)).world_from_cam, one.world_from_cam)
+            again = parse_camera_file({"views": [json.loads(text)]}).cameras[0]
+            np.testing.assert_array_equal(again.world_from_cam, one.world_from_cam)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"c2w": [[1, 2], [3]]}, "camera.c2w"),
+        ({"c2w": None}, "camera.c2w"),
+        ({"fx": -1.0}, "camera.fx"),
+        ({"fx": "1"}, "camera.fx"),
+        ({"width": 0.5}, "camera.size"),
+        ({"image": 7}, "camera.image"),
+        ({"axes": "blender"}, "camera.axes"),
+        ({"pose": "both"}, "camera.pose"),
+    ],
+)
+def test_a_single_camera_is_named_as_such(change, field):
+    entry = our_file(1)["views"][0]
+    camera_from_json(entry)
+    with pytest.raises(CameraError) as caught:
+        camera_from_json(entry | change)
+    assert (caught.value.field, caught.value.index) == (field, None)
+    del entry["fy"]
+    with pytest.raises(CameraError, match="fy missing") as caught:
+        camera_from_json(entry)
+    assert (caught.value.field, caught.value.index) == ("camera", None)
 
 
 @pytest.mark.parametrize("axes", ["opencv", "opengl"])
@@ -58,62 +81,6 @@ def test_every_stated_convention_is_the_same_camera(axes, direction):
             view["w2c"] = view.pop("c2w")
     for index, camera in enumerate(parse_camera_file(file).cameras):
         np.testing.assert_allclose(camera.world_from_cam, pose(index), atol=1e-13)
-
-
-def test_axes_mean_directions():
-    """A point up and ahead, in OpenGL words, is up and ahead in the picture."""
-    file = transforms(1)
-    file["frames"][0]["transform_matrix"] = np.eye(4).tolist()
-    camera = parse_camera_file(file).cameras[0]
-    pixels, z = camera.project(np.array([[0.0, 1.0, -5.0]]))
-    assert z[0] == 5
-    assert pixels[0, 1] < camera.cy
-
-
-def test_transforms_with_values_at_the_top_and_per_frame():
-    file = transforms(3)
-    file["frames"][1] |= {"fl_x": 700.0, "w": 800, "h": 600}
-    cameras = parse_camera_file(file).cameras
-    assert [(c.fx, c.fy, c.width) for c in cameras] == [(500, 510, 640), (700, 510, 800), (500, 510, 640)]
-    np.testing.assert_allclose(cameras[2].world_from_cam, pose(2), atol=1e-14)
-
-
-def test_blender_field_of_view_and_defaults():
-    angle = 0.9
-    frames = transforms(2)["frames"]
-    file = parse_camera_file({"camera_angle_x": angle, "w": 400, "h": 300, "frames": frames})
-    camera = file.cameras[0]
-    assert camera.fx == camera.fy == pytest.approx(200 / math.tan(0.45))
-    assert (camera.cx, camera.cy) == (200, 150)
-    right_edge = camera.rays(np.array([[400.0, 150.0], [0.0, 150.0]]))
-    cosine = right_edge[0] @ right_edge[1] / np.linalg.norm(right_edge, axis=1).prod()
-    assert math.acos(cosine) == pytest.approx(angle)
-
-
-@pytest.mark.parametrize("name", ["k1", "k2", "k3", "k4", "p1", "p2"])
-def test_distortion_is_refused_by_name(name):
-    assert parse_camera_file(transforms(**{name: 0.0})).views
-    with pytest.raises(IntrinsicsError, match=f"distortion {name} = 0.01") as caught:
-        parse_camera_file(transforms(**{name: 0.01}))
-    assert "undistort" in caught.value.cure
-
-
-@pytest.mark.parametrize("top", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
-def test_fisheye_is_refused(top):
-    with pytest.raises(IntrinsicsError, match="need a pinhole"):
-        parse_camera_file(transforms(**top))
-
-
-def broken(path, value, base=None):
-    file = copy.deepcopy(our_file() if base is None else base)
-    target = file
-    for key in path[:-1]:
-        target = target[key]
-    if value is None:
-        del target[path[-1]]
-    else:
-        target[path[-1]] = value
-    return file
 
 
 @pytest.mark.parametrize(
@@ -166,25 +133,6 @@ def test_what_is_no_camera_file(value):
         parse_camera_file(value)
 
 
-@pytest.mark.parametrize(
-    ("path", "match"),
-    [
-        (("w",), "w and h are missing"),
-        (("fl_x",), "neither fl_x nor camera_angle_x"),
-        (("frames", 0, "transform_matrix"), "transform_matrix is missing"),
-    ],
-)
-def test_incomplete_transforms_are_refused(path, match):
-    with pytest.raises(CameraError, match=match):
-        parse_camera_file(broken(path, None, transforms()))
-
-
-def test_a_field_of_view_in_degrees_is_refused():
-    with pytest.raises(IntrinsicsError, match="camera_angle_x = 50") as caught:
-        parse_camera_file({"camera_angle_x": 50.0, "w": 400, "h": 300, "frames": transforms()["frames"]})
-    assert "radians" in caught.value.cure
-
-
 def write_folder(root, name, obj, images):
     (root / "images").mkdir()
     (root / name).write_text(json.dumps(obj))
@@ -202,6 +150,36 @@ def test_a_scene_folder_finds_its_photographs(tmp_path):
     with pytest.raises(ImageError, match=r"001.png does not exist") as caught:
         load_scene_folder(tmp_path)
     assert caught.value.index == 1
+
+
+@pytest.mark.parametrize("sizes", [True, False])
+def test_only_the_chosen_photographs_must_be_there(tmp_path, sizes):
+    file = transforms(3)
+    if not sizes:
+        del file["w"], file["h"]
+    file["frames"][1]["file_path"] = None
+    write_folder(tmp_path, "transforms.json", file, ["images/0.png", "images/2.png"])
+    folder = load_scene_folder(tmp_path, lambda count: [count - 1, 0])
+    assert folder.indices == (2, 0)
+    assert folder.image_paths == (tmp_path / "images/2.png", tmp_path / "images/0.png")
+    np.testing.assert_allclose(folder.file.cameras[0].world_from_cam, pose(2), atol=1e-14)
+    with pytest.raises(ImageError) as caught:
+        load_scene_folder(tmp_path, lambda count: [0, 1])
+    assert caught.value.index == 1
+
+
+def test_sizes_come_from_the_photographs(tmp_path):
+    file = transforms(2)
+    del file["w"], file["h"]
+    write_folder(tmp_path, "transforms.json", file, ["images/0.png", "images/1.png"])
+    assert read_camera_file(tmp_path / "transforms.json").cameras[1].width == 640
+
+
+@pytest.mark.parametrize("read", [load_scene_folder, read_camera_file])
+def test_deep_nesting_is_not_readable(tmp_path, read):
+    (tmp_path / "cameras.json").write_text("[" * 200_000)
+    with pytest.raises(CameraError, match="is not readable JSON"):
+        read(tmp_path / "cameras.json")
 
 
 def test_a_blender_folder_without_sizes_and_suffixes(tmp_path):

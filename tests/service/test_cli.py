@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from rich.console import Console
 
-from gapmes.service import cli, read_ply
-from gapmes.service.commands.selection import view_indices, view_specs
-from gapmes.service.contact_sheet import Cell, Row, contact_sheet, psnr
-from gapmes.service.errors import ViewError
-from gapmes.service.progress import Stages
-from gapmes.service.terminal import ProgressBars
+from gapmes.service import Gaussians, cli, read_ply, write_ply
 
 
 @pytest.fixture
@@ -105,6 +99,53 @@ def test_transforms_json_without_sizes(scene_dir: Path, standin_model: Path) -> 
     assert (scene_dir / "out.ply").read_bytes() == expected
 
 
+def test_views_that_are_not_wanted_need_no_photograph(scene_dir: Path, standin_model: Path) -> None:
+    (scene_dir / "images" / "001.png").unlink()
+    assert reconstruct(scene_dir, standin_model, "--views", "0,2") == 0
+    assert reconstruct(scene_dir, standin_model, "--views", "0,1") == 1
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_pictures_do_not_depend_on_the_unit(scene_dir: Path, tmp_path: Path, unit: float) -> None:
+    """Without near and far in the camera file, and with one camera or several: orbits and near plane follow."""
+    rng = np.random.default_rng(0)
+    count = 200
+    gaussians = Gaussians(
+        means=rng.uniform([-0.5, -0.5, 1.5], [1.0, 0.5, 3.0], (count, 3)),
+        scales=np.full((count, 3), 0.05),
+        rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        opacities=np.full(count, 0.9),
+        harmonics=rng.normal(size=(count, 1, 3)),
+    )
+    document = json.loads((scene_dir / "cameras.json").read_text())
+    del document["near"], document["far"]
+    pictures = []
+    for name, scale in (("plain", 1.0), ("scaled", unit)):
+        ply = tmp_path / f"{name}.ply"
+        write_ply(ply, replace(gaussians, means=gaussians.means * scale, scales=gaussians.scales * scale))
+        views = [view | {"c2w": (np.array(view["c2w"])[:3] * [1, 1, 1, scale]).tolist()} for view in document["views"]]
+        drawn = []
+        for kept in (views, views[:1]):
+            cameras = tmp_path / "cameras.json"
+            cameras.write_text(json.dumps({"views": kept}))
+            out = tmp_path / f"{name}{len(kept)}"
+            assert run("render", ply, "--cameras", cameras, "-o", out, "--views", "0,orbit:20", "--threads", 1) == 0
+            drawn += [np.asarray(Image.open(path), float) for path in sorted(out.iterdir())]
+        pictures.append(drawn)
+    for plain, scaled in zip(*pictures, strict=True):
+        assert plain.mean() > 10
+        np.testing.assert_allclose(plain, scaled, atol=1)  # of 255; positions and scales are float32 in the file
+
+
+def test_render_takes_sizes_from_the_photographs(scene_dir: Path, standin_model: Path, tmp_path: Path) -> None:
+    assert reconstruct(scene_dir, standin_model, "--views", "0,1") == 0
+    frames = [{"file_path": f"images/{i:03d}.png", "transform_matrix": np.eye(4).tolist()} for i in range(2)]
+    cameras = scene_dir / "transforms.json"
+    cameras.write_text(json.dumps({"fl_x": 60.0, "frames": frames}))
+    assert run("render", scene_dir / "out.ply", "--cameras", cameras, "-o", tmp_path / "v", "--threads", 1) == 0
+    assert Image.open(tmp_path / "v" / "view_1.png").size == (64, 48)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -147,13 +188,26 @@ def test_other_refusals(scene_dir: Path, tmp_path: Path, capfd: pytest.CaptureFi
     assert run("render", missing, "--cameras", cameras, "-o", tmp_path / "v", "--json") == 1
     assert_refusal(capfd, "missing")
     assert run("render", cameras, "--cameras", cameras, "-o", tmp_path / "v", "--json") == 1
-    assert_refusal(capfd, "")
+    assert assert_refusal(capfd, "error: header: ")["code"] == "ply_invalid"
+    broken = tmp_path / "broken.ply"
+    broken.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex many\nend_header\n")
+    assert run("render", broken, "--cameras", cameras, "-o", tmp_path / "v", "--json") == 1
+    assert assert_refusal(capfd, "error: header: line")["code"] == "ply_invalid"
     assert run("render", cameras, "--cameras", missing, "-o", tmp_path / "v", "--json") == 1
     assert_refusal(capfd, "missing")
     assert run("render", cameras, "--cameras", cameras, "-o", tmp_path / "v", "--size", "huge", "--json") == 1
     assert_refusal(capfd, "is not a size")
     assert run("render", cameras, "--cameras", cameras, "-o", tmp_path / "v", "--views", "7", "--json") == 1
-    assert_refusal(capfd, "7")
+    assert assert_refusal(capfd, "7 is out of range, there are 4 views")["field"] == "views"
+    document = json.loads(cameras.read_text())
+    cameras.write_text(json.dumps(document | {"near": -1.0}))
+    assert run("render", cameras, "--cameras", cameras, "-o", tmp_path / "v", "--views", "orbit:9", "--json") == 1
+    assert_refusal(capfd, "near = -1")
+    views = [view | {"fx": 0.5 if index == 2 else 60.0} for index, view in enumerate(document["views"])]
+    cameras.write_text(json.dumps(document | {"views": views}))
+    assert run("render", cameras, "--cameras", cameras, "-o", tmp_path / "v", "--json") == 1
+    assert_refusal(capfd, "error: view 2: views.fx: fx = 0.5 px for an image of 64 px")
+    cameras.write_text(json.dumps(document))
     (scene_dir / "images" / "000.png").write_text("no image")
     assert run("reconstruct", scene_dir, "-o", tmp_path / "x.ply", "--model", missing, "--json") == 1
     assert_refusal(capfd, "missing")
@@ -193,39 +247,3 @@ def test_serve_refuses_before_it_listens(monkeypatch: pytest.MonkeyPatch, capfd:
 def test_help(command: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(command, "--help") == 0
     assert "Usage" in capfd.readouterr().out
-
-
-def test_views_on_the_command_line() -> None:
-    assert view_indices("4, 8", 9) == [4, 8]
-    assert view_specs("5,6.5,5") == ["5", "6.5"]
-    for text in ("", "1,,2", "-1", "1.5", "٣"):
-        with pytest.raises(ViewError):
-            view_indices(text, 9)
-    with pytest.raises(ViewError):
-        view_specs("1,,2")
-
-
-def test_progress_is_drawn_on_a_terminal_and_written_elsewhere(capfd: pytest.CaptureFixture[str]) -> None:
-    for terminal in (True, False):
-        console = Console(file=sys.stderr, force_terminal=terminal, width=100, color_system=None)
-        with ProgressBars(console) as bars, Stages(bars).stage("network", 4) as step:
-            step(2)
-        out, err = capfd.readouterr()
-        assert out == ""
-        assert re.search(r"network.* \d\.\d\d s", err)
-        assert ("4/4" in err) == terminal
-
-
-def test_comparison_holds_every_picture() -> None:
-    colours = [(200, 0, 0), (0, 200, 0), (0, 0, 200)]
-    cells = [Cell(np.full((256, 256, 3), colour, np.uint8), "label") for colour in colours]
-    sheet = np.asarray(contact_sheet([Row("One", cells[:1]), Row("Two", cells[1:])]))
-    for colour in colours:
-        assert (sheet == colour).all(axis=2).sum() == 256 * 256
-
-
-def test_psnr_is_the_formula() -> None:
-    a = np.zeros((4, 4, 3), np.uint8)
-    assert psnr(a, a) == float("inf")
-    assert psnr(a, a + 255) == pytest.approx(0.0)
-    assert psnr(a, a + 51) == pytest.approx(-20 * np.log10(0.2))

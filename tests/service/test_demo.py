@@ -93,6 +93,9 @@ def test_failure_is_one_line_and_stops_the_service(tmp_path: Path, environment: 
     assert "Traceback" not in done.stderr
     lines = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
     assert len(lines) == 1
-    assert "model.onnx" in lines[0]
-    server = int((tmp_path / "server.log").read_text().split("Started server process [")[1].split("]")[0])
+    assert "stage 'model'" in lines[0]
+    assert str(tmp_path / "server.log") in lines[0]
+    log = (tmp_path / "server.log").read_text()
+    assert str(model) in log
+    server = int(log.split("Started server process [")[1].split("]")[0])
     assert not alive(server)

@@ -5,11 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from gapmes.service.camera import Camera
-from gapmes.service.depth_range import convergence_depths, depth_range, largest_baseline
-from gapmes.service.errors import BaselineError, DepthRangeError
+from gapmes.service.camera import Camera, rigid_inverse
+from gapmes.service.depth_range import (
+    DepthRange,
+    convergence_depths,
+    depth_range,
+    depth_range_of_reading,
+    largest_baseline,
+)
+from gapmes.service.errors import BaselineError, DepthRangeError, OverlapError
 from gapmes.service.overlap import best_partner_shares, inverse_depth_steps, shared_shares
 from gapmes.service.rotations import about_axis
+from gapmes.service.view_checks import check_views
 
 
 def look_at(center, target, width=64, height=64, focal=60.0):
@@ -68,6 +75,69 @@ def test_near_is_drawn_in_to_where_two_views_share_a_tenth():
     assert estimate.near < 6 < estimate.far
 
 
+def held_pair(rng, angle, aim, focal):
+    """Two cameras held by hand around the origin, `angle` apart, about 4 away, aimed with an error of `aim` (rad)."""
+    cameras = []
+    for place in (-0.5 * angle, 0.5 * angle):
+        distance = 4.0 * (1 + rng.normal(0, 0.05))
+        center = np.array([distance * math.sin(place), 4.0 * rng.normal(0, 0.1), -distance * math.cos(place)])
+        aimed = look_at(center, (0.0, 0.0, 0.0), 640, 480, focal)
+        pose = aimed.world_from_cam.copy()
+        for axis, error in zip(np.eye(3), rng.normal(0, [aim, aim, math.radians(3)]), strict=True):
+            pose[:3, :3] = pose[:3, :3] @ about_axis(axis, error)
+        cameras.append(aimed.posed(pose))
+    return cameras
+
+
+@pytest.mark.parametrize("degrees", [10, 20, 30, 45, 60, 75, 90])
+def test_cameras_held_by_hand_around_a_thing(degrees):
+    """The thing, 4 away, lies in the range, and no pair is refused that a given range lets pass.
+
+    Measured over 4000 pairs: 18 leave it out, 4 are refused, which a given range refuses as well; the old rule (near is
+    twice the baseline wherever the axes miss) left it out in 10 % and refused 2 to 4 %.
+    """
+    outside, total = 0, 0
+    for aim in (0.0, 2.0, 4.3, 6.4, 8.0):
+        for focal in (500.0, 800.0):
+            rng = np.random.default_rng(100 * degrees + int(10 * aim))
+            for _ in range(12):
+                cameras = held_pair(rng, math.radians(degrees), math.radians(aim), focal)
+                estimate = depth_range(cameras)
+                depths = [-camera.center @ camera.rotation[:, 2] for camera in cameras]
+                outside += not estimate.near < min(depths) <= max(depths) < estimate.far
+                total += 1
+                try:
+                    check_views(cameras, estimate)
+                except OverlapError:
+                    with pytest.raises(OverlapError):
+                        check_views(cameras, DepthRange(2.0, 8.0, "given"))
+    assert outside <= 0.03 * total
+
+
+def test_axes_that_pass_each_other_at_an_angle_are_no_rig():
+    """60 degrees apart and aimed 12 degrees up and down: the axes miss by a fifth of the depth, which is 1 baseline."""
+    pair = arc([-math.pi / 6, math.pi / 6], target=(0.0, 0.0, 0.0))
+    tilts = [about_axis(np.array([1.0, 0.0, 0.0]), math.radians(angle)) for angle in (12, -12)]
+    turned = []
+    for camera, tilt in zip(pair, tilts, strict=True):
+        pose = camera.world_from_cam.copy()
+        pose[:3, :3] = pose[:3, :3] @ tilt
+        turned.append(camera.posed(pose))
+    assert convergence_depths(turned) is None
+    estimate = depth_range(turned)
+    assert estimate.near < 5
+    assert check_views(turned, estimate) == []
+
+
+def test_a_reading_that_puts_all_cameras_in_one_place_has_no_range():
+    """World-to-camera matrices of a ring about the origin all have the same translation."""
+    cameras = arc([-0.3, 0.3], target=(0.0, 0.0, 0.0))
+    inverted = [camera.posed(rigid_inverse(camera.world_from_cam)) for camera in cameras]
+    assert depth_range_of_reading(inverted, depth_range(cameras)) is None
+    given = DepthRange(1.0, 9.0, "given")
+    assert depth_range_of_reading(inverted, given) is given
+
+
 @pytest.mark.parametrize("flip", [np.diag([1.0, -1.0, -1.0, 1.0])])
 def test_axes_that_meet_behind_do_not_count(flip):
     assert convergence_depths([camera.posed(camera.world_from_cam @ flip) for camera in arc([-0.2, 0.2])]) is None
@@ -93,7 +163,6 @@ def test_the_estimate_moves_with_the_world_and_its_unit():
 def test_a_given_range_is_taken_as_it_is():
     given = depth_range(side_by_side(), 0.5, 9)
     assert (given.near, given.far, given.source) == (0.5, 9.0, "given")
-    assert given.middle == pytest.approx(math.sqrt(4.5))
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from gapmes.service.coarse_views import coarse_view, nearest_neighbours
 from gapmes.service.depth_range import DepthRange, depth_range
 from gapmes.service.depth_sweep import matched_depths, narrowed
 from gapmes.service.images import Photo, fit_view
+from gapmes.service.rotations import about_axis
 
 
 def fitted(scene):
@@ -66,3 +67,13 @@ def test_nearest_neighbours():
     first, second, third = PlaneScene.make(np.random.default_rng(3)).cameras
     assert nearest_neighbours([first, second, third])[::2] == [1, 1]
     assert nearest_neighbours([third, first, second])[:2] == [2, 2]
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-3])
+def test_a_neighbour_has_parallax(apart):
+    """Two cameras at one place, turned: both are compared with the third, and it with either."""
+    first, second, _ = PlaneScene.make(np.random.default_rng(3)).cameras
+    pose = first.world_from_cam.copy()
+    pose[:3, :3] = pose[:3, :3] @ about_axis(np.array([0.0, 1.0, 0.0]), 0.1)
+    pose[0, 3] += apart
+    assert nearest_neighbours([first, first.posed(pose), second])[:2] == [2, 2]

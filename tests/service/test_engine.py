@@ -13,6 +13,7 @@ from gapmes.service.contract import OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from gapmes.service.engine import Engine
 from gapmes.service.errors import ModelError
 from gapmes.service.shipped import shipped_model
+from gapmes.service.threads import available_threads
 
 OUTPUTS = REQUIRED_OUTPUTS + OPTIONAL_OUTPUTS
 
@@ -61,9 +62,15 @@ def test_telemetry_is_off_and_threads_are_explicit(engine, standin_model):
     assert engine.threads == 1
     options = engine._session.get_session_options()
     assert (options.intra_op_num_threads, options.inter_op_num_threads) == (1, 1)
-    assert Engine(standin_model).threads == len(os.sched_getaffinity(0))
+    assert Engine(standin_model).threads == available_threads()
     with pytest.raises(ModelError, match="threads = 0"):
         Engine(standin_model, threads=0)
+
+
+def test_the_default_thread_count_needs_no_cpu_affinity(standin_model, monkeypatch):
+    """macOS has no `sched_getaffinity`."""
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    assert Engine(standin_model).threads == os.cpu_count()
 
 
 def test_missing_file_is_named(tmp_path):

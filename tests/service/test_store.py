@@ -43,13 +43,14 @@ def names(root: Path) -> set[str]:
 
 
 def test_what_is_put_can_be_read(store):
-    store.put(A, PLY, {"id": A, "count": 5})
-    assert store.document(A) == {"id": A, "count": 5}
+    document = {"id": A, "count": 5, "text": "ä \ud800"}  # the last one is what UTF-8 cannot hold
+    store.put(A, PLY, document)
+    assert store.document(A) == document
     assert store.ply_path(A).read_bytes() == PLY
     np.testing.assert_allclose(store.gaussians(A).means, gaussians().means, rtol=1e-6)
     assert store.exists(A)
     assert not store.exists(B)
-    assert SceneStore(store.root).document(A) == {"id": A, "count": 5}
+    assert SceneStore(store.root).document(A) == document
 
 
 def test_the_first_put_wins(store):

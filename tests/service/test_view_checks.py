@@ -132,6 +132,23 @@ def test_views_that_never_meet_are_refused_without_a_false_hint():
     assert "look like" not in caught.value.cure
 
 
+def test_what_overlaps_outside_an_estimated_range_is_a_warning():
+    cameras = ring((-0.2, 0.2))
+    shared_at_six = DepthRange(0.5, 0.8, "estimated")  # a bad estimate: the views cross beyond it
+    assert [notice["code"] for notice in check_views(cameras, shared_at_six)] == ["little_overlap"]
+    with pytest.raises(OverlapError, match=r"at any depth from 0\.5 to 0\.8"):
+        check_views(cameras, DepthRange(0.5, 0.8, "given"))
+
+
+def test_trusted_poses_are_not_refused_for_their_overlap():
+    cameras = [camera.posed(camera.world_from_cam @ FLIP) for camera in ring((-0.55, 0.55))]
+    for depths in (given(), depth_range(cameras)):
+        with pytest.raises(OverlapError, match="set trust_poses"):
+            check_views(cameras, depths)
+        (notice,) = check_views(cameras, depths, trust_poses=True)
+        assert notice["code"] == "little_overlap"
+
+
 def test_little_overlap_is_a_warning():
     cameras = ring((0,))
     pose = np.eye(4)

@@ -6,7 +6,6 @@ import io
 import json
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from PIL import Image
 from starlette.testclient import TestClient
 
 from gapmes.service import read_ply
+from gapmes.service.http import reconstruct as route
 from gapmes.service.settings import Settings
 
 
@@ -35,7 +35,8 @@ def test_scene_document(client: TestClient) -> None:
     assert body["model"]
     for link in (body["links"]["self"], body["links"]["ply"], *body["links"]["views"]):
         assert client.get(link).status_code == 200
-    assert client.get(body["links"]["self"]).json() == body
+    own = {"images": ["0.png", "1.png"], "paired_by": "order"}  # of this request, not of the scene
+    assert client.get(body["links"]["self"]).json() | own == body
 
 
 def test_same_input_is_the_same_scene(client: TestClient, settings: Settings) -> None:
@@ -123,35 +124,12 @@ def test_cameras_as_a_text_field(client: TestClient) -> None:
     assert client.post("/reconstruct", files=parts).json()["id"] == as_file.json()["id"]
 
 
-def named(*names: str) -> dict[str, Any]:
-    cameras = camera_object(len(names))
-    for view, name in zip(cameras["views"], names, strict=True):
-        view["image"] = f"images/{name}"
-    return cameras
-
-
-def centres(body: dict[str, Any]) -> list[float]:
-    return [camera["c2w"][0][3] for camera in body["cameras"]]
-
-
-def test_cameras_are_matched_by_name(client: TestClient) -> None:
-    cameras = named("a.png", "b.png", "c.png", "d.png")
-    body = post(client, cameras=cameras, names=["C.png", "b.png"]).json()
-    assert centres(body) == pytest.approx([0.4, 0.2])
-    assert body["paired_by"] == "name"
-    assert body["images"] == ["C.png", "b.png"]
-
-
-def test_cameras_of_other_names_are_matched_by_order_and_it_is_said(client: TestClient) -> None:
-    body = post(client, cameras=named("a.png", "b.png"), names=["x.png", "y.png"]).json()
-    assert centres(body) == [0.0, 0.2]
-    assert body["paired_by"] == "order"
-    assert any(warning["code"] == "names_differ" for warning in body["warnings"])
-
-
-def test_names_that_occur_twice_settle_nothing(client: TestClient) -> None:
-    body = post(client, cameras=named("a.png", "a.png"), names=["a.png", "a.png"]).json()
-    assert body["paired_by"] == "order"
+def test_another_algorithm_is_another_scene(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = post(client)
+    monkeypatch.setattr(route, "ALGORITHM_REVISION", route.ALGORITHM_REVISION + 1)
+    second = post(client)
+    assert second.status_code == 201
+    assert second.json()["id"] != first.json()["id"]
 
 
 def test_transforms_json_is_the_same_scene(client: TestClient) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,9 @@ import pytest
 from http_requests import assert_problem, camera_object, photograph, post
 from PIL import Image
 from starlette.testclient import TestClient
+
+from gapmes.service.picture import MAX_SIDE, check_format, encode
+from gapmes.service.splat import Render
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +64,9 @@ def test_size(client: TestClient, scene: dict[str, Any]) -> None:
 @pytest.mark.parametrize("channel", ["rgb", "alpha", "depth"])
 def test_formats_and_channels(client: TestClient, scene: dict[str, Any], name: str, mode: str, channel: str) -> None:
     answer = client.get("/render", params={"format": name, "channel": channel})
+    if name == "jpeg" and channel != "rgb":  # its levels mean something and JPEG would change them
+        assert "webp" in assert_problem(answer, 422, "invalid_input", "format")["cure"]
+        return
     assert answer.status_code == 200
     assert answer.headers["content-type"] == f"image/{name}"
     assert Image.open(io.BytesIO(answer.content)).format == mode
@@ -73,6 +80,62 @@ def test_depth_levels_mean_what_the_headers_say(client: TestClient, scene: dict[
     assert levels.dtype == np.uint16 or levels.dtype == np.int32
     assert levels.max() == 65535 or low == high
     assert 0.5 * scene["near"] < low <= high < 2 * scene["far"]
+
+
+def test_alpha_and_depth_are_exact_in_webp(client: TestClient, scene: dict[str, Any]) -> None:
+    camera = dict(scene["view_cameras"][0])
+    camera["c2w"] = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -20], [0, 0, 0, 1]]  # far back, so that the rim is in view
+    query = {"camera": json.dumps(camera), "width": "200"}
+    png, webp = (client.get("/render", params=query | {"channel": "alpha", "format": f}) for f in ("png", "webp"))
+    assert len(np.unique(picture(png))) > 2  # levels between nothing and everything
+    np.testing.assert_array_equal(picture(webp), np.repeat(picture(png)[:, :, None], 3, axis=2))
+    png, webp = (client.get("/render", params=query | {"channel": "depth", "format": f}) for f in ("png", "webp"))
+    assert webp.headers["x-gapmes-depth-max"] == png.headers["x-gapmes-depth-max"]
+    fine, coarse = picture(png).astype(np.float64), picture(webp)[:, :, 0]
+    np.testing.assert_array_equal(coarse == 0, fine == 0)  # level 0 is nothing there, and no other pixel has it
+    expected = np.where(fine == 0, 0, 1 + (fine - 1) * 254 / 65534)
+    assert np.abs(coarse - expected).max() <= 0.5 + 254 / 65534
+
+
+@pytest.mark.parametrize(
+    ("name", "query", "field", "limit"),
+    [
+        ("webp", "width=20000&height=100", "width", 16383),
+        ("webp", "width=100&height=16384", "height", 16383),
+        ("jpeg", "width=65535&height=100", "width", 65500),
+        ("jpeg", "width=100&height=65501", "height", 65500),
+    ],
+)
+def test_sides_that_a_format_cannot_have(
+    client: TestClient, scene: dict[str, Any], name: str, query: str, field: str, limit: int
+) -> None:
+    body = assert_problem(client.get(f"/render?{query}&format={name}"), 422, "invalid_input", field)
+    assert str(limit) in body["detail"]
+    assert re.search(r"\d+", query.split(field + "=")[1])[0] in body["detail"]
+
+
+@pytest.mark.parametrize("name", ["webp", "jpeg"])
+def test_the_longest_side_of_a_format_can_be_written(name: Any) -> None:
+    width, height = MAX_SIDE[name], 1
+    check_format(width, height, "rgb", name)
+    drawn = Render(np.zeros((height, width, 3), np.float32), *np.zeros((2, height, width), np.float32), {})
+    assert Image.open(io.BytesIO(encode(drawn, "rgb", name).data)).size == (width, height)
+
+
+def test_a_crop_with_a_principal_point_far_outside_is_drawn(client: TestClient) -> None:
+    """1000 x 300 with cx = 1900 is plausible; of the centre crop that the network sees, the same point is not."""
+    cameras = camera_object(2, width=1000, height=300)
+    for view in cameras["views"]:
+        view |= {"fx": 1000.0, "fy": 1000.0, "cx": 1900.0}
+    images = [photograph(60, 1000, 300), photograph(61, 1000, 300)]
+    answer = post(client, images, cameras, accept="application/zip", views="0,0.5", trust_poses="true")
+    assert answer.status_code == 201, answer.text
+    body = client.get(answer.headers["location"]).json()
+    fitted = body["view_cameras"][0]
+    assert fitted["cx"] > 2 * fitted["width"]
+    for link in body["links"]["views"]:
+        assert client.get(link).status_code == 200
+    client.delete(answer.headers["location"])
 
 
 def test_background_shows_where_nothing_is(client: TestClient, scene: dict[str, Any]) -> None:

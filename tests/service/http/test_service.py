@@ -13,6 +13,7 @@ from http_requests import assert_problem, photograph, post, wait_until_ready
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
+from gapmes.service.errors import ModelError
 from gapmes.service.settings import Settings
 
 
@@ -36,7 +37,7 @@ def test_not_ready_before_the_model_is_loaded(settings: Settings, tmp_path: Path
 
 
 @pytest.mark.parametrize("content", [None, b"no model"])
-def test_model_that_cannot_be_loaded(tmp_path: Path, content: bytes | None) -> None:
+def test_model_that_cannot_be_loaded(tmp_path: Path, content: bytes | None, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "model.onnx"
     if content is not None:
         path.write_bytes(content)
@@ -48,7 +49,9 @@ def test_model_that_cannot_be_loaded(tmp_path: Path, content: bytes | None) -> N
             time.sleep(0.05)
         assert body["state"] == "failed"
         assert body["code"] == "model_not_ready"
-        assert "model.onnx" in body["detail"]
+        assert "'model'" in body["detail"]  # the stage; path and reason are for the log
+        assert str(tmp_path) not in client.get("/readyz").text
+        assert str(path) in caplog.text
         assert client.get("/healthz").status_code == 200
 
 
@@ -120,6 +123,23 @@ def test_unexpected_exception_is_a_problem_without_internals(
     again = post(client, [photograph(50), photograph(51)])
     assert again.status_code == 201
     client.delete(again.headers["location"])
+
+
+def test_a_model_that_fails_tells_the_log_and_not_the_client(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    runtime = client.app.state.runtime
+
+    def broken(*_: object, **__: object) -> None:
+        raise ModelError("/srv/models/own.onnx: Non-zero status code in onnxruntime", field="model")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runtime.reconstructor.engine.__class__, "run", broken)
+        answer = post(client, [photograph(52), photograph(53)])
+    assert_problem(answer, 500, "model_invalid")
+    assert "srv" not in answer.text
+    assert "onnxruntime" not in answer.text
+    assert "/srv/models/own.onnx" in caplog.text
 
 
 def test_a_full_queue_refuses_with_retry_after(settings: Settings, tmp_path: Path) -> None:

@@ -1,0 +1,101 @@
+"""What a request may cost: headers read once, nothing long on the event loop, no body read in front of a full queue."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from http_requests import assert_problem, camera_object, photograph, post, wait_until_ready
+from starlette.testclient import TestClient
+
+from gapmes.service.app import create_app
+from gapmes.service.http import pairing, upload
+from gapmes.service.settings import Settings
+from gapmes.service.store import SceneStore
+
+
+def transforms(count: int) -> dict[str, Any]:
+    """Frames without sizes that all name one of the two posted images."""
+    pose = np.diag([1.0, -1.0, -1.0, 1.0]).tolist()
+    frames = [{"file_path": f"{index % 2}.png", "transform_matrix": pose} for index in range(count)]
+    return {"fl_x": 80.0, "fl_y": 80.0, "frames": frames}
+
+
+def test_the_header_of_an_image_is_read_once(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = []
+    original = pairing.image_size
+    monkeypatch.setattr(
+        pairing, "image_size", lambda data, **options: read.append(options["index"]) or original(data, **options)
+    )
+    assert_problem(post(client, cameras=transforms(300)), 422, "view_count", "cameras")
+    assert read == [0, 1]
+
+
+@pytest.mark.parametrize("kind", ["views", "frames"])
+def test_too_many_cameras(client: TestClient, kind: str) -> None:
+    camera = camera_object(1)["views"][0] | {"c2w": 0}
+    cameras = transforms(2001) if kind == "frames" else {"views": [camera] * 2001}
+    body = assert_problem(post(client, cameras=cameras), 422, "invalid_input", "cameras")
+    assert body["detail"] == f"has 2001 {kind}, the limit is 2000"
+
+
+def test_parsing_and_hashing_leave_the_event_loop_alone(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    on_loop = {}
+
+    def watch(owner: Any, name: str) -> None:
+        original = getattr(owner, name)
+
+        def watched(*args: Any, **options: Any) -> Any:
+            try:
+                asyncio.get_running_loop()
+                on_loop[name] = True
+            except RuntimeError:
+                on_loop[name] = False
+            return original(*args, **options)
+
+        monkeypatch.setattr(owner, name, watched)
+
+    for owner, name in ((upload, "parse_json"), (upload, "parse_camera_file"), (upload, "pair")):
+        watch(owner, name)
+    watch(SceneStore, "scene_id")
+    assert post(client).status_code in (200, 201)
+    assert on_loop == dict.fromkeys(("parse_json", "parse_camera_file", "pair", "scene_id"), False)
+
+
+def test_a_full_queue_answers_before_the_body_is_read(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    request = post(client).request
+    gate = client.app.state.runtime.gate
+    monkeypatch.setattr(gate, "_admitted", gate._most)
+    sent: list[dict[str, Any]] = []
+
+    async def receive() -> dict[str, Any]:
+        raise AssertionError("the body was asked for")
+
+    async def send(message: dict[str, Any]) -> None:
+        sent.append(message)
+
+    headers = [(b"content-type", request.headers["content-type"].encode())]
+    scope = {"type": "http", "method": "POST", "path": "/reconstruct", "query_string": b"", "headers": headers}
+    asyncio.run(client.app(scope, receive, send))
+    assert sent[0]["status"] == 503
+    assert b"service_busy" in sent[1]["body"]
+
+
+def test_pixels_of_a_request_together(settings: Settings, tmp_path: Path) -> None:
+    limited = create_app(settings.model_copy(update={"store": tmp_path, "max_request_pixels": 2 * 96 * 72}))
+    with TestClient(limited, raise_server_exceptions=False) as client:
+        wait_until_ready(client)
+        body = assert_problem(post(client, [photograph(i) for i in range(3)]), 413, "image_too_large", "images")
+        assert body["detail"] == "the 3 photographs have 20736 pixels together, the limit is 13824"
+        assert post(client).status_code == 201
+
+
+def test_a_charset_that_decodes_nothing(client: TestClient) -> None:
+    """Python has a codec of this name, which refuses everything with an error of its own."""
+    request = post(client).request
+    kind = request.headers["content-type"].replace("form-data;", "form-data; charset=undefined;")
+    answer = client.post("/reconstruct", content=request.read(), headers={"content-type": kind})
+    assert_problem(answer, 400, "malformed_request", "body")

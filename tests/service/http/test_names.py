@@ -1,0 +1,78 @@
+"""File names pair photographs with cameras, stay with the request that sent them, and may hold anything."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from http_requests import camera_object, photograph, post
+from starlette.testclient import TestClient
+
+
+@pytest.fixture(autouse=True)
+def emptied(client: TestClient) -> None:
+    for scene in client.get("/scenes").json()["scenes"]:
+        client.delete(scene["links"]["self"])
+
+
+def named(*names: str) -> dict[str, Any]:
+    cameras = camera_object(len(names))
+    for view, name in zip(cameras["views"], names, strict=True):
+        view["image"] = f"images/{name}"
+    return cameras
+
+
+def centres(body: dict[str, Any]) -> list[float]:
+    return [camera["c2w"][0][3] for camera in body["cameras"]]
+
+
+def test_cameras_are_matched_by_name(client: TestClient) -> None:
+    cameras = named("a.png", "b.png", "c.png", "d.png")
+    body = post(client, cameras=cameras, names=["C.png", "b.png"]).json()
+    assert centres(body) == pytest.approx([0.4, 0.2])
+    assert body["paired_by"] == "name"
+    assert body["images"] == ["C.png", "b.png"]
+
+
+def test_cameras_of_other_names_are_matched_by_order_and_it_is_said(client: TestClient) -> None:
+    body = post(client, cameras=named("a.png", "b.png"), names=["x.png", "y.png"]).json()
+    assert centres(body) == [0.0, 0.2]
+    assert body["paired_by"] == "order"
+    assert any(warning["code"] == "names_differ" for warning in body["warnings"])
+
+
+def test_a_second_client_gets_its_own_names(client: TestClient) -> None:
+    """The same photographs and cameras under other names: one scene, and no name of the first client's in an answer."""
+    first = post(client, cameras=named("secret_a.png", "secret_b.png"), names=["secret_a.png", "secret_b.png"])
+    second = post(client, cameras=named("a.png", "b.png"), names=["x.png", "y.png"])
+    assert (first.status_code, second.status_code) == (201, 200)
+    assert second.json()["id"] == first.json()["id"]
+    assert (first.json()["paired_by"], second.json()["paired_by"]) == ("name", "order")
+    assert second.json()["images"] == ["x.png", "y.png"]
+    assert [warning["code"] for warning in second.json()["warnings"]].count("names_differ") == 1
+    assert all(warning["code"] != "names_differ" for warning in first.json()["warnings"])
+    for answer in (second, client.get(first.headers["location"]), client.get("/scenes")):
+        assert "secret" not in answer.text
+
+
+@pytest.mark.parametrize("charset", ["unicode_escape", "utf-7"])
+def test_names_that_utf_8_cannot_hold_are_escaped(client: TestClient, charset: str) -> None:
+    """A lone surrogate in a file name: the scene is stored and the answer is strict UTF-8 JSON."""
+    good = client.build_request("POST", "/reconstruct", files=parts_named("NAME.png", "1.png"))
+    kind = good.headers["content-type"].replace("form-data;", f"form-data; charset={charset};")
+    name = {"unicode_escape": rb"\ud800.png", "utf-7": b"+2AA-.png"}[charset]
+    answer = client.post("/reconstruct", content=good.read().replace(b"NAME.png", name), headers={"content-type": kind})
+    assert answer.status_code == 201, answer.text
+    assert answer.json()["images"] == [r"\ud800.png", "1.png"]
+    json.dumps(answer.json(), ensure_ascii=False).encode()
+
+
+def parts_named(*names: str) -> list[Any]:
+    parts: list[Any] = [("images", (name, photograph(index))) for index, name in enumerate(names)]
+    return [*parts, ("cameras", ("cameras.json", json.dumps(camera_object(len(names))).encode()))]
+
+
+def test_names_that_occur_twice_settle_nothing(client: TestClient) -> None:
+    body = post(client, cameras=named("a.png", "a.png"), names=["a.png", "a.png"]).json()
+    assert body["paired_by"] == "order"

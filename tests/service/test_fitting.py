@@ -1,0 +1,59 @@
+"""Photographs on their way to the network: one at a time at full size, and each with something left under its mask."""
+
+import io
+import weakref
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gapmes.service import images as images_module
+from gapmes.service.camera import Camera
+from gapmes.service.errors import ImageError
+from gapmes.service.images import EncodedPhoto
+from gapmes.service.reconstruct import Reconstructor
+
+
+@pytest.fixture(scope="module")
+def reconstructor(engine):
+    return Reconstructor(engine)
+
+
+def test_a_mask_outside_the_centre_crop_is_refused(reconstructor):
+    """200 x 72 px of which the middle 96 columns are seen, and a mask that keeps 40 columns at the left."""
+    rng = np.random.default_rng(3)
+    cameras, images = [], []
+    for index in range(2):
+        pose = np.eye(4)
+        pose[0, 3] = 0.2 * index
+        cameras.append(Camera.make(200, 72, 100.0, 100.0, 100.0, 36.0, pose))
+        alpha = np.full((72, 200, 1), 255, np.uint8)
+        alpha[:, 40 * index :] *= index == 0
+        images.append(np.concatenate([rng.integers(0, 256, (72, 200, 3), dtype=np.uint8), alpha], axis=2))
+    with pytest.raises(ImageError, match=r"the mask keeps 0 of 64 x 48 px of the centre crop, 48% of") as caught:
+        reconstructor.reconstruct(images, cameras, near=1, far=10)
+    assert (caught.value.status, caught.value.index) == (422, 1)
+    assert "crop the photograph" in caught.value.cure
+
+
+def test_encoded_photographs_are_decoded_one_at_a_time(reconstructor, plane_scene, monkeypatch):
+    """When the next one is decoded, nobody holds the one before; the scene is the same."""
+    alive, original = [], images_module.decode_image
+
+    def watched(data, **options):
+        assert [ref for ref in alive if ref() is not None] == []
+        photo = original(data, **options)
+        alive.append(weakref.ref(photo))
+        return photo
+
+    monkeypatch.setattr(images_module, "decode_image", watched)
+    encoded = []
+    for image in plane_scene.images:
+        buffer = io.BytesIO()
+        Image.fromarray(image).save(buffer, "PNG")
+        encoded.append(EncodedPhoto(buffer.getvalue()))
+    scene = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8)
+    result = reconstructor.reconstruct(encoded, plane_scene.cameras, near=2, far=8)
+    assert len(alive) == len(encoded)
+    np.testing.assert_array_equal(result.gaussians.means, scene.gaussians.means)
+    np.testing.assert_array_equal(result.gaussians.harmonics, scene.gaussians.harmonics)
