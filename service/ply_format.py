@@ -124,7 +124,8 @@ def vertex_columns(data: bytes, header: Header) -> dict[str, F64]:
     row = _row_type(header.vertex, header.byte_order)
     rows = _whole_rows(data, offset, header.vertex, row.itemsize)
     table = np.frombuffer(data, row, count=rows, offset=offset)
-    return {prop.name: table[prop.name].astype(np.float64) for prop in header.vertex.properties}
+    with np.errstate(invalid="ignore"):  # signalling NaNs of a damaged file; whoever reads the column refuses NaN
+        return {prop.name: table[prop.name].astype(np.float64) for prop in header.vertex.properties}
 
 
 def _row_type(element: Element, byte_order: str) -> np.dtype:

@@ -1,6 +1,7 @@
 """Files of other writers are read rightly; broken and hostile ones are refused with the place and the numbers."""
 
 import io
+import warnings
 
 import numpy as np
 import pytest
@@ -132,6 +133,15 @@ def test_a_bad_number_is_named_with_its_row(name, value):
         read_ply(binary_file(changed(**{name: column})))
     assert refusal.value.field == f"vertex.{name}"
     assert refusal.value.index == 2
+
+
+def test_a_signalling_nan_is_refused_without_a_warning():
+    bits = TABLE["x"].astype(np.float32).view(np.uint32)
+    bits[3] = 0x7FA00000
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(PlyError, match="first at row 3"):
+            read_ply(binary_file(changed(x=bits.view(np.float32))))
 
 
 def test_a_double_that_does_not_fit_float32_is_refused():
