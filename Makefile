@@ -11,6 +11,7 @@ demo: .venv/.runtime
 
 test: .venv/.dev
 	$(BIN)/ruff check .
+	$(BIN)/mypy
 	$(BIN)/python -m pytest
 
 .venv/bin/python:

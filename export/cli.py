@@ -59,7 +59,7 @@ def export(
                 out,
                 height=height,
                 width=width,
-                precision=precision,  # type: ignore[arg-type]  # checked above
+                precision=precision,
                 quick=quick,
                 listener=bars,
             )

@@ -82,10 +82,10 @@ def folded_position_embeddings(network: GaPMeS, height: int, width: int) -> Iter
         with torch.no_grad():
             tokens = torch.zeros(1, 1 + (pixels[0] // patch) * (pixels[1] // patch), module.config.hidden)
             constant = embeddings.interpolate_pos_encoding(tokens, *pixels).detach().clone()
-        embeddings.interpolate_pos_encoding = lambda *_, constant=constant: constant
+        vars(embeddings)["interpolate_pos_encoding"] = lambda *_, constant=constant: constant
         replaced.append(embeddings)
     try:
         yield
     finally:
         for embeddings in replaced:
-            del embeddings.interpolate_pos_encoding
+            del vars(embeddings)["interpolate_pos_encoding"]

@@ -19,6 +19,9 @@ class VitFeatures(nn.Module):
     Serves as F_dino with DINOv2 weights and as F_mono with the encoder of Depth-Anything-V2, which is the same class.
     """
 
+    mean: Tensor
+    std: Tensor
+
     def __init__(self, config: VitConfig, *, frozen: bool) -> None:
         super().__init__()
         self.config = config
@@ -31,11 +34,12 @@ class VitFeatures(nn.Module):
                 mlp_ratio=config.mlp_ratio,
                 image_size=config.image_size,
                 patch_size=config.patch,
-                attn_implementation="eager",
+                attn_implementation="eager",  # type: ignore[call-arg]  # a dataclass that takes further keywords
             )
         )
         self.register_buffer("mean", torch.tensor(_IMAGENET_MEAN).reshape(1, 3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(_IMAGENET_STD).reshape(1, 3, 1, 1), persistent=False)
+        assert self.vit.embeddings.mask_token is not None
         self.vit.embeddings.mask_token.requires_grad_(False)  # only used by masked pretraining
         if frozen:
             self.vit.requires_grad_(False)

@@ -58,6 +58,8 @@ class Views:
 class PatchDescriptor(nn.Module):
     """Zero-mean normalised 4x4 grey patches with stride 2: correlating them is ZNCC, which needs no training."""
 
+    taps: Tensor
+
     def __init__(self) -> None:
         super().__init__()
         self.register_buffer("taps", torch.eye(16).reshape(16, 1, 4, 4), persistent=False)
@@ -87,7 +89,8 @@ def sweep(features: list[Tensor], views: Views, planes: int) -> tuple[list[Tenso
         repeat_for_pairs(f.reshape(-1, views.count, *f.shape[1:]), others).reshape(-1, *f.shape[1:]) for f in features
     ]
     source = [other_views(f.reshape(-1, views.count, *f.shape[1:])).reshape(-1, *f.shape[1:]) for f in features]
-    pieces, insides = [[] for _ in features], []
+    pieces: list[list[Tensor]] = [[] for _ in features]
+    insides: list[Tensor] = []
     for start in range(0, h, -(-h // SWEEP_PIECES)):
         stop = min(h, start + -(-h // SWEEP_PIECES))
         rows = rays[:, :, start:stop].flatten(2)

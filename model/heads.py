@@ -47,6 +47,7 @@ class TaskHead(nn.Module):
         self.project = nn.Conv2d(channels, 4 * width, 1)
         self.join = nn.Conv2d(width + guide_channels, width, 3, padding=1)
         self.out = nn.Conv2d(width, 4 * outputs, 1)
+        assert self.out.bias is not None
         with torch.no_grad():
             self.out.weight.mul_(0.1)
             self.out.bias.zero_()
@@ -59,6 +60,9 @@ class TaskHead(nn.Module):
 
 class Heads(nn.Module):
     """mu (centre), alpha (opacity), epsilon (covariance), c (colour)."""
+
+    gains: Tensor
+    identity: Tensor
 
     def __init__(self, config: ModelConfig, channels: int) -> None:
         super().__init__()

@@ -19,6 +19,7 @@ class ResidualBlock(nn.Module):
         self.norm = group_norm(channels)
         self.first = nn.Conv2d(channels, channels, 3, padding=1)
         self.second = nn.Conv2d(channels, channels, 3, padding=1)
+        assert self.second.bias is not None
         with torch.no_grad():
             self.second.weight.mul_(0.3)
             self.second.bias.zero_()

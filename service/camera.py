@@ -36,8 +36,8 @@ class Camera:
     @classmethod
     def make(
         cls,
-        width: int,
-        height: int,
+        width: float,
+        height: float,
         fx: float,
         fy: float,
         cx: float,
@@ -196,7 +196,7 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
     return pose
 
 
-def _check_focal(value: float, size: int, name: str, field: str, index: int | None) -> None:
+def _check_focal(value: float, size: float, name: str, field: str, index: int | None) -> None:
     """Field of view between about 3 and 157 degrees: outside it the unit is wrong, not the lens."""
     ratio = value / size
     if 0.1 <= ratio <= 20:

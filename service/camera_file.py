@@ -43,10 +43,10 @@ def parse_camera_file(
     only those views are looked at, and come in that order.
     Raises `CameraError` or one of its children, naming field and view index.
     """
-    key = _list_name(obj)
-    if key == "views":
-        return _parse_views(obj, indices)
-    return parse_transforms(obj, size_of=size_of, indices=indices)
+    document = _json_object(obj)
+    if _list_name(document) == "views":
+        return _parse_views(document, indices)
+    return parse_transforms(document, size_of=size_of, indices=indices)
 
 
 def load_scene_folder(path: str | Path, choose: Choice | None = None) -> SceneFolder:
@@ -92,10 +92,10 @@ def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int |
         raise CameraError(
             f"{', '.join(missing)} missing", field=field, index=index, cure="sizes and focal lengths in px"
         )
-    numbers = [number_of(entry, name, field=field, index=index) for name in _NUMBERS]
+    width, height, fx, fy, cx, cy = (number_of(entry, name, field=field, index=index) for name in _NUMBERS)
     matrix = _matrix(entry, pose, field, index)
     world_from_cam = opencv_pose(matrix, axes=axes, pose=pose, field=f"{field}.c2w", index=index)
-    camera = Camera.make(*numbers, world_from_cam, index=index, field=field)
+    camera = Camera.make(width, height, fx, fy, cx, cy, world_from_cam, index=index, field=field)
     return NamedView(image_name(entry, "image", field=field, index=index), camera)
 
 
@@ -105,7 +105,7 @@ def _read(path: Path, choose: Choice | None) -> tuple[CameraFile, tuple[int, ...
         obj = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise CameraError(f"{path} is not readable JSON: {error}", field="cameras") from error
-    count = len(list_of(obj, _list_name(obj)))
+    count = len(list_of(obj, _list_name(_json_object(obj))))
     indices = tuple(range(count) if choose is None else choose(count))
 
     def size_of(name: str | None, index: int) -> tuple[int, int]:
@@ -114,10 +114,15 @@ def _read(path: Path, choose: Choice | None) -> tuple[CameraFile, tuple[int, ...
     return parse_camera_file(obj, size_of=size_of, indices=indices), indices
 
 
-def _list_name(obj: object) -> str:
-    """Which of the two formats this is: the name of its list of views. Raises `CameraError`."""
+def _json_object(obj: object) -> Mapping:
+    """The decoded file, which must be a JSON object. Raises `CameraError`."""
     if not isinstance(obj, Mapping):
         raise CameraError(f"is a {type(obj).__name__}, need a JSON object", field="cameras")
+    return obj
+
+
+def _list_name(obj: Mapping) -> str:
+    """Which of the two formats this is: the name of its list of views. Raises `CameraError`."""
     for name in ("views", "frames"):
         if name in obj:
             return name

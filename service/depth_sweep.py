@@ -69,7 +69,7 @@ def _leads_back(view: CoarseView, depth: F64, other: CoarseView, other_depth: F6
     height, width = other_depth.shape
     inside = (z > 0) & ((there >= 0) & (there < (width, height))).all(axis=1)
     cell = np.where(inside[:, None], there, 0.0).astype(np.intp)
-    points = other.camera.unproject(cell + 0.5, other_depth[cell[:, 1], cell[:, 0]])
+    points = other.camera.unproject(cell.astype(np.float64) + 0.5, other_depth[cell[:, 1], cell[:, 0]])
     back, z = view.camera.project(points)
     close = np.abs(back - pixels).max(axis=1) < AGREEMENT_PX  # NaN behind the camera compares as False
     return inside & close & (z > 0)

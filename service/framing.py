@@ -14,9 +14,9 @@ def frame(camera: Camera, width: int | None = None, height: int | None = None) -
     Where the aspect changes, the longer side is cropped about the middle of the picture and the intrinsics follow:
     pixels stay as square as they were.
     """
-    if width is None and height is None:
-        return camera
     if width is None:
+        if height is None:
+            return camera
         width = max(1, round(camera.width * height / camera.height))
     if height is None:
         height = max(1, round(camera.height * width / camera.width))

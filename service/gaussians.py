@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from .errors import GaussiansError
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+Selection = slice | NDArray[np.bool_] | NDArray[np.integer] | Sequence[int]
 
 _TAIL = {"means": (3,), "scales": (3,), "rotations_wxyz": (4,), "opacities": ()}
 
@@ -33,7 +35,7 @@ class Gaussians:
 
         Raises `GaussiansError` that names the field, the first offending index and how many there are.
         """
-        fields = {
+        fields: dict[str, NDArray] = {
             "means": np.ascontiguousarray(means, dtype=np.float64),
             "scales": np.ascontiguousarray(scales, dtype=np.float32),
             "rotations_wxyz": np.ascontiguousarray(rotations_wxyz, dtype=np.float32),
@@ -61,7 +63,7 @@ class Gaussians:
     def sh_degree(self) -> int:
         return round(self.harmonics.shape[1] ** 0.5) - 1
 
-    def __getitem__(self, selection: object) -> Gaussians:
+    def __getitem__(self, selection: Selection) -> Gaussians:
         """The subset that a mask, slice or index array selects, in its order."""
         return Gaussians(
             self.means[selection],

@@ -76,7 +76,8 @@ def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Ph
     with open_image(data, index=index, max_pixels=max_pixels) as image:
         _check_smallest(*image.size, index)
         if getattr(image, "is_animated", False) and image.format in ("PNG", "WEBP"):
-            raise ImageError(f"is an animation of {image.n_frames} frames, need one", field="images", index=index)
+            frames = getattr(image, "n_frames", 1)  # of the format's own class, not of every image
+            raise ImageError(f"is an animation of {frames} frames, need one", field="images", index=index)
         try:
             orientation = image.getexif().get(_ORIENTATION, 1)
             image.load()

@@ -14,7 +14,7 @@ F64 = NDArray[np.float64]
 GRID = 12  # rays per side; a share is then known to about 1 / 12 of the width, which every use here can bear
 
 
-def shared_shares(cameras: Sequence[Camera], depths: Sequence[float]) -> F64:
+def shared_shares(cameras: Sequence[Camera], depths: Sequence[float] | F64) -> F64:
     """(V, V, D): entry [i, j, d] is the share of view i that, if it lay at z-depth `depths[d]`, view j would see."""
     count = len(cameras)
     shares = np.ones((count, count, len(depths)))
@@ -29,7 +29,7 @@ def shared_shares(cameras: Sequence[Camera], depths: Sequence[float]) -> F64:
     return shares
 
 
-def best_partner_shares(cameras: Sequence[Camera], depths: Sequence[float]) -> F64:
+def best_partner_shares(cameras: Sequence[Camera], depths: Sequence[float] | F64) -> F64:
     """(V, D): the largest share of each view that one other view sees, per depth, mean of both directions."""
     shares = shared_shares(cameras, depths)
     both = 0.5 * (shares + shares.transpose(1, 0, 2))

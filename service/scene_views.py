@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -16,6 +16,12 @@ from .views import resolve_view
 # Nothing of a scene lies in front of its near depth as its own cameras see it; a tenth of it leaves room to move in
 # and keeps the near plane in the caller's units, whatever they are.
 NEAR_PLANE_SHARE = 0.1
+
+
+class NearPlane(TypedDict, total=False):
+    """A keyword of the splatter."""
+
+    near: float
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,7 @@ class SceneViews:
             raise
 
     @property
-    def near_plane(self) -> dict[str, float]:
+    def near_plane(self) -> NearPlane:
         """The splatter's `near` as a keyword, or nothing where the scene's depth is unknown."""
         return {} if self.near is None else {"near": NEAR_PLANE_SHARE * self.near}
 

@@ -141,7 +141,7 @@ class SceneStore:
             raise _unknown(scene_id)
         return self.root / scene_id
 
-    def _ids(self) -> list[str]:
+    def _ids(self) -> Sequence[str]:
         stamped = []
         for entry in os.scandir(self.root):
             if _ID.fullmatch(entry.name) is not None:

@@ -65,8 +65,8 @@ def mean_camera(cameras: Sequence[Camera]) -> Camera:
     pose[:3, :3] = mean_rotation(np.stack([camera.rotation for camera in cameras]))
     pose[:3, 3] = first.center + np.mean([camera.center - first.center for camera in cameras], axis=0)
     resized = [camera.resized(first.width, first.height) for camera in cameras]
-    lens = {name: float(np.mean([getattr(camera, name) for camera in resized])) for name in _LENS}
-    return replace(first, world_from_cam=pose, **lens)
+    fx, fy, cx, cy = (float(np.mean([getattr(camera, name) for camera in resized])) for name in _LENS)
+    return replace(first, world_from_cam=pose, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
 def orbit_camera(cameras: Sequence[Camera], angle: float, pivot_depth: float) -> Camera:

@@ -43,7 +43,7 @@ def _room(rng: Rng, paint: Paint, half_width: float) -> World:
                 )
             )  # fmt: skip
     floor = float((frame.T @ centre)[1] + half[1])
-    solids += _scatter(rng, paint, half_width, frame, floor, rng.integers(4, 14))
+    solids += _scatter(rng, paint, half_width, frame, floor, int(rng.integers(4, 14)))
     inside = centre + frame @ (rng.uniform((-0.8, -0.95, -0.5), (0.8, 0.2, 0.8)) * half)
     return World(tuple(solids[:MOST_PRIMITIVES]), _light(rng, inside), Background.plain(0.0))
 
@@ -65,7 +65,7 @@ def _outdoor(rng: Rng, paint: Paint, half_width: float) -> World:
             Primitive(BOX, frame @ spot, frame @ tilt(rng, 0, 0.5, 0), half, paint.faces(0.2),
                       paint.texture_map(0.2, 0.8), paint.albedo())
         )  # fmt: skip
-    solids += _scatter(rng, paint, half_width, frame, floor, rng.integers(4, 12))
+    solids += _scatter(rng, paint, half_width, frame, floor, int(rng.integers(4, 12)))
     sky = Background(
         np.clip(rng.uniform(0.55, 1.0) + rng.normal(0, 0.08, 3), 0, 1),
         np.clip(rng.uniform(0.3, 0.9) + np.array([-0.2, 0.0, 0.25]) * rng.uniform(0, 1) + rng.normal(0, 0.05, 3), 0, 1),
@@ -85,7 +85,7 @@ def _before_wall(rng: Rng, paint: Paint, half_width: float) -> World:
         BOX, np.array([0.0, 0.0, back + 0.05]), frame, np.array([8.0, 8.0, 0.05]), paint.faces(0.15),
         paint.texture_map(0.3, 1.5), paint.albedo(),
     )  # fmt: skip
-    solids = [wall, *_scatter(rng, paint, half_width, frame, rng.uniform(0.3, 0.6), rng.integers(3, 13))]
+    solids = [wall, *_scatter(rng, paint, half_width, frame, rng.uniform(0.3, 0.6), int(rng.integers(3, 13)))]
     lamp = np.array([rng.uniform(-1, 1), rng.uniform(-1.5, 0.2), rng.uniform(-0.5, 0.6)])
     return World(tuple(solids[:MOST_PRIMITIVES]), _light(rng, lamp), Background.plain(0.0))
 

@@ -40,7 +40,7 @@ def clouds(rng: Rng) -> Image:
     noise = fractal(rng, rng.uniform(1.0, 2.6))
     colours = _palette(rng, 3)
     image = _mix(1 / (1 + np.exp(-noise * rng.uniform(0.7, 3.0))), colours[0], colours[1])
-    return _mix(1 / (1 + np.exp(-2 * fractal(rng, 2.0))), image, colours[2]) if rng.random() < 0.5 else image
+    return _mix(1 / (1 + np.exp(-2.0 * fractal(rng, 2.0))), image, colours[2]) if rng.random() < 0.5 else image
 
 
 def checker(rng: Rng) -> Image:
@@ -85,7 +85,7 @@ def voronoi(rng: Rng) -> Image:
         cell = np.where(distance < nearest, i, cell)
         nearest = np.minimum(distance, nearest)
     image = _palette(rng, count)[cell]
-    return image * (1 - rng.uniform(0, 0.5) * np.sqrt(nearest * count)[..., None].clip(0, 1))
+    return image * (1 - rng.uniform(0, 0.5) * np.sqrt(nearest * float(count))[..., None].clip(0, 1))
 
 
 def wood(rng: Rng) -> Image:

@@ -31,8 +31,8 @@ class Primitive:
         """Which of the points (N, 3) lie inside, or within `margin` of it; for a room: inside by at least that."""
         local = np.abs((points - self.centre) @ self.rotation)
         if self.kind == ROOM:
-            return (local < self.half - margin).all(axis=1)
-        return (local < self.half + margin).all(axis=1)
+            return np.all(local < self.half - margin, axis=1)
+        return np.all(local < self.half + margin, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class PackedWorlds:
     lights: F64  # (B, 11): position, colour, falloff, ambient, shadows
     backgrounds: F64  # (B, 9): low, high, up
 
-    def arrays(self) -> tuple[NDArray, ...]:
+    def arrays(self) -> tuple[I64, I64, F64, F64, F64, I64, F64, F64, F64, F64, F64]:
         """In the order of the ray caster's arguments."""
         return (
             self.counts, self.kinds, self.centres, self.rotations, self.halves, self.textures, self.texture_maps,

@@ -111,10 +111,10 @@ class SceneSampler:
             hits = depth[np.isfinite(depth)]
             if hits.size >= LEAST_COVER * depth.size:
                 break
-        depth = float(np.median(hits))
-        length = depth * math.exp(rng.uniform(*np.log(baseline)))
-        poses = camera_poses(rng, inputs, targets, length, depth, half_width)
-        return _Sample(*_cleared(world, poses, CLEARANCE * depth), lens, rng)
+        middle = float(np.median(hits))
+        length = middle * math.exp(rng.uniform(*np.log(baseline)))
+        poses = camera_poses(rng, inputs, targets, length, middle, half_width)
+        return _Sample(*_cleared(world, poses, CLEARANCE * middle), lens, rng)
 
 
 def _cleared(world: World, poses: F64, margin: float) -> tuple[World, F64]:

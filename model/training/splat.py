@@ -83,7 +83,7 @@ def _array(value: Tensor) -> np.ndarray:
 class _Splat(torch.autograd.Function):
     @staticmethod
     def forward(ctx, means, factors, opacities, colours, cameras, size, background, near, dilation):
-        scene = tuple(_array(value) for value in (means, factors, opacities, colours))
+        scene = (_array(means), _array(factors), _array(opacities), _array(colours))
         batch, views = cameras.shape[:2]
         images, count = batch * views, opacities.shape[1]
         rgb = np.empty((images, 3, *size), np.float32)

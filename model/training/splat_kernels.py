@@ -31,6 +31,7 @@ REC_U, REC_V, REC_SHEAR, REC_COLUMN, REC_ROW, REC_CUT, REC_HEIGHT, REC_OPACITY, 
 RECORD = 11
 # Columns of the image gradient of one visible Gaussian: u, v, shear, S_ss, S_tt, opacity, r, g, b.
 IMAGE_GRAD = 9
+Sum = float | np.float32  # to a type checker; numba makes it a float64
 
 
 @nb.njit(fastmath=FASTMATH, error_model="numpy", cache=True)
@@ -148,8 +149,8 @@ def _blend_backward(records, visible, background, transmittances, last_used, rgb
         opacity, step = np.float32(record[REC_OPACITY]), np.float32(record[REC_COLUMN])
         red, green = np.float32(record[REC_COLOUR]), np.float32(record[REC_COLOUR + 1])
         blue = np.float32(record[REC_COLOUR + 2])
-        sum_s, sum_ss, sum_t, sum_tt, sum_t_dy, sum_h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        sum_red, sum_green, sum_blue = 0.0, 0.0, 0.0
+        sum_s, sum_ss, sum_t, sum_tt, sum_t_dy, sum_h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # type: Sum, Sum, Sum, Sum, Sum, Sum
+        sum_red, sum_green, sum_blue = 0.0, 0.0, 0.0  # type: Sum, Sum, Sum
         for y in range(top, bottom + 1):
             first, last, t_first, s = _span(record, y, width)
             t_start, ss = np.float32(t_first), np.float32(s * s)

@@ -37,11 +37,11 @@ def response(document: Mapping[str, Any], headers: Mapping[str, str] | None = No
 
 def install(app: FastAPI) -> None:
     """Make every error of the application a problem document, the framework's own and unexpected ones included."""
-    app.add_exception_handler(GapmesError, _own)
-    app.add_exception_handler(RequestValidationError, _validation)
-    app.add_exception_handler(HTTPException, _framework)
-    app.add_exception_handler(ClientDisconnect, _gone)
-    app.add_exception_handler(Exception, _unexpected)
+    app.exception_handler(GapmesError)(_own)
+    app.exception_handler(RequestValidationError)(_validation)
+    app.exception_handler(HTTPException)(_framework)
+    app.exception_handler(ClientDisconnect)(_gone)
+    app.exception_handler(Exception)(_unexpected)
 
 
 async def _own(request: Request, error: GapmesError) -> Response:

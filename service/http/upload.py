@@ -92,18 +92,20 @@ def _paired(document: str | bytes, images: list[NamedImage], sizes: PostedSizes)
 
 async def _images(form: FormData) -> list[NamedImage]:
     parts = form.getlist("images")
+    files = []
     for index, part in enumerate(parts):
         if not isinstance(part, UploadFile):
             raise InputError(
                 "is a text field, need a file part", field="images", index=index, cure="curl -F images=@a.jpg"
             )
+        files.append(part)
     if not MIN_VIEWS <= len(parts) <= MAX_VIEWS:
         raise ViewCountError(
             f"{len(parts)} images, need {MIN_VIEWS} to {MAX_VIEWS}",
             field="images",
             cure="repeat the part `images`, once per photograph",
         )
-    return [NamedImage(_encodable(part.filename or ""), await part.read()) for part in parts]
+    return [NamedImage(_encodable(file.filename or ""), await file.read()) for file in files]
 
 
 def _encodable(name: str) -> str:

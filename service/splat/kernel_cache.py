@@ -1,11 +1,14 @@
 """The one decorator of every numba kernel, and the choice of a writable folder for their compiled code.
 
 Compiling all kernels takes seconds; loading them takes a tenth. Numba writes its cache next to the source, or else into
-the user's cache folder, and fails when neither can be written (a container with a read-only root and no home).
+the user's cache folder, and fails when neither can be written (a container with a read-only root and no home). It also
+takes a stored kernel for current as long as the kernel's own file is unchanged, although what the kernel calls in other
+files is compiled into it: so each state of this package's sources has a folder of its own.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
 import tempfile
@@ -17,14 +20,26 @@ import numba
 PACKAGE = Path(__file__).resolve().parent
 
 
-def cache_folder(package: Path = PACKAGE) -> Path | None:
-    """Where compiled kernels go; None leaves the choice to numba (NUMBA_CACHE_DIR is set, or the package is writable).
+def source_stamp(package: Path = PACKAGE) -> str:
+    """12 hexadecimal digits that change with any source of the package and with numba's version."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(package.glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
 
-    Otherwise the first of these that can be written and belongs to this user alone: $XDG_CACHE_HOME/gapmes,
-    ~/.cache/gapmes, <temporary folder>/gapmes-<user id>; if none can, a fresh private temporary folder.
+
+def cache_folder(package: Path = PACKAGE) -> Path:
+    """The folder for compiled kernels of all states of the package.
+
+    NUMBA_CACHE_DIR where it is set; otherwise the first of these that can be written and belongs to this user alone:
+    the package's __pycache__, $XDG_CACHE_HOME/gapmes, ~/.cache/gapmes, <temporary folder>/gapmes-<user id>; if none
+    can, a fresh private temporary folder.
     """
-    if os.environ.get("NUMBA_CACHE_DIR") or _is_private(package / "__pycache__", create=package):
-        return None
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if given:
+        return Path(given)
+    if _is_private(package / "__pycache__", create=package):
+        return package / "__pycache__"
     caches = [Path(value) for value in (os.environ.get("XDG_CACHE_HOME"),) if value]
     home = os.path.expanduser("~")
     if home != "~":
@@ -55,9 +70,8 @@ def _is_private(folder: Path, *, create: Path) -> bool:
     return os.access(folder, os.W_OK | os.X_OK)
 
 
-_folder = cache_folder()
-if _folder is not None:
-    numba.config.CACHE_DIR = str(_folder)
+_folder = cache_folder() / f"kernels-{source_stamp()}"
+numba.config.CACHE_DIR = str(_folder)  # type: ignore[attr-defined]  # numba defines its options at run time
 
 
 def kernel(*, fastmath: frozenset[str] = frozenset()) -> Callable[[Callable], Callable]:

@@ -6,7 +6,7 @@ fork, and their idle threads spin against onnxruntime's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
@@ -27,14 +27,14 @@ def checked_threads(threads: int | None) -> int:
     return threads
 
 
-def run_ranges(work: Callable[[int, int], T], bounds: Sequence[int], threads: int) -> list[T]:
+def run_ranges(work: Callable[[int, int], T], bounds: Iterable[int], threads: int) -> list[T]:
     """[work(bounds[0], bounds[1]), work(bounds[1], bounds[2]), ...], empty ranges left out.
 
     The caller's thread works too and never waits for a helper that has not started, so a busy or forked pool only costs
     speed. `work` must write to places that depend on its range alone.
     """
     ranges = [(int(a), int(b)) for a, b in pairwise(bounds) if a < b]
-    results: list[T | None] = [None] * len(ranges)
+    results: dict[int, T] = {}
     if threads == 1 or len(ranges) < 2:
         return [work(start, stop) for start, stop in ranges]
     todo = iter(range(len(ranges)))
@@ -50,7 +50,7 @@ def run_ranges(work: Callable[[int, int], T], bounds: Sequence[int], threads: in
         for helper in helpers:
             if not helper.cancel():
                 helper.result()
-    return results
+    return [results[item] for item in range(len(ranges))]
 
 
 @cache

@@ -23,11 +23,14 @@ from .project import DRAWN, project
 
 @dataclass(frozen=True, eq=False)
 class Render:
-    """An image of H x W px; `stats` says what was drawn, what was not and why, and the seconds of each stage."""
+    """An image of H x W px, in float32 (the reference's in float64).
 
-    rgb: NDArray[np.float32]  # (H, W, 3) over the background, >= 0, not clipped at 1
-    alpha: NDArray[np.float32]  # (H, W) 1 - transmittance
-    depth: NDArray[np.float32]  # (H, W) expected z-depth, sum w z / sum w; 0 where alpha is 0
+    `stats` says what was drawn, what was not and why, and the seconds of each stage.
+    """
+
+    rgb: NDArray[np.floating]  # (H, W, 3) over the background, >= 0, not clipped at 1
+    alpha: NDArray[np.floating]  # (H, W) 1 - transmittance
+    depth: NDArray[np.floating]  # (H, W) expected z-depth, sum w z / sum w; 0 where alpha is 0
     stats: dict[str, Any]
 
     def rgb8(self) -> NDArray[np.uint8]:

@@ -1,10 +1,13 @@
 """Compiled kernels find a writable folder of their own, and no kernel assumes NaN away."""
 
 import os
+from pathlib import Path
 
+import numba
 import pytest
 
-from gapmes.service.splat.kernel_cache import cache_folder, kernel
+from gapmes.service.splat.kernel_cache import cache_folder, kernel, source_stamp
+from gapmes.service.splat.render import warm_up
 
 
 @pytest.fixture
@@ -37,10 +40,29 @@ def denied(monkeypatch):
     return closed.append
 
 
-def test_numba_chooses_when_told_or_when_the_package_is_writable(monkeypatch, tmp_path, bare):
-    assert cache_folder(tmp_path) is None
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert cache_folder(bare) is None
+def test_the_setting_comes_first_and_then_the_package(monkeypatch, tmp_path, bare):
+    assert cache_folder(tmp_path) == tmp_path / "__pycache__"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "told"))
+    assert cache_folder(bare) == tmp_path / "told"
+
+
+def test_every_state_of_the_sources_has_a_stamp_of_its_own(tmp_path):
+    """A kernel compiles in what it calls in other files, which numba's own check does not see."""
+    for name in ("kernel.py", "called.py"):
+        (tmp_path / name).write_text("x = 1\n")
+    before = source_stamp(tmp_path)
+    assert before == source_stamp(tmp_path)
+    (tmp_path / "called.py").write_text("x = 2\n")
+    assert source_stamp(tmp_path) != before
+    (tmp_path / "called.py").write_text("x = 1\n")
+    assert source_stamp(tmp_path) == before
+
+
+def test_kernels_go_where_the_stamp_says():
+    folder = Path(numba.config.CACHE_DIR)
+    assert folder.name == f"kernels-{source_stamp()}"
+    warm_up()
+    assert list(folder.rglob("*.nbi"))
 
 
 def test_the_users_cache_folder_comes_next(monkeypatch, tmp_path, bare, denied):
