@@ -20,6 +20,7 @@ GapmesError                     500 internal_error
 ├── UnsupportedMediaType        415 unsupported_media_type
 ├── NotAcceptable               406 not_acceptable
 ├── UploadTooLarge              413 upload_too_large
+├── UploadTimeout               408 upload_timeout
 ├── SceneNotFound               404 scene_not_found
 ├── ModelError                  500 model_invalid
 ├── ServiceBusy                 503 service_busy
@@ -135,6 +136,11 @@ class NotAcceptable(GapmesError):
 class UploadTooLarge(GapmesError):
     status = 413
     code = "upload_too_large"
+
+
+class UploadTimeout(GapmesError):
+    status = 408
+    code = "upload_timeout"
 
 
 class SceneNotFound(GapmesError):

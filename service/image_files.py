@@ -16,6 +16,7 @@ from .errors import ImageError, ImageTooLarge, ImageUnreadable
 FORMATS = ("JPEG", "PNG", "WEBP")
 MAX_PIXELS = 64_000_000  # 192 MB once decoded; the largest phone photographs have 50 to 60 million
 MAX_SCANS = 100  # of one JPEG; encoders write about ten, and each costs a pass over all coefficients
+MAX_SEGMENTS = 10_000  # of one JPEG; a photograph has some dozens, and each costs a turn of the header's parser
 DAMAGED = (OSError, SyntaxError, ValueError, EOFError, struct.error)  # what Pillow's decoders raise on damaged files
 
 _START_OF_SCAN, _END_OF_IMAGE, _START_OF_IMAGE = 0xDA, 0xD9, 0xD8
@@ -27,8 +28,10 @@ _quiet = threading.Lock()  # the filters of `warnings` belong to the whole proce
 def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Image.Image:
     """The image with its header read and its size bounded, no pixel decoded.
 
-    Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (a JPEG of too many scans).
+    Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (a JPEG of too many parts).
     """
+    if data[:2] == b"\xff\xd8":
+        _check_jpeg(data, index)
     try:
         with _quiet, warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the bound below is the tighter one
@@ -50,13 +53,6 @@ def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Imag
             field="images",
             index=index,
             cure="scale it down; the network works on far smaller images",
-        )
-    if data[:2] == b"\xff\xd8" and (scans := scan_count(data)) > MAX_SCANS:
-        raise ImageError(
-            f"is a JPEG of {scans} scans, the limit is {MAX_SCANS}",
-            field="images",
-            index=index,
-            cure="save it anew; encoders write about ten",
         )
     return image
 
@@ -82,18 +78,34 @@ def check_total(photos: Sequence[bytes], *, max_pixels: int, max_total: int) -> 
         )
 
 
-def scan_count(data: bytes) -> int:
-    """How often a JPEG starts a scan before its end; what lies in metadata or behind the end does not count."""
-    scans, place = 0, 0
-    while (match := _MARKER.search(data, place)) is not None:
+def _check_jpeg(data: bytes, index: int) -> None:
+    scans, segments = jpeg_parts(data)
+    for count, most, what in ((scans, MAX_SCANS, "scans"), (segments, MAX_SEGMENTS, "segments")):
+        if count > most:
+            raise ImageError(
+                f"is a JPEG of {count} {what} or more, the limit is {most}",
+                field="images",
+                index=index,
+                cure="save it anew; no encoder writes so many",
+            )
+
+
+def jpeg_parts(data: bytes) -> tuple[int, int]:
+    """How many scans and segments a JPEG has before its end; counting stops just above the limits.
+
+    What lies in metadata or behind the end does not count.
+    """
+    scans = segments = place = 0
+    while scans <= MAX_SCANS and segments <= MAX_SEGMENTS and (match := _MARKER.search(data, place)) is not None:
         marker, place = match[1][0], match.end()
         if marker == _END_OF_IMAGE:
             break
         if marker == _START_OF_IMAGE:
             continue
+        segments += 1
         scans += marker == _START_OF_SCAN
         place += int.from_bytes(data[place : place + 2], "big")  # the segment's length counts its own two bytes
-    return scans
+    return scans, segments
 
 
 def damaged(error: Exception, index: int | None) -> ImageUnreadable:

@@ -32,8 +32,12 @@ class Settings(BaseSettings):
     )
     concurrency: int = Field(1, ge=1, le=64, description="reconstructions and renders that run at the same time")
     max_waiting: int = Field(
-        16, ge=0, le=10_000, description="requests that may wait for their turn; one more gets 503"
+        16, ge=0, le=10_000, description="requests that may wait for their turn on the CPU; one more gets 503"
     )
+    max_uploads: int = Field(
+        8, ge=1, le=10_000, description="request bodies that are received at the same time; one more gets 503"
+    )
+    upload_seconds: float = Field(120.0, gt=0, description="time that a request body may take, else 408")
     max_upload_bytes: int = Field(128 * 2**20, ge=2**10, description="largest request body, in bytes")
     max_camera_bytes: int = Field(2**20, ge=2**10, description="largest `cameras` document, in bytes")
     max_image_pixels: int = Field(64_000_000, ge=32 * 32, description="largest photograph, in pixels before decoding")

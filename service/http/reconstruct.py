@@ -56,17 +56,18 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
     """Reconstruct a scene, or find it in the store: 201 or 200, both with Location."""
     form = accepted(request.headers.get("accept"))
     model_sha256 = runtime.reconstructor.engine.info.file_sha256
-    async with runtime.gate.admitted():  # before the body is read, so that a full queue costs no memory
+    runtime.gate.places.check()  # before the body is read, so that a full queue costs no memory
+    async with runtime.uploads.place():  # slow senders take no place at the CPU
         upload = await read_upload(request, runtime.settings)
         views = SceneViews(upload.pairing.cameras)
         for spec in upload.views:  # refuse an unknown view before the work, not after it
             views.resolve(spec, field="views")
         scene_id = await anyio.to_thread.run_sync(lambda: _scene_id(model_sha256, upload))
-        async with runtime.gate.alone(scene_id):
-            created = not runtime.store.exists(scene_id)
-            if created:
-                await runtime.gate.run(lambda: _compute(runtime, scene_id, upload))
-            return await _answer(runtime, scene_id, form, upload, 201 if created else 200)
+    async with runtime.gate.admitted(), runtime.gate.alone(scene_id):
+        created = not runtime.store.exists(scene_id)
+        if created:
+            await runtime.gate.run(lambda: _compute(runtime, scene_id, upload))
+        return await _answer(runtime, scene_id, form, upload, 201 if created else 200)
 
 
 def _scene_id(model_sha256: str, upload: Upload) -> str:

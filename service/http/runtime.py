@@ -16,7 +16,7 @@ from fastapi import Request
 from ..errors import ModelNotReady
 from ..settings import Settings
 from ..store import SceneStore
-from .gate import Gate
+from .gate import Gate, Places
 
 if TYPE_CHECKING:
     from ..reconstruct import Reconstructor
@@ -31,6 +31,7 @@ class Runtime:
         self.settings = settings
         self.store = SceneStore(settings.store, cache_bytes=settings.cache_bytes)
         self.gate = Gate(settings.concurrency, settings.max_waiting)
+        self.uploads = Places(settings.max_uploads, "sending their photographs")
         self.stage = "start"
         self.timings: dict[str, float] = {}
         self._loading: asyncio.Task[None] | None = None

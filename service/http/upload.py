@@ -16,6 +16,7 @@ from ..errors import (
     InputError,
     MalformedRequest,
     UnsupportedMediaType,
+    UploadTimeout,
     UploadTooLarge,
     ViewCountError,
 )
@@ -53,7 +54,14 @@ async def read_upload(request: Request, settings: Settings) -> Upload:
             cure="curl -F images=@a.jpg -F images=@b.jpg -F cameras=@cameras.json",
         )
     try:
-        form = await request.form(max_files=MAX_PARTS, max_fields=MAX_PARTS, max_part_size=settings.max_upload_bytes)
+        with anyio.fail_after(settings.upload_seconds):
+            form = await request.form(
+                max_files=MAX_PARTS, max_fields=MAX_PARTS, max_part_size=settings.max_upload_bytes
+            )
+    except TimeoutError as error:
+        raise UploadTimeout(
+            f"did not arrive within {settings.upload_seconds:g} s", field="body", cure="send smaller photographs"
+        ) from error
     except HTTPException as error:
         raise MalformedRequest(f"the multipart body cannot be read: {error.detail}", field="body") from error
     except UnicodeError as error:

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from gapmes.service.errors import ImageError, ImageTooLarge, ImageUnreadable
-from gapmes.service.image_files import check_total, image_size, open_image, scan_count
+from gapmes.service.image_files import MAX_SEGMENTS, check_total, image_size, jpeg_parts, open_image
 from gapmes.service.images import decode_image
 
 START_OF_SCAN, END_OF_IMAGE = b"\xff\xda", b"\xff\xd9"
@@ -25,21 +25,31 @@ def with_scans(count: int) -> bytes:
     """A progressive JPEG that repeats its last scan until it has `count`; decoders decode every one of them."""
     data = encoded(progressive=True)
     body, last = data[:-2], data[data.rindex(START_OF_SCAN) : -2]
-    return body + last * (count - scan_count(data)) + END_OF_IMAGE
+    return body + last * (count - jpeg_parts(data)[0]) + END_OF_IMAGE
 
 
 @pytest.mark.parametrize(("options", "expected"), [({}, 1), ({"progressive": True}, 10)])
 def test_scans_are_counted(options, expected):
-    assert scan_count(encoded(**options)) == expected
-    assert scan_count(encoded(quality=98, restart_marker_blocks=1, **options)) == expected
+    assert jpeg_parts(encoded(**options))[0] == expected
+    assert jpeg_parts(encoded(quality=98, restart_marker_blocks=1, **options))[0] == expected
 
 
 def test_a_jpeg_of_hundreds_of_scans_is_refused_with_both_numbers():
     assert decode_image(with_scans(100), index=0).width == 64
     for count in (101, 700):
-        with pytest.raises(ImageError, match=f"JPEG of {count} scans, the limit is 100") as caught:
+        with pytest.raises(ImageError, match="JPEG of 101 scans or more, the limit is 100") as caught:
             decode_image(with_scans(count), index=2)
         assert (caught.value.status, caught.value.index) == (422, 2)
+
+
+@pytest.mark.parametrize("behind", [2, -2])
+def test_a_jpeg_of_countless_empty_segments_is_refused_before_it_is_parsed(behind):
+    """Before the first scan they keep the header's parser busy, behind it the count itself."""
+    data = encoded()
+    padded = data[:behind] + b"\xff\xe0\x00\x02" * (MAX_SEGMENTS + 1) + data[behind:]
+    with pytest.raises(ImageError, match="segments or more, the limit is 10000"):
+        open_image(padded, index=1)
+    assert max(jpeg_parts(data)) < 20
 
 
 def test_what_only_looks_like_a_scan_does_not_count():
@@ -48,13 +58,13 @@ def test_what_only_looks_like_a_scan_does_not_count():
     payload = START_OF_SCAN * 2000
     comment = b"\xff\xe5" + (len(payload) + 2).to_bytes(2, "big") + payload
     odd = data[:2] + comment + data[2:] + payload
-    assert scan_count(odd) == 1
+    assert jpeg_parts(odd)[0] == 1
     np.testing.assert_array_equal(decode_image(odd, index=0).rgb, decode_image(data, index=0).rgb)
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff", b"\xff\xd8\xff", b"\xff\xda", b"\xff" * 1000, b"\xff\xda\xff\xff"])
 def test_counting_ends_on_anything(data):
-    assert scan_count(data) <= 1
+    assert jpeg_parts(data)[0] <= 1
 
 
 def test_size_comes_from_the_header():

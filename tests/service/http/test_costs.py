@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,7 @@ def test_parsing_and_hashing_leave_the_event_loop_alone(client: TestClient, monk
 def test_a_full_queue_answers_before_the_body_is_read(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
     request = post(client).request
     gate = client.app.state.runtime.gate
-    monkeypatch.setattr(gate, "_admitted", gate._most)
+    monkeypatch.setattr(gate.places, "_taken", gate.places._most)
     sent: list[dict[str, Any]] = []
 
     async def receive() -> dict[str, Any]:
@@ -82,6 +83,37 @@ def test_a_full_queue_answers_before_the_body_is_read(client: TestClient, monkey
     asyncio.run(client.app(scope, receive, send))
     assert sent[0]["status"] == 503
     assert b"service_busy" in sent[1]["body"]
+
+
+def test_stalled_uploads_expire_and_keep_nobody_from_the_cpu(settings: Settings, tmp_path: Path) -> None:
+    """One sender stops after its headers: renders go on, a second upload is told to wait, the first gets 408."""
+    update = {"store": tmp_path, "max_uploads": 1, "max_waiting": 0, "upload_seconds": 1.0}
+    with TestClient(create_app(settings.model_copy(update=update)), raise_server_exceptions=False) as client:
+        wait_until_ready(client)
+        assert post(client).status_code == 201
+        headers = [(b"content-type", b"multipart/form-data; boundary=x")]
+        scope = {"type": "http", "method": "POST", "path": "/reconstruct", "query_string": b"", "headers": headers}
+        sent: list[dict[str, Any]] = []
+
+        async def stalled() -> None:
+            async def receive() -> dict[str, Any]:
+                await asyncio.sleep(3600)
+                raise AssertionError("never")
+
+            async def send(message: dict[str, Any]) -> None:
+                sent.append(message)
+
+            await client.app(scope, receive, send)
+
+        waiting = client.portal.start_task_soon(stalled)
+        while client.app.state.runtime.uploads._taken == 0:
+            time.sleep(0.01)
+        assert client.get("/render?view=0").status_code == 200
+        assert_problem(post(client), 503, "service_busy")
+        waiting.result(timeout=30)
+        assert sent[0]["status"] == 408
+        assert b"upload_timeout" in sent[1]["body"]
+        assert post(client).status_code == 200
 
 
 def test_pixels_of_a_request_together(settings: Settings, tmp_path: Path) -> None:

@@ -146,11 +146,11 @@ def test_a_full_queue_refuses_with_retry_after(settings: Settings, tmp_path: Pat
     full = create_app(settings.model_copy(update={"store": tmp_path, "max_waiting": 0}))
     with TestClient(full, raise_server_exceptions=False) as client:
         wait_until_ready(client)
-        full.state.runtime.gate._admitted = 1
+        full.state.runtime.gate.places._taken = 1
         answer = post(client)
         assert_problem(answer, 503, "service_busy")
         assert int(answer.headers["retry-after"]) > 0
-        full.state.runtime.gate._admitted = 0
+        full.state.runtime.gate.places._taken = 0
         assert post(client).status_code == 201
 
 
