@@ -16,7 +16,7 @@ from gapmes.service.shipped import sample_folder
 from .build import MAX_VIEWS, MIN_VIEWS
 from .gate_settings import GateSetting
 from .graph import SceneInputs
-from .samples import FLAT, hostile_scenes, random_scene
+from .samples import FLAT, all_patches, hostile_scenes, random_scene
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,10 @@ def sample_scene(views: int, height: int, width: int) -> SceneInputs:
         cameras.append(fitted.camera)
     bounds = depth_range(cameras, folder.file.near, folder.file.far)
     poses = np.stack([cameras[0].cam_from_world @ c.world_from_cam for c in cameras])
-    base = random_scene(views, height, width, seed=0)
     return SceneInputs(
         torch.from_numpy(np.stack(images)),
         torch.from_numpy(np.stack([c.normalized_intrinsics for c in cameras]).astype(np.float32)),
         torch.from_numpy(poses.astype(np.float32)),
         torch.tensor([bounds.near, bounds.far], dtype=torch.float32),
-        base.patch_mask,
+        all_patches(views, height, width),
     )

@@ -33,7 +33,7 @@ def random_scene(views: int, height: int, width: int, *, seed: int) -> SceneInpu
     for v in range(views):
         poses[v, :3, :3] = rotation_y(0.02 * v)
         poses[v, :3, 3] = torch.tensor([0.12 * v, 0.01 * v, -0.02 * v])
-    return SceneInputs(images, intrinsics, poses, torch.tensor([1.0, 20.0]), _all_patches(views, height, width))
+    return SceneInputs(images, intrinsics, poses, torch.tensor([1.0, 20.0]), all_patches(views, height, width))
 
 
 def hostile_scenes(views: int, height: int, width: int) -> dict[str, SceneInputs]:
@@ -61,6 +61,6 @@ def hostile_scenes(views: int, height: int, width: int) -> dict[str, SceneInputs
     }
 
 
-def _all_patches(views: int, height: int, width: int) -> torch.Tensor:
+def all_patches(views: int, height: int, width: int) -> torch.Tensor:
     count = (height // PIXELS_PER_PATCH) * (width // PIXELS_PER_PATCH)
     return torch.ones(views, count, dtype=torch.bool)

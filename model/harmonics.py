@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gapmes.service.harmonics import BAND_1_AXES, next_band
+from gapmes.service.harmonics import BAND_1_AXES, basis_functions, next_band
 
 
 def rotate_bands(coefficients: Tensor, rotation: Tensor) -> Tensor:
@@ -37,25 +37,9 @@ def rotate_bands(coefficients: Tensor, rotation: Tensor) -> Tensor:
 def evaluate(coefficients: Tensor, directions: Tensor) -> Tensor:
     """Colours 0.5 + sum of basis * coefficient, not clamped: coefficients (..., K, 3), unit directions (..., 3).
 
-    The same recurrence as `gapmes.service.harmonics.evaluate_basis` (DLMF 14.10.3), differentiable.
+    Differentiable in both.
     """
     degree = math.isqrt(coefficients.shape[-2]) - 1
     x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
-    basis: dict[int, Tensor] = {}
-    real, imaginary, diagonal = torch.ones_like(x), torch.zeros_like(x), 1.0
-    for m in range(degree + 1):
-        if m > 0:
-            real, imaginary = x * real - y * imaginary, x * imaginary + y * real
-            diagonal *= 2 * m - 1
-        before, legendre = torch.zeros_like(z), torch.full_like(z, diagonal)
-        for band in range(m, degree + 1):
-            if band > m:
-                following = ((2 * band - 1) * z * legendre - (band + m - 1) * before) / (band - m)
-                before, legendre = legendre, following
-            ratio = math.factorial(band - m) / math.factorial(band + m)
-            norm = (-1) ** m * math.sqrt((2 * band + 1) / (4 * math.pi) * ratio * (2 if m else 1))
-            basis[band * band + band + m] = norm * legendre * real
-            if m > 0:
-                basis[band * band + band - m] = norm * legendre * imaginary
-    stacked = torch.stack([basis[i] for i in range((degree + 1) ** 2)], dim=-1)
-    return 0.5 + (stacked.unsqueeze(-1) * coefficients).sum(-2)
+    basis = torch.stack(basis_functions(x, y, z, degree), dim=-1)
+    return 0.5 + (basis.unsqueeze(-1) * coefficients).sum(-2)

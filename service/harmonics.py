@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,29 +31,35 @@ def degree_of(count: int) -> int:
 
 
 def evaluate_basis(directions: F64, degree: int) -> F64:
-    """(N, (degree + 1)^2) basis functions at unit `directions` (N, 3).
+    """(N, (degree + 1)^2) basis functions at unit `directions` (N, 3)."""
+    x, y, z = np.asarray(directions, dtype=np.float64).T
+    return np.stack(basis_functions(x, y, z, degree), axis=1)
+
+
+def basis_functions(x: Any, y: Any, z: Any, degree: int) -> list[Any]:
+    """The (degree + 1)^2 basis functions in order at unit directions; for arrays or tensors of any one shape.
 
     Y_lm = K_lm P_lm(z) Re|Im (x + iy)^|m|, P_lm the associated Legendre function without its (1 - z^2)^(m/2) factor,
     by the three-term recurrence in l (DLMF 14.10.3).
     """
-    x, y, z = np.asarray(directions, dtype=np.float64).T
-    basis = np.empty((len(x), (degree + 1) ** 2))
-    real, imaginary = np.ones_like(x), np.zeros_like(x)
+    zero = 0 * x
+    basis: list[Any] = [zero] * (degree + 1) ** 2
+    real, imaginary = zero + 1, zero
     diagonal = 1.0
     for m in range(degree + 1):
         if m > 0:
             real, imaginary = x * real - y * imaginary, x * imaginary + y * real
             diagonal *= 2 * m - 1
-        before, legendre = np.zeros_like(z), np.full_like(z, diagonal)
+        before, legendre = zero, zero + diagonal
         for band in range(m, degree + 1):
             if band > m:
                 following = ((2 * band - 1) * z * legendre - (band + m - 1) * before) / (band - m)
                 before, legendre = legendre, following
             ratio = math.factorial(band - m) / math.factorial(band + m)
             norm = (-1) ** m * math.sqrt((2 * band + 1) / (4 * math.pi) * ratio * (2 if m else 1))
-            basis[:, band * band + band + m] = norm * legendre * real
+            basis[band * band + band + m] = norm * legendre * real
             if m > 0:
-                basis[:, band * band + band - m] = norm * legendre * imaginary
+                basis[band * band + band - m] = norm * legendre * imaginary
     return basis
 
 

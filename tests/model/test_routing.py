@@ -61,6 +61,24 @@ def test_huge_logits_give_finite_weights(scale: float) -> None:
     assert torch.isfinite(routing.expert_weight).all()
 
 
+def test_permuting_patches_permutes_their_routes() -> None:
+    x = torch.randn(64, 48, generator=torch.Generator().manual_seed(8))
+    order = torch.randperm(64, generator=torch.Generator().manual_seed(9))
+    straight, permuted = gates()(x), gates()(x[order])
+    assert torch.equal(permuted.expert_index, straight.expert_index[order])
+    torch.testing.assert_close(permuted.expert_weight, straight.expert_weight[order], atol=1e-6, rtol=0)
+    torch.testing.assert_close(permuted.task_weight, straight.task_weight[order], atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_logits_that_are_not_numbers_show_in_the_weights(value: float) -> None:
+    """The engine refuses outputs that are not finite, so a broken gate must not come out as a plausible route."""
+    g = gates()
+    with torch.no_grad():
+        g.expert_gate.bias[1] = value
+    assert not torch.isfinite(g(torch.zeros(1, 48)).expert_weight).all()
+
+
 def test_no_noise_in_evaluation_and_noise_in_training() -> None:
     g, x = gates(), torch.randn(64, 48, generator=torch.Generator().manual_seed(3))
     first, second = g(x), g(x)

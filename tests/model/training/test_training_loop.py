@@ -70,7 +70,7 @@ def test_the_loss_on_one_scene_falls(tmp_path: Path, monkeypatch: pytest.MonkeyP
     recipe = replace(SMALL, steps=30, zoom_share=0.0, input_noise=0.0, phases=(Phase(1.0, 32, 1, (2,), (0.2, 0.2)),))
     loop.train(preset("tiny"), recipe, tmp_path, validate_every=100, validation_scenes=1, save_seconds=1e9)
     first, last = parts[0], parts[-1]
-    # measured over five seeds: colour error to 0.3-0.6 of the first, depth error to 0.1-0.4
+    # measured over five seeds: colour error to 0.19-0.42 of the first, depth error to 0.17-0.38
     assert last["mse"] < 0.8 * first["mse"]
     assert last["depth"] < 0.6 * first["depth"]
 
