@@ -1,7 +1,8 @@
 """The backing layer: a coarse opaque sheet behind each view's far surface, so that gaps show colour, not a hole.
 
 Nothing of it is learned: one flat Gaussian per 8 x 8 pixels (and two cells beyond the border) at the farthest depth of
-its neighbourhood, pushed back by a few per cent, with the colour of the far pixels there. It adds 2 % Gaussians at 256 x 256 px.
+its neighbourhood, pushed back by a few per cent, with the colour of the far pixels there. It adds 2 % Gaussians at
+256 x 256 px.
 """
 
 from __future__ import annotations
