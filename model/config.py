@@ -38,8 +38,9 @@ class ModelConfig:
     volume_channels: int  # features of the cost-volume network
     refine_channels: int  # features of the half-resolution refinement
     stream_channels: int  # C_dim of Eq. 1
-    depth_planes: int = 32  # candidates of the plane sweep, uniform in inverse depth
+    depth_planes: int = 64  # candidates of the plane sweep, uniform in inverse depth
     refine_candidates: int = 9
+    second_candidates: int = 5
     experts: int = 6  # N_e
     top_k: int = 2  # k
     temperature: float = 0.8  # tau of Eq. 10
@@ -98,7 +99,6 @@ PRESETS: dict[str, ModelConfig] = {
         volume_channels=128,
         refine_channels=64,
         stream_channels=64,
-        depth_planes=64,
         sh_degree=2,
     ),
     "base": ModelConfig(

@@ -114,32 +114,29 @@ def sweep(features: list[Tensor], views: Views, planes: int) -> tuple[list[Tenso
     return volumes, (seen / others).transpose(1, 2).reshape(n, planes, h, w)
 
 
-def local_matching(
-    features: Tensor, groups: list[int], candidates: Tensor, views: Views
-) -> tuple[list[Tensor], Tensor]:
+def local_matching(features: list[Tensor], candidates: Tensor, views: Views) -> tuple[list[Tensor], Tensor]:
     """Mean correlation at per-pixel candidates (B*V, K, h, w) of normalised inverse depth.
 
-    features (B*V, sum(groups), h, w); each group of channels is correlated on its own. Returns one (B*V, K, h, w) per
-    group and the share of other views that see the point.
+    features: tensors (B*V, C_i, h, w), each correlated on its own. Returns one (B*V, K, h, w) per feature tensor and
+    the share of other views that see the point.
     """
-    n, channels, h, w = features.shape
-    count, others = candidates.shape[1], views.count - 1
+    n, count, h, w = candidates.shape
+    others = views.count - 1
     reference_k, source_k, motion = views.pairs()
-    rays = camera_rays(pixel_grid(h, w, features.device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
+    rays = camera_rays(pixel_grid(h, w, candidates.device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
     inverse = views.inverse_depth(candidates).flatten(2).transpose(1, 2)  # (B*V, P, K)
     inverse = repeat_for_pairs(inverse.reshape(-1, views.count, h * w, count), others).reshape(-1, h * w, count)
     grid, inside = warp_positions(rays.flatten(2), inverse, source_k, motion)
-    per_view = features.reshape(-1, views.count, channels, h, w)
-    source = other_views(per_view).reshape(-1, channels, h, w)
-    reference = repeat_for_pairs(per_view, others).reshape(-1, channels, h * w, 1)
-    sampled = F.grid_sample(source, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
-    product = reference * sampled  # (m, C, P, K)
-    mask = inside.to(features.dtype)
+    mask = inside.to(candidates.dtype)
     seen = mask.reshape(-1, others, h * w, count).sum(1)
-    scores, start = [], 0
-    for size in groups:
-        score = product[:, start : start + size].sum(1) * mask
+    scores = []
+    for feature in features:
+        channels = feature.shape[1]
+        per_view = feature.reshape(-1, views.count, channels, h, w)
+        source = other_views(per_view).reshape(-1, channels, h, w)
+        reference = repeat_for_pairs(per_view, others).reshape(-1, channels, h * w, 1)
+        sampled = F.grid_sample(source, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
+        score = (reference * sampled).sum(1) * mask
         score = score.reshape(-1, others, h * w, count).sum(1) / seen.clamp(min=1)
         scores.append(score.transpose(1, 2).reshape(n, count, h, w))
-        start += size
     return scores, (seen / others).transpose(1, 2).reshape(n, count, h, w)

@@ -1,4 +1,4 @@
-"""Depth from matching: softmax over the plane sweep, refinement among local candidates, convex upsampling."""
+"""Depth from matching: softmax over the plane sweep, two refinements among local candidates, convex upsampling."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from .agreement import CUES, agreement_cues
 from .config import ModelConfig
 from .cost_volume import PatchDescriptor, Views, local_matching, sweep
 from .layers import ResidualBlock, replicate_pad, resize_to
 from .trunk import TrunkFeatures
+
+REFINE_REACH = 2.0  # planes of the sweep
+SECOND_REACH = 0.5  # one step of the first refinement
 
 
 @dataclass(frozen=True)
@@ -19,19 +23,21 @@ class DepthEstimate:
     """Normalised inverse depth (0 at far, 1 at near) at three resolutions, and what the heads build on."""
 
     quarter: Tensor  # (n, 1, H/4, W/4)
-    half: Tensor  # (n, 1, H/2, W/2)
+    refined: Tensor  # (n, 1, H/2, W/2) after the first refinement
+    half: Tensor  # (n, 1, H/2, W/2) after the second
     full: Tensor  # (n, 1, H, W)
     confidence: Tensor  # (n, 1, H/4, W/4) probability of the best plane
     volume: Tensor  # (n, volume_channels, H/4, W/4) multi-view features of the cost volume
-    guide: Tensor  # (n, refine_channels, H/2, W/2) features of the refinement
+    guide: Tensor  # (n, refine_channels, H/2, W/2) features of the refinements
 
 
 class DepthFromMatching(nn.Module):
-    """Two-stage matching; learned features and a fixed ZNCC descriptor vote side by side."""
+    """Three-stage matching; learned features and a fixed ZNCC descriptor vote side by side."""
 
     def __init__(self, config: ModelConfig, mono_channels: int) -> None:
         super().__init__()
         self.planes, self.candidates = config.depth_planes, config.refine_candidates
+        self.second_candidates = config.second_candidates
         c2, c4 = config.half_channels, config.quarter_channels
         cu, cr, cm = config.volume_channels, config.refine_channels, config.match_channels
         self.descriptor = PatchDescriptor()
@@ -46,9 +52,13 @@ class DepthFromMatching(nn.Module):
             nn.Conv2d(3 * self.candidates + c2 + 2 + 32 + 12, cr, 3, padding=1), ResidualBlock(cr), ResidualBlock(cr)
         )
         self.refine_logits = nn.Conv2d(cr, self.candidates, 3, padding=1)
+        self.second_net = nn.Sequential(
+            nn.Conv2d(cr + 3 * self.second_candidates + CUES, cr, 3, padding=1), ResidualBlock(cr)
+        )
+        self.second_logits = nn.Conv2d(cr, self.second_candidates, 3, padding=1)
         self.up_mask = nn.Conv2d(cr, 36, 1)
-        self.learned_sharpness = nn.Parameter(torch.tensor([8.0, 8.0]))
-        self.zncc_sharpness = nn.Parameter(torch.tensor([4.0, 4.0]))
+        self.learned_sharpness = nn.Parameter(torch.tensor([8.0, 8.0, 8.0]))
+        self.zncc_sharpness = nn.Parameter(torch.tensor([4.0, 4.0, 4.0]))
 
     def forward(self, images: Tensor, features: TrunkFeatures, mono: Tensor, views: Views) -> DepthEstimate:
         """images (n, 3, H, W) in [0, 1]; mono (n, mono_channels, H/4, W/4) monocular cues."""
@@ -64,18 +74,15 @@ class DepthFromMatching(nn.Module):
         confidence = probability.amax(1, keepdim=True)
 
         start = resize_to(coarse, features.half)
-        offsets = torch.linspace(-1.5, 1.5, self.candidates, device=images.device) / (self.planes - 1)
-        candidates = (start.detach() + offsets.reshape(1, -1, 1, 1)).clamp(-0.02, 1.1)
         context = resize_to(features.quarter[:, : features.quarter.shape[1] // 4], features.half)
         half = F.normalize(self.match_half(torch.cat([features.half, context], dim=1)), dim=1)
-        stacked = torch.cat([half, self.descriptor(grey)], dim=1)
-        (learned, zncc), seen = local_matching(stacked, [16, 16], candidates, views)
+        matched = [half, self.descriptor(grey)]
+        candidates = self._around(start, self.candidates, REFINE_REACH)
+        scores, votes = self._match(matched, candidates, views, 1)
         guide = self.refine_net(
             torch.cat(
                 [
-                    learned * 2,
-                    zncc,
-                    seen,
+                    scores,
                     features.half,
                     start,
                     resize_to(confidence, features.half),
@@ -85,11 +92,25 @@ class DepthFromMatching(nn.Module):
                 dim=1,
             )
         )
-        logits = self.refine_logits(guide) + learned * self.learned_sharpness[1] + zncc * self.zncc_sharpness[1]
-        # clamped candidates coincide, so each votes for where it really lies
-        steps = candidates - start.detach()
-        refined = start + (logits.softmax(1) * steps).sum(1, keepdim=True)
-        return DepthEstimate(coarse, refined, self._upsample(refined, guide), confidence, volume, guide)
+        refined = _moved(start, candidates, self.refine_logits(guide) + votes)
+
+        candidates = self._around(refined, self.second_candidates, SECOND_REACH)
+        scores, votes = self._match(matched, candidates, views, 2)
+        cues = agreement_cues(refined, F.avg_pool2d(images, 2), views)
+        guide = guide + self.second_net(torch.cat([guide, scores, cues], dim=1))
+        second = _moved(refined, candidates, self.second_logits(guide) + votes)
+        return DepthEstimate(coarse, refined, second, self._upsample(second, guide), confidence, volume, guide)
+
+    def _around(self, centre: Tensor, count: int, reach: float) -> Tensor:
+        """(n, count, h, w) candidates up to `reach` planes to both sides of centre (n, 1, h, w); no gradient."""
+        offsets = torch.linspace(-reach, reach, count, device=centre.device) / (self.planes - 1)
+        return (centre.detach() + offsets.reshape(1, -1, 1, 1)).clamp(-0.02, 1.1)
+
+    def _match(self, matched: list[Tensor], candidates: Tensor, views: Views, stage: int) -> tuple[Tensor, Tensor]:
+        """Scores (n, 3 K, h, w) for a network to read, and the votes (n, K, h, w) that they cast themselves."""
+        (learned, zncc), seen = local_matching(matched, candidates, views)
+        votes = learned * self.learned_sharpness[stage] + zncc * self.zncc_sharpness[stage]
+        return torch.cat([learned * 2, zncc, seen], dim=1), votes
 
     def _upsample(self, half: Tensor, guide: Tensor) -> Tensor:
         """Each full-resolution pixel is a learned convex combination of the 3x3 half-resolution neighbours."""
@@ -99,3 +120,9 @@ class DepthFromMatching(nn.Module):
         shifted = [padded[:, :, dy : dy + h, dx : dx + w] for dy in range(3) for dx in range(3)]
         neighbours = torch.stack(shifted, dim=1)  # (n, 9, 1, h, w)
         return F.pixel_shuffle((weights * neighbours).sum(1), 2)
+
+
+def _moved(centre: Tensor, candidates: Tensor, logits: Tensor) -> Tensor:
+    """The centre (n, 1, h, w) moved to the candidates' mean; clamped candidates coincide, so each votes for where it
+    really lies."""
+    return centre + (logits.softmax(1) * (candidates - centre.detach())).sum(1, keepdim=True)

@@ -45,12 +45,20 @@ def repeat_for_pairs(values: Tensor, pairs_per_view: int) -> Tensor:
 def warp_positions(
     rays: Tensor, inverse_depth: Tensor, source_intrinsics: Tensor, source_from_reference: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Where reference pixels at given inverse depths fall in a source view.
+    """`warp_points` without the depths."""
+    return warp_points(rays, inverse_depth, source_intrinsics, source_from_reference)[:2]
+
+
+def warp_points(
+    rays: Tensor, inverse_depth: Tensor, source_intrinsics: Tensor, source_from_reference: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Where reference pixels at given inverse depths fall in a source view, and how deep they lie there.
 
     rays (m, 3, P) with z = 1, inverse_depth (m, P, D), K (m, 3, 3) normalised, motion (m, 4, 4).
     A point is ray / d, so up to the positive factor d it is R ray + t d: no division by a small depth.
     Returns sampling positions in [-1, 1] grid units (m, P, D, 2), outside the image wherever the point lies behind
-    the source camera or anything is not finite, and a mask (m, P, D) of samples that fall inside.
+    the source camera or anything is not finite, a mask (m, P, D) of samples that fall inside, and the inverse depth
+    of the point in the source camera (m, P, D), 0 behind it.
     """
     rotated = (source_from_reference[:, :3, :3] @ rays).transpose(1, 2)  # (m, P, 3)
     translation = source_from_reference[:, :3, 3]
@@ -64,7 +72,7 @@ def warp_positions(
     # 4 lies outside every image of at least two pixels; backends disagree on samples that are huge or not finite
     grid = torch.where(front.unsqueeze(-1) & (grid.abs() < 4), grid, torch.full_like(grid, 4.0))
     inside = (grid[..., 0].abs() < 1) & (grid[..., 1].abs() < 1)
-    return grid, inside
+    return grid, inside, torch.where(front, inverse_depth / safe, torch.zeros_like(z))
 
 
 def quaternion_to_matrix(wxyz: Tensor) -> Tensor:

@@ -6,27 +6,25 @@ import copy
 import json
 import logging
 import math
-import os
 import time
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from ..checkpoint import save_checkpoint
 from ..config import ModelConfig
 from ..network import GaPMeS
+from .precision import compute_coarsely
 from .recipe import Recipe
+from .run_folder import append_row, claimed, forget_rows_after, restore_state, save_state, save_weights
 from .scenes import SceneSampler
 from .step import add_noise, to_tensors, training_loss
 from .validation import validate, validation_batches
+from .workers import Worker
 
 log = logging.getLogger(__name__)
-
-STATE = "state.pt"
-WEIGHTS = "weights.safetensors"
-LOG = "log.jsonl"
 
 
 def train(
@@ -37,20 +35,43 @@ def train(
     validate_every: int = 250,
     validation_scenes: int = 12,
     save_seconds: float = 120.0,
+    device: torch.device | str = "cpu",
+    worker: Worker = Worker(),  # noqa: B008 - a frozen value
 ) -> GaPMeS:
     """Run the recipe to its end in `folder` and return the averaged weights; continues from what is there.
 
-    Every random number of a step comes from (seed, step), so a resumed run sees what an unbroken one would have seen.
+    Every random number of a step comes from (seed, step, worker), so a resumed run sees what an unbroken one would
+    have seen. Several workers divide each step's scenes between them: raises `ValueError` when they cannot.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    for phase in recipe.phases:
+        if phase.scenes % worker.count:
+            raise ValueError(
+                f"processes: {worker.count} cannot share the {phase.scenes} scenes of a step at {phase.size} px evenly"
+            )
+    with claimed(folder) if worker.leads else nullcontext():
+        return _run(config, recipe, folder, validate_every, validation_scenes, save_seconds, device, worker)
+
+
+def _run(
+    config: ModelConfig,
+    recipe: Recipe,
+    folder: Path,
+    validate_every: int,
+    validation_scenes: int,
+    save_seconds: float,
+    device: torch.device | str,
+    worker: Worker,
+) -> GaPMeS:
     torch.manual_seed(recipe.seed)
-    model = GaPMeS(config).train()
+    model = GaPMeS(config).to(device).train()
     average = copy.deepcopy(model).requires_grad_(False)
+    compute_coarsely(model)
     trained = [p for p in model.parameters() if p.requires_grad]
     optimiser = torch.optim.AdamW(trained, lr=recipe.learning_rate, betas=(0.9, 0.98), weight_decay=recipe.weight_decay)
     identity = {"config": config.to_json(), "recipe": json.dumps(asdict(recipe), sort_keys=True)}
-    start, seconds = _restore(folder / STATE, identity, model, average, optimiser)
-    _forget_rows_after(folder / LOG, start)
+    start, seconds = restore_state(folder, identity, model, average, optimiser)
+    if worker.leads:
+        forget_rows_after(folder, start)
     held_out = {
         "wide": validation_batches(128, validation_scenes, (0.18, 0.5)),
         "narrow": validation_batches(128, max(1, validation_scenes // 2), (0.06, 0.15)),
@@ -59,7 +80,9 @@ def train(
     clock = last_save = time.monotonic()
     sums: dict[str, float] = {}
     for step in range(start, recipe.steps):
-        rate, parts = _step(model, optimiser, trained, recipe, step)
+        rate, parts = _step(model, optimiser, trained, recipe, step, worker)
+        if not worker.leads:
+            continue
         _average(average, model, min(recipe.ema, (step + 1) / (step + 20)))
         for key, value in parts.items():
             sums[key] = sums.get(key, 0.0) + value
@@ -68,37 +91,48 @@ def train(
         if last or (step + 1) % validate_every == 0:
             elapsed = seconds + now - clock
             figures = {name: validate(average, batches) for name, batches in held_out.items()}
-            _report(folder / LOG, step + 1, recipe, elapsed, rate, sums, figures)
+            _report(folder, step + 1, recipe, elapsed, rate, sums, figures)
             sums = {}
         if last or now - last_save > save_seconds:
             progress = {**identity, "step": step + 1, "seconds": seconds + time.monotonic() - clock}
-            _save(folder, progress, model, average, optimiser)
+            save_state(folder, progress, model, average, optimiser)
             last_save = time.monotonic()
-    save_checkpoint(folder / WEIGHTS, average, extra={"gapmes.step": str(recipe.steps)})
+    if worker.leads:
+        save_weights(folder, average, recipe.steps)
     return average.eval()
 
 
 def _step(
-    model: GaPMeS, optimiser: torch.optim.Optimizer, trained: list[torch.nn.Parameter], recipe: Recipe, step: int
+    model: GaPMeS,
+    optimiser: torch.optim.Optimizer,
+    trained: list[torch.nn.Parameter],
+    recipe: Recipe,
+    step: int,
+    worker: Worker,
 ) -> tuple[float, dict[str, float]]:
     phase = recipe.phase(step)
     random = np.random.default_rng((recipe.seed, step))
-    torch.manual_seed(int(random.integers(2**62)))
     rate = recipe.learning_rate_at(step)
     for group in optimiser.param_groups:
         group["lr"] = rate
     zoomed = bool(random.random() < recipe.zoom_share)
     size = phase.size * 2 if zoomed else phase.size
-    sampler = SceneSampler(int(random.integers(2**31)), "train")
+    scenes = phase.scenes // worker.count
+    sampler = SceneSampler(int(random.integers(2**31)), "train", first=worker.rank * scenes)
     views = phase.views[step % len(phase.views)]
-    batch = to_tensors(sampler.batch(phase.scenes, views, recipe.targets, size, baseline=phase.baseline), zoomed=zoomed)
-    if random.random() < 0.5:
-        batch = add_noise(batch, recipe.input_noise, random)
+    drawn = sampler.batch(scenes, views, recipe.targets, size, baseline=phase.baseline)
+    batch = to_tensors(drawn, zoomed=zoomed).to(trained[0].device)
+    noisy = random.random() < 0.5
+    own = np.random.default_rng((recipe.seed, step, worker.rank))
+    torch.manual_seed(int(own.integers(2**62)))
+    if noisy:
+        batch = add_noise(batch, recipe.input_noise, own)
     if model.mixture.gates is not None:
         model.mixture.gates.noise_scale = recipe.noise_scale_at(step)
     loss, parts = training_loss(model, batch, recipe, step)
     optimiser.zero_grad(set_to_none=True)
     loss.backward()
+    worker.average_gradients(trained)
     norm = torch.nn.utils.clip_grad_norm_(trained, recipe.clip)
     parts["steps"] = 1.0
     if torch.isfinite(norm):
@@ -116,7 +150,7 @@ def _average(average: GaPMeS, model: GaPMeS, decay: float) -> None:
 
 
 def _report(
-    path: Path,
+    folder: Path,
     step: int,
     recipe: Recipe,
     elapsed: float,
@@ -129,8 +163,7 @@ def _report(
     if "mse" in means:
         means["psnr"] = round(-10 * math.log10(max(means.pop("mse"), 1e-10)), 3)
     row = {"step": step, "minutes": round(elapsed / 60, 2), "rate": rate, "train": means, "validation": figures}
-    with path.open("a") as file:
-        file.write(json.dumps(row) + "\n")
+    append_row(folder, row)
     wide, narrow = figures["wide"], figures["narrow"]
     log.info(
         "step %d/%d  %.1f min  train %.2f dB  wide %.2f dB (copy %.2f)  narrow %.2f dB  depth %.4f  holes %.2f%%",
@@ -144,48 +177,3 @@ def _report(
         wide["depth_error"],
         100 * float(wide["holes"]),  # type: ignore[arg-type]
     )
-
-
-def _save(
-    folder: Path,
-    progress: dict[str, object],
-    model: GaPMeS,
-    average: GaPMeS,
-    optimiser: torch.optim.Optimizer,
-) -> None:
-    """Everything that a later start needs, whole or not at all."""
-    state = {
-        **progress,
-        "model": model.state_dict(),
-        "average": average.state_dict(),
-        "optimiser": optimiser.state_dict(),
-    }
-    part = folder / (STATE + ".part")
-    torch.save(state, part)
-    os.replace(part, folder / STATE)
-    save_checkpoint(folder / WEIGHTS, average, extra={"gapmes.step": str(progress["step"])})
-
-
-def _restore(
-    path: Path, identity: dict[str, str], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
-) -> tuple[int, float]:
-    """Step and seconds to go on from; raises `ValueError` when the folder holds a run of something else."""
-    if not path.is_file():
-        return 0, 0.0
-    state = torch.load(path, weights_only=True)
-    for key, value in identity.items():
-        if state[key] != value:
-            raise ValueError(
-                f"{path} is of a run with another {key}: {state[key]}, asked for {value}; use a new folder"
-            )
-    model.load_state_dict(state["model"])
-    average.load_state_dict(state["average"])
-    optimiser.load_state_dict(state["optimiser"])
-    return int(state["step"]), float(state["seconds"])
-
-
-def _forget_rows_after(path: Path, step: int) -> None:
-    """Drop log rows of steps that were lost with a kill and will be done again."""
-    if path.is_file():
-        rows = [line for line in path.read_text().splitlines() if json.loads(line)["step"] <= step]
-        path.write_text("".join(row + "\n" for row in rows))

@@ -22,7 +22,7 @@ def box_ssim(a: Tensor, b: Tensor, window: int = 7) -> Tensor:
 
 def gaussian_ssim(a: Tensor, b: Tensor) -> Tensor:
     """(n,) SSIM with the standard 11x11 window of sigma 1.5 (for reported figures)."""
-    x = torch.arange(11, dtype=a.dtype) - 5
+    x = torch.arange(11, dtype=a.dtype, device=a.device) - 5
     kernel = torch.exp(-x.square() / (2 * 1.5**2))
     kernel = kernel / kernel.sum()
     weight = (kernel[:, None] * kernel[None])[None, None].repeat(3, 1, 1, 1)
@@ -60,7 +60,8 @@ def depth_loss(estimate: DepthEstimate, final: Tensor, truth: Tensor) -> Tensor:
     """
     truth = truth.flatten(0, 1)
     quarter = _closest(estimate.quarter, [truth[:, :, y::4, x::4] for y in (1, 2) for x in (1, 2)])
-    half = _closest(estimate.half, [truth[:, :, y::2, x::2] for y in (0, 1) for x in (0, 1)])
+    samples = [truth[:, :, y::2, x::2] for y in (0, 1) for x in (0, 1)]
+    half = 0.5 * _closest(estimate.refined, samples) + 0.5 * _closest(estimate.half, samples)
     return 0.5 * quarter + half + _closest(final, [truth])
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 
@@ -21,24 +20,25 @@ class Phase:
 class Recipe:
     """Everything that a run depends on besides code and data."""
 
-    steps: int = 4500
+    steps: int = 10_400
     seed: int = 1
     learning_rate: float = 1e-3
-    warm_up: int = 200
+    warm_up: int = 200  # steps
+    decay_from: float = 0.4  # share of the steps after which the learning rate falls in a line to 1 %
     weight_decay: float = 1e-4
     ema: float = 0.998
     clip: float = 1.0
     targets: int = 2
-    zoom_share: float = 0.3  # of steps whose targets have twice the input resolution: keeps scales from collapsing
+    zoom_share: float = 0.2  # of steps whose targets have twice the input resolution: keeps scales from collapsing
     input_noise: float = 0.01  # standard deviation, on every other step
-    depth_weight: tuple[float, float] = (1.0, 0.1)  # from, to
+    depth_weight: tuple[float, float] = (1.0, 0.3)  # from, to
     ssim_weight: float = 0.2
     balance_weight: float = 0.01
     phases: tuple[Phase, ...] = (
-        Phase(0.30, 64, 4, (2,), (0.06, 0.6)),
-        Phase(0.33, 96, 2, (2, 3), (0.06, 0.8)),
-        Phase(0.30, 128, 2, (2, 2, 3), (0.06, 0.8)),
-        Phase(0.07, 256, 1, (2, 2, 2, 3), (0.06, 0.6)),
+        Phase(0.29, 64, 4, (2, 2, 3), (0.06, 0.6)),
+        Phase(0.29, 96, 2, (2, 3, 2, 4), (0.06, 0.8)),
+        Phase(0.33, 128, 2, (2, 2, 3), (0.06, 0.8)),
+        Phase(0.09, 256, 2, (2, 2, 2, 3), (0.06, 0.7)),
     )
 
     def phase(self, step: int) -> Phase:
@@ -51,9 +51,10 @@ class Recipe:
         return self.phases[-1]
 
     def learning_rate_at(self, step: int) -> float:
-        """Linear warm-up, then a cosine down to 3 %."""
+        """Linear warm-up, a plateau, and a line down to 1 %, so that the costly last phases still learn."""
         warm = min(1.0, (step + 1) / self.warm_up)
-        return self.learning_rate * warm * (0.03 + 0.97 * 0.5 * (1 + math.cos(math.pi * step / self.steps)))
+        left = 1 - max(0.0, step / self.steps - self.decay_from) / (1 - self.decay_from)
+        return self.learning_rate * warm * (0.01 + 0.99 * left)
 
     def noise_scale_at(self, step: int) -> float:
         """Gumbel noise, annealed to 0 at three quarters so that the last quarter trains what inference runs."""

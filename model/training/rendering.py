@@ -26,7 +26,7 @@ def draw(
 ) -> tuple[Tensor, Tensor]:
     """rgb (B, T, 3, H, W) and alpha (B, T, 1, H, W); K (B, T, 3, 3) normalised by width and height."""
     factors = quaternion_to_matrix(gaussians.rotations_wxyz) * gaussians.scales.unsqueeze(-2)
-    pixels = intrinsics * torch.tensor([width, height, 1.0], dtype=intrinsics.dtype).reshape(1, 1, 3, 1)
+    pixels = intrinsics * intrinsics.new_tensor([width, height, 1.0]).reshape(1, 1, 3, 1)
     common = (gaussians.means, factors, gaussians.opacities)
     if gaussians.harmonics.shape[2] == 1:
         colours = (0.5 + C0 * gaussians.harmonics[:, :, 0]).clamp(min=0)

@@ -49,16 +49,15 @@ class _Sample:
 
 
 class SceneSampler:
-    """Draws scene after scene; scene i depends on seed, split and i alone, not on batches or threads.
-
-    The two splits share neither textures nor random numbers.
+    """Draws scene after scene from number `first` on; scene i depends on seed, split and i alone, not on batches or
+    threads. The two splits share neither textures nor random numbers.
     """
 
-    def __init__(self, seed: int, split: Split) -> None:
+    def __init__(self, seed: int, split: Split, first: int = 0) -> None:
         self._atlas = load_atlas()
         self._key = (seed, ("train", "validation").index(split))
         self._split: Split = split
-        self._next = 0
+        self._next = first
 
     def batch(
         self,

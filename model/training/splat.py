@@ -40,7 +40,8 @@ def splat(
 
     Returns:
         rgb (B, T, 3, H, W) over the background and alpha (B, T, 1, H, W), float32. Both are differentiable in means,
-        factors, opacities and colours; cameras are constants. Results do not depend on the number of threads.
+        factors, opacities and colours; cameras are constants. They lie on the device of `means`; the work is done on
+        the CPU. Results do not depend on the number of threads.
 
     Raises:
         ValueError: shapes disagree, or a field holds NaN or infinity (named, counted).
@@ -98,8 +99,9 @@ class _Splat(torch.autograd.Function):
         ctx.constants = (scene, cameras, size, background, dilation)
         ctx.images = (transmittances, records, indices, visible, last_used)
         ctx.dtypes = (means.dtype, factors.dtype, opacities.dtype, colours.dtype)
+        ctx.device = means.device
         alpha = torch.from_numpy(1 - transmittances).view(batch, views, 1, *size)
-        return torch.from_numpy(rgb).view(batch, views, 3, *size), alpha
+        return torch.from_numpy(rgb).view(batch, views, 3, *size).to(means.device), alpha.to(means.device)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -117,5 +119,5 @@ class _Splat(torch.autograd.Function):
         splat_backward_scenes(
             means, factors, cameras, height, width, dilation, indices, visible, image_grads, *grads
         )  # fmt: skip
-        typed = [torch.from_numpy(grad).to(dtype) for grad, dtype in zip(grads, ctx.dtypes, strict=True)]
+        typed = [torch.from_numpy(grad).to(ctx.device, dtype) for grad, dtype in zip(grads, ctx.dtypes, strict=True)]
         return *typed, None, None, None, None, None

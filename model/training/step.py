@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -28,6 +28,9 @@ class TensorBatch:
     targets: Tensor  # (B, T, 3, h, w), h = H or 2 H
     target_intrinsics: Tensor  # (B, T, 3, 3) normalised
     target_poses: Tensor  # (B, T, 4, 4)
+
+    def to(self, device: torch.device) -> TensorBatch:
+        return TensorBatch(*(getattr(self, field.name).to(device) for field in fields(self)))
 
 
 def to_tensors(batch: SceneBatch, *, zoomed: bool) -> TensorBatch:
@@ -80,5 +83,5 @@ def training_loss(model: GaPMeS, batch: TensorBatch, recipe: Recipe, step: int) 
 
 def add_noise(batch: TensorBatch, sigma: float, random: np.random.Generator) -> TensorBatch:
     """Sensor noise on the inputs alone."""
-    noise = torch.from_numpy(random.normal(0, sigma, batch.images.shape).astype(np.float32))
+    noise = torch.from_numpy(random.normal(0, sigma, batch.images.shape).astype(np.float32)).to(batch.images.device)
     return TensorBatch(**{**batch.__dict__, "images": (batch.images + noise).clamp(0, 1)})

@@ -1,4 +1,4 @@
-"""The texture atlas of the scene generator: procedural textures with mip levels, drawn once, kept in a cache file."""
+"""The texture atlas of the scene generator: patterns and photograph crops with mip levels, kept in a cache file."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .patterns import SIZE, draw
+from .photographs import photograph_crop
 
 Split = Literal["train", "validation"]
 
-VERSION = 1  # raise it whenever a pattern or the layout changes: it names the cache file
-COUNT = 512
+VERSION = 2  # raise it whenever a pattern or the layout changes: it names the cache file
+COUNT = 768
+PHOTOGRAPH_EVERY = 3  # every third texture is a crop of a photograph
 LEVELS = 6  # 256 px down to 8 px
 LEVEL_OFFSETS = tuple(sum((SIZE >> below) ** 2 * 3 for below in range(level)) for level in range(LEVELS))
 ROW_BYTES = LEVEL_OFFSETS[-1] + (SIZE >> (LEVELS - 1)) ** 2 * 3
@@ -50,9 +52,13 @@ def mip_levels(image: NDArray[np.float32]) -> NDArray[np.uint8]:
 def build_atlas(seed: int = 0, count: int = COUNT) -> TextureAtlas:
     """Draw the atlas; texture i depends on `seed` and i alone."""
     texels = np.empty((count, ROW_BYTES), np.uint8)
-    flat = np.empty(count, np.bool_)
+    flat = np.zeros(count, np.bool_)
     for i in range(count):
-        image, flat[i] = draw(np.random.default_rng((VERSION, seed, i)))
+        rng = np.random.default_rng((VERSION, seed, i))
+        if i % PHOTOGRAPH_EVERY == 1:
+            image = photograph_crop(rng, held_out=i % VALIDATION_EVERY == 0)
+        else:
+            image, flat[i] = draw(rng)
         texels[i] = mip_levels(image)
     return TextureAtlas(texels, flat)
 

@@ -24,7 +24,8 @@ def validate(model: GaPMeS, batches: list[TensorBatch]) -> dict[str, object]:
     was_training = model.training
     model.eval()
     scores, structure, depth, holes, copies, shares = [], [], [], [], [], []
-    for batch in batches:
+    device = next(model.parameters()).device
+    for batch in (batch.to(device) for batch in batches):
         prediction, rgb, alpha = predict_and_draw(model, batch)
         rgb, truth = rgb.clamp(0, 1).flatten(0, 1), batch.targets.flatten(0, 1)
         scores += psnr(rgb, truth).tolist()

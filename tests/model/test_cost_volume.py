@@ -54,7 +54,7 @@ def test_local_matching_at_the_planes_equals_the_sweep() -> None:
     features = F.normalize(torch.randn(3, 12, 8, 8, generator=torch.Generator().manual_seed(1)), dim=1)
     (volume,), seen = sweep([features], cameras, 5)
     candidates = torch.linspace(0, 1, 5).reshape(1, 5, 1, 1).expand(3, 5, 8, 8)
-    (scores,), local_seen = local_matching(features, [12], candidates, cameras)
+    (scores,), local_seen = local_matching([features], candidates, cameras)
     torch.testing.assert_close(scores, volume, atol=3e-6, rtol=0)
     torch.testing.assert_close(local_seen, seen)
 

@@ -12,7 +12,7 @@ import torch
 
 from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.config import preset
-from gapmes.model.training import loop
+from gapmes.model.training import loop, run_folder
 from gapmes.model.training.recipe import Phase, Recipe
 from gapmes.model.training.scenes import SceneSampler
 from gapmes.model.training.step import to_tensors
@@ -47,9 +47,9 @@ def test_a_killed_run_resumes_to_the_same_weights(tmp_path: Path, monkeypatch: p
         with pytest.raises(KeyboardInterrupt):
             run(SMALL, tmp_path / "broken")
     run(SMALL, tmp_path / "broken")
-    whole, broken = (load_checkpoint(tmp_path / name / loop.WEIGHTS) for name in ("whole", "broken"))
+    whole, broken = (load_checkpoint(tmp_path / name / run_folder.WEIGHTS) for name in ("whole", "broken"))
     assert all(torch.equal(a, b) for a, b in zip(whole.parameters(), broken.parameters(), strict=True))
-    rows = [json.loads(line) for line in (tmp_path / "broken" / loop.LOG).read_text().splitlines()]
+    rows = [json.loads(line) for line in (tmp_path / "broken" / run_folder.LOG).read_text().splitlines()]
     assert [row["step"] for row in rows] == [2, 4]
     assert set(rows[0]["validation"]) == {"wide", "narrow"}
 
@@ -93,3 +93,14 @@ def test_recipe_schedules() -> None:
     assert recipe.noise_scale_at(recipe.steps - 1) == 0.0
     assert recipe.learning_rate_at(recipe.steps - 1) < 0.04 * recipe.learning_rate
     assert recipe.depth_weight_at(0) == 1.0
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
+    with run_folder.claimed(tmp_path), pytest.raises(ValueError, match="another run is at work there"):
+        run(SMALL, tmp_path)
+
+
+def test_a_run_of_another_recipe_is_not_continued(tmp_path: Path) -> None:
+    run(replace(SMALL, steps=1), tmp_path)
+    with pytest.raises(ValueError, match="another recipe"):
+        run(SMALL, tmp_path)

@@ -1,0 +1,56 @@
+"""The second look at half resolution: finer matching, and whether the other views' depths agree with this one's.
+
+A surface point that a source view looks straight through (its own depth there is farther) is wrong or floats; one that
+lies behind the source's surface is merely hidden. The refinement and the heads see that as numbers.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .cost_volume import Views
+from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, warp_points
+
+CUES = 4  # channels of `agreement_cues`
+SHARPNESS = 16.0  # tanh(16 x) of a difference in normalised inverse depth: saturates at about a tenth of the range
+
+
+def agreement_cues(inverse: Tensor, colours: Tensor, views: Views) -> Tensor:
+    """(B*V, CUES, h, w) of normalised inverse depths (B*V, 1, h, w) and colours (B*V, 3, h, w); no gradient flows.
+
+    Over the other views that have the point in frame: the mean signed difference to their depth (positive where they
+    look through the point), the strongest look through it, the mean absolute difference of colour; and their share.
+    """
+    inverse, colours = inverse.detach(), colours.detach()
+    n, _, h, w = inverse.shape
+    others = views.count - 1
+    reference_k, source_k, motion = views.pairs()
+    rays = camera_rays(pixel_grid(h, w, inverse.device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
+    depths = views.inverse_depth(inverse).reshape(-1, views.count, h * w, 1)
+    depths = repeat_for_pairs(depths, others).reshape(-1, h * w, 1)
+    grid, inside, expected = warp_points(rays.flatten(2), depths, source_k, motion)
+
+    maps = torch.cat([inverse, colours], dim=1)
+    per_view = maps.reshape(-1, views.count, 4, h, w)
+    source = other_views(per_view).reshape(-1, 4, h, w)
+    sampled = F.grid_sample(source, grid, mode="bilinear", padding_mode="border", align_corners=False)[..., 0]
+    own = repeat_for_pairs(per_view, others).reshape(-1, 4, h * w)
+    low = _per_pair(views.inverse_far, views)
+    high = _per_pair(views.inverse_near, views)
+    mine = (expected[..., 0] - low) / (high - low)
+    mask = inside[..., 0].to(inverse.dtype)
+    through = torch.tanh(SHARPNESS * (mine - sampled[:, 0])) * mask
+    colour = (own[:, 1:] - sampled[:, 1:]).abs().mean(1) * mask
+
+    through, colour, mask = (x.reshape(-1, others, h * w) for x in (through, colour, mask))
+    seen = mask.sum(1)
+    count = seen.clamp(min=1)
+    cues = [through.sum(1) / count, through.clamp(min=0).amax(1), colour.sum(1) / count, seen / others]
+    return torch.stack(cues, dim=1).reshape(n, CUES, h, w)
+
+
+def _per_pair(values: Tensor, views: Views) -> Tensor:
+    """(B, 1) -> (B*V*(V-1), 1)."""
+    return values.unsqueeze(-1).expand(-1, views.count * (views.count - 1), -1).reshape(-1, 1)

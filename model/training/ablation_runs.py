@@ -1,0 +1,141 @@
+"""The variants of the ablation study, the budget that they share, and one run: trained, scored, kept in a folder."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..config import ModelConfig, preset
+from ..network import GaPMeS
+from .ablation_table import COMPLETE, Scores
+from .log_rows import read_rows
+from .loop import train
+from .recipe import Phase, Recipe
+from .run_folder import LOG
+from .step import TensorBatch
+from .validation import validate, validation_batches
+
+# what a variant changes in the complete model (tau 0.8, six experts, top 2), which all tables share
+VARIANTS: dict[str, dict[str, object]] = {
+    COMPLETE: {},
+    "without-depth": {"without_depth": True},
+    "without-experts": {"without_experts": True},
+    "without-tasks": {"without_tasks": True},
+    "tau-0.4": {"temperature": 0.4},
+    "tau-0.6": {"temperature": 0.6},
+    "experts-4": {"experts": 4},
+    "experts-8": {"experts": 8},
+    "top-1": {"top_k": 1},
+}
+SCORES = "scores.json"
+WIDE = (0.18, 0.5)  # baseline of the validation scenes, in units of the scene's median depth
+FIGURES = ("psnr", "ssim", "depth_error", "copy_psnr")
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What all variants have in common."""
+
+    steps: int = 600
+    size: int = 64  # px, in training and validation
+    training_scenes: int = 4  # per step
+    validation_scenes: int = 64
+    log_rows: int = 12  # per run
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if value < 1:
+                raise ValueError(f"{name} is {value}, need at least 1")
+
+    def recipe(self, seed: int) -> Recipe:
+        """One phase of two views at one size; a sixth of the steps warms up, since they are few."""
+        phases = (Phase(1.0, self.size, self.training_scenes, (2,), (0.06, 0.6)),)
+        return replace(Recipe(), steps=self.steps, seed=seed, warm_up=max(1, self.steps // 6), phases=phases)
+
+    def batches(self) -> list[TensorBatch]:
+        """The validation scenes, one to a batch, the same for every variant and seed."""
+        return validation_batches(self.size, self.validation_scenes, WIDE)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One variant trained with one seed in a folder of its own."""
+
+    name: str
+    seed: int
+    budget: Budget
+    folder: Path
+
+    @property
+    def config(self) -> ModelConfig:
+        return preset("tiny", **VARIANTS[self.name])
+
+    def scores(self) -> Scores | None:
+        """What an earlier call left; None when the run is not finished.
+
+        Raises `ValueError` when the folder holds a run of another configuration, recipe or budget.
+        """
+        path = self.folder / SCORES
+        if not path.is_file():
+            return None
+        found = json.loads(path.read_text())
+        for key, asked in self._identity().items():
+            for name in sorted(asked.keys() | found[key].keys()):
+                if asked.get(name) != found[key].get(name):
+                    raise ValueError(
+                        f"{path} is of another {key}: {name} is {found[key].get(name)}, asked for {asked.get(name)}; "
+                        "use a new folder"
+                    )
+        figures = {name: np.array(found["scores"][name], np.float64) for name in FIGURES}
+        return Scores(found["parameters"], found["minutes"], **figures)
+
+    def step(self) -> int:
+        """The last step in the log, 0 when there is none yet."""
+        path = self.folder / LOG
+        rows = read_rows(path) if path.is_file() else []
+        return int(rows[-1]["step"]) if rows else 0
+
+    def execute(self, batches: Sequence[TensorBatch]) -> Scores:
+        """Train, going on where a killed run stopped, and score; raises `ValueError` as `train` does."""
+        every = max(1, self.budget.steps // self.budget.log_rows)
+        # the small validation of the log is for watching only, the scores come from `batches`
+        recipe = self.budget.recipe(self.seed)
+        model = train(self.config, recipe, self.folder, validate_every=every, validation_scenes=2)
+        scores = scene_scores(model, batches, float(read_rows(self.folder / LOG)[-1]["minutes"]))
+        figures = {name: getattr(scores, name).tolist() for name in FIGURES}
+        body = {**self._identity(), "parameters": scores.parameters, "minutes": scores.minutes, "scores": figures}
+        write_whole(self.folder / SCORES, json.dumps(body) + "\n")
+        return scores
+
+    def _identity(self) -> dict[str, Any]:
+        parts = {
+            "config": asdict(self.config),
+            "recipe": asdict(self.budget.recipe(self.seed)),
+            "budget": asdict(self.budget),
+        }
+        return json.loads(json.dumps(parts))  # tuples as JSON gives them back
+
+
+def run_in(out: Path, name: str, seed: int, budget: Budget) -> Run:
+    """The run of a variant below `out`."""
+    return Run(name, seed, budget, out / f"{name}-seed{seed}")
+
+
+def scene_scores(model: GaPMeS, batches: Sequence[TensorBatch], minutes: float) -> Scores:
+    """Figures scene by scene, so that variants can be compared on the same ones; every batch holds one scene."""
+    rows = [validate(model, [batch]) for batch in batches]
+    figures = {name: np.array([row[name] for row in rows], np.float64) for name in FIGURES}
+    return Scores(sum(p.numel() for p in model.parameters()), minutes, **figures)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)

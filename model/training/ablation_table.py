@@ -1,0 +1,167 @@
+"""What an ablation shows: paired differences to the complete model with their standard errors, as Markdown tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+
+COMPLETE = "complete"
+# rows of the paper's tables, and what its text says of each against its complete model (SSIM 0.709, PSNR 20.20)
+PAPER: dict[str, dict[str, str]] = {
+    "Table 5: parts left out": {
+        "without-depth": "SSIM -33.3 %",
+        "without-experts": "PSNR -21.9 %",
+        "without-tasks": "SSIM -34.3 %",
+    },
+    "Table 6: sensitivity": {
+        "tau-0.4": "SSIM 0.682 or more, so at most -3.8 %",
+        "tau-0.6": "SSIM 0.682 or more, so at most -3.8 %",
+        "experts-4": "a noticeable degradation",
+        "experts-8": "SSIM 0.687, so -3.1 %",
+        "top-1": "SSIM 0.691, so -2.5 %",
+    },
+}
+SAME_SCENE_DB = 1e-3  # figures are kept to 1e-4 dB; another number of threads may round the last of these otherwise
+BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """One trained variant on the fixed validation scenes; arrays are (N,), one number per scene."""
+
+    parameters: int
+    minutes: float
+    psnr: F64  # dB, mean over the scene's targets
+    ssim: F64
+    depth_error: F64  # mean absolute error of normalised inverse depth
+    copy_psnr: F64  # dB, the nearer input shown as it is
+
+
+@dataclass(frozen=True)
+class Paired:
+    """A mean difference and how far it may be off."""
+
+    mean: float
+    scene_error: float  # standard error over scenes, nan for a single scene
+    seed_error: float  # standard error over training seeds, nan for a single seed
+
+
+def paired(values: F64, reference: F64) -> Paired:
+    """values - reference, both (seeds, scenes), paired by scene and seed.
+
+    The mean over seeds is taken first: its spread over scenes gives the one error, the spread of the seeds' means the
+    other. Raises `ValueError` for different shapes.
+    """
+    if values.shape != reference.shape or values.ndim != 2:
+        raise ValueError(f"values are {values.shape}, reference {reference.shape}, need the same (seeds, scenes)")
+    difference = values - reference
+    return Paired(
+        float(difference.mean()), _standard_error(difference.mean(axis=0)), _standard_error(difference.mean(axis=1))
+    )
+
+
+def _standard_error(values: F64) -> float:
+    return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan
+
+
+# of one variant, by training seed
+Runs = Mapping[int, Scores]
+
+
+def stacked(runs: Runs, seeds: Sequence[int], field: str) -> F64:
+    """(seeds, scenes) of one field of `Scores`."""
+    return np.stack([getattr(runs[seed], field) for seed in seeds])
+
+
+def check_same_scenes(results: Mapping[str, Runs]) -> None:
+    """Raise `ValueError` when two runs were scored on different scenes, as they are after a change of the generator.
+
+    What the nearer input scores depends on the scenes alone, so it tells.
+    """
+    runs = [(f"{name} (seed {seed})", scores) for name, by_seed in results.items() for seed, scores in by_seed.items()]
+    for name, scores in runs[1:]:
+        first, reference = runs[0]
+        different = np.abs(scores.copy_psnr - reference.copy_psnr) > SAME_SCENE_DB
+        if different.any():
+            scene = int(different.argmax())
+            raise ValueError(
+                f"{first} and {name} were scored on different scenes: in scene {scene} the nearer input has "
+                f"{reference.copy_psnr[scene]:.2f} and {scores.copy_psnr[scene]:.2f} dB; was the code changed between "
+                "them? use a new folder"
+            )
+
+
+def tables(results: Mapping[str, Runs], caption: str) -> str:
+    """Markdown: what every variant reaches, then for each table of the paper the differences to the complete model.
+
+    Variants that have no run yet are left out; differences take the seeds that both have.
+    """
+    found = {name: runs for name, runs in results.items() if runs}
+    lines = [caption, "", *_reached(found)]
+    for title, rows in PAPER.items():
+        names = [name for name in rows if name in found]
+        if COMPLETE in found and names:
+            lines += ["", f"### {title}", "", *_differences(found, {name: rows[name] for name in names})]
+    return "\n".join(lines) + "\n"
+
+
+def _reached(results: Mapping[str, Runs]) -> list[str]:
+    lines = ["| variant | seeds | parameters | minutes | PSNR | SSIM | depth error |", "|---|---|---|---|---|---|---|"]
+    for name, runs in results.items():
+        seeds = sorted(runs)
+        mean = {field: float(stacked(runs, seeds, field).mean()) for field in ("psnr", "ssim", "depth_error")}
+        minutes = sum(runs[seed].minutes for seed in seeds) / len(seeds)
+        lines.append(
+            f"| {name} | {len(seeds)} | {runs[seeds[0]].parameters:,} | {minutes:.1f} "
+            f"| {mean['psnr']:.2f} | {mean['ssim']:.4f} | {mean['depth_error']:.4f} |"
+        )
+    return lines
+
+
+def _differences(results: Mapping[str, Runs], rows: Mapping[str, str]) -> list[str]:
+    lines = [
+        "| variant | PSNR, dB | SSIM | depth error | PSNR, relative | SSIM, relative | the paper |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, paper in rows.items():
+        seeds = sorted(set(results[name]) & set(results[COMPLETE]))
+        if not seeds:
+            continue
+        cells, relative = [], {}
+        for field, digits in (("psnr", 2), ("ssim", 4), ("depth_error", 4)):
+            reference = stacked(results[COMPLETE], seeds, field)
+            difference = paired(stacked(results[name], seeds, field), reference)
+            cells.append(_cell(difference, digits))
+            relative[field] = f"{_signed(100 * difference.mean / float(reference.mean()), 1)} %"
+        lines.append(f"| {name} | {' | '.join(cells)} | {relative['psnr']} | {relative['ssim']} | {paper} |")
+    return lines
+
+
+def _cell(difference: Paired, digits: int) -> str:
+    """`-0.31 ± 0.04`, and `(seeds ± 0.10)` where there are several."""
+    text = _signed(difference.mean, digits)
+    if not math.isnan(difference.scene_error):
+        text += f" ± {difference.scene_error:.{digits}f}"
+    if not math.isnan(difference.seed_error):
+        text += f" (seeds ± {difference.seed_error:.{digits}f})"
+    return text
+
+
+def _signed(value: float, digits: int) -> str:
+    """With its sign; what rounds to zero is +0, never -0."""
+    return f"{round(value, digits) + 0.0:+.{digits}f}"
+
+
+def with_tables(page: str, text: str) -> str:
+    """The page with `text` between its markers; raises `ValueError` unless it has each of them once, in order."""
+    counts = page.count(BEGIN), page.count(END)
+    if counts != (1, 1) or page.index(BEGIN) > page.index(END):
+        raise ValueError(f"the page has {counts[0]} x {BEGIN} and {counts[1]} x {END}, need one of each, in this order")
+    head, rest = page.split(BEGIN)
+    return f"{head}{BEGIN}\n{text}{END}{rest.split(END)[1]}"

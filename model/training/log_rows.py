@@ -1,0 +1,24 @@
+"""Reads the log of a training run, also while it is being written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Rows of a log of JSON lines, oldest first; a last line that is still being written is left out.
+
+    Raises `ValueError` that names the first line without numbers `step` and `minutes`, `OSError` for a missing file.
+    """
+    rows = []
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    for number, line in enumerate((line for line in lines if line.endswith("\n")), start=1):
+        try:
+            row = json.loads(line)
+            float(row["step"]), float(row["minutes"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{path}, line {number} is no row of a training log: {error!r}") from error
+        rows.append(row)
+    return rows

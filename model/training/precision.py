@@ -1,0 +1,38 @@
+"""bfloat16 where it is cheap to be coarse: the convolutions of a network in training; geometry stays float32."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+
+from ..heads import TaskHead
+from ..network import GaPMeS
+
+
+def coarse_modules(model: GaPMeS) -> list[nn.Module]:
+    """The parts that take most of a step; none of them handles positions or depths in units."""
+    depth, trunk = model.depth, model.trunk
+    parts = [trunk.to_half, trunk.at_half, trunk.to_quarter, trunk.at_quarter, trunk.to_eighth]
+    parts += [depth.volume_net, depth.volume_up, depth.refine_net, depth.second_net, depth.up_mask]
+    if model.mixture.experts is not None:
+        parts += list(model.mixture.experts.experts)
+    return parts + [part for part in model.heads.children() if isinstance(part, TaskHead)]
+
+
+def compute_coarsely(model: GaPMeS) -> None:
+    """From now on the coarse modules of `model` run under bfloat16 autocast and return float32; weights stay float32.
+
+    Not to be undone: copy the model before, the copy stays in float32.
+    """
+    for module in coarse_modules(model):
+        module.forward = _in_bfloat16(module.forward)
+
+
+def _in_bfloat16(forward: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    def run(*inputs: Tensor) -> Tensor:
+        with torch.autocast(inputs[0].device.type, dtype=torch.bfloat16):
+            return forward(*inputs).float()
+
+    return run

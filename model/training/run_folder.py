@@ -1,0 +1,84 @@
+"""The folder of a run: its state, whole or not at all, its log of JSON lines, its weights, and who works in it."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import torch
+
+from ..checkpoint import save_checkpoint
+from ..network import GaPMeS
+
+STATE = "state.pt"
+WEIGHTS = "weights.safetensors"
+LOG = "log.jsonl"
+LOCK = "lock"
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Hold the folder alone; raises `ValueError` while another process does. A kill frees it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / LOCK).open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{folder}: another run is at work there; wait for it or use a new folder") from None
+        yield
+
+
+def save_state(
+    folder: Path, progress: dict[str, object], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
+) -> None:
+    """Everything that a later start needs, and the averaged weights so far."""
+    state = {
+        **progress,
+        "model": model.state_dict(),
+        "average": average.state_dict(),
+        "optimiser": optimiser.state_dict(),
+    }
+    part = folder / (STATE + ".part")
+    torch.save(state, part)
+    os.replace(part, folder / STATE)
+    save_weights(folder, average, progress["step"])
+
+
+def save_weights(folder: Path, average: GaPMeS, step: object) -> None:
+    save_checkpoint(folder / WEIGHTS, average, extra={"gapmes.step": str(step)})
+
+
+def restore_state(
+    folder: Path, identity: dict[str, str], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
+) -> tuple[int, float]:
+    """Step and seconds to go on from; raises `ValueError` when the folder holds a run of something else."""
+    path = folder / STATE
+    if not path.is_file():
+        return 0, 0.0
+    state = torch.load(path, weights_only=True, map_location="cpu")
+    for key, value in identity.items():
+        if state[key] != value:
+            raise ValueError(
+                f"{path} is of a run with another {key}: {state[key]}, asked for {value}; use a new folder"
+            )
+    model.load_state_dict(state["model"])
+    average.load_state_dict(state["average"])
+    optimiser.load_state_dict(state["optimiser"])
+    return int(state["step"]), float(state["seconds"])
+
+
+def append_row(folder: Path, row: dict[str, object]) -> None:
+    with (folder / LOG).open("a") as file:
+        file.write(json.dumps(row) + "\n")
+
+
+def forget_rows_after(folder: Path, step: int) -> None:
+    """Drop log rows of steps that were lost with a kill and will be done again."""
+    path = folder / LOG
+    if path.is_file():
+        rows = [line for line in path.read_text().splitlines() if json.loads(line)["step"] <= step]
+        path.write_text("".join(row + "\n" for row in rows))

@@ -1,0 +1,71 @@
+"""Processes that share each step's scenes and average their gradients: one thread each, no waiting within a step."""
+
+from __future__ import annotations
+
+import signal
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+
+import numba
+import torch
+import torch.distributed as distributed
+import torch.multiprocessing as multiprocessing
+from torch import nn
+
+LONGEST_WAIT = timedelta(hours=1)  # one process validates and saves while the others wait
+
+
+@dataclass(frozen=True)
+class Worker:
+    """Process `rank` of `count`."""
+
+    rank: int = 0
+    count: int = 1
+
+    @property
+    def leads(self) -> bool:
+        """The one that validates, logs and saves."""
+        return self.rank == 0
+
+    def average_gradients(self, parameters: list[nn.Parameter]) -> None:
+        """Replace each gradient by its mean over the processes; one that is missing counts as 0."""
+        if self.count == 1:
+            return
+        grads = [torch.zeros_like(p) if p.grad is None else p.grad for p in parameters]
+        flat = torch.cat([grad.flatten() for grad in grads]).cpu()
+        distributed.all_reduce(flat)
+        flat /= self.count
+        for parameter, mean in zip(parameters, flat.split([p.numel() for p in parameters]), strict=True):
+            parameter.grad = mean.view_as(parameter).to(parameter.device)
+
+
+def run_workers(count: int, threads: int, work: Callable[..., None], *arguments: object) -> None:
+    """Call `work(worker, *arguments)` in `count` processes of `threads` threads; any failure ends them all."""
+    if count == 1:
+        _limit_threads(threads)
+        work(Worker(), *arguments)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        meeting_point = (Path(folder) / "rendezvous").as_uri()
+        multiprocessing.spawn(_start, (count, threads, meeting_point, work, arguments), nprocs=count)
+
+
+def _start(
+    rank: int, count: int, threads: int, meeting_point: str, work: Callable[..., None], arguments: tuple[object, ...]
+) -> None:
+    # the interrupt that comes when the starting process dies; a background shell has it ignored
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    _limit_threads(threads)
+    distributed.init_process_group("gloo", init_method=meeting_point, rank=rank, world_size=count, timeout=LONGEST_WAIT)
+    try:
+        work(Worker(rank, count), *arguments)
+    finally:
+        distributed.destroy_process_group()
+
+
+def _limit_threads(threads: int) -> None:
+    torch.set_num_threads(threads)
+    numba.set_num_threads(threads)

@@ -1,0 +1,48 @@
+"""Training in bfloat16: the same network up to rounding, float32 at every border, gradients everywhere."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+from small_networks import scene, tiny
+
+from gapmes.model.training.precision import coarse_modules, compute_coarsely
+
+
+def test_the_prediction_is_that_of_float32_up_to_bfloat16() -> None:
+    exact = tiny()
+    coarse = copy.deepcopy(exact)
+    compute_coarsely(coarse)
+    inputs = scene(1, 2, 64)
+    with torch.no_grad():
+        expected, got = exact(*inputs), coarse(*inputs)
+    difference = (expected.estimate.full - got.estimate.full).abs()
+    # bfloat16 has 8 bits: measured mean 2e-3 and maximum 0.03 of the depth range with untrained weights
+    assert 0 < float(difference.mean()) < 0.01
+    for value in (got.gaussians.means, got.gaussians.scales, got.gaussians.harmonics, got.depth):
+        assert value.dtype == torch.float32
+
+
+def test_every_parameter_still_receives_its_gradient_in_float32() -> None:
+    network = tiny().train()
+    compute_coarsely(network)
+    prediction = network(*scene(1, 2, 64))
+    g = prediction.gaussians
+    sum(x.square().mean() for x in (g.means, g.scales, g.rotations_wxyz[..., 1:], g.opacities, g.harmonics)).backward()
+    for module in coarse_modules(network):
+        for name, parameter in module.named_parameters():
+            assert parameter.dtype == torch.float32
+            if parameter.grad is not None:
+                assert torch.isfinite(parameter.grad).all(), name
+    with_gradient = sum(p.grad is not None for m in coarse_modules(network) for p in m.parameters())
+    assert with_gradient >= 0.8 * sum(1 for m in coarse_modules(network) for _ in m.parameters())
+
+
+def test_a_copy_made_before_stays_exact() -> None:
+    network = tiny()
+    kept = copy.deepcopy(network)
+    compute_coarsely(network)
+    inputs = scene(1, 2, 64)
+    with torch.no_grad():
+        assert torch.equal(kept(*inputs).gaussians.means, tiny()(*inputs).gaussians.means)

@@ -1,0 +1,76 @@
+"""Two processes share a step: the averaged gradient, and the weights, are those of one process with all scenes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+
+from gapmes.model.checkpoint import load_checkpoint
+from gapmes.model.config import preset
+from gapmes.model.training import loop, run_folder
+from gapmes.model.training.recipe import Phase, Recipe
+from gapmes.model.training.workers import Worker, run_workers
+
+SHARED = replace(
+    Recipe(),
+    steps=2,
+    warm_up=1,
+    zoom_share=0.0,
+    input_noise=0.0,
+    balance_weight=0.0,  # the balance of a process is that of its own scenes
+    phases=(Phase(1.0, 32, 2, (2,), (0.1, 0.4)),),
+)
+CONFIG = preset("tiny", without_experts=True, without_tasks=True)  # no Gumbel noise, which each process draws anew
+
+
+def _train(worker: Worker, folder: Path) -> None:
+    loop.train(CONFIG, SHARED, folder, validate_every=2, validation_scenes=1, save_seconds=1e9, worker=worker)
+
+
+def _average(worker: Worker, folder: Path) -> None:
+    values = [nn.Parameter(torch.zeros(2, 3)), nn.Parameter(torch.zeros(4))]
+    values[0].grad = torch.full((2, 3), float(worker.rank + 1))
+    if worker.rank == 1:
+        values[1].grad = torch.arange(4.0)
+    worker.average_gradients(values)
+    text = json.dumps([value.grad.tolist() for value in values if value.grad is not None])
+    (folder / f"{worker.rank}.json").write_text(text)
+
+
+def _fail(worker: Worker) -> None:
+    if worker.rank == 1:
+        raise RuntimeError("this one fails")
+    worker.average_gradients([nn.Parameter(torch.zeros(1))])  # waits for the other
+
+
+def test_gradients_are_averaged_and_missing_ones_count_as_zero(tmp_path: Path) -> None:
+    run_workers(2, 1, _average, tmp_path)
+    first, second = (json.loads((tmp_path / f"{rank}.json").read_text()) for rank in (0, 1))
+    assert first == second == [[[1.5] * 3] * 2, [0.0, 0.5, 1.0, 1.5]]
+
+
+def test_two_processes_train_as_one_does(tmp_path: Path) -> None:
+    run_workers(1, 1, _train, tmp_path / "one")
+    run_workers(2, 1, _train, tmp_path / "two")
+    one, two = (load_checkpoint(tmp_path / name / run_folder.WEIGHTS) for name in ("one", "two"))
+    torch.manual_seed(SHARED.seed)
+    start = loop.GaPMeS(CONFIG).requires_grad_(False)
+    moved = torch.cat([(a - b).flatten() for a, b in zip(one.parameters(), start.parameters(), strict=True)])
+    apart = torch.cat([(a - b).flatten() for a, b in zip(one.parameters(), two.parameters(), strict=True)])
+    assert moved.detach().norm().item() > 0.1
+    assert apart.detach().norm().item() < 0.1 * moved.detach().norm().item()
+
+
+def test_a_failure_ends_all(tmp_path: Path) -> None:
+    with pytest.raises(Exception, match="this one fails"):
+        run_workers(2, 1, _fail)
+
+
+def test_scenes_that_cannot_be_shared_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"processes: 3 cannot share the 2 scenes of a step at 32 px"):
+        loop.train(CONFIG, SHARED, tmp_path, worker=Worker(0, 3))
