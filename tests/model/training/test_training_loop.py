@@ -12,10 +12,12 @@ import torch
 
 from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.config import preset
+from gapmes.model.network import GaPMeS
 from gapmes.model.training import loop, run_folder
 from gapmes.model.training.recipe import Phase, Recipe
 from gapmes.model.training.scenes import SceneSampler
 from gapmes.model.training.step import to_tensors
+from gapmes.model.training.validation import validate, validation_batches
 
 SMALL = replace(
     Recipe(), steps=4, warm_up=2, phases=(Phase(0.5, 32, 1, (2, 3), (0.1, 0.4)), Phase(0.5, 48, 1, (2,), (0.1, 0.4)))
@@ -73,6 +75,20 @@ def test_the_loss_on_one_scene_falls(tmp_path: Path, monkeypatch: pytest.MonkeyP
     # measured over five seeds: colour error to 0.19-0.42 of the first, depth error to 0.17-0.38
     assert last["mse"] < 0.8 * first["mse"]
     assert last["depth"] < 0.6 * first["depth"]
+
+
+def test_fifty_steps_on_generated_scenes_teach_it(tmp_path: Path) -> None:
+    """The smoke training: the command's recipe in small, judged on scenes that it has not seen."""
+    held_out = validation_batches(48, 8, (0.18, 0.5))
+    torch.manual_seed(1)
+    before = validate(GaPMeS(preset("tiny")), held_out)
+    recipe = replace(Recipe(), steps=50, seed=1, warm_up=10, phases=(Phase(1.0, 48, 2, (2,), (0.1, 0.5)),))
+    trained = loop.train(preset("tiny"), recipe, tmp_path, validate_every=50, validation_scenes=1, save_seconds=1e9)
+    after = validate(trained, held_out)
+    # measured with seeds 1, 2, 3: +2.1, +2.8, +1.8 dB; depth error to 0.70, 0.70, 0.74 of the untrained network's
+    assert after["psnr"] > before["psnr"] + 1.0
+    assert after["psnr"] > after["copy_psnr"] + 1.0
+    assert after["depth_error"] < 0.85 * before["depth_error"]
 
 
 def test_zoomed_batches_halve_the_inputs_only() -> None:
