@@ -22,6 +22,7 @@ Rng = np.random.Generator
 
 PROBE = 16  # px; a first look from the origin that measures how deep the scene is
 LEAST_COVER = 0.35  # share of the probe that must hit something, else the world is drawn again
+LEAST_INPUT_COVER = 0.1  # the same for each input's own view
 CLEARANCE = 0.12  # in units of the scene depth: no solid comes nearer to a camera
 
 
@@ -105,15 +106,21 @@ class SceneSampler:
         paint = Paint.of(rng, self._atlas, self._split)
         while True:
             world = make_world(rng, paint, half_width)
-            probe = _camera_rows(np.eye(4)[None], lens, PROBE, PROBE)[None]
-            depth = trace(self._atlas, pack([world]), probe, PROBE, PROBE, 1)[1]
-            hits = depth[np.isfinite(depth)]
-            if hits.size >= LEAST_COVER * depth.size:
-                break
-        middle = float(np.median(hits))
-        length = middle * math.exp(rng.uniform(*np.log(baseline)))
-        poses = camera_poses(rng, inputs, targets, length, middle, half_width)
-        return _Sample(*_cleared(world, poses, CLEARANCE * middle), lens, rng)
+            depth = self._probe(world, np.eye(4)[None], lens)
+            if np.isfinite(depth).mean() < LEAST_COVER:
+                continue
+            middle = float(np.median(depth[np.isfinite(depth)]))
+            length = middle * math.exp(rng.uniform(*np.log(baseline)))
+            poses = camera_poses(rng, inputs, targets, length, middle, half_width)
+            world, poses = _cleared(world, poses, CLEARANCE * middle)
+            seen = np.isfinite(self._probe(world, poses[:inputs], lens)).mean(axis=(1, 2))
+            if seen.min() >= LEAST_INPUT_COVER:
+                return _Sample(world, poses, lens, rng)
+
+    def _probe(self, world: World, poses: F64, lens: F64) -> F32:
+        """(V, PROBE, PROBE) depths, infinite where nothing is hit."""
+        cameras = _camera_rows(poses, lens, PROBE, PROBE)[None]
+        return trace(self._atlas, pack([world]), cameras, PROBE, PROBE, 1)[1][0]
 
 
 def _cleared(world: World, poses: F64, margin: float) -> tuple[World, F64]:
