@@ -120,7 +120,9 @@ def _step(
     scenes = phase.scenes // worker.count
     sampler = SceneSampler(int(random.integers(2**31)), "train", first=worker.rank * scenes)
     views = phase.views[step % len(phase.views)]
-    drawn = sampler.batch(scenes, views, recipe.targets, size, baseline=phase.baseline)
+    drawn = sampler.batch(
+        scenes, views, recipe.targets, size, baseline=phase.baseline, field_of_view=phase.field_of_view
+    )
     batch = to_tensors(drawn, zoomed=zoomed).to(trained[0].device)
     noisy = random.random() < 0.5
     own = np.random.default_rng((recipe.seed, step, worker.rank))

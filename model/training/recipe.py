@@ -13,7 +13,8 @@ class Phase:
     size: int  # px, input images
     scenes: int  # per step
     views: tuple[int, ...]  # numbers of input views, taken in turn
-    baseline: tuple[float, float]  # in units of the mean scene depth
+    baseline: tuple[float, float]  # in units of the median scene depth
+    field_of_view: tuple[float, float] = (38.0, 78.0)  # degrees
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,8 @@ class Recipe:
     phases: tuple[Phase, ...] = (
         Phase(0.29, 64, 4, (2, 2, 3), (0.06, 0.6)),
         Phase(0.29, 96, 2, (2, 3, 2, 4), (0.06, 0.8)),
-        Phase(0.33, 128, 2, (2, 2, 3), (0.06, 0.8)),
-        Phase(0.09, 256, 2, (2, 2, 2, 3), (0.06, 0.7)),
+        Phase(0.33, 128, 2, (2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
+        Phase(0.09, 256, 2, (2, 2, 2, 3), (0.06, 0.7), (22.0, 80.0)),
     )
 
     def phase(self, step: int) -> Phase:

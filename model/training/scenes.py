@@ -68,18 +68,20 @@ class SceneSampler:
         size: int | tuple[int, int],
         *,
         baseline: tuple[float, float] = (0.06, 0.8),
+        field_of_view: tuple[float, float] = (38.0, 78.0),
         supersample: int = 2,
     ) -> SceneBatch:
         """The next `scenes` scenes at `size` px, or (height, width).
 
-        The way from the first to the last input is log-uniform in `baseline`, in units of the scene's median depth.
-        Only input views carry the small exposure and noise errors of a real camera.
+        The way from the first to the last input is log-uniform in `baseline`, in units of the scene's median depth;
+        the horizontal field of view is uniform in `field_of_view`, degrees. Only input views carry the small exposure
+        and noise errors of a real camera.
         """
         height, width = (size, size) if isinstance(size, int) else size
         samples = []
         for _ in range(scenes):
             rng = np.random.default_rng((*self._key, self._next))
-            samples.append(self._draw(rng, inputs, targets, width / height, baseline))
+            samples.append(self._draw(rng, inputs, targets, width / height, baseline, field_of_view))
             self._next += 1
         worlds = pack([sample.world for sample in samples])
         cameras = np.stack([_camera_rows(sample.poses, sample.lens, height, width) for sample in samples])
@@ -97,8 +99,16 @@ class SceneSampler:
             intrinsics[b, :, [0, 1, 0, 1, 2], [0, 1, 2, 2, 2]] = np.array([*sample.lens, 1.0])[:, None]
         return SceneBatch(images, depths, poses, intrinsics, near_far, inputs)
 
-    def _draw(self, rng: Rng, inputs: int, targets: int, aspect: float, baseline: tuple[float, float]) -> _Sample:
-        half_width = math.tan(math.radians(rng.uniform(38, 78)) / 2)
+    def _draw(
+        self,
+        rng: Rng,
+        inputs: int,
+        targets: int,
+        aspect: float,
+        baseline: tuple[float, float],
+        field_of_view: tuple[float, float],
+    ) -> _Sample:
+        half_width = math.tan(math.radians(rng.uniform(*field_of_view)) / 2)
         fx = 0.5 / half_width
         fy = fx * aspect * (math.exp(rng.uniform(-0.1, 0.1)) if rng.random() < 0.3 else 1.0)
         centre = 0.5 + (rng.uniform(-0.08, 0.08, 2) if rng.random() < 0.3 else np.zeros(2))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gapmes.model.training import textures
-from gapmes.model.training.scenes import SceneSampler
+from gapmes.model.training.scenes import LEAST_INPUT_COVER, SceneSampler
 from gapmes.model.training.textures import LEVEL_OFFSETS, LEVELS, ROW_BYTES, build_atlas, load_atlas
 from gapmes.service.camera import Camera
 
@@ -51,6 +51,17 @@ def test_shapes_and_ranges(batch):
 def test_images_are_not_empty(batch):
     spread = batch.images.std(axis=(2, 3, 4))
     assert (spread > 0.01).all()
+
+
+def test_every_input_of_every_scene_sees_something():
+    """Even on ways so long that they pass things that stand alone, where unchecked views show background alone."""
+    for baseline in ((0.06, 0.8), (1.5, 1.6)):
+        many = SceneSampler(11, "train").batch(300, 4, 1, 16, baseline=baseline, supersample=1)
+        assert np.isfinite(many.depths).all()
+        assert (many.near_far[:, 0] > 0).all()
+        assert (many.near_far[:, 1] > many.near_far[:, 0]).all()
+        seen = (many.depths[:, :4] < 0.999 * many.near_far[:, 1, None, None, None]).mean(axis=(2, 3))
+        assert seen.min() > 0.5 * LEAST_INPUT_COVER  # counted on another grid than the generator's own probe
 
 
 def test_poses_are_rigid(batch):
