@@ -1,10 +1,11 @@
-# Two commands from a bare checkout: `make demo` (runtime only, no torch) and `make test` (everything).
-# Both keep their environment in .venv and reuse it until pyproject.toml changes. pip's own settings apply, for example
+# Commands from a bare checkout: `make demo` (runtime only, no torch), `make test` (everything) and `make evaluate`
+# (quality on held-out views, minutes; further options by ARGS, for example ARGS=--check).
+# All keep their environment in .venv and reuse it until pyproject.toml changes. pip's own settings apply, for example
 # PIP_EXTRA_INDEX_URL for an index that has the CPU build of torch.
 
 PYTHON ?= python3
 BIN := .venv/bin
-.PHONY: demo test clean
+.PHONY: demo test evaluate clean
 
 demo: .venv/.runtime
 	$(BIN)/gapmes demo --output demo
@@ -13,6 +14,9 @@ test: .venv/.dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
+
+evaluate: .venv/.dev
+	$(BIN)/gapmes evaluate --twice --out evaluation $(ARGS)
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "gapmes needs Python 3.11 or newer; set PYTHON=")'
@@ -27,4 +31,4 @@ test: .venv/.dev
 	@touch .venv/.runtime $@
 
 clean:
-	rm -rf .venv demo build *.egg-info
+	rm -rf .venv demo evaluation build *.egg-info

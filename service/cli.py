@@ -11,10 +11,12 @@ from rich.console import Console
 
 from .commands import demo, reconstruct, render, serve
 from .errors import CameraError, GapmesError, ImageError
+from .extra_commands import WithExtraCommands
 from .problem_document import of_error
 
 app = typer.Typer(
     name="gapmes",
+    cls=WithExtraCommands,
     help="3D Gaussians from two to six posed photographs, on an ordinary CPU.",
     no_args_is_help=True,
     add_completion=False,

@@ -1,0 +1,1 @@
+"""Measuring quality: held-out views of photographs and of generated scenes, beside baselines that learn nothing."""

@@ -1,0 +1,127 @@
+"""What is measured on: inputs and held-out targets of one scene, from a folder of photographs or from the generator."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapmes.model.training.scenes import SceneBatch, SceneSampler
+from gapmes.service.camera import Camera
+from gapmes.service.camera_file import load_scene_folder
+from gapmes.service.errors import InputError
+from gapmes.service.images import FittedView, Photo, decode_image, fit_view, match_photo
+
+F32 = NDArray[np.float32]
+
+GENERATED_SEED = 700_003  # not that of the validation during training, so that nothing was chosen by these scenes
+WIDE = (0.18, 0.5)  # way between the inputs in units of the scene's median depth
+GENERATED_TARGETS = 2
+
+
+class NoSuchViews(InputError):
+    """A scene folder suggests no inputs of this number, or no targets for them."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrueDepth:
+    """z-depths at pixel centres, in the cameras' units; background lies at the far end of the range."""
+
+    inputs: F32  # (V, H, W)
+    targets: F32  # (T, H, W)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One scene: what a reconstruction is given, and what it is compared with."""
+
+    name: str
+    photos: tuple[Photo, ...]  # inputs at their own size
+    cameras: tuple[Camera, ...]  # of `photos`
+    target_photos: tuple[tuple[Photo, Camera], ...]  # at their own size; none for generated scenes
+    inputs: tuple[FittedView, ...]  # at the size that is measured
+    targets: tuple[FittedView, ...]
+    near: float | None
+    far: float | None
+    truth: TrueDepth | None = None
+
+
+def photograph_case(folder: Path, inputs: int, height: int, width: int) -> Case:
+    """The `suggested` views of a scene folder, centre-cropped and resized to `height` x `width` px.
+
+    Raises `NoSuchViews`, and `InputError` for what is no scene folder.
+    """
+    context, targets = suggested_views(folder, inputs)
+    scene = load_scene_folder(folder)
+
+    def load(index: int) -> tuple[Photo, Camera]:
+        photo = decode_image(scene.image_paths[index].read_bytes(), index=index)
+        return match_photo(photo, scene.file.views[index].camera, index=index)
+
+    given, held_out = [load(i) for i in context], [load(i) for i in targets]
+    return Case(
+        name=folder.name,
+        photos=tuple(photo for photo, _ in given),
+        cameras=tuple(camera for _, camera in given),
+        target_photos=tuple(held_out),
+        inputs=tuple(fit_view(*view, height, width) for view in given),
+        targets=tuple(fit_view(*view, height, width) for view in held_out),
+        near=scene.file.near,
+        far=scene.file.far,
+    )
+
+
+def suggested_views(folder: Path, inputs: int) -> tuple[list[int], list[int]]:
+    """Indices of the inputs and of the targets that `cameras.json` suggests. Raises `NoSuchViews` without them."""
+    path = folder / "cameras.json"
+    if not path.is_file():
+        raise InputError(f"{path} is not a file", field="SCENE_DIR", cure="name a folder with images/ and cameras.json")
+    suggested = json.loads(path.read_text(encoding="utf-8")).get("suggested", {})
+    context, targets = suggested.get(f"context{inputs}"), suggested.get(f"target{inputs}")
+    if not context or not targets:
+        raise NoSuchViews(
+            f"{path} suggests no context{inputs} with target{inputs}",
+            field="suggested",
+            cure=f'add "suggested": {{"context{inputs}": [...], "target{inputs}": [...]}} with view indices',
+        )
+    return context, targets
+
+
+def generated_cases(count: int, inputs: int, height: int, width: int, seed: int = GENERATED_SEED) -> Iterator[Case]:
+    """`count` wide scenes with exact depth; the inputs carry exposure errors and noise, the targets do not."""
+    sampler = SceneSampler(seed, "validation")
+    for index in range(count):
+        batch = sampler.batch(1, inputs, GENERATED_TARGETS, (height, width), baseline=WIDE)
+        yield _of_batch(batch, f"generated {index:03d}")
+
+
+def _of_batch(batch: SceneBatch, name: str) -> Case:
+    """The only scene of a batch; inputs are rounded to 8 bits, as a file would hold them."""
+    v = batch.inputs
+    views = [_view(*parts) for parts in zip(batch.images[0], batch.intrinsics[0], batch.world_from_cam[0], strict=True)]
+    photos = tuple(
+        Photo.from_array(np.rint(view.image.transpose(1, 2, 0) * 255).astype(np.uint8)) for view in views[:v]
+    )
+    cameras = tuple(view.camera for view in views[:v])
+    return Case(
+        name=name,
+        photos=photos,
+        cameras=cameras,
+        target_photos=(),
+        inputs=tuple(fit_view(p, c, c.height, c.width) for p, c in zip(photos, cameras, strict=True)),
+        targets=tuple(views[v:]),
+        near=float(batch.near_far[0, 0]),
+        far=float(batch.near_far[0, 1]),
+        truth=TrueDepth(batch.depths[0, :v], batch.depths[0, v:]),
+    )
+
+
+def _view(image: F32, normalized: NDArray[np.float64], pose: NDArray[np.float64]) -> FittedView:
+    height, width = image.shape[1:]
+    fx, fy = normalized[0, 0] * width, normalized[1, 1] * height
+    camera = Camera.make(width, height, fx, fy, normalized[0, 2] * width, normalized[1, 2] * height, pose)
+    return FittedView(image, None, camera, 1.0)

@@ -1,0 +1,32 @@
+"""Which target pixels can be right at all: those whose surface at least one input sees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapmes.service.camera import Camera
+from gapmes.service.coarse_views import pixel_grid
+
+F32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+TRUE_TOLERANCE = 0.02  # of the depth: half a pixel on a surface seen at 70 degrees at 128 px, far below an edge
+PREDICTED_TOLERANCE = 0.05  # two predictions are compared, each with its error
+
+
+def covisible(camera: Camera, depth: F32, cameras: Sequence[Camera], depths: Sequence[F32], tolerance: float) -> Mask:
+    """(H, W): the point at z-depth `depth` (H, W) lies in an input's picture, and not behind that input's own surface.
+
+    It is behind when its z-depth exceeds that of the input pixel that it falls into by more than `tolerance` of it.
+    """
+    points = camera.unproject(pixel_grid(depth.shape), depth.ravel().astype(np.float64))
+    seen = np.zeros(depth.size, dtype=bool)
+    for other, surface in zip(cameras, depths, strict=True):
+        pixels, z = other.project(points)
+        inside = (z > 0) & ((pixels >= 0) & (pixels < (other.width, other.height))).all(axis=1)
+        column, row = np.where(inside[:, None], pixels, 0.0).astype(np.intp).T
+        seen |= inside & (z <= (1 + tolerance) * surface[row, column])
+    return seen.reshape(depth.shape)

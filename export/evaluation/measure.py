@@ -1,0 +1,160 @@
+"""Measure one scene: reconstruct, draw the targets, and compare model and baselines with the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapmes.service.camera import Camera
+from gapmes.service.errors import GapmesError
+from gapmes.service.gaussians import Gaussians
+from gapmes.service.images import FittedView, fit_view
+from gapmes.service.reconstruct import Reconstructor
+from gapmes.service.splat import Render, render
+
+from ..pictures import NEAR_SHARE
+from .case import Case
+from .covisible import PREDICTED_TOLERANCE, TRUE_TOLERANCE, Mask, covisible
+from .lpips import Lpips
+from .metrics import Figures, figures, masked_psnr, mean_figures
+from .models import Model
+from .pixel_splats import drawn_over, pixel_gaussians
+from .planes import consistent_plane, nearest_input, plane_blend
+from .routing import routes_of
+from .scores import NEAREST, PLANE, SWEEP, TRUE_DEPTH, MethodScore, ModelScore, SceneScore, Twice, number
+from .sweep import filled_from_behind, swept_depths
+
+F32 = NDArray[np.float32]
+
+HOLE = 0.5  # a pixel with less opacity shows mostly what is behind the scene
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """The figures of a scene, and what they were taken from."""
+
+    score: SceneScore
+    pictures: dict[str, list[F32]]  # method -> one (3, H, W) per target
+    masks: list[Mask]  # co-visible pixels, per target
+    routes: dict[str, dict[str, NDArray]]  # model -> see `routes_of`
+
+
+@dataclass(frozen=True, eq=False)
+class _Reconstruction:
+    gaussians: Gaussians
+    near: float  # the depth range that was used, given or estimated; caller's units
+    far: float
+    input_depths: F32  # (V, H, W), caller's units
+    routes: dict[str, NDArray]
+    seconds: float
+
+    def draw(self, camera: Camera, threads: int | None) -> Render:
+        return render(self.gaussians, camera, near=NEAR_SHARE * self.near, threads=threads)
+
+
+def measure(
+    case: Case, models: Sequence[Model], *, lpips: Lpips | None = None, twice: bool = False, threads: int | None = None
+) -> Measured:
+    """All baselines and `models` (of the size of `case`) on one scene; the targets are only compared with.
+
+    `twice` measures photographs at twice the size as well. Raises `GapmesError` that names the scene.
+    """
+    try:
+        results = {model.label: _reconstruct(case, model) for model in models}
+    except GapmesError as error:
+        error.message = f"{case.name}: {error.message}"
+        raise
+    first = next(iter(results.values()))
+    renders = {name: [result.draw(t.camera, threads) for t in case.targets] for name, result in results.items()}
+    masks = _masks(case, first, next(iter(renders.values())))
+    pictures = _baseline_pictures(case, first.near, first.far, threads)
+    scores = {name: _score(drawn, case.targets, masks, lpips) for name, drawn in pictures.items()}
+    ours = {}
+    for name, result in results.items():
+        pictures[name] = [_picture(drawn) for drawn in renders[name]]
+        score = _score(pictures[name], case.targets, masks, lpips)
+        open_pixels = np.stack([drawn.alpha < HOLE for drawn in renders[name]])
+        covered = np.stack(masks)
+        ours[name] = ModelScore(
+            score=score,
+            holes=float(open_pixels.mean()),
+            holes_covisible=float(open_pixels[covered].mean()) if covered.any() else None,
+            seconds=result.seconds,
+            twice=_at_twice(case, result, score, threads) if twice and case.target_photos else None,
+        )
+    share = float(np.stack(masks).mean())
+    routes = {name: result.routes for name, result in results.items()}
+    return Measured(SceneScore(case.name, share, scores, ours), pictures, masks, routes)
+
+
+def _reconstruct(case: Case, model: Model) -> _Reconstruction:
+    scene = Reconstructor(model.engine).reconstruct(
+        case.photos, case.cameras, near=case.near, far=case.far, trust_poses=True
+    )
+    near, far = scene.document["near"], scene.document["far"]
+    outputs = model.engine.last
+    seconds = float(sum(scene.document["timings"].values()))
+    return _Reconstruction(scene.gaussians, near, far, outputs["depth"] * near, routes_of(outputs), seconds)
+
+
+def _masks(case: Case, ours: _Reconstruction, renders: Sequence[Render]) -> list[Mask]:
+    """By true depth where there is one, else by the depth that we drew; the same for every method."""
+    cameras = [view.camera for view in case.inputs]
+    if case.truth is not None:
+        surfaces, depths, tolerance = case.truth.inputs, list(case.truth.targets), TRUE_TOLERANCE
+    else:
+        # where nothing was drawn the surface behind its neighbours counts, so that a hole is not excused by itself
+        depths = [filled_from_behind(drawn.depth, drawn.alpha > 0) for drawn in renders]
+        surfaces, tolerance = ours.input_depths, PREDICTED_TOLERANCE
+    return [
+        covisible(target.camera, depth, cameras, list(surfaces), tolerance)
+        for target, depth in zip(case.targets, depths, strict=True)
+    ]
+
+
+def _baseline_pictures(case: Case, near: float, far: float, threads: int | None) -> dict[str, list[F32]]:
+    cameras = [target.camera for target in case.targets]
+    plane = consistent_plane(case.inputs, near, far)
+    blended = [plane_blend(case.inputs, camera, plane) for camera in cameras]
+    swept = swept_depths(case.inputs, near, far)
+    splats = {SWEEP: pixel_gaussians(case.inputs, swept.depths, swept.agreed)}
+    if case.truth is not None:
+        splats[TRUE_DEPTH] = pixel_gaussians(case.inputs, case.truth.inputs)
+    pictures = {NEAREST: [nearest_input(case.inputs, camera) for camera in cameras], PLANE: blended}
+    for name, gaussians in splats.items():
+        pictures[name] = [
+            drawn_over(gaussians, camera, behind, NEAR_SHARE * near, threads)
+            for camera, behind in zip(cameras, blended, strict=True)
+        ]
+    return pictures
+
+
+def _score(
+    drawn: Sequence[F32], targets: Sequence[FittedView], masks: Sequence[Mask], lpips: Lpips | None
+) -> MethodScore:
+    whole: list[Figures] = []
+    seen: list[Figures] = []
+    for picture, target, mask in zip(drawn, targets, masks, strict=True):
+        whole.append(figures(picture, target.image, np.ones_like(mask), lpips))
+        seen.append(figures(picture, target.image, mask, lpips))
+    return MethodScore(mean_figures(whole), mean_figures(seen))
+
+
+def _at_twice(case: Case, ours: _Reconstruction, score: MethodScore, threads: int | None) -> Twice:
+    """Drawn at twice the size, compared with the photographs resampled (Lanczos) from their own pixels."""
+    values, holes, sides = [], [], []
+    for target, (photo, camera) in zip(case.targets, case.target_photos, strict=True):
+        truth = fit_view(photo, camera, 2 * target.camera.height, 2 * target.camera.width)
+        drawn = ours.draw(truth.camera, threads)
+        values.append(masked_psnr(_picture(drawn), truth.image, np.ones(drawn.alpha.shape, dtype=bool)))
+        holes.append(float((drawn.alpha < HOLE).mean()))
+        sides.append(min(photo.height, photo.width))
+    psnr = float(np.mean(values))
+    return Twice(psnr, psnr - number(score.all.psnr), float(np.mean(holes)), min(sides))
+
+
+def _picture(drawn: Render) -> F32:
+    return np.clip(drawn.rgb, 0, 1).transpose(2, 0, 1).astype(np.float32)

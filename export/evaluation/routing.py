@@ -1,0 +1,47 @@
+"""What the gates do on a test set: how often each expert is chosen, and how far the task weights vary over patches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gapmes.service.document import TASKS
+from gapmes.service.engine import Arrays
+
+
+@dataclass(frozen=True)
+class RoutingStatistics:
+    """Over all patches of all inputs; empty for a gate that the network does not have."""
+
+    patches: int
+    expert_share: list[float]  # of the top-k choices, per expert; sums to 1
+    task_mean: dict[str, float]
+    task_deviation: dict[str, float]  # standard deviation over patches; 0 would be a constant gate
+    lambdas: Mapping[str, float] | None  # of Eq. 11
+
+
+def routes_of(outputs: Arrays) -> Arrays:
+    """The part of the network's outputs that the statistics need, a row per patch."""
+    names = ("expert_index", "task_weight")
+    return {name: outputs[name].reshape(-1, outputs[name].shape[-1]) for name in names if name in outputs}
+
+
+def routing_statistics(
+    routes: Sequence[Arrays], experts: int, lambdas: Mapping[str, float] | None
+) -> RoutingStatistics | None:
+    """Pool the patches of several scenes; None where the network has neither gate."""
+    if not routes or not routes[0]:
+        return None
+    pooled = {name: np.concatenate([scene[name] for scene in routes]) for name in routes[0]}
+    share: list[float] = []
+    if "expert_index" in pooled:
+        counts = np.bincount(pooled["expert_index"].ravel(), minlength=experts)
+        share = [float(value) for value in counts / counts.sum()]
+    mean, deviation = {}, {}
+    if "task_weight" in pooled:
+        weights = pooled["task_weight"].astype(np.float64)
+        mean = {task: float(v) for task, v in zip(TASKS, weights.mean(axis=0), strict=True)}
+        deviation = {task: float(v) for task, v in zip(TASKS, weights.std(axis=0), strict=True)}
+    return RoutingStatistics(len(next(iter(pooled.values()))), share, mean, deviation, lambdas)

@@ -1,0 +1,120 @@
+"""A whole evaluation: which groups there are, every scene of each, the report and its pictures."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from gapmes.service.errors import InputError
+from gapmes.service.progress import Listener, Stages, silent
+
+from .case import Case, NoSuchViews, generated_cases, photograph_case, suggested_views
+from .lpips import Lpips
+from .measure import measure
+from .models import Model, load_models
+from .report import Report
+from .routing import routing_statistics
+from .scores import Group
+from .sheets import scene_sheet
+
+GENERATED_SHEETS = 8  # pictures of the first generated scenes; every folder of photographs has one
+
+
+@dataclass(frozen=True)
+class GroupPlan:
+    """Scenes that are measured alike: folders of photographs, or a number of generated ones."""
+
+    inputs: int
+    size: int  # px
+    folders: Sequence[Path] = ()
+    generated: int = 0
+
+    @property
+    def kind(self) -> str:
+        return "generated" if self.generated else "photographs"
+
+    @property
+    def count(self) -> int:
+        return self.generated or len(self.folders)
+
+
+def evaluate(
+    plans: Sequence[GroupPlan],
+    out: Path,
+    *,
+    files: Sequence[Path] = (),
+    lpips: Path | None = None,
+    twice: bool = False,
+    threads: int | None = None,
+    listener: Listener = silent,
+) -> Report:
+    """Measure every plan and write report.json, report.md and the pictures into `out`.
+
+    A folder that suggests no views for a plan is left out, with the reason in the report. Raises `GapmesError`.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    weights = None if lpips is None else Lpips.load(lpips)
+    stages = Stages(listener)
+    with tempfile.TemporaryDirectory() as scratch:
+        sizes = sorted({plan.size for plan in plans}, reverse=True)
+        models = load_models(files, sizes, Path(scratch), threads=threads, listener=listener)
+    report = Report(models, [], None if lpips is None else lpips.name)
+    for plan in plans:
+        ours = [model for model in models if model.size == (plan.size, plan.size)]
+        with stages.stage(f"{plan.kind[:5]} {plan.inputs}v {plan.size}", plan.count) as done:
+            group = _group(plan, ours, out, weights, twice, threads, done)
+        report = replace(report, groups=[*report.groups, group])
+        report.write(out)  # after every group, so that an interrupted run leaves what it has
+    return report
+
+
+def _group(
+    plan: GroupPlan,
+    models: Sequence[Model],
+    out: Path,
+    lpips: Lpips | None,
+    twice: bool,
+    threads: int | None,
+    done: Callable[[int], None],
+) -> Group:
+    """Raises `InputError` when no scene of the plan could be measured."""
+    first = models[0].label
+    scenes, routes, left_out = [], [], {}
+    for number, (name, case) in enumerate(_cases(plan), start=1):
+        if isinstance(case, InputError):
+            left_out[name] = str(case)
+        else:
+            measured = measure(case, models, lpips=lpips, twice=twice, threads=threads)
+            scenes.append(measured.score)
+            routes.append(measured.routes)
+            if not plan.generated or number <= GENERATED_SHEETS:
+                sheet = scene_sheet(case, measured, first)
+                sheet.save(out / f"{name.replace(' ', '_')}_{plan.inputs}views_{plan.size}px.png")
+        done(number)
+    if not scenes:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
+        raise InputError(f"no scene has {plan.inputs} inputs with targets ({reasons})", field="SCENE_DIR")
+    statistics = {
+        model.label: routing_statistics(
+            [scene[model.label] for scene in routes], model.engine.info.config["experts"], model.lambdas
+        )
+        for model in models
+    }
+    source = "true depth" if plan.generated else f"rendered depth of {first}"
+    return Group(plan.kind, plan.inputs, plan.size, source, scenes, statistics, left_out)
+
+
+def _cases(plan: GroupPlan) -> Iterator[tuple[str, Case | InputError]]:
+    """Every scene by name; the refusal in place of a folder that suggests no views for this plan."""
+    if plan.generated:
+        for case in generated_cases(plan.generated, plan.inputs, plan.size, plan.size):
+            yield case.name, case
+    for folder in plan.folders:
+        try:
+            suggested_views(folder, plan.inputs)
+        except NoSuchViews as refusal:
+            yield folder.name, refusal
+            continue
+        yield folder.name, photograph_case(folder, plan.inputs, plan.size, plan.size)

@@ -1,0 +1,112 @@
+"""The figures of one scene and of a group of scenes: every method over all and over co-visible pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from .metrics import Figures, mean_figures, mean_or_none
+from .routing import RoutingStatistics
+
+NEAREST, PLANE, SWEEP, TRUE_DEPTH = "nearest input", "plane blend", "plane sweep", "true depth"
+BASELINES = (NEAREST, PLANE, SWEEP)  # what a model is compared with; true depth is a ceiling, not a baseline
+
+
+@dataclass(frozen=True)
+class MethodScore:
+    """Means over the targets of a scene, or over the scenes of a group."""
+
+    all: Figures
+    covisible: Figures
+
+
+@dataclass(frozen=True)
+class Twice:
+    """A render at twice the size, against the photograph resized to that size."""
+
+    psnr: float  # dB
+    change: float  # dB, against the PSNR at the size of the inputs
+    holes: float  # share of pixels with opacity below 0.5
+    side_px: int  # of the photograph's crop; below twice the size the truth itself is enlarged
+
+
+@dataclass(frozen=True)
+class ModelScore:
+    """What a model reached on a scene."""
+
+    score: MethodScore
+    holes: float  # share of all pixels with opacity below 0.5
+    holes_covisible: float | None  # the same among co-visible pixels
+    seconds: float  # of the reconstruction, without drawing
+    twice: Twice | None = None
+
+
+@dataclass(frozen=True)
+class SceneScore:
+    """All methods on one scene; the first model is the one that co-visibility without true depth comes from."""
+
+    scene: str
+    covisible_share: float  # of the target pixels
+    baselines: dict[str, MethodScore]  # TRUE_DEPTH among them where there is truth
+    models: dict[str, ModelScore]
+
+    @property
+    def best_baseline(self) -> str:
+        return max(BASELINES, key=lambda name: number(self.baselines[name].all.psnr))
+
+    def margin(self, model: str) -> float:
+        """dB above the best baseline of this scene, over all pixels."""
+        return number(self.models[model].score.all.psnr) - number(self.baselines[self.best_baseline].all.psnr)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Scenes of one kind, view count and size."""
+
+    kind: str  # "photographs" or "generated"
+    inputs: int
+    size: int  # px
+    covisible_from: str  # "true depth" or "rendered depth of NAME"
+    scenes: Sequence[SceneScore]
+    routing: Mapping[str, RoutingStatistics | None]  # per model
+    left_out: Mapping[str, str] = field(default_factory=dict)  # scene -> reason
+
+    @property
+    def title(self) -> str:
+        return f"{self.kind}, {self.inputs} views, {self.size} px"
+
+    @property
+    def models(self) -> list[str]:
+        return list(self.scenes[0].models)
+
+    def methods(self) -> dict[str, MethodScore]:
+        """Every baseline and model: the mean over scenes."""
+        names = list(self.scenes[0].baselines)
+        means = {name: mean_score([scene.baselines[name] for scene in self.scenes]) for name in names}
+        return means | {name: mean_score([s.models[name].score for s in self.scenes]) for name in self.models}
+
+    def margins(self, model: str) -> list[float]:
+        """dB above each scene's own best baseline."""
+        return [scene.margin(model) for scene in self.scenes]
+
+    def margin_of_means(self, model: str) -> tuple[str, float]:
+        """The baseline that is best on average, and the dB by which the model's average is above its."""
+        means = self.methods()
+        best = max(BASELINES, key=lambda name: number(means[name].all.psnr))
+        return best, number(means[model].all.psnr) - number(means[best].all.psnr)
+
+
+def mean_score(scores: Sequence[MethodScore]) -> MethodScore:
+    return MethodScore(mean_figures([s.all for s in scores]), mean_figures([s.covisible for s in scores]))
+
+
+def mean_of(values: Sequence[float | None]) -> float:
+    """Mean of numbers of which at least one is there."""
+    return number(mean_or_none(values))
+
+
+def number(value: float | None) -> float:
+    """A figure over all pixels, which is never None."""
+    if value is None:
+        raise ValueError("a figure over all pixels is missing")
+    return value

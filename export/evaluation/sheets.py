@@ -1,0 +1,46 @@
+"""A picture per scene: the inputs, then for each target truth, model, best baseline and absolute error."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from gapmes.service.contact_sheet import CELL, Cell, Row, contact_sheet, psnr
+
+from .case import Case
+from .measure import Measured
+
+F32 = NDArray[np.float32]
+
+ERROR_GAIN = 3  # absolute errors are shown three times as bright; most are too dark to see otherwise
+
+
+def scene_sheet(case: Case, measured: Measured, model: str) -> Image.Image:
+    """Rows of labelled pictures; the figures are over all pixels, pixels that no input sees are blue in the error."""
+    best = measured.score.best_baseline
+    rows = [Row(f"{case.name}: inputs", [_cell(_eight_bit(v.image), f"input {i}") for i, v in enumerate(case.inputs)])]
+    for index, (target, mask) in enumerate(zip(case.targets, measured.masks, strict=True)):
+        truth = _eight_bit(target.image)
+        ours, theirs = (_eight_bit(measured.pictures[name][index]) for name in (model, best))
+        error = ERROR_GAIN * np.abs(ours.astype(np.int16) - truth).clip(0, 255 // ERROR_GAIN)
+        error[~mask, 2] = 255
+        cells = [
+            _cell(truth, "truth"),
+            _cell(ours, f"{model}  {psnr(ours, truth):.2f} dB"),
+            _cell(theirs, f"{best}  {psnr(theirs, truth):.2f} dB"),
+            _cell(error.astype(np.uint8), f"error of {model} x {ERROR_GAIN}"),
+        ]
+        rows.append(Row(f"target {index}", cells))
+    return contact_sheet(rows)
+
+
+def _cell(pixels: NDArray[np.uint8], label: str) -> Cell:
+    """Small pictures are enlarged by whole pixels."""
+    factor = max(1, CELL // max(pixels.shape[:2]))
+    return Cell(pixels.repeat(factor, axis=0).repeat(factor, axis=1), label)
+
+
+def _eight_bit(picture: F32) -> NDArray[np.uint8]:
+    """(H, W, 3)"""
+    return np.rint(np.clip(picture, 0, 1).transpose(1, 2, 0) * 255).astype(np.uint8)

@@ -1,0 +1,162 @@
+"""Markdown tables of the evaluation report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .floors import Floor
+from .metrics import Figures
+from .routing import RoutingStatistics
+from .scores import BASELINES, Group, MethodScore, mean_of
+
+SCENES_SHOWN = 20  # of a group, those with the smallest margin first when there are more
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A Markdown table; a | in a cell is escaped."""
+    lines = [list(head), ["---"] * len(head), *[[cell.replace("|", "\\|") for cell in row] for row in rows]]
+    return [f"| {' | '.join(line)} |" for line in lines]
+
+
+def floor_table(floors: Sequence[Floor]) -> list[str]:
+    verdict = {True: "pass", False: "**MISSED**", None: "not measured"}
+    return table(["floor", "need", "measured", ""], [[f.name, f.need, f.value, verdict[f.passed]] for f in floors])
+
+
+def group_section(group: Group, lpips: bool) -> list[str]:
+    """Heading, means, scenes, twice the size and routing of one group."""
+    lines = [f"## {group.title}", "", f"{len(group.scenes)} scenes. Co-visible pixels: {_covisible(group)}.", ""]
+    head = ["mean over scenes", *_columns("all", lpips), *_columns("co-visible", lpips)]
+    lines += table(head, [[name, *_cells(score, lpips)] for name, score in group.methods().items()])
+    lines.append("")
+    for model in group.models:
+        best, margin = group.margin_of_means(model)
+        mean = mean_of(group.margins(model))
+        lines.append(
+            f"{model}: {mean:+.2f} dB above each scene's best baseline; {margin:+.2f} dB above the {best}, "
+            "the best on average."
+        )
+    lines += ["", *_scene_table(group), "", *_twice_table(group), *_routing_table(group)]
+    for scene, reason in group.left_out.items():
+        lines += [f"Left out: {scene}: {reason}", ""]
+    return lines
+
+
+def precision_table(groups: Sequence[Group], lpips: bool) -> list[str]:
+    """What every further model loses or gains against the first, on the same scenes."""
+    rows = []
+    for group in groups:
+        first, *others = group.models
+        methods = group.methods()
+        for other in others:
+            pairs = [(methods[other].all, methods[first].all), (methods[other].covisible, methods[first].covisible)]
+            rows.append([group.title, f"{other} - {first}", *[c for a, b in pairs for c in _differences(a, b, lpips)]])
+    return table(["group", "models", *_columns("all", lpips), *_columns("co-visible", lpips)], rows)
+
+
+def _covisible(group: Group) -> str:
+    share = mean_of([scene.covisible_share for scene in group.scenes])
+    return f"{share:.1%} of the targets, by the {group.covisible_from}, the same for every method"
+
+
+def _columns(pixels: str, lpips: bool) -> list[str]:
+    return [f"PSNR {pixels}", f"SSIM {pixels}", *([f"LPIPS {pixels}"] if lpips else [])]
+
+
+def _cells(score: MethodScore, lpips: bool) -> list[str]:
+    return [cell for figures in (score.all, score.covisible) for cell in _figures(figures, lpips)]
+
+
+def _figures(figures: Figures, lpips: bool) -> list[str]:
+    cells = [_text(figures.psnr, ".2f"), _text(figures.ssim, ".3f")]
+    return [*cells, _text(figures.lpips, ".3f")] if lpips else cells
+
+
+def _differences(a: Figures, b: Figures, lpips: bool) -> list[str]:
+    names = {"psnr": "+.3f", "ssim": "+.4f", "lpips": "+.4f"} if lpips else {"psnr": "+.3f", "ssim": "+.4f"}
+    pairs = [(getattr(a, name), getattr(b, name), form) for name, form in names.items()]
+    return [_text(None if x is None or y is None else x - y, form) for x, y, form in pairs]
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else f"{value:{form}}"
+
+
+def _scene_table(group: Group) -> list[str]:
+    first = group.models[0]
+    scenes = list(group.scenes)
+    lines = []
+    if len(scenes) > SCENES_SHOWN:
+        scenes = sorted(scenes, key=lambda scene: scene.margin(first))[:SCENES_SHOWN]
+        lines = [
+            f"The {SCENES_SHOWN} scenes with the smallest margin of {len(group.scenes)}; all are in report.json.",
+            "",
+        ]
+    head = [
+        "PSNR, all pixels",
+        *group.models,
+        *BASELINES,
+        "margin",
+        "co-visible",
+        "holes",
+        "holes co-visible",
+        "seconds",
+    ]
+    rows = []
+    for scene in scenes:
+        ours = scene.models[first]
+        rows.append(
+            [
+                scene.scene,
+                *[_text(scene.models[m].score.all.psnr, ".2f") for m in group.models],
+                *[_text(scene.baselines[b].all.psnr, ".2f") for b in BASELINES],
+                f"{scene.margin(first):+.2f}",
+                f"{scene.covisible_share:.1%}",
+                f"{ours.holes:.3%}",
+                _text(ours.holes_covisible, ".3%"),
+                f"{ours.seconds:.2f}",
+            ]
+        )
+    return [*lines, *table(head, rows)]
+
+
+def _twice_table(group: Group) -> list[str]:
+    rows = []
+    for scene in group.scenes:
+        for model in group.models:
+            twice = scene.models[model].twice
+            if twice is not None:
+                note = "" if twice.side_px >= 2 * group.size else f"photograph has {twice.side_px} px, enlarged"
+                rows.append(
+                    [scene.scene, model, f"{twice.psnr:.2f}", f"{twice.change:+.2f}", f"{twice.holes:.3%}", note]
+                )
+    if not rows:
+        return []
+    return [*table([f"at {2 * group.size} px", "model", "PSNR", "change in dB", "holes", "truth"], rows), ""]
+
+
+def _routing_table(group: Group) -> list[str]:
+    lines = []
+    for model, statistics in group.routing.items():
+        if statistics is not None:
+            lines += [f"Routing of {model}, {statistics.patches} patches:", "", *_routing_rows(statistics), ""]
+    return lines
+
+
+def _routing_rows(statistics: RoutingStatistics) -> list[str]:
+    rows = []
+    if statistics.expert_share:
+        shares = ", ".join(f"{share:.1%}" for share in statistics.expert_share)
+        rows.append(["share of choices per expert", shares])
+    if statistics.task_mean:
+        names = statistics.task_mean
+        weights = ", ".join(f"{n} {statistics.task_mean[n]:.3f} ± {statistics.task_deviation[n]:.3f}" for n in names)
+        rows.append(["task weight, mean ± deviation over patches", weights])
+    lambdas = statistics.lambdas
+    known = (
+        "unknown: no checkpoint of these weights"
+        if lambdas is None
+        else ", ".join(f"{n} {v:.3f}" for n, v in lambdas.items())
+    )
+    rows.append(["lambda (Eq. 11)", known])
+    return table(["routing", "value"], rows)

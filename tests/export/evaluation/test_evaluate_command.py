@@ -1,0 +1,226 @@
+"""`gapmes evaluate` end to end: on generated scenes and on the sample, what it writes, what it refuses."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from PIL import Image
+
+from gapmes.export.evaluation import command, models
+from gapmes.export.evaluation.case import GENERATED_SEED, generated_cases, photograph_case
+from gapmes.export.evaluation.models import load_models
+from gapmes.export.evaluation.plans import evaluation_plans
+from gapmes.export.evaluation.routing import routing_statistics
+from gapmes.export.evaluation.scores import BASELINES, TRUE_DEPTH
+from gapmes.model.training.validation import VALIDATION_SEED
+from gapmes.service import cli, extra_commands
+from gapmes.service.errors import InputError, ModelError
+from gapmes.service.shipped import sample_folder, shipped_model
+
+
+def run(*arguments: object) -> int:
+    """The exit code of `gapmes evaluate`."""
+    try:
+        cli.main(["evaluate", *[str(argument) for argument in arguments], "--threads", "1"])
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def test_two_models_on_generated_scenes(
+    small_graph: onnx.ModelProto, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A 64 px network against a copy of it under another name: same cases, no difference."""
+    for name in ("one", "other"):
+        (tmp_path / f"{name}.onnx").write_bytes(small_graph.SerializeToString())
+    files = ("--model", tmp_path / "one.onnx", "--model", tmp_path / "other.onnx")
+    out = tmp_path / "report"
+    assert run("--generated", 2, *files, "--out", out, "--json") == 0
+    printed, _ = capfd.readouterr()
+    document = json.loads((out / "report.json").read_text())
+    assert json.loads(printed) == document
+    (group,) = document["groups"]
+    assert (group["kind"], group["inputs"], group["size"], group["covisible_from"]) == (
+        "generated",
+        2,
+        64,
+        "true depth",
+    )
+    assert set(group["mean"]) == {*BASELINES, TRUE_DEPTH, "one", "other"}
+    assert group["mean"]["one"] == group["mean"]["other"]
+    for entry in group["scenes"]:
+        model = entry["models"]["one"]
+        assert entry["margin"]["one"] == pytest.approx(
+            model["score"]["all"]["psnr"] - max(entry["baselines"][name]["all"]["psnr"] for name in BASELINES)
+        )
+        assert 0 < entry["covisible_share"] <= 1
+        assert model["twice"] is None
+    routing = group["routing"]["one"]
+    assert sum(routing["expert_share"]) == pytest.approx(1)
+    assert routing["patches"] == 2 * 2 * 16
+    assert set(routing["lambdas"]) == {"experts", "tasks"}
+    text = (out / "report.md").read_text()
+    assert "Difference between the models" in text
+    with Image.open(out / "generated_000_2views_64px.png") as sheet:
+        assert sheet.size[0] > 4 * 64
+
+
+def test_the_shipped_model_on_photographs(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The sample scene by the defaults of a folder; co-visibility comes from what the model drew."""
+    arguments = (sample_folder(), "--inputs", 2, "--size", 256, "--twice", "--out", tmp_path)
+    assert run(*arguments) == 0
+    document = json.loads((tmp_path / "report.json").read_text())
+    (group,) = document["groups"]
+    (entry,) = group["scenes"]
+    assert group["covisible_from"] == "rendered depth of ours"
+    ours = entry["models"]["ours"]
+    assert ours["score"]["all"]["psnr"] > entry["baselines"]["nearest input"]["all"]["psnr"] + 3
+    assert ours["twice"]["side_px"] == 256
+    assert ours["twice"]["change"] == pytest.approx(ours["twice"]["psnr"] - ours["score"]["all"]["psnr"])
+    assert "photograph has 256 px, enlarged" in (tmp_path / "report.md").read_text()
+    assert (tmp_path / "sample_2views_256px.png").is_file()
+    missed = any(floor["passed"] is False for floor in document["floors"])
+    assert ("MISSED" in capfd.readouterr().err) == missed
+
+
+@pytest.mark.parametrize("passed", [True, False, None])
+def test_check_sets_the_exit_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, passed: bool | None) -> None:
+    from gapmes.export.evaluation import report
+    from gapmes.export.evaluation import run as whole
+    from gapmes.export.evaluation.floors import Floor
+
+    monkeypatch.setattr(report, "floors", lambda groups: [Floor("a", "> 1", "1", passed)])
+    monkeypatch.setattr(whole, "load_models", lambda *_, **__: [])
+    monkeypatch.setattr(whole, "_group", lambda *_: None)
+    monkeypatch.setattr(whole.Report, "write", lambda *_: None)
+    assert run("--generated", 1, "--size", 64, "--out", tmp_path, "--check") == (1 if passed is False else 0)
+    assert run("--generated", 1, "--size", 64, "--out", tmp_path) == 0
+
+
+def refused(capfd: pytest.CaptureFixture[str], words: str) -> None:
+    """One line on stderr."""
+    lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error: ")]
+    assert len(lines) == 1
+    assert words in lines[0]
+
+
+def test_refusals_are_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    assert run(tmp_path / "missing", "--out", out, "--size", 256) == 1
+    refused(capfd, "missing")
+    assert run("--generated", 1, "--size", 96, "--model", shipped_model(), "--out", out) == 1
+    refused(capfd, "256 x 256")
+    assert run("--generated", 0, "--out", out) == 1
+    refused(capfd, "--generated 100")
+    (tmp_path / "bad.safetensors").write_bytes(b"not weights")
+    assert run("--generated", 1, "--size", 64, "--lpips", tmp_path / "bad.safetensors", "--out", out) == 1
+    refused(capfd, "safetensors")
+    monkeypatch.setattr(command, "find_spec", lambda name: None if name == "torch" else name)
+    assert run("--generated", 1, "--out", out) == 1
+    refused(capfd, "pip install 'gapmes[export]'")
+
+
+def test_the_command_line_starts_without_torch_and_knows_the_command() -> None:
+    code = (
+        "import sys\n"
+        "from gapmes.service import cli\n"
+        "try:\n    cli.main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "sys.exit('torch' in sys.modules)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "evaluate" in result.stdout
+    assert "reconstruct" in result.stdout
+
+
+def test_entry_points_are_read_only_for_other_names(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[dict[str, str]] = []
+
+    def none_found(**query: str) -> list[object]:
+        asked.append(query)
+        return []
+
+    monkeypatch.setattr(extra_commands, "entry_points", none_found)
+    for name, code, queries in (("render", 0, 0), ("no-such-command", 2, 1)):
+        with pytest.raises(SystemExit) as end:
+            cli.main([name, "--help"])
+        assert (end.value.code, len(asked)) == (code, queries)
+    assert "No such command" in capfd.readouterr().err
+
+
+def test_plans() -> None:
+    folder = sample_folder()
+    plans = evaluation_plans([folder], None, [], [], [])
+    assert [(p.kind, p.inputs, p.size) for p in plans] == [
+        ("photographs", inputs, size) for size in (256, 128) for inputs in (2, 3)
+    ]
+    (only,) = evaluation_plans([], 5, [], [], [])
+    assert (only.kind, only.count, only.inputs, only.size) == ("generated", 5, 2, 128)
+    own_size = evaluation_plans([folder], 5, [3], [], [shipped_model()])
+    assert [(p.kind, p.inputs, p.size) for p in own_size] == [("photographs", 3, 256), ("generated", 3, 256)]
+    everything = evaluation_plans([], None, [], [], [])
+    assert [p.count for p in everything if p.kind == "generated"] == [100]
+
+
+def test_generated_scenes_are_those_of_their_seed_and_not_of_the_validation() -> None:
+    assert GENERATED_SEED != VALIDATION_SEED
+    first, second = (list(generated_cases(2, 2, 32, 48)) for _ in range(2))
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one.targets[0].image, other.targets[0].image)
+        assert one.near == other.near
+        assert one.inputs[0].image.shape == (3, 32, 48)
+        # the inputs are what their photographs hold: 8 bits
+        np.testing.assert_array_equal(np.rint(one.inputs[0].image * 255), one.photos[0].rgb.transpose(2, 0, 1))
+        assert one.truth is not None
+        assert one.truth.targets.shape == (2, 32, 48)
+    assert not np.array_equal(first[0].targets[0].image, first[1].targets[0].image)
+
+
+def test_a_folder_without_suggested_views_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="context6"):
+        photograph_case(sample_folder(), 6, 64, 64)
+    with pytest.raises(InputError, match=r"cameras\.json is not a file"):
+        photograph_case(tmp_path, 2, 64, 64)
+
+
+def test_a_checkpoint_is_exported_for_every_size(
+    monkeypatch: pytest.MonkeyPatch, checkpoint: Path, small_graph: onnx.ModelProto, tmp_path: Path
+) -> None:
+    exports = []
+
+    def exported(source: Path, target: Path, *, height: int, width: int, **_: object) -> None:
+        exports.append((source, height, width))
+        target.write_bytes(small_graph.SerializeToString())
+
+    monkeypatch.setattr(models, "export_checkpoint", exported)
+    (model,) = load_models([checkpoint], [64], tmp_path, threads=1)
+    assert exports == [(checkpoint, 64, 64)]
+    assert model.size == (64, 64)
+    assert model.lambdas is not None
+    assert all(0 < value < 1 for value in model.lambdas.values())
+    with pytest.raises(ModelError, match="twice"):
+        load_models([checkpoint, checkpoint], [64], tmp_path)
+
+
+def test_routing_statistics_by_hand() -> None:
+    routes = [
+        {"expert_index": np.array([[0, 2], [2, 1]]), "task_weight": np.array([[1, 0, 0, 0], [0, 1, 0, 0]], np.float32)},
+        {"expert_index": np.array([[2, 0]]), "task_weight": np.array([[0.4, 0.2, 0.2, 0.2]], np.float32)},
+    ]
+    result = routing_statistics(routes, 4, None)
+    assert result is not None
+    assert result.expert_share == pytest.approx([2 / 6, 1 / 6, 3 / 6, 0])
+    values = np.array([1, 0, 0.4])
+    assert result.task_mean["mean"] == pytest.approx(values.mean())
+    assert result.task_deviation["mean"] == pytest.approx(values.std())
+    assert routing_statistics([{}], 4, None) is None
