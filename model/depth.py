@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from .agreement import CUES, agreement_cues
 from .config import ModelConfig
 from .cost_volume import PatchDescriptor, Views, local_matching, sweep
+from .evidence import at_candidates, matching_evidence
 from .layers import ResidualBlock, replicate_pad, resize_to
 from .trunk import TrunkFeatures
 
@@ -32,7 +33,7 @@ class DepthEstimate:
 
 
 class DepthFromMatching(nn.Module):
-    """Three-stage matching; learned features and a fixed ZNCC descriptor vote side by side."""
+    """Three-stage matching; learned features, a fixed ZNCC descriptor and fixed evidence vote side by side."""
 
     def __init__(self, config: ModelConfig, mono_channels: int) -> None:
         super().__init__()
@@ -44,21 +45,22 @@ class DepthFromMatching(nn.Module):
         self.match_quarter = nn.Conv2d(c4, cm, 1)
         self.match_half = nn.Conv2d(c2 + c4 // 4, 16, 1)
         self.volume_net = nn.Sequential(
-            nn.Conv2d(3 * self.planes + c4 + mono_channels, cu, 3, padding=1), ResidualBlock(cu), ResidualBlock(cu)
+            nn.Conv2d(4 * self.planes + c4 + mono_channels, cu, 3, padding=1), ResidualBlock(cu), ResidualBlock(cu)
         )
         self.volume_logits = nn.Conv2d(cu, self.planes, 3, padding=1)
         self.volume_up = nn.Conv2d(cu, 4 * 32, 1)
         self.refine_net = nn.Sequential(
-            nn.Conv2d(3 * self.candidates + c2 + 2 + 32 + 12, cr, 3, padding=1), ResidualBlock(cr), ResidualBlock(cr)
+            nn.Conv2d(4 * self.candidates + c2 + 2 + 32 + 12, cr, 3, padding=1), ResidualBlock(cr), ResidualBlock(cr)
         )
         self.refine_logits = nn.Conv2d(cr, self.candidates, 3, padding=1)
         self.second_net = nn.Sequential(
-            nn.Conv2d(cr + 3 * self.second_candidates + CUES, cr, 3, padding=1), ResidualBlock(cr)
+            nn.Conv2d(cr + 4 * self.second_candidates + CUES, cr, 3, padding=1), ResidualBlock(cr)
         )
         self.second_logits = nn.Conv2d(cr, self.second_candidates, 3, padding=1)
         self.up_mask = nn.Conv2d(cr, 36, 1)
         self.learned_sharpness = nn.Parameter(torch.tensor([8.0, 8.0, 8.0]))
         self.zncc_sharpness = nn.Parameter(torch.tensor([4.0, 4.0, 4.0]))
+        self.evidence_sharpness = nn.Parameter(torch.tensor([20.0, 60.0, 60.0, 60.0]))
 
     def forward(self, images: Tensor, features: TrunkFeatures, mono: Tensor, views: Views) -> DepthEstimate:
         """images (n, 3, H, W) in [0, 1]; mono (n, mono_channels, H/4, W/4) monocular cues."""
@@ -66,19 +68,23 @@ class DepthFromMatching(nn.Module):
         quarter = F.normalize(self.match_quarter(features.quarter), dim=1)
         zncc_quarter = self.descriptor(F.avg_pool2d(grey, 2))
         (learned, zncc), seen = sweep([quarter, zncc_quarter], views, self.planes)
-        volume = self.volume_net(torch.cat([learned * 2, zncc, seen, features.quarter, mono], dim=1))
+        with torch.no_grad():
+            evidence = matching_evidence(F.avg_pool2d(images, 2), views, self.planes)
+            pooled = F.avg_pool2d(evidence, 2)
+        volume = self.volume_net(torch.cat([learned * 2, zncc, seen, features.quarter, mono, pooled], dim=1))
         logits = self.volume_logits(volume) + learned * self.learned_sharpness[0] + zncc * self.zncc_sharpness[0]
-        probability = logits.softmax(1)
+        probability = (logits + pooled * self.evidence_sharpness[0]).softmax(1)
         bins = torch.linspace(0, 1, self.planes, device=images.device).reshape(1, -1, 1, 1)
         coarse = (probability * bins).sum(1, keepdim=True)
         confidence = probability.amax(1, keepdim=True)
 
-        start = resize_to(coarse, features.half)
+        finer = resize_to(logits, features.half) + evidence * self.evidence_sharpness[1]
+        start = (finer.softmax(1) * bins).sum(1, keepdim=True)
         context = resize_to(features.quarter[:, : features.quarter.shape[1] // 4], features.half)
         half = F.normalize(self.match_half(torch.cat([features.half, context], dim=1)), dim=1)
         matched = [half, self.descriptor(grey)]
         candidates = self._around(start, self.candidates, REFINE_REACH)
-        scores, votes = self._match(matched, candidates, views, 1)
+        scores, votes = self._match(matched, evidence, candidates, views, 1)
         guide = self.refine_net(
             torch.cat(
                 [
@@ -95,7 +101,7 @@ class DepthFromMatching(nn.Module):
         refined = _moved(start, candidates, self.refine_logits(guide) + votes)
 
         candidates = self._around(refined, self.second_candidates, SECOND_REACH)
-        scores, votes = self._match(matched, candidates, views, 2)
+        scores, votes = self._match(matched, evidence, candidates, views, 2)
         cues = agreement_cues(refined, F.avg_pool2d(images, 2), views)
         guide = guide + self.second_net(torch.cat([guide, scores, cues], dim=1))
         second = _moved(refined, candidates, self.second_logits(guide) + votes)
@@ -106,11 +112,15 @@ class DepthFromMatching(nn.Module):
         offsets = torch.linspace(-reach, reach, count, device=centre.device) / (self.planes - 1)
         return (centre.detach() + offsets.reshape(1, -1, 1, 1)).clamp(-0.02, 1.1)
 
-    def _match(self, matched: list[Tensor], candidates: Tensor, views: Views, stage: int) -> tuple[Tensor, Tensor]:
-        """Scores (n, 3 K, h, w) for a network to read, and the votes (n, K, h, w) that they cast themselves."""
+    def _match(
+        self, matched: list[Tensor], evidence: Tensor, candidates: Tensor, views: Views, stage: int
+    ) -> tuple[Tensor, Tensor]:
+        """Scores (n, 4 K, h, w) for a network to read, and the votes (n, K, h, w) that they cast themselves."""
         (learned, zncc), seen = local_matching(matched, candidates, views)
+        fixed = at_candidates(evidence, candidates)
         votes = learned * self.learned_sharpness[stage] + zncc * self.zncc_sharpness[stage]
-        return torch.cat([learned * 2, zncc, seen], dim=1), votes
+        votes = votes + fixed * self.evidence_sharpness[stage + 1]
+        return torch.cat([learned * 2, zncc, seen, fixed], dim=1), votes
 
     def _upsample(self, half: Tensor, guide: Tensor) -> Tensor:
         """Each full-resolution pixel is a learned convex combination of the 3x3 half-resolution neighbours."""

@@ -1,0 +1,104 @@
+"""Matching that needs no training: normalised correlation and colour on planes at half resolution, edge-aware.
+
+The cost volume of classical stereo: small windows are compared on every plane, and a guided filter gathers the costs
+within what looks like one surface. It does not know what resolution the network was trained at.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .cost_volume import SWEEP_PIECES, Views
+from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, warp_positions
+from .layers import replicate_pad
+
+WINDOW_RADIUS = 2  # px at half resolution: correlation in windows of 5 x 5
+GUIDE_RADIUS, GUIDE_EPSILON = 4, 1e-3  # px and variance of grey: weaker edges are smoothed across
+COLOUR_LIMIT = 0.15  # absolute difference from which two colours are as different as can be
+UNSEEN = 0.6  # of 0 (different) .. 1 (equal): less than a match, more than a clear mismatch
+
+
+def matching_evidence(images: Tensor, views: Views, planes: int) -> Tensor:
+    """(B*V, D, h, w) in about 0..1, how well each plane uniform in inverse depth matches the other views.
+
+    images (B*V, 3, h, w) in [0, 1], without gradient. Half of it is zero-mean normalised cross-correlation of all three
+    channels, half the truncated difference of colours; mean over the other views, then filtered by the view's own grey
+    picture (guided filter: He et al. 2010; on cost volumes: Hosni et al. 2011).
+    """
+    n, _, h, w = images.shape
+    others = views.count - 1
+    reference_k, source_k, motion = views.pairs()
+    rays = camera_rays(pixel_grid(h, w, images.device).expand(reference_k.shape[0], -1, -1, -1), reference_k).flatten(2)
+    bins = torch.linspace(0, 1, planes, device=images.device).reshape(1, planes, 1, 1)
+    inverse = views.inverse_depth(bins)[:, :, 0, 0].reshape(-1, views.count, planes)
+    inverse = repeat_for_pairs(inverse, others).reshape(-1, 1, planes)
+    per_view = images.reshape(-1, views.count, 3, h, w)
+    reference = repeat_for_pairs(per_view, others).reshape(-1, 3, h, w)
+    source = other_views(per_view).reshape(-1, 3, h, w)
+    guide = _Guide(images.mean(1, keepdim=True))
+    pieces = []
+    step = -(-planes // SWEEP_PIECES)
+    for start in range(0, planes, step):
+        some = inverse[:, :, start : start + step]
+        grid, inside = warp_positions(rays, some.expand(-1, h * w, -1), source_k, motion)
+        count = some.shape[2]
+        grid = grid.transpose(1, 2).reshape(-1, count * h, w, 2)
+        seen = inside.transpose(1, 2).reshape(-1, count, h, w)
+        colours = F.grid_sample(source, grid, mode="bilinear", padding_mode="border", align_corners=False)
+        score = _similarity(reference, colours.reshape(-1, 3, count, h, w))
+        score = torch.where(seen, score, torch.full_like(score, UNSEEN))
+        pieces.append(guide.filter(score.reshape(n, others, count, h, w).mean(1)))
+    return torch.cat(pieces, dim=1)
+
+
+def _similarity(reference: Tensor, colours: Tensor) -> Tensor:
+    """(m, D, h, w) in 0..1 of pictures (m, 3, h, w) and warped ones (m, 3, D, h, w)."""
+    a, b = reference.mean(1, keepdim=True), colours.mean(1)
+    mean_a, mean_b = _box(a, WINDOW_RADIUS), _box(b, WINDOW_RADIUS)
+    var_a = (_box(a.square(), WINDOW_RADIUS) - mean_a.square()).clamp(min=0)
+    var_b = (_box(b.square(), WINDOW_RADIUS) - mean_b.square()).clamp(min=0)
+    covariance = _box(a * b, WINDOW_RADIUS) - mean_a * mean_b
+    correlation = (covariance / (var_a * var_b + 1e-8).sqrt()).clamp(-1, 1)
+    difference = (colours - reference.unsqueeze(2)).abs().mean(1).clamp(max=COLOUR_LIMIT) / COLOUR_LIMIT
+    return 0.5 * (1 + correlation) / 2 + 0.5 * (1 - difference)
+
+
+class _Guide:
+    """Guided filter by one picture (n, 1, h, w)."""
+
+    def __init__(self, picture: Tensor) -> None:
+        self.picture = picture
+        self.mean = _box(picture, GUIDE_RADIUS)
+        self.variance = _box(picture.square(), GUIDE_RADIUS) - self.mean.square() + GUIDE_EPSILON
+
+    def filter(self, scores: Tensor) -> Tensor:
+        """(n, D, h, w) -> the same: within a window, a line of the picture's grey."""
+        mean = _box(scores, GUIDE_RADIUS)
+        slope = (_box(self.picture * scores, GUIDE_RADIUS) - self.mean * mean) / self.variance
+        level = mean - slope * self.mean
+        return _box(slope, GUIDE_RADIUS) * self.picture + _box(level, GUIDE_RADIUS)
+
+
+def _box(values: Tensor, radius: int) -> Tensor:
+    """Mean over windows of 2 * radius + 1 px of (n, c, h, w), whose border pixels repeat outwards."""
+    h, w = values.shape[-2:]
+    padded = replicate_pad(values, radius)
+    rows = padded[..., :w]
+    for shift in range(1, 2 * radius + 1):
+        rows = rows + padded[..., shift : shift + w]
+    total = rows[..., :h, :]
+    for shift in range(1, 2 * radius + 1):
+        total = total + rows[..., shift : shift + h, :]
+    return total / (2 * radius + 1) ** 2
+
+
+def at_candidates(evidence: Tensor, candidates: Tensor) -> Tensor:
+    """(n, K, h, w): evidence (n, D, h, w) read between its planes at normalised inverse depths (n, K, h, w)."""
+    planes = evidence.shape[1]
+    position = (candidates * (planes - 1)).clamp(0, planes - 1)
+    below = position.floor().clamp(max=planes - 2)
+    index = below.long()
+    share = position - below
+    return evidence.gather(1, index) * (1 - share) + evidence.gather(1, index + 1) * share
