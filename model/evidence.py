@@ -17,6 +17,7 @@ from .layers import replicate_pad
 WINDOW_RADIUS = 2  # px at half resolution: correlation in windows of 5 x 5
 GUIDE_RADIUS, GUIDE_EPSILON = 4, 1e-3  # px and variance of grey: weaker edges are smoothed across
 COLOUR_LIMIT = 0.15  # absolute difference from which two colours are as different as can be
+FLAT = 1e-4  # geometric mean of two variances: below it windows count as ever less correlated
 UNSEEN = 0.6  # of 0 (different) .. 1 (equal): less than a match, more than a clear mismatch
 
 
@@ -60,7 +61,7 @@ def _similarity(reference: Tensor, colours: Tensor) -> Tensor:
     var_a = (_box(a.square(), WINDOW_RADIUS) - mean_a.square()).clamp(min=0)
     var_b = (_box(b.square(), WINDOW_RADIUS) - mean_b.square()).clamp(min=0)
     covariance = _box(a * b, WINDOW_RADIUS) - mean_a * mean_b
-    correlation = (covariance / (var_a * var_b + 1e-8).sqrt()).clamp(-1, 1)
+    correlation = (covariance / (var_a * var_b).sqrt().clamp(min=FLAT)).clamp(-1, 1)
     difference = (colours - reference.unsqueeze(2)).abs().mean(1).clamp(max=COLOUR_LIMIT) / COLOUR_LIMIT
     return 0.5 * (1 + correlation) / 2 + 0.5 * (1 - difference)
 

@@ -9,6 +9,7 @@ import torch
 from gapmes.model.cost_volume import Views
 from gapmes.model.evidence import (
     COLOUR_LIMIT,
+    FLAT,
     GUIDE_EPSILON,
     GUIDE_RADIUS,
     UNSEEN,
@@ -51,7 +52,7 @@ def brute_force(a: np.ndarray, b: np.ndarray, shift: float) -> np.ndarray:
     var_a = box(grey_a**2, WINDOW_RADIUS) - mean_a**2
     var_b = box(grey_b**2, WINDOW_RADIUS) - mean_b**2
     covariance = box(grey_a * grey_b, WINDOW_RADIUS) - mean_a * mean_b
-    correlation = np.clip(covariance / np.sqrt(var_a * var_b + 1e-8), -1, 1)
+    correlation = np.clip(covariance / np.sqrt(np.maximum(var_a * var_b, 0)).clip(min=FLAT), -1, 1)
     difference = np.abs(warped - a).mean(0).clip(max=COLOUR_LIMIT) / COLOUR_LIMIT
     score = np.where(inside[None], 0.25 * (1 + correlation) + 0.5 * (1 - difference), UNSEEN)
     mean_g, mean_s = box(grey_a, GUIDE_RADIUS), box(score, GUIDE_RADIUS)
