@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .agreement import CUES, agreement_cues
+from .agreement import CUES, SHARPNESS, agreement_cues
+from .behind import CONFIRMED, filled_from_behind
 from .config import ModelConfig
 from .cost_volume import PatchDescriptor, Views, local_matching, sweep
 from .evidence import at_candidates, matching_evidence
@@ -16,6 +18,8 @@ from .layers import ResidualBlock, replicate_pad, resize_to
 from .trunk import TrunkFeatures
 
 REFINE_REACH = 2.0  # planes of the sweep
+ALTERNATIVES = 2  # the unconfirmed depth and the network's own, beside those around the confirmed or filled one
+ALTERNATIVE_BIAS = -4.0  # of their logits, to start with
 SECOND_REACH = 0.5  # one step of the first refinement
 
 
@@ -50,26 +54,32 @@ class DepthFromMatching(nn.Module):
         self.volume_logits = nn.Conv2d(cu, self.planes, 3, padding=1)
         self.volume_up = nn.Conv2d(cu, 4 * 32, 1)
         self.refine_net = nn.Sequential(
-            nn.Conv2d(4 * self.candidates + c2 + 2 + 32 + 12, cr, 3, padding=1), ResidualBlock(cr), ResidualBlock(cr)
+            nn.Conv2d(4 * (self.candidates + ALTERNATIVES) + c2 + 2 + 32 + 12 + CUES + 1, cr, 3, padding=1),
+            ResidualBlock(cr),
+            ResidualBlock(cr),
         )
-        self.refine_logits = nn.Conv2d(cr, self.candidates, 3, padding=1)
+        self.refine_logits = nn.Conv2d(cr, self.candidates + ALTERNATIVES, 3, padding=1)
         self.second_net = nn.Sequential(
             nn.Conv2d(cr + 4 * self.second_candidates + CUES, cr, 3, padding=1), ResidualBlock(cr)
         )
         self.second_logits = nn.Conv2d(cr, self.second_candidates, 3, padding=1)
+        assert self.refine_logits.bias is not None
+        with torch.no_grad():
+            self.refine_logits.bias[-ALTERNATIVES:] = ALTERNATIVE_BIAS
         self.up_mask = nn.Conv2d(cr, 36, 1)
         self.learned_sharpness = nn.Parameter(torch.tensor([8.0, 8.0, 8.0]))
         self.zncc_sharpness = nn.Parameter(torch.tensor([4.0, 4.0, 4.0]))
-        self.evidence_sharpness = nn.Parameter(torch.tensor([20.0, 60.0, 60.0, 60.0]))
+        self.evidence_sharpness = nn.Parameter(torch.tensor([20.0, 200.0, 60.0, 60.0]))
 
     def forward(self, images: Tensor, features: TrunkFeatures, mono: Tensor, views: Views) -> DepthEstimate:
         """images (n, 3, H, W) in [0, 1]; mono (n, mono_channels, H/4, W/4) monocular cues."""
         grey = images.mean(1, keepdim=True) * 2 - 1
+        colours = F.avg_pool2d(images, 2)
         quarter = F.normalize(self.match_quarter(features.quarter), dim=1)
         zncc_quarter = self.descriptor(F.avg_pool2d(grey, 2))
         (learned, zncc), seen = sweep([quarter, zncc_quarter], views, self.planes)
         with torch.no_grad():
-            evidence = matching_evidence(F.avg_pool2d(images, 2), views, self.planes)
+            evidence = matching_evidence(colours, views, self.planes)
             pooled = F.avg_pool2d(evidence, 2)
         volume = self.volume_net(torch.cat([learned * 2, zncc, seen, features.quarter, mono, pooled], dim=1))
         logits = self.volume_logits(volume) + learned * self.learned_sharpness[0] + zncc * self.zncc_sharpness[0]
@@ -78,31 +88,39 @@ class DepthFromMatching(nn.Module):
         coarse = (probability * bins).sum(1, keepdim=True)
         confidence = probability.amax(1, keepdim=True)
 
-        finer = resize_to(logits, features.half) + evidence * self.evidence_sharpness[1]
-        start = (finer.softmax(1) * bins).sum(1, keepdim=True)
+        start = ((evidence * self.evidence_sharpness[1]).softmax(1) * bins).sum(1, keepdim=True)
+        cues = agreement_cues(start, colours, views)
+        confirmed = (cues[:, :1].abs() < math.tanh(SHARPNESS * CONFIRMED)) & (cues[:, 3:] > 0)
+        filled = filled_from_behind(start, confirmed)
+        sure = confirmed.to(images.dtype)
+
         context = resize_to(features.quarter[:, : features.quarter.shape[1] // 4], features.half)
         half = F.normalize(self.match_half(torch.cat([features.half, context], dim=1)), dim=1)
         matched = [half, self.descriptor(grey)]
-        candidates = self._around(start, self.candidates, REFINE_REACH)
+        alternatives = [start.detach(), resize_to(coarse, features.half).detach()]
+        candidates = torch.cat([self._around(filled, self.candidates, REFINE_REACH), *alternatives], dim=1)
         scores, votes = self._match(matched, evidence, candidates, views, 1)
         guide = self.refine_net(
             torch.cat(
                 [
                     scores,
                     features.half,
-                    start,
+                    filled,
                     resize_to(confidence, features.half),
                     F.pixel_shuffle(self.volume_up(volume), 2),
                     F.pixel_unshuffle(images * 2 - 1, 2),
+                    cues,
+                    sure,
                 ],
                 dim=1,
             )
         )
-        refined = _moved(start, candidates, self.refine_logits(guide) + votes)
+        # what is hidden in the other views matches nothing in them: there only the network speaks
+        refined = _moved(filled, candidates, self.refine_logits(guide) + votes * sure)
 
         candidates = self._around(refined, self.second_candidates, SECOND_REACH)
         scores, votes = self._match(matched, evidence, candidates, views, 2)
-        cues = agreement_cues(refined, F.avg_pool2d(images, 2), views)
+        cues = agreement_cues(refined, colours, views)
         guide = guide + self.second_net(torch.cat([guide, scores, cues], dim=1))
         second = _moved(refined, candidates, self.second_logits(guide) + votes)
         return DepthEstimate(coarse, refined, second, self._upsample(second, guide), confidence, volume, guide)
