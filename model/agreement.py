@@ -6,6 +6,8 @@ lies behind the source's surface is merely hidden. The refinement and the heads 
 
 from __future__ import annotations
 
+import math
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -15,6 +17,8 @@ from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, wa
 
 CUES = 4  # channels of `agreement_cues`
 SHARPNESS = 16.0  # tanh(16 x) of a difference in normalised inverse depth: saturates at about a tenth of the range
+CONFIRMED = 0.03  # of the depth range: views that differ by less show the same surface
+SOFTNESS = 0.2  # of tanh: width of the passage from confirmed to not
 
 
 def agreement_cues(inverse: Tensor, colours: Tensor, views: Views) -> Tensor:
@@ -49,6 +53,16 @@ def agreement_cues(inverse: Tensor, colours: Tensor, views: Views) -> Tensor:
     count = seen.clamp(min=1)
     cues = [through.sum(1) / count, through.clamp(min=0).amax(1), colour.sum(1) / count, seen / others]
     return torch.stack(cues, dim=1).reshape(n, CUES, h, w)
+
+
+def confirmation(cues: Tensor) -> Tensor:
+    """(n, 1, h, w) of `agreement_cues` (n, CUES, h, w): 1 where the views that have the point in frame agree, else 0.
+
+    The passage is a ramp: a threshold would turn rounding into whole windows of other depths, and what is not confirmed
+    must weigh exactly nothing, since far depths outweigh near ones without limit.
+    """
+    limit = math.tanh(SHARPNESS * CONFIRMED)
+    return (0.5 + (limit - cues[:, :1].abs()) / SOFTNESS).clamp(0, 1) * (cues[:, 3:] > 0).to(cues.dtype)
 
 
 def _per_pair(values: Tensor, views: Views) -> Tensor:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .agreement import CUES, SHARPNESS, agreement_cues
-from .behind import CONFIRMED, filled_from_behind
+from .agreement import CUES, agreement_cues, confirmation
+from .behind import filled_from_behind
 from .config import ModelConfig
 from .cost_volume import PatchDescriptor, Views, local_matching, sweep
 from .evidence import at_candidates, matching_evidence
@@ -90,9 +89,8 @@ class DepthFromMatching(nn.Module):
 
         start = ((evidence * self.evidence_sharpness[1]).softmax(1) * bins).sum(1, keepdim=True)
         cues = agreement_cues(start, colours, views)
-        confirmed = (cues[:, :1].abs() < math.tanh(SHARPNESS * CONFIRMED)) & (cues[:, 3:] > 0)
-        filled = filled_from_behind(start, confirmed)
-        sure = confirmed.to(images.dtype)
+        sure = confirmation(cues)
+        filled = filled_from_behind(start, sure)
 
         context = resize_to(features.quarter[:, : features.quarter.shape[1] // 4], features.half)
         half = F.normalize(self.match_half(torch.cat([features.half, context], dim=1)), dim=1)

@@ -84,15 +84,8 @@ class _Guide:
 
 def _box(values: Tensor, radius: int) -> Tensor:
     """Mean over windows of 2 * radius + 1 px of (n, c, h, w), whose border pixels repeat outwards."""
-    h, w = values.shape[-2:]
-    padded = replicate_pad(values, radius)
-    rows = padded[..., :w]
-    for shift in range(1, 2 * radius + 1):
-        rows = rows + padded[..., shift : shift + w]
-    total = rows[..., :h, :]
-    for shift in range(1, 2 * radius + 1):
-        total = total + rows[..., shift : shift + h, :]
-    return total / (2 * radius + 1) ** 2
+    size = 2 * radius + 1
+    return F.avg_pool2d(F.avg_pool2d(replicate_pad(values, radius), (1, size), 1), (size, 1), 1)
 
 
 def at_candidates(evidence: Tensor, candidates: Tensor) -> Tensor:

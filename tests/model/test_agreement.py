@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from gapmes.model.agreement import CUES, SHARPNESS, agreement_cues
+from gapmes.model.agreement import CONFIRMED, CUES, SHARPNESS, agreement_cues, confirmation
 from gapmes.model.cost_volume import Views
 from gapmes.model.geometry import warp_points
 
@@ -88,3 +88,13 @@ def test_inverse_depths_in_the_source_against_float64() -> None:
     expected = torch.where(z > 0, 1 / z, torch.zeros_like(z))
     # float32 rounding of a sum of three products: measured 3e-7 relative
     torch.testing.assert_close(got[0, :, 0].double(), expected, rtol=3e-6, atol=1e-7)
+
+
+def test_confirmation_is_a_ramp_around_the_limit() -> None:
+    """Exactly 1 well within, exactly 0 well beyond, and 0 for what no other view has in frame."""
+    through = torch.tanh(SHARPNESS * CONFIRMED * torch.tensor([0.0, 0.5, 1.0, 2.0, -0.5, -2.0]))
+    cues = torch.zeros(1, CUES, 1, 6)
+    cues[0, 0, 0], cues[0, 3] = through, 1.0
+    assert confirmation(cues).flatten().tolist() == pytest.approx([1, 1, 0.5, 0, 1, 0], abs=1e-5)
+    cues[0, 3] = 0
+    assert float(confirmation(cues).max()) == 0
