@@ -16,8 +16,16 @@ Precision = Literal["fp32", "int8"]
 
 
 # An image of one colour has no variance, and group normalisation divides by the root of that plus 1e-5: a rounding of
-# 6e-8 grows up to 300 times per layer. Measured on such images: 6 times the p99 and 19 times the mean of all others.
-FLAT_FACTOR = 30.0
+# 6e-8 grows up to 300 times per layer. Measured on such images: p99 1.3e-2, mean 7.3e-4 (confidence), and one patch of
+# 512, all of them alike, with another route.
+FLAT_FACTOR = 60.0
+FLAT_SPARE_FLIPS = 2
+
+# Where no plane fits, the first depth is noise: many planes tie, and a rounding of 1e-6 in a score decides between
+# them (`model/evidence.py`), then which of its neighbours' depths a pixel takes (`model/behind.py`); a range of 1 to
+# 1e6 turns what is left of that into other depths. Measured at 256 px: p99 4.4e-4, mean 3.2e-5, jumps 2.2e-2; under
+# the far range at 64 px: p99 2.4e-2, mean 7.3e-4, jumps 0.22. Nothing is right in such a scene; it must stay finite.
+UNDETERMINED_P99, UNDETERMINED_MEAN, UNDETERMINED_JUMPS = 5e-2, 2e-3, 0.4
 
 
 @dataclass(frozen=True)
@@ -43,13 +51,24 @@ class Tolerance:
             mean=FLAT_FACTOR * self.mean,
             jumps=1.0,
             unambiguous_flips=4 * self.unambiguous_flips,
+            spare_flips=max(self.spare_flips, FLAT_SPARE_FLIPS),
+        )
+
+    def for_undetermined_matching(self) -> Tolerance:
+        """The limits for noise and for a range of depths whose planes all miss the scene."""
+        return replace(
+            self,
+            p99=max(self.p99, UNDETERMINED_P99),
+            mean=max(self.mean, UNDETERMINED_MEAN),
+            jumps=max(self.jumps, UNDETERMINED_JUMPS),
         )
 
 
 TOLERANCES: dict[Precision, Tolerance] = {
-    # Largest of 28 cases at 256 x 256 pixels: p99 8.4e-5, mean 6.9e-6, jumps 1.9e-3, picture 90 dB at least. The limits
-    # are three times that, since the order of sums differs between processors and versions.
-    "fp32": Tolerance(p99=3e-4, mean=2e-5, jumps=6e-3, unambiguous_flips=0.0, spare_flips=0, picture_psnr=70.0),
+    # Largest of the cases at 256 x 256 pixels whose matching is determined: p99 1.4e-4, mean 1.0e-5, jumps 6.1e-3
+    # (confidence, six views: every pair of views has borders), picture 84 dB at least. The limits leave room for other
+    # orders of sums on other processors.
+    "fp32": Tolerance(p99=3e-4, mean=2e-5, jumps=1e-2, unambiguous_flips=0.0, spare_flips=0, picture_psnr=70.0),
     # Largest of the same cases: p99 4.6e-2 (opacities under a depth range of 1 to 1e6), mean 2.9e-3, 1.4 % of routes
     # (4.1 % on images of one colour), picture 67 dB at least. Limits: about twice that.
     "int8": Tolerance(p99=1e-1, mean=6e-3, jumps=1.0, unambiguous_flips=0.02, spare_flips=2, picture_psnr=40.0),

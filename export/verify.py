@@ -69,7 +69,10 @@ def _session(model: onnx.ModelProto, network: GaPMeS, gates: GateSetting) -> onn
 
 
 def _run(case: Case, session: onnxruntime.InferenceSession, network: GaPMeS, tolerance: Tolerance) -> CaseResult:
-    tolerance = tolerance.for_flat_images() if case.flat else tolerance
+    if case.flat:
+        tolerance = tolerance.for_flat_images()
+    elif case.undetermined:
+        tolerance = tolerance.for_undetermined_matching()
     graph = SceneGraph(network).eval()
     names = graph.output_names
     logits = _GateLogits(network)

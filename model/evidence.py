@@ -17,7 +17,7 @@ from .layers import replicate_pad
 WINDOW_RADIUS = 2  # px at half resolution: correlation in windows of 5 x 5
 GUIDE_RADIUS, GUIDE_EPSILON = 4, 1e-3  # px and variance of grey: weaker edges are smoothed across
 COLOUR_LIMIT = 0.15  # absolute difference from which two colours are as different as can be
-FLAT = 1e-4  # geometric mean of two variances: below it windows count as ever less correlated
+FLAT = 1e-3  # geometric mean of two variances: below it windows count as ever less correlated
 UNSEEN = 0.6  # of 0 (different) .. 1 (equal): less than a match, more than a clear mismatch
 
 

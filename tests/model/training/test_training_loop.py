@@ -85,10 +85,11 @@ def test_fifty_steps_on_generated_scenes_teach_it(tmp_path: Path) -> None:
     recipe = replace(Recipe(), steps=50, seed=1, warm_up=10, phases=(Phase(1.0, 48, 2, (2,), (0.1, 0.5)),))
     trained = loop.train(preset("tiny"), recipe, tmp_path, validate_every=50, validation_scenes=1, save_seconds=1e9)
     after = validate(trained, held_out)
-    # measured with seeds 1, 2, 3: +2.1, +2.8, +1.8 dB; depth error to 0.70, 0.70, 0.74 of the untrained network's
-    assert after["psnr"] > before["psnr"] + 1.0
-    assert after["psnr"] > after["copy_psnr"] + 1.0
-    assert after["depth_error"] < 0.85 * before["depth_error"]
+    # what needs no training already gives 23.5 dB; measured with seeds 1, 2, 3: +0.84, +0.53, +0.43 dB and
+    # +0.039, +0.020, +0.018 SSIM
+    assert after["psnr"] > before["psnr"] + 0.2
+    assert after["ssim"] > before["ssim"] + 0.008
+    assert after["psnr"] > after["copy_psnr"] + 3.0
 
 
 def test_zoomed_batches_halve_the_inputs_only() -> None:

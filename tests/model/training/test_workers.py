@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from torch import nn
+from torch.multiprocessing.spawn import ProcessException
 
 from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.config import preset
@@ -67,7 +68,8 @@ def test_two_processes_train_as_one_does(tmp_path: Path) -> None:
 
 
 def test_a_failure_ends_all(tmp_path: Path) -> None:
-    with pytest.raises(Exception, match="this one fails"):
+    # the other one, left waiting, may be the first to be heard
+    with pytest.raises(ProcessException, match=r"this one fails|Connection closed by peer|Connection reset by peer"):
         run_workers(2, 1, _fail)
 
 
