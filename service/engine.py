@@ -48,7 +48,6 @@ class Engine:
         options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
         options.use_deterministic_compute = True
         options.log_severity_level = 3
-        options.add_session_config_entry("session.set_denormal_as_zero", "1")
         damaged = (*self._failures, native.InvalidProtobuf, native.InvalidGraph, native.NotImplemented, native.NoModel)
         try:
             self._session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
