@@ -1,4 +1,4 @@
-"""Depth from matching: softmax over the plane sweep, two refinements among local candidates, convex upsampling."""
+"""Depth from matching: fixed evidence, filled from behind, two learned refinements among candidates, upsampling."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class DepthEstimate:
 
 
 class DepthFromMatching(nn.Module):
-    """Three-stage matching; learned features, a fixed ZNCC descriptor and fixed evidence vote side by side."""
+    """Fixed evidence gives the first depth; learned features, ZNCC and evidence vote in its refinements."""
 
     def __init__(self, config: ModelConfig, mono_channels: int) -> None:
         super().__init__()

@@ -138,7 +138,7 @@ def test_default_model_is_the_packaged_one():
     assert Engine(threads=1).info.file_sha256 == hashlib.sha256(shipped_model().read_bytes()).hexdigest()
 
 
-def test_loading_and_running_leave_the_processor_as_it_was() -> None:
+def test_loading_leaves_the_processor_as_it_was() -> None:
     """Flushing of denormals is a state of the thread: set here, it would change results in the caller's own code."""
     tiny = np.array([1e-310])
     Engine(shipped_model(), threads=1)
