@@ -24,8 +24,19 @@ from .models import Model
 from .pixel_splats import drawn_over, pixel_gaussians
 from .planes import consistent_plane, nearest_input, plane_blend
 from .routing import routes_of
-from .scores import NEAREST, PLANE, SWEEP, TRUE_DEPTH, MethodScore, ModelScore, SceneScore, Twice, number
-from .sweep import filled_from_behind, swept_depths
+from .scores import (
+    NEAREST,
+    PLANE,
+    SWEEP,
+    TRUE_DEPTH,
+    TUNED_SWEEP,
+    MethodScore,
+    ModelScore,
+    SceneScore,
+    Twice,
+    number,
+)
+from .sweep import filled_from_behind, plainly_swept_depths, swept_depths
 
 F32 = NDArray[np.float32]
 
@@ -120,7 +131,10 @@ def _baseline_pictures(case: Case, near: float, far: float, threads: int | None)
     plane = consistent_plane(case.inputs, near, far)
     blended = [plane_blend(case.inputs, camera, plane) for camera in cameras]
     swept = swept_depths(case.inputs, near, far)
-    splats = {SWEEP: pixel_gaussians(case.inputs, swept.depths, swept.agreed)}
+    splats = {
+        SWEEP: pixel_gaussians(case.inputs, plainly_swept_depths(case.inputs, near, far)),
+        TUNED_SWEEP: pixel_gaussians(case.inputs, swept.depths, swept.agreed),
+    }
     if case.truth is not None:
         splats[TRUE_DEPTH] = pixel_gaussians(case.inputs, case.truth.inputs)
     pictures = {NEAREST: [nearest_input(case.inputs, camera) for camera in cameras], PLANE: blended}

@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 from .metrics import Figures, mean_figures, mean_or_none
 from .routing import RoutingStatistics
 
-NEAREST, PLANE, SWEEP, TRUE_DEPTH = "nearest input", "plane blend", "plane sweep", "true depth"
-BASELINES = (NEAREST, PLANE, SWEEP)  # what a model is compared with; true depth is a ceiling, not a baseline
+NEAREST, PLANE, SWEEP, TUNED_SWEEP = "nearest input", "plane blend", "plane sweep", "tuned sweep"
+TRUE_DEPTH = "true depth"
+SIMPLE = (NEAREST, PLANE, SWEEP)
+BASELINES = (*SIMPLE, TUNED_SWEEP)  # what a model is compared with; true depth is a ceiling, not a baseline
 
 
 @dataclass(frozen=True)
@@ -54,9 +56,10 @@ class SceneScore:
     def best_baseline(self) -> str:
         return max(BASELINES, key=lambda name: number(self.baselines[name].all.psnr))
 
-    def margin(self, model: str) -> float:
-        """dB above the best baseline of this scene, over all pixels."""
-        return number(self.models[model].score.all.psnr) - number(self.baselines[self.best_baseline].all.psnr)
+    def margin(self, model: str, among: Sequence[str] = BASELINES) -> float:
+        """dB above this scene's best baseline `among` these, over all pixels."""
+        best = max(number(self.baselines[name].all.psnr) for name in among)
+        return number(self.models[model].score.all.psnr) - best
 
 
 @dataclass(frozen=True)
@@ -85,9 +88,9 @@ class Group:
         means = {name: mean_score([scene.baselines[name] for scene in self.scenes]) for name in names}
         return means | {name: mean_score([s.models[name].score for s in self.scenes]) for name in self.models}
 
-    def margins(self, model: str) -> list[float]:
+    def margins(self, model: str, among: Sequence[str] = BASELINES) -> list[float]:
         """dB above each scene's own best baseline."""
-        return [scene.margin(model) for scene in self.scenes]
+        return [scene.margin(model, among) for scene in self.scenes]
 
     def margin_of_means(self, model: str) -> tuple[str, float]:
         """The baseline that is best on average, and the dB by which the model's average is above its."""

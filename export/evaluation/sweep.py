@@ -37,13 +37,19 @@ class SweptDepths:
     agreed: NDArray[np.bool_]  # (V, H, W)
 
 
+def plainly_swept_depths(inputs: Sequence[FittedView], near: float, far: float) -> F32:
+    """(V, H, W) z-depth: winner takes all over planes uniform in inverse depth, by the costs of the windows alone."""
+    views = range(len(inputs))
+    return torch.stack([_winners(inputs, index, near, far, guided=False) for index in views]).numpy()
+
+
 def swept_depths(inputs: Sequence[FittedView], near: float, far: float) -> SweptDepths:
     """Winner takes all over planes uniform in inverse depth, each view against all others.
 
     The cost volume is aggregated by a guided filter (He et al. 2010; Hosni et al. 2011), the winner refined by a
     parabola. Where no other view's depth agrees, the farther neighbour in the row stands in; a median ends it.
     """
-    first = torch.stack([_winners(inputs, index, near, far) for index in range(len(inputs))])
+    first = torch.stack([_winners(inputs, index, near, far, guided=True) for index in range(len(inputs))])
     tolerance = AGREEMENT * (1 / near - 1 / far)
     agreed = torch.stack([_agrees(inputs, first, index, tolerance) for index in range(len(inputs))]).numpy()
     filled = np.stack([filled_from_behind(z, ok) for z, ok in zip(first.numpy(), agreed, strict=True)])
@@ -66,13 +72,15 @@ def filled_from_behind(depth: F32, known: NDArray[np.bool_]) -> F32:
     return np.where(known, depth, np.where(np.isfinite(behind), behind, rest)).astype(np.float32)
 
 
-def _winners(inputs: Sequence[FittedView], index: int, near: float, far: float) -> Tensor:
-    """(H, W) depth of the least aggregated cost."""
+def _winners(inputs: Sequence[FittedView], index: int, near: float, far: float, *, guided: bool) -> Tensor:
+    """(H, W) depth of the least cost, which a guided filter has aggregated or windows alone."""
     view = inputs[index]
     depths = torch.from_numpy(inverse_depth_steps(near, far, PLANES).astype(np.float32)).reshape(-1, 1, 1)
     others = [other for j, other in enumerate(inputs) if j != index]
     cost = torch.stack([_matching_cost(view, other, depths) for other in others]).mean(dim=0)
-    cost = _guided(torch.from_numpy(view.image).mean(dim=0), cost)
+    cost = (
+        _guided(torch.from_numpy(view.image).mean(dim=0), cost) if guided else _box(cost[:, None], MATCH_RADIUS)[:, 0]
+    )
     best = cost.argmin(dim=0, keepdim=True)
     inner = best.clamp(1, PLANES - 2)
     before, at, after = (cost.gather(0, inner + step)[0] for step in (-1, 0, 1))

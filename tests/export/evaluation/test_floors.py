@@ -14,6 +14,7 @@ from gapmes.export.evaluation.scores import (
     PLANE,
     SWEEP,
     TRUE_DEPTH,
+    TUNED_SWEEP,
     Group,
     MethodScore,
     ModelScore,
@@ -28,7 +29,8 @@ def score(psnr: float) -> MethodScore:
 
 
 def scene(name: str, ours: float, best: float, twice: Twice | None = None, open_share: float = 0.0) -> SceneScore:
-    baselines = {NEAREST: score(best - 5), PLANE: score(best - 1), SWEEP: score(best), TRUE_DEPTH: score(99.0)}
+    baselines = {NEAREST: score(best - 5), PLANE: score(best - 1), SWEEP: score(best - 0.3), TUNED_SWEEP: score(best)}
+    baselines[TRUE_DEPTH] = score(99.0)
     return SceneScore(name, 0.9, baselines, {"ours": ModelScore(score(ours), open_share, open_share, 0.1, twice)})
 
 
@@ -52,7 +54,7 @@ def verdicts(groups: list[Group]) -> dict[str, bool | None]:
 
 def test_good_figures_pass_every_floor() -> None:
     result = verdicts(GOOD)
-    assert len(result) == 4 + 2 + 1 + 3
+    assert len(result) == 2 * 4 + 2 + 1 + 3
     assert set(result.values()) == {True}
 
 
@@ -69,22 +71,30 @@ def with_scene(index: int, **changes: object) -> list[Group]:
 @pytest.mark.parametrize(
     ("groups", "missed"),
     [
-        ([group("generated", 2, (2.4, 2.5)), *GOOD[1:]], "generated, 2 views: mean"),
-        ([GOOD[0], group("photographs", 2, (4.5, 0.1)), GOOD[2]], "photographs, 2 views: mean"),
-        ([GOOD[0], group("photographs", 2, (6.0, -0.1)), GOOD[2]], "photographs, 2 views: above"),
-        ([*GOOD[:2], group("photographs", 3, (1.4, 1.5))], "photographs, 3 views: mean"),
+        ([group("generated", 2, (2.4, 2.5)), *GOOD[1:]], "generated, 2 views, 128 px: mean"),
+        ([GOOD[0], group("photographs", 2, (4.5, 0.1)), GOOD[2]], "photographs, 2 views, 128 px: mean"),
+        ([GOOD[0], group("photographs", 2, (6.0, -0.1)), GOOD[2]], "photographs, 2 views, 128 px: above"),
+        ([*GOOD[:2], group("photographs", 3, (1.4, 1.5))], "photographs, 3 views, 128 px: mean"),
         (with_scene(1, twice=Twice(18.0, -1.6, 0.0, 300)), "twice the size: PSNR"),
         (with_scene(1, twice=Twice(22.0, 1.6, 0.0, 300)), "twice the size: PSNR"),
         (with_scene(2, twice=Twice(18.0, -1.0, 0.011, 300)), "twice the size: holes"),
         (with_scene(0, holes_covisible=1e-6), "holes in co-visible"),
         ([GOOD[0], GOOD[1], group("photographs", 3, (1.4, 1.7), least_expert=0.029)], "least used expert"),
-        ([*GOOD, group("photographs", 2, (2.0, 2.0), size=256)], "photographs, 2 views: mean"),
+        ([*GOOD, group("photographs", 2, (2.3, 2.3), size=256)], "photographs, 2 views, 256 px: mean"),
     ],
 )
 def test_each_floor_is_missed_just_below_it_and_no_other(groups: list[Group], missed: str) -> None:
     failed = [name for name, passed in verdicts(groups).items() if passed is False]
     assert len(failed) == 1
     assert failed[0].startswith(missed)
+
+
+def test_a_model_below_the_simple_baselines_misses_both_kinds_of_floor() -> None:
+    low = group("photographs", 2, (-0.4, 0.4))
+    failed = [name for name, passed in verdicts([GOOD[0], low, GOOD[2]]).items() if passed is False]
+    which = [(what, kind) for what in ("mean above each scene's best", "above the best") for kind in ("simple ", "")]
+    expected = [f"{low.title}: {what} {kind}baseline" for what, kind in which]
+    assert {name.removesuffix(" on every scene") for name in failed} == set(expected)
 
 
 def test_what_was_not_measured_is_neither_passed_nor_missed() -> None:
@@ -103,14 +113,14 @@ def test_the_best_baseline_is_that_of_each_scene_and_true_depth_is_none() -> Non
     one, other = scene("a", 22, 20), scene("b", 25, 20)
     other.baselines[PLANE] = score(24)
     both = Group("photographs", 2, 64, "true depth", [one, other], {"ours": None})
-    assert [s.best_baseline for s in both.scenes] == [SWEEP, PLANE]
+    assert [s.best_baseline for s in both.scenes] == [TUNED_SWEEP, PLANE]
     assert both.margins("ours") == [2, 1]
     assert both.margin_of_means("ours") == (PLANE, pytest.approx(23.5 - 21.5))
 
 
 def test_the_tables_show_every_method_scene_and_verdict() -> None:
     text = "\n".join(group_section(GOOD[1], lpips=False))
-    for word in (NEAREST, PLANE, SWEEP, TRUE_DEPTH, "ours", "s0", "s1", "+2.55 dB", "at 256 px", "0.400"):
+    for word in (NEAREST, PLANE, SWEEP, TUNED_SWEEP, TRUE_DEPTH, "ours", "s0", "s1", "+2.55 dB", "at 256 px", "0.400"):
         assert word in text
     assert "photograph has" not in text  # 300 px are enough for 256
     assert "LPIPS" not in text
