@@ -43,6 +43,13 @@ class Definition:
     """The affine projection is evaluated at most this share of the half field of view outside the image (1.3 tan(fov)
     in 3DGS when the principal point is central): further out it stretches splats without limit."""
 
+    cut_radius: float = math.inf
+    """Standard deviations beyond which a Gaussian is not drawn; infinity is as far as `alpha_min` reaches. Each layer
+    that a smaller one leaves out changes a colour by at most opacity * exp(-cut_radius^2 / 2)."""
+
+    inclusive_stop: bool = True
+    """False leaves out the Gaussian that would finish a pixel, as the reference rasteriser does (worst error 1e-2)."""
+
     max_entries: int = 1 << 24
     """(tile, Gaussian) pairs held at a time, 4 bytes each; more are drawn in several batches, same image to the bit."""
 
@@ -58,6 +65,8 @@ class Definition:
         _require("near", self.near, 0.0, self.far)
         _require("far", self.far, self.near, 1e37)
         _require("fov_margin", self.fov_margin, 0.0, 10.0)
+        if not self.cut_radius > 0:
+            raise InputError(f"is {self.cut_radius:g}, need more than 0", field="definition.cut_radius")
         _require("max_entries", self.max_entries, 1, 1 << 31)
 
 

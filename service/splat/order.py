@@ -6,20 +6,97 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..gaussians import Gaussians
+from .kernel_cache import kernel
+
+DIGIT = 11  # bits of a radix pass at most: 2048 counters of 8 bytes stay in the first-level cache
+LONG_RUN = 64  # depths that are equal in float32: from here on sorting by insertion would be slow
+SORTED, TIED, UNSORTED = 0, 1, 2
 
 
-def depth_order(depths: NDArray[np.float64], drawn: NDArray[np.bool_], gaussians: Gaussians) -> NDArray[np.int64]:
-    """Indices of the drawn Gaussians (M,), nearest first.
+def depth_order(depths: NDArray[np.float64], drawn: NDArray[np.int32], gaussians: Gaussians) -> NDArray[np.int32]:
+    """Indices of the drawn Gaussians (M,), nearest first; their depths are positive.
 
     Equal depths are ordered by mean, then by scales, rotation, opacity and harmonics; what is equal in all of these is
     interchangeable.
     """
-    index = np.flatnonzero(drawn)
-    order = index[np.argsort(depths[index])]
+    order = np.empty(len(drawn), np.int32)
+    depths, drawn = np.require(depths, requirements=["C", "W"]), np.require(drawn, requirements=["C", "W"])
+    state = sort_by_depth(depths, drawn, order) if len(drawn) else SORTED
+    if state == UNSORTED:
+        order = drawn[np.argsort(depths[drawn])]
+    if state != SORTED:
+        _order_ties(depths, order, gaussians)
+    return order
+
+
+@kernel()
+def sort_by_depth(depths, drawn, order):
+    """Fill `order` with `drawn` sorted by depth; returns TIED if any depths are equal, UNSORTED if it gave up.
+
+    A radix sort by the bits of the depths rounded to float32, which keep the order of positive numbers, then each run
+    that is equal in float32 by insertion.
+    """
+    count = drawn.shape[0]
+    narrow = np.empty(count, np.float32)
+    for p in range(count):
+        narrow[np.uint64(p)] = depths[np.uint64(drawn[np.uint64(p)])]
+    keys = narrow.view(np.uint32)
+    values = drawn.copy()
+    other_keys, other_values = np.empty(count, np.uint32), np.empty(count, np.int32)
+    least, most = keys.min(), keys.max()
+    bits = 1
+    while bits < 32 and (most - least) >> np.uint32(bits):
+        bits += 1
+    passes = (bits + DIGIT - 1) // DIGIT
+    digit = (bits + passes - 1) // passes
+    starts = np.empty(1 << digit, np.int64)
+    for turn in range(passes):
+        radix_pass(keys, values, other_keys, other_values, starts, least, np.uint32(turn * digit))
+        keys, other_keys = other_keys, keys
+        values, other_values = other_values, values
+    order[:] = values
+    state = SORTED
+    begin = 0
+    for p in range(1, count):
+        if keys[np.uint64(p)] != keys[np.uint64(p - 1)]:
+            begin = p
+            continue
+        if p - begin == LONG_RUN:
+            return UNSORTED
+        value, q = order[p], np.int64(p)
+        while q > begin and depths[order[q - 1]] > depths[value]:
+            order[q] = order[q - 1]
+            q -= 1
+        order[q] = value
+        if q > begin and depths[order[q - 1]] == depths[value]:
+            state = TIED
+    return state
+
+
+@kernel()
+def radix_pass(keys, values, sorted_keys, sorted_values, starts, least, shift):
+    """Stable counting sort by the bits of keys - least from `shift` on, as many as `starts` (2^bits,) has room for."""
+    mask = np.uint32(starts.shape[0] - 1)
+    starts[:] = 0
+    for p in range(keys.shape[0]):
+        starts[np.uint64(((keys[np.uint64(p)] - least) >> shift) & mask)] += 1
+    total = 0
+    for d in range(starts.shape[0]):
+        total, starts[d] = total + starts[d], total
+    for p in range(keys.shape[0]):
+        key = keys[np.uint64(p)]
+        digits = np.uint64(((key - least) >> shift) & mask)
+        to = np.uint64(starts[digits])
+        starts[digits] += 1
+        sorted_keys[to], sorted_values[to] = key, values[np.uint64(p)]
+
+
+def _order_ties(depths: NDArray[np.float64], order: NDArray[np.int32], gaussians: Gaussians) -> None:
+    """Put runs of equal depth in the order of their content, in place."""
     sorted_depths = depths[order]
     tied = _in_runs(sorted_depths[1:] == sorted_depths[:-1])
     if not len(tied):
-        return order
+        return
     # Sorting by depth again inside the tied positions keeps each run in its place.
     rows = order[tied]
     rows = rows[np.lexsort((*gaussians.means[rows].T[::-1], depths[rows]))]
@@ -40,7 +117,6 @@ def depth_order(depths: NDArray[np.float64], drawn: NDArray[np.bool_], gaussians
         )
         rows[twins] = some[np.lexsort(content.T[::-1])]
     order[tied] = rows
-    return order
 
 
 def _in_runs(equal_to_next: NDArray[np.bool_]) -> NDArray[np.int64]:

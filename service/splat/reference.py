@@ -57,9 +57,10 @@ def render_reference(
     low = -(np.array([camera.cx, camera.cy]) + half) / (camera.fx, camera.fy)
     high = (np.array([camera.width - camera.cx, camera.height - camera.cy]) + half) / (camera.fx, camera.fy)
     columns, rows = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
+    finished = np.zeros((camera.height, camera.width), bool)
     light, mass = np.ones((camera.height, camera.width)), np.zeros((camera.height, camera.width))
     colour, depth = np.zeros((camera.height, camera.width, 3)), np.zeros_like(light)
-    for i in depth_order(z, drawn, gaussians):
+    for i in depth_order(z, np.flatnonzero(drawn).astype(np.int32), gaussians):
         tan = np.clip([x[i] / z[i], y[i] / z[i]], low, high)
         jacobian = np.array([[camera.fx, 0, -camera.fx * tan[0]], [0, camera.fy, -camera.fy * tan[1]]]) / z[i]
         own = rotation_matrix(gaussians.rotations_wxyz[i].astype(np.float64))
@@ -69,7 +70,12 @@ def render_reference(
         dx, dy = columns - (camera.fx * x[i] / z[i] + camera.cx), rows - (camera.fy * y[i] / z[i] + camera.cy)
         distance2 = (dx / l1) ** 2 + ((dy - k * dx) / np.linalg.norm(a[1] - k * a[0])) ** 2
         alpha = np.minimum(gaussians.opacities[i].astype(np.float64) * np.exp(-0.5 * distance2), rule.alpha_max)
-        weight = np.where((alpha >= rule.alpha_min) & (light > rule.stop), alpha * light, 0.0)
+        seen = (alpha >= rule.alpha_min) & (distance2 <= rule.cut_radius**2)
+        if rule.inclusive_stop:
+            weight = np.where(seen & (light > rule.stop), alpha * light, 0.0)
+        else:
+            finished |= seen & (light - alpha * light < rule.stop)
+            weight = np.where(seen & ~finished, alpha * light, 0.0)
         basis = sh_basis(offset[i : i + 1] / np.linalg.norm(offset[i]), degree)[0]
         colour += weight[..., None] * np.maximum(0.5 + basis @ gaussians.harmonics[i, : len(basis)], 0.0)
         depth, mass, light = depth + weight * z[i], mass + weight, light - weight

@@ -1,9 +1,9 @@
-"""Draw Gaussians as a camera sees them: project, order, bin, blend, composite."""
+"""Draw Gaussians as a camera sees them: project, order, bin, blend."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,16 +14,19 @@ from ..camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
 from .binning import Grid, tile_lists
-from .blend import blend, composite_rows, start_planes
+from .blend import TILE_STATE, Canvas, blend
 from .definition import Definition
 from .order import depth_order
-from .parallel import checked_threads, run_ranges
-from .project import DRAWN, project
+from .parallel import checked_threads
+from .prepare import prepared
+from .project import project
+
+OUTPUTS = ("alpha", "depth")  # what can be asked for beside the colours
 
 
 @dataclass(frozen=True, eq=False)
 class Render:
-    """An image of H x W px, in float32 (the reference's in float64).
+    """An image of H x W px, in float32 (the reference's in float64); a plane not asked for has no pixels.
 
     `stats` says what was drawn, what was not and why, and the seconds of each stage.
     """
@@ -47,45 +50,56 @@ def render(
     near: float | None = None,
     threads: int | None = None,
     definition: Definition | None = None,
+    outputs: Collection[str] = OUTPUTS,
 ) -> Render:
     """Draw the Gaussians; `definition.py` says what image that is, `reference.py` computes the same in float64.
 
     `background` is three numbers (black), `sh_degree` the highest band used (all there are), `near` the nearest z-depth
-    in the caller's units (0.01), `threads` the number of CPU threads (all). The image has the same bits for every
-    number of threads and every order of the input, and differs from the float64 one by at most 1e-5, apart from pixels
-    at which a Gaussian lies on the very edge of a cut (alpha_min, stop, near, equal depths).
+    in the caller's units (0.01), `threads` the number of CPU threads (all), `outputs` which planes to compute beside
+    the colours. The image has the same bits for every number of threads, every order of the input and every choice of
+    outputs, and differs from the float64 one by at most 1e-5, apart from pixels at which a Gaussian lies on the very
+    edge of a cut (alpha_min, stop, near, equal depths).
 
-    Raises `InputError` for a background, degree, plane or thread count that makes no sense.
+    Raises `InputError` for a background, degree, plane, thread count or output that makes no sense.
     """
     definition = checked_definition(definition, near)
     behind = checked_background(background)
     degree = checked_degree(sh_degree, gaussians)
     threads = checked_threads(threads)
+    unknown = sorted(set(outputs) - set(OUTPUTS))
+    if unknown:
+        raise InputError(f"{unknown[0]!r} is unknown, need some of {', '.join(OUTPUTS)}", field="outputs")
     grid = Grid(camera.width, camera.height)
 
     clock = [time.perf_counter()]
-    projection = project(gaussians, camera, definition, degree, threads)
+    scene = prepared(gaussians, threads)
     clock.append(time.perf_counter())
-    order = depth_order(projection.depths, projection.status == DRAWN, gaussians)
-    clock.append(time.perf_counter())
-    planes = start_planes(grid)
-    entries = batches = 0
-    binning = 0.0
-    lists = tile_lists(projection.footprints, order, grid, definition.max_entries, threads)
-    mark = time.perf_counter()
-    for batch in lists:
-        binning += time.perf_counter() - mark
-        entries += len(batch.members)
-        batches += 1
-        live = blend(batch, projection.footprints, projection.shades, planes, grid, definition, threads)
+    with scene.workspace() as space:
+        projection = project(scene, camera, definition, degree, threads, space)
+        clock.append(time.perf_counter())
+        order = depth_order(space.depths, projection.drawn, gaussians)
+        clock.append(time.perf_counter())
+        entries = batches = 0
+        binning = 0.0
+        shape = (camera.height, camera.width)
+        several = int(projection.counts.sum()) > definition.max_entries
+        canvas = Canvas(
+            np.empty((*shape, 3), np.float32),
+            np.empty(shape if "alpha" in outputs else (0, 0), np.float32),
+            np.empty(shape if "depth" in outputs else (0, 0), np.float32),
+            np.empty((grid.tiles if several else 0, TILE_STATE), np.float32),
+            behind,
+        )
         mark = time.perf_counter()
-        if live == 0:
-            break
-    rows = np.linspace(0, grid.height, threads + 1).astype(np.int64)
-    run_ranges(lambda first, last: composite_rows(first, last, *planes, behind), rows, threads)
-    clock.append(time.perf_counter())
+        for lists in tile_lists(projection, order, grid, definition.max_entries, threads):
+            binning += time.perf_counter() - mark
+            entries += len(lists.members)
+            first = batches == 0
+            batches += 1
+            blend(lists, space.records, canvas, grid, definition, threads, first_batch=first)
+            mark = time.perf_counter()
+        clock.append(time.perf_counter())
 
-    colour, alpha, depth = planes
     stats = {
         "count": len(gaussians),
         "projected": len(order),
@@ -95,21 +109,23 @@ def render(
         "entries": entries,
         "batches": batches,
         "seconds": {
-            "project": clock[1] - clock[0],
-            "order": clock[2] - clock[1],
+            "prepare": clock[1] - clock[0],
+            "project": clock[2] - clock[1],
+            "order": clock[3] - clock[2],
             "bin": binning,
-            "blend": clock[3] - clock[2] - binning,
+            "blend": clock[4] - clock[3] - binning,
         },
     }
-    return Render(colour, alpha, depth, stats)
+    return Render(canvas.rgb, canvas.alpha, canvas.depth, stats)
 
 
 def warm_up() -> None:
-    """Compile every kernel or load it from the cache, so that the first request does not wait for it."""
+    """Compile every kernel or load it from the cache, so that no request waits for it."""
     camera = Camera.make(32, 32, 32.0, 32.0, 16.0, 16.0, np.eye(4))
-    one = np.ones((1, 3), np.float32)
-    gaussians = Gaussians.make(2.0 * one, one, [[1.0, 0.0, 0.0, 0.0]], [0.5], np.zeros((1, 1, 3)))
-    render(gaussians, camera, threads=1)
+    two = np.ones((2, 3), np.float32)
+    gaussians = Gaussians.make(2.0 * two, two, [[1.0, 0.0, 0.0, 0.0]] * 2, [0.5, 0.4], np.zeros((2, 1, 3)))
+    for max_entries in (1, 2):  # lists in several batches have a kernel of their own
+        render(gaussians, camera, threads=1, definition=Definition(max_entries=max_entries))
 
 
 def checked_definition(definition: Definition | None, near: float | None) -> Definition:

@@ -1,4 +1,4 @@
-"""Colour of a Gaussian seen from a direction: real spherical harmonics up to degree 3 in 3DGS order and sign.
+"""Colours of one block of Gaussians seen from a point: real spherical harmonics to degree 3 in 3DGS order and sign.
 
 The constants are sqrt((2l+1)/(4 pi) (l-m)!/(l+m)!) times the polynomial's own factor (Sloan 2008, "Stupid Spherical
 Harmonics Tricks", appendix A2); 3DGS keeps the Condon-Shortley sign and orders m = -l..l inside each band.
@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from .kernel_cache import kernel
+from .prepare import BLOCK
 
 C0 = math.sqrt(1 / (4 * math.pi))
 C1 = math.sqrt(3 / (4 * math.pi))
@@ -26,27 +29,54 @@ COLOUR_MAX = 1e37
 
 
 @kernel()
-def shade(harmonics, row, channel, degree, x, y, z):
-    """max(0, 0.5 + sum of bands 0..degree) of one channel along the unit direction (x, y, z); NaN becomes 0."""
-    value = 0.5 + C0 * harmonics[row, 0, channel]
+def shades(geometry, harmonics, degree, view, out):
+    """Fill `out` (3 * BLOCK) channel by channel with max(0, 0.5 + sum of bands 0..degree); NaN becomes 0.
+
+    harmonics (K, 3, BLOCK) float32; the direction is that from the camera's centre to the mean, of `geometry`.
+    """
+    flat, coefficients = geometry.reshape(-1), harmonics.reshape(-1)
+    weights = np.empty(16 * BLOCK)
     if degree > 0:
-        value += C1 * (z * harmonics[row, 2, channel] - y * harmonics[row, 1, channel] - x * harmonics[row, 3, channel])
-    if degree > 1:
-        xx, yy, zz = x * x, y * y, z * z
-        value += C2_XY * (
-            x * y * harmonics[row, 4, channel] - y * z * harmonics[row, 5, channel] - x * z * harmonics[row, 7, channel]
-        )
-        value += C2_ZZ * (2.0 * zz - xx - yy) * harmonics[row, 6, channel]
-        value += C2_XX * (xx - yy) * harmonics[row, 8, channel]
-        if degree > 2:
+        directions(flat, view, degree, weights)
+    terms = (degree + 1) * (degree + 1)
+    for channel in range(3):
+        start = channel * BLOCK
+        for j in range(BLOCK):
+            weights[np.uint64(j)] = 0.5 + C0 * coefficients[np.uint64(start + j)]
+        for term in range(1, terms):
+            column = term * 3 * BLOCK + start
+            for j in range(BLOCK):
+                weights[np.uint64(j)] += weights[np.uint64(term * BLOCK + j)] * coefficients[np.uint64(column + j)]
+        for j in range(BLOCK):
+            value = weights[np.uint64(j)]
+            out[np.uint64(start + j)] = np.float32(min(value, COLOUR_MAX)) if value > 0.0 else np.float32(0.0)
+
+
+@kernel()
+def directions(flat, view, degree, weights):
+    """The basis functions 1..15 of each Gaussian's unit direction, term by term; row 0 stays free."""
+    centre_x, centre_y, centre_z = view[9], view[10], view[11]
+    for j in range(BLOCK):
+        at = np.uint64(j)
+        x, y = flat[at] - centre_x, flat[at + np.uint64(BLOCK)] - centre_y
+        z = flat[at + np.uint64(2 * BLOCK)] - centre_z
+        inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
+        x, y, z = x * inverse, y * inverse, z * inverse
+        weights[at + np.uint64(BLOCK)] = -C1 * y
+        weights[at + np.uint64(2 * BLOCK)] = C1 * z
+        weights[at + np.uint64(3 * BLOCK)] = -C1 * x
+        if degree > 1:
+            xx, yy, zz = x * x, y * y, z * z
+            weights[at + np.uint64(4 * BLOCK)] = C2_XY * x * y
+            weights[at + np.uint64(5 * BLOCK)] = -C2_XY * y * z
+            weights[at + np.uint64(6 * BLOCK)] = C2_ZZ * (2.0 * zz - xx - yy)
+            weights[at + np.uint64(7 * BLOCK)] = -C2_XY * x * z
+            weights[at + np.uint64(8 * BLOCK)] = C2_XX * (xx - yy)
             ring = 4.0 * zz - xx - yy
-            value -= C3_3 * y * (3.0 * xx - yy) * harmonics[row, 9, channel]
-            value += C3_2 * x * y * z * harmonics[row, 10, channel]
-            value -= C3_1 * y * ring * harmonics[row, 11, channel]
-            value += C3_0 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy) * harmonics[row, 12, channel]
-            value -= C3_1 * x * ring * harmonics[row, 13, channel]
-            value += C3_2Z * z * (xx - yy) * harmonics[row, 14, channel]
-            value -= C3_3 * x * (xx - 3.0 * yy) * harmonics[row, 15, channel]
-    if not value > 0.0:
-        return 0.0
-    return min(value, COLOUR_MAX)
+            weights[at + np.uint64(9 * BLOCK)] = -C3_3 * y * (3.0 * xx - yy)
+            weights[at + np.uint64(10 * BLOCK)] = C3_2 * x * y * z
+            weights[at + np.uint64(11 * BLOCK)] = -C3_1 * y * ring
+            weights[at + np.uint64(12 * BLOCK)] = C3_0 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy)
+            weights[at + np.uint64(13 * BLOCK)] = -C3_1 * x * ring
+            weights[at + np.uint64(14 * BLOCK)] = C3_2Z * z * (xx - yy)
+            weights[at + np.uint64(15 * BLOCK)] = -C3_3 * x * (xx - 3.0 * yy)

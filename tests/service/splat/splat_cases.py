@@ -78,6 +78,8 @@ def compare(gaussians: Gaussians, view: Camera, definition: Definition | None = 
     true = render_reference(gaussians, view, definition=rule, **options)
     nudged = [replace(rule, alpha_min=rule.alpha_min * f) for f in (1 - 1e-5, 1 + 1e-5)]
     nudged += [replace(rule, stop=rule.stop * f) for f in (1 - 1e-5, 1 + 1e-5)] if rule.stop > 0 else []
+    if np.isfinite(rule.cut_radius):
+        nudged += [replace(rule, cut_radius=rule.cut_radius * f) for f in (1 - 1e-5, 1 + 1e-5)]
     edge = np.zeros(true.alpha.shape, bool)
     for other in nudged:
         edge |= render_reference(gaussians, view, definition=other, **options).alpha != true.alpha

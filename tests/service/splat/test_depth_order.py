@@ -15,13 +15,26 @@ few = st.sampled_from([0.0, 1.0, 2.0])
 def test_order_depends_on_content_alone(rows, seed):
     table = np.array(rows, float).reshape(-1, 5)
     gaussians = dots(table[:, :3], 0.1 + 0.2 * table[:, 4], (0, 0, 0))
-    depths, drawn = table[:, 2].copy(), table[:, 3] > 0
+    depths, drawn = table[:, 2].copy(), np.flatnonzero(table[:, 3] > 0).astype(np.int32)
     order = depth_order(depths, drawn, gaussians)
-    assert sorted(order) == np.flatnonzero(drawn).tolist()
+    assert sorted(order) == drawn.tolist()
     assert (np.diff(depths[order]) >= 0).all()
     shuffle = np.random.default_rng(seed).permutation(len(table))
-    other = depth_order(depths[shuffle], drawn[shuffle], gaussians[shuffle])
+    moved = np.flatnonzero(table[shuffle, 3] > 0).astype(np.int32)
+    other = depth_order(depths[shuffle], moved, gaussians[shuffle])
     assert (table[order] == table[shuffle][other]).all()
     # Within one depth: by x, then y, then opacity.
     keys = [tuple(row[[2, 0, 1, 4]]) for row in table[order]]
     assert keys == sorted(keys)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**32), st.sampled_from([1e-30, 1e-3, 1.0, 1e6]), st.sampled_from([1e-12, 1e-9, 1e-6, 1.0]))
+def test_order_is_that_of_the_float64_depths_however_close(seed, unit, spread):
+    """Depths that are equal in float32, in part or all of them, and from one to thousands."""
+    rng = np.random.default_rng(seed)
+    depths = unit * (1.0 + spread * rng.random(int(rng.integers(1, 3000))))
+    drawn = rng.permutation(len(depths))[: max(1, len(depths) // 2)].astype(np.int32)
+    order = depth_order(depths, drawn, dots(np.zeros((len(depths), 3)), np.ones(len(depths)), (0, 0, 0)))
+    assert (np.diff(depths[order]) >= 0).all()
+    assert sorted(order) == sorted(drawn)

@@ -11,6 +11,7 @@ from gapmes.service.splat import Definition, render, render_reference
 
 # Largest difference off the edges of cuts; measured 4e-7 on scenes of 1,500 to 4,000 Gaussians at 64 to 256 px.
 SMOOTH = 2e-6
+DEPTH = 5e-6  # the sum of weights times depths is divided by 1 - T, which float32 rounds by 6e-8: measured 2.2e-6
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -25,7 +26,7 @@ def test_random_scenes_match_the_reference(seed, degree):
     )
     result = compare(placed, camera(pose=pose), background=(0.2, 0.5, 1.0))
     assert result.smooth < SMOOTH
-    assert result.depth < SMOOTH
+    assert result.depth < DEPTH
     assert result.jump <= 1.8 / 255  # colours reach 1.8 here, and one flip per pixel is all these seeds have
     assert result.on_edge < 5e-3
 
@@ -36,7 +37,7 @@ def test_random_scenes_match_the_reference(seed, degree):
 def test_stiff_scenes_match_the_reference(scales, near_far):
     result = compare(scene(150, 5, 0, scales, near_far), camera(64, 64, 60.0))
     assert result.smooth < SMOOTH
-    assert result.depth < SMOOTH
+    assert result.depth < DEPTH
 
 
 @pytest.mark.parametrize("sigma_px", [1.0, 30.0, 1e3, 1e4, 1e5])

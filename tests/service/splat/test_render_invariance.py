@@ -11,9 +11,10 @@ from splat_cases import bits, camera, compare, dots, moved, rotation, scene
 from gapmes.service.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, render
-from gapmes.service.splat.binning import Grid, TileLists, count_range, fill_range, tile_lists
-from gapmes.service.splat.blend import blend, blend_range, composite_rows, start_planes
-from gapmes.service.splat.order import depth_order
+from gapmes.service.splat.binning import Grid, TileLists, count_range, fill_rows, tile_lists
+from gapmes.service.splat.blend import TILE_STATE, Canvas, blend, blend_range
+from gapmes.service.splat.order import depth_order, sort_by_depth
+from gapmes.service.splat.prepare import Workspace, prepare_range, prepared
 from gapmes.service.splat.project import project, project_range
 
 
@@ -48,6 +49,10 @@ def test_coplanar_gaussians_in_any_order_give_the_same_bits(count):
     assert bits(render(duplicated[rng.permutation(len(duplicated))], camera())) == first
 
 
+def projected(gaussians, view):
+    return project(prepared(gaussians, 1), view, Definition(), 0, 1, Workspace.of(len(gaussians)))
+
+
 @pytest.mark.parametrize("max_entries", [1, 7, 100, 1000])
 def test_batches_give_the_same_bits_and_bound_the_lists(max_entries):
     gaussians, view = scene(200, 4), camera(70, 50)
@@ -56,30 +61,32 @@ def test_batches_give_the_same_bits_and_bound_the_lists(max_entries):
     assert bits(split) == bits(whole)
     assert split.stats["entries"] == whole.stats["entries"]
     assert split.stats["batches"] >= whole.stats["entries"] // max(max_entries, split.stats["tiles"])
-    projection = project(gaussians, view, Definition(), 0, 1)
-    order = depth_order(projection.depths, projection.status == 0, gaussians)
+    projection = projected(gaussians, view)
+    order = depth_order(projection.space.depths, projection.drawn, gaussians)
     grid = Grid(view.width, view.height)
-    for lists in tile_lists(projection.footprints, order, grid, max_entries, 1):
+    for lists in tile_lists(projection, order, grid, max_entries, 1):
         assert len(lists.members) <= max(max_entries, grid.tiles)
 
 
-def test_tile_lists_and_row_clipping_leave_nothing_out():
-    """Every Gaussian in every tile, all rows: the same bits, so lists and rows are exact skips."""
+def drawn_by(lists, projection, grid):
+    """The planes of one batch, as bytes."""
+    shape = (grid.height, grid.width)
+    planes = [np.empty((*shape, 3), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)]
+    canvas = Canvas(*planes, np.empty((0, TILE_STATE), np.float32), np.zeros(3, np.float32))
+    blend(lists, projection.space.records, canvas, grid, Definition(), 1, first_batch=True)
+    return [plane.tobytes() for plane in planes]
+
+
+def test_tile_lists_leave_nothing_out():
+    """Every Gaussian in every tile gives the same bits, so the lists are exact skips."""
     for seed, scales in ((1, (0.02, 0.3)), (2, (1e-9, 3.0)), (3, (1e-4, 1e3))):
         gaussians, view = scene(200, seed, 0, scales), camera(70, 50)
         grid, rule = Grid(view.width, view.height), Definition()
-        projection = project(gaussians, view, rule, 0, 1)
-        order = depth_order(projection.depths, projection.status == 0, gaussians)
-        (lists,) = tile_lists(projection.footprints, order, grid, rule.max_entries, 1)
-        planes = start_planes(grid)
-        blend(lists, projection.footprints, projection.shades, planes, grid, rule, 1)
-        everything = TileLists(np.arange(grid.tiles + 1) * len(order), np.tile(order, grid.tiles).astype(np.int32))
-        tall = projection.footprints.copy()
-        tall[:, 6] = 1e6
-        full = start_planes(grid)
-        blend(everything, tall, projection.shades, full, grid, rule, 1)
-        for plane, other in zip(planes, full, strict=True):
-            assert plane.tobytes() == other.tobytes()
+        projection = projected(gaussians, view)
+        order = depth_order(projection.space.depths, projection.drawn, gaussians)
+        (lists,) = tile_lists(projection, order, grid, rule.max_entries, 1)
+        everything = TileLists(np.arange(grid.tiles + 1) * len(order), np.tile(order, grid.tiles), True)
+        assert drawn_by(lists, projection, grid) == drawn_by(everything, projection, grid)
         assert len(lists.members) < len(everything.members)
 
 
@@ -154,7 +161,7 @@ def test_strided_and_read_only_arrays_are_drawn_alike_by_the_same_kernels():
     for field in Gaussians.__dataclass_fields__:
         getattr(frozen, field).flags.writeable = False
     assert bits(render(frozen[::2], camera())) == bits(render(frozen[np.arange(0, 100, 2)], camera()))
-    for kernel in (project_range, count_range, fill_range, blend_range, composite_rows):
+    for kernel in (prepare_range, project_range, sort_by_depth, count_range, fill_rows, blend_range):
         assert len(kernel.signatures) == 1  # nothing is compiled while a request waits
 
 

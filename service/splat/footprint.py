@@ -1,0 +1,95 @@
+"""The footprints of one block of Gaussians: a loop without branches, which LLVM turns into vectors of float64."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .kernel_cache import kernel
+from .prepare import BLOCK, FACTOR, LOG_OPACITY
+
+OUTPUTS = 15
+
+# The exponent is carried as a power of two: 2^-(u1^2 + u2^2) with u scaled by this is exp(-distance^2 / 2).
+HALF_LOG2E = math.sqrt(0.5 / math.log(2.0))
+
+# Added to the squared radius of the alpha cut, so that tile lists hold every pixel that float32 lets through: its
+# error in the squared distance is below 1e-4.
+RADIUS_SLACK = 1e-3
+
+
+@kernel()
+def footprints(geometry, view, lens, out):
+    """Fill `out` field by field for the BLOCK Gaussians of `geometry` (FIELDS, BLOCK): z; x, y of the centre, px;
+    HALF_LOG2E / l1; k; HALF_LOG2E / l2; half width and height of the box, px; the transposed factor's shear; a sum
+    that is finite and below 1e150 only if all are; the squared depth extent; first and last column, first and last row
+    of the pixels whose centres lie in the box, the first beyond the last if none does.
+
+    view: rows of the rotation world to camera, camera centre; lens: see `project`. What lies behind the camera or is
+    not finite yields numbers without meaning, and no trap.
+    """
+    flat = geometry.reshape(-1)
+    w00, w01, w02 = view[0], view[1], view[2]
+    w10, w11, w12 = view[3], view[4], view[5]
+    w20, w21, w22 = view[6], view[7], view[8]
+    centre_x, centre_y, centre_z = view[9], view[10], view[11]
+    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
+    low_x, high_x, low_y, high_y = lens[4], lens[5], lens[6], lens[7]
+    dilation, log_alpha_min, limit = lens[8], lens[9], lens[10]
+    last_column, last_row = lens[11] - 1.0, lens[12] - 1.0
+    for j in range(BLOCK):
+        at = np.uint64(j)
+        # Position relative to the camera centre, still in world axes, then in camera axes.
+        px, py = flat[at] - centre_x, flat[at + np.uint64(BLOCK)] - centre_y
+        pz = flat[at + np.uint64(2 * BLOCK)] - centre_z
+        x = w00 * px + w01 * py + w02 * pz
+        y = w10 * px + w11 * py + w12 * pz
+        z = w20 * px + w21 * py + w22 * pz
+        inverse_z = 1.0 / z
+        tan_x, tan_y = x * inverse_z, y * inverse_z
+        mean_x, mean_y = fx * tan_x + cx, fy * tan_y + cy
+        # Rows of J W: gradients of the pixel position in the world, at a point at most `fov_margin` out of view.
+        tan_x, tan_y = min(max(tan_x, low_x), high_x), min(max(tan_y, low_y), high_y)
+        gx, gy = fx * inverse_z, fy * inverse_z
+        u0, u1, u2 = gx * (w00 - tan_x * w20), gx * (w01 - tan_x * w21), gx * (w02 - tan_x * w22)
+        v0, v1, v2 = gy * (w10 - tan_y * w20), gy * (w11 - tan_y * w21), gy * (w12 - tan_y * w22)
+        # Their cross product in closed form: the minors of J are 1 : tan_x : tan_y.
+        area = gx * gy
+        n0 = area * (w20 + tan_x * w00 + tan_y * w10)
+        n1 = area * (w21 + tan_x * w01 + tan_y * w11)
+        n2 = area * (w22 + tan_x * w02 + tan_y * w12)
+        f00, f01 = flat[at + np.uint64(FACTOR * BLOCK)], flat[at + np.uint64((FACTOR + 1) * BLOCK)]
+        f02, f10 = flat[at + np.uint64((FACTOR + 2) * BLOCK)], flat[at + np.uint64((FACTOR + 3) * BLOCK)]
+        f11, f12 = flat[at + np.uint64((FACTOR + 4) * BLOCK)], flat[at + np.uint64((FACTOR + 5) * BLOCK)]
+        f20, f21 = flat[at + np.uint64((FACTOR + 6) * BLOCK)], flat[at + np.uint64((FACTOR + 7) * BLOCK)]
+        f22 = flat[at + np.uint64((FACTOR + 8) * BLOCK)]
+        # J W R S, row by row. Its minors are n . (columns' cross products): the columns are orthogonal, so that the
+        # products' lengths are those of their factors and nothing cancels.
+        a0, a1, a2 = u0 * f00 + u1 * f10 + u2 * f20, u0 * f01 + u1 * f11 + u2 * f21, u0 * f02 + u1 * f12 + u2 * f22
+        b0, b1, b2 = v0 * f00 + v1 * f10 + v2 * f20, v0 * f01 + v1 * f11 + v2 * f21, v0 * f02 + v1 * f12 + v2 * f22
+        m0 = n0 * (f11 * f22 - f21 * f12) + n1 * (f21 * f02 - f01 * f22) + n2 * (f01 * f12 - f11 * f02)
+        m1 = n0 * (f12 * f20 - f22 * f10) + n1 * (f22 * f00 - f02 * f20) + n2 * (f02 * f10 - f12 * f00)
+        m2 = n0 * (f10 * f21 - f20 * f11) + n1 * (f20 * f01 - f00 * f21) + n2 * (f00 * f11 - f10 * f01)
+        aa, bb = a0 * a0 + a1 * a1 + a2 * a2, b0 * b0 + b1 * b1 + b2 * b2
+        det = m0 * m0 + m1 * m1 + m2 * m2 + dilation * (aa + bb) + dilation * dilation
+        l1, column, root = math.sqrt(aa + dilation), math.sqrt(bb + dilation), math.sqrt(det)
+        k = (a0 * b0 + a1 * b1 + a2 * b2) / (l1 * l1)
+        squared = min(2.0 * (flat[at + np.uint64(LOG_OPACITY * BLOCK)] - log_alpha_min), limit)
+        radius = math.sqrt(max(squared, 0.0) + RADIUS_SLACK)
+        out[at] = z
+        out[at + np.uint64(BLOCK)], out[at + np.uint64(2 * BLOCK)] = mean_x, mean_y
+        out[at + np.uint64(3 * BLOCK)], out[at + np.uint64(4 * BLOCK)] = HALF_LOG2E / l1, k
+        out[at + np.uint64(5 * BLOCK)] = HALF_LOG2E * l1 / root
+        half_width, half_height = radius * l1, radius * column
+        out[at + np.uint64(6 * BLOCK)], out[at + np.uint64(7 * BLOCK)] = half_width, half_height
+        out[at + np.uint64(8 * BLOCK)] = root / (column * column)
+        out[at + np.uint64(9 * BLOCK)] = abs(root + l1 * column + k + mean_x + mean_y)
+        # Depth extent: |S R^T w| for the camera's z axis w.
+        d0, d1 = w20 * f00 + w21 * f10 + w22 * f20, w20 * f01 + w21 * f11 + w22 * f21
+        d2 = w20 * f02 + w21 * f12 + w22 * f22
+        out[at + np.uint64(10 * BLOCK)] = d0 * d0 + d1 * d1 + d2 * d2
+        out[at + np.uint64(11 * BLOCK)] = max(math.ceil(mean_x - half_width - 0.5), 0.0)
+        out[at + np.uint64(12 * BLOCK)] = min(math.floor(mean_x + half_width - 0.5), last_column)
+        out[at + np.uint64(13 * BLOCK)] = max(math.ceil(mean_y - half_height - 0.5), 0.0)
+        out[at + np.uint64(14 * BLOCK)] = min(math.floor(mean_y + half_height - 0.5), last_row)

@@ -1,0 +1,135 @@
+"""What a set of Gaussians is for every camera: its factor R S and logarithms in float64, in blocks for vector loops.
+
+A block holds 256 Gaussians field by field, so that one vector instruction handles eight of them; the last is filled
+up with what is never drawn. It is made once per set and kept as long as the set lives.
+"""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..gaussians import Gaussians
+from .kernel_cache import kernel
+from .parallel import run_ranges
+
+BLOCK = 256
+FIELDS = 14  # mean (3), R S row by row (9), opacity, natural logarithm of the opacity
+MEAN, FACTOR, OPACITY, LOG_OPACITY = 0, 3, 12, 13
+
+
+# Doubles of a record: x, y, HALF_LOG2E / l1, k, HALF_LOG2E / l2; then floats: log2 opacity, r, g, b, z, log2 cut.
+RECORD = 8
+EXTENT = 3  # doubles: half width and height of the box, px, and the shear that the transposed factor has
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """Where the projection of N Gaussians goes; fresh memory for it would cost as much as the projection."""
+
+    records: NDArray[np.float64]  # (N, RECORD)
+    extents: NDArray[np.float64]  # (N, EXTENT)
+    boxes: NDArray[np.uint64]  # (N,)
+    depths: NDArray[np.float64]  # (N,)
+    drawn: NDArray[np.int32]  # (N,)
+
+    @classmethod
+    def of(cls, count: int) -> Workspace:
+        return cls(
+            np.empty((count, RECORD)), np.empty((count, EXTENT)), np.empty(count, np.uint64), np.empty(count),
+            np.empty(count, np.int32),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """N Gaussians in ceil(N / BLOCK) blocks."""
+
+    count: int
+    geometry: NDArray[np.float64]  # (blocks, FIELDS, BLOCK); opacity 0 in what fills up the last
+    harmonics: NDArray[np.float32]  # (blocks, K, 3, BLOCK)
+    spare: deque[Workspace] = field(default_factory=deque)
+
+    @contextmanager
+    def workspace(self) -> Iterator[Workspace]:
+        """One that nobody else uses; there are as many as pictures of this set were ever drawn at once."""
+        try:
+            space = self.spare.pop()
+        except IndexError:
+            space = Workspace.of(self.count)
+        try:
+            yield space
+        finally:
+            self.spare.append(space)
+
+
+_known: weakref.WeakKeyDictionary[Gaussians, Prepared] = weakref.WeakKeyDictionary()
+_lock = threading.Lock()
+
+
+def prepared(gaussians: Gaussians, threads: int) -> Prepared:
+    """The blocks of a set, from the last time if there was one. The arrays of a set must not change."""
+    with _lock:
+        known = _known.get(gaussians)
+    if known is not None:
+        return known
+    count, bands = len(gaussians), gaussians.harmonics.shape[1]
+    blocks = -(-count // BLOCK)
+    result = Prepared(count, np.empty((blocks, FIELDS, BLOCK)), np.empty((blocks, bands, 3, BLOCK), np.float32))
+    # One layout for every caller: numba would compile the kernel again for a strided or read-only array.
+    arrays = (
+        np.require(gaussians.means, np.float64, ["C", "W"]),
+        *(
+            np.require(getattr(gaussians, name), np.float32, ["C", "W"])
+            for name in ("scales", "rotations_wxyz", "opacities", "harmonics")
+        ),
+    )
+    bounds = np.linspace(0, blocks, (4 * threads if threads > 1 else 1) + 1).astype(np.int64)
+    run_ranges(
+        lambda first, last: prepare_range(first, last, *arrays, result.geometry, result.harmonics), bounds, threads
+    )
+    with _lock:
+        return _known.setdefault(gaussians, result)
+
+
+@kernel()
+def prepare_range(first, last, means, scales, rotations, opacities, harmonics, geometry, shades):
+    """Fill blocks first..last-1."""
+    count, bands = means.shape[0], harmonics.shape[1]
+    for block in range(first, last):
+        for j in range(BLOCK):
+            i = block * BLOCK + j
+            if i >= count:
+                geometry[block, :, j] = 0.0
+                geometry[block, LOG_OPACITY, j] = -np.inf
+                shades[block, :, :, j] = np.float32(0.0)
+                continue
+            for axis in range(3):
+                geometry[block, MEAN + axis, j] = means[i, axis]
+            # R from a quaternion whose float32 norm is not quite one.
+            w, x = np.float64(rotations[i, 0]), np.float64(rotations[i, 1])
+            y, z = np.float64(rotations[i, 2]), np.float64(rotations[i, 3])
+            two = 2.0 / (w * w + x * x + y * y + z * z)
+            s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
+            geometry[block, FACTOR, j] = s0 * (1.0 - two * (y * y + z * z))
+            geometry[block, FACTOR + 1, j] = s1 * two * (x * y - w * z)
+            geometry[block, FACTOR + 2, j] = s2 * two * (x * z + w * y)
+            geometry[block, FACTOR + 3, j] = s0 * two * (x * y + w * z)
+            geometry[block, FACTOR + 4, j] = s1 * (1.0 - two * (x * x + z * z))
+            geometry[block, FACTOR + 5, j] = s2 * two * (y * z - w * x)
+            geometry[block, FACTOR + 6, j] = s0 * two * (x * z - w * y)
+            geometry[block, FACTOR + 7, j] = s1 * two * (y * z + w * x)
+            geometry[block, FACTOR + 8, j] = s2 * (1.0 - two * (x * x + y * y))
+            opacity = np.float64(opacities[i])
+            geometry[block, OPACITY, j] = opacity
+            geometry[block, LOG_OPACITY, j] = np.log(opacity) if opacity > 0.0 else -np.inf
+            for band in range(bands):
+                for channel in range(3):
+                    shades[block, band, channel, j] = harmonics[i, band, channel]

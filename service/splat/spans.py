@@ -1,0 +1,77 @@
+"""Which tiles an ellipse is listed in: those of its box, or where that is large those it touches, row by row."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .kernel_cache import kernel
+
+TILE = 32  # px: 16 blocks of 8 x 8, whose colours (20 KiB) and one piece of the list stay in the first-level cache
+BITS = 16  # of a box's four tile numbers
+
+
+@kernel()
+def packed_box(first_x, last_x, first_y, last_y):
+    """First and last tile column and row of a box of pixels, in one number."""
+    return (
+        np.uint64(first_x) // np.uint64(TILE)
+        | (np.uint64(last_x) // np.uint64(TILE)) << np.uint64(BITS)
+        | (np.uint64(first_y) // np.uint64(TILE)) << np.uint64(2 * BITS)
+        | (np.uint64(last_y) // np.uint64(TILE)) << np.uint64(3 * BITS)
+    )
+
+
+@kernel()
+def unpacked_box(box):
+    """First and last tile column, first and last tile row."""
+    mask = np.uint64((1 << BITS) - 1)
+    left, right = np.int64(box & mask), np.int64((box >> np.uint64(BITS)) & mask)
+    return left, right, np.int64((box >> np.uint64(2 * BITS)) & mask), np.int64(box >> np.uint64(3 * BITS))
+
+
+@kernel()
+def small_box(left, right, top, bottom):
+    """Whether all tiles of a box are listed: at most 2 x 2, or one row or column. A closer look would cost more."""
+    return (right - left <= 1 and bottom - top <= 1) or left == right or top == bottom
+
+
+@kernel()
+def tile_span(records, extents, i, tile_row, left, right):
+    """First and last tile column, of left..right, that the ellipse of Gaussian i touches in one tile row.
+
+    Over a strip the ellipse reaches furthest right at its rightmost point if that lies inside, else at the edge nearest
+    to it; at height d its chord is k' d +- h sqrt(half_height^2 - d^2), with k' and h of the transposed factor.
+    """
+    x, y, k = records[i, 0], records[i, 1], records[i, 3]
+    half_width, half_height, shear = extents[i, 0], extents[i, 1], extents[i, 2]
+    top = max(tile_row * TILE + 0.5 - y, -half_height)
+    bottom = min((tile_row + 1) * TILE - 0.5 - y, half_height)
+    aspect = half_width / half_height
+    slope = k * aspect * aspect
+    d = min(max(k * half_width, top), bottom)
+    end = x + slope * d + shear * math.sqrt(max((half_height - d) * (half_height + d), 0.0))
+    d = min(max(-k * half_width, top), bottom)
+    start = x + slope * d - shear * math.sqrt(max((half_height - d) * (half_height + d), 0.0))
+    slack = 0.5 + 1e-14 * (half_width + abs(x))  # half a pixel, and the rounding of the two chord ends
+    # Pixel centres within start..end; clamped before they become integers.
+    first = math.ceil(min(max(start - slack, left * TILE - 1.0), right * TILE + TILE + 0.0))
+    last = math.floor(min(max(end - 1.0 + slack, left * TILE - 1.0), right * TILE + TILE + 0.0))
+    if first > last:
+        return 0, -1
+    return max(int(first) // TILE, left), min(int(last) // TILE, right)
+
+
+@kernel()
+def add_to_counts(boxes, records, extents, i, columns, counts):
+    """Add one to the count of every tile that Gaussian i touches; returns how many those are."""
+    left, right, top, bottom = unpacked_box(boxes[i])
+    narrow = small_box(left, right, top, bottom)
+    total = 0
+    for tile_row in range(top, bottom + 1):
+        first, last = (left, right) if narrow else tile_span(records, extents, i, tile_row, left, right)
+        for column in range(first, last + 1):
+            counts[np.uint64(tile_row * columns + column)] += 1
+        total += max(last - first + 1, 0)
+    return total
