@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
+
+from .windows import mean_inside
 
 WINDOWS = (5, 9, 17, 33)  # px
 ENOUGH = 0.03  # share of confirmed pixels from which on a window needs no larger one
@@ -21,15 +22,9 @@ def filled_from_behind(inverse: Tensor, confirmed: Tensor) -> Tensor:
     weight = confirmed * torch.exp(-FAR_PREFERENCE * inverse)
     left, filled = torch.ones_like(inverse), torch.zeros_like(inverse)
     for window in WINDOWS:
-        held = (_mean(confirmed, window) / ENOUGH).clamp(max=1)
-        behind = _mean(weight * inverse, window) / _mean(weight, window).clamp(min=1e-15)
+        held = (mean_inside(confirmed, window // 2) / ENOUGH).clamp(max=1)
+        behind = mean_inside(weight * inverse, window // 2) / mean_inside(weight, window // 2).clamp(min=1e-15)
         filled = filled + left * held * behind
         left = left * (1 - held)
     filled = filled + left * inverse
     return confirmed * inverse + (1 - confirmed) * filled
-
-
-def _mean(values: Tensor, window: int) -> Tensor:
-    """Over what a window of `window` px holds of (n, 1, h, w)."""
-    rows = F.avg_pool2d(values, (1, window), 1, (0, window // 2), count_include_pad=False)
-    return F.avg_pool2d(rows, (window, 1), 1, (window // 2, 0), count_include_pad=False)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from .cost_volume import SWEEP_PIECES, Views
 from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, warp_positions
-from .layers import replicate_pad
+from .windows import mean_with_repeated_border
 
 WINDOW_RADIUS = 2  # px at half resolution: correlation in windows of 5 x 5
 GUIDE_RADIUS, GUIDE_EPSILON = 4, 1e-3  # px and variance of grey: weaker edges are smoothed across
@@ -57,10 +57,10 @@ def matching_evidence(images: Tensor, views: Views, planes: int) -> Tensor:
 def _similarity(reference: Tensor, colours: Tensor) -> Tensor:
     """(m, D, h, w) in 0..1 of pictures (m, 3, h, w) and warped ones (m, 3, D, h, w)."""
     a, b = reference.mean(1, keepdim=True), colours.mean(1)
-    mean_a, mean_b = _box(a, WINDOW_RADIUS), _box(b, WINDOW_RADIUS)
-    var_a = (_box(a.square(), WINDOW_RADIUS) - mean_a.square()).clamp(min=0)
-    var_b = (_box(b.square(), WINDOW_RADIUS) - mean_b.square()).clamp(min=0)
-    covariance = _box(a * b, WINDOW_RADIUS) - mean_a * mean_b
+    mean_a, mean_b = mean_with_repeated_border(a, WINDOW_RADIUS), mean_with_repeated_border(b, WINDOW_RADIUS)
+    var_a = (mean_with_repeated_border(a.square(), WINDOW_RADIUS) - mean_a.square()).clamp(min=0)
+    var_b = (mean_with_repeated_border(b.square(), WINDOW_RADIUS) - mean_b.square()).clamp(min=0)
+    covariance = mean_with_repeated_border(a * b, WINDOW_RADIUS) - mean_a * mean_b
     correlation = (covariance / (var_a * var_b).sqrt().clamp(min=FLAT)).clamp(-1, 1)
     difference = (colours - reference.unsqueeze(2)).abs().mean(1).clamp(max=COLOUR_LIMIT) / COLOUR_LIMIT
     return 0.5 * (1 + correlation) / 2 + 0.5 * (1 - difference)
@@ -71,21 +71,16 @@ class _Guide:
 
     def __init__(self, picture: Tensor) -> None:
         self.picture = picture
-        self.mean = _box(picture, GUIDE_RADIUS)
-        self.variance = _box(picture.square(), GUIDE_RADIUS) - self.mean.square() + GUIDE_EPSILON
+        self.mean = mean_with_repeated_border(picture, GUIDE_RADIUS)
+        self.variance = mean_with_repeated_border(picture.square(), GUIDE_RADIUS) - self.mean.square() + GUIDE_EPSILON
 
     def filter(self, scores: Tensor) -> Tensor:
         """(n, D, h, w) -> the same: within a window, a line of the picture's grey."""
-        mean = _box(scores, GUIDE_RADIUS)
-        slope = (_box(self.picture * scores, GUIDE_RADIUS) - self.mean * mean) / self.variance
+        mean = mean_with_repeated_border(scores, GUIDE_RADIUS)
+        slope = (mean_with_repeated_border(self.picture * scores, GUIDE_RADIUS) - self.mean * mean) / self.variance
         level = mean - slope * self.mean
-        return _box(slope, GUIDE_RADIUS) * self.picture + _box(level, GUIDE_RADIUS)
-
-
-def _box(values: Tensor, radius: int) -> Tensor:
-    """Mean over windows of 2 * radius + 1 px of (n, c, h, w), whose border pixels repeat outwards."""
-    size = 2 * radius + 1
-    return F.avg_pool2d(F.avg_pool2d(replicate_pad(values, radius), (1, size), 1), (size, 1), 1)
+        slope, level = mean_with_repeated_border(slope, GUIDE_RADIUS), mean_with_repeated_border(level, GUIDE_RADIUS)
+        return slope * self.picture + level
 
 
 def at_candidates(evidence: Tensor, candidates: Tensor) -> Tensor:
