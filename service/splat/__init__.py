@@ -1,7 +1,9 @@
 """The CPU splatter: 3D Gaussians to colour, opacity and depth, with numba kernels and a float64 reference."""
 
+from .definition import INRIA as INRIA
 from .definition import Definition as Definition
 from .reference import render_reference as render_reference
 from .render import Render as Render
 from .render import render as render
+from .render import render_views as render_views
 from .render import warm_up as warm_up

@@ -94,7 +94,7 @@ def _fill(
 def count_range(start, stop, boxes, records, extents, order, columns, counts, touched):
     """Add the entries of order[start:stop] to `counts` (tiles,) and set `touched` (M,), how many each one has."""
     for rank in range(start, stop):
-        touched[rank] = add_to_counts(boxes, records, extents, order[rank], columns, counts)
+        touched[rank] = add_to_counts(boxes, records, extents, np.uint64(order[rank]), columns, counts)
 
 
 @kernel()

@@ -235,3 +235,11 @@ def store_tile(state, left, top, width, height, rgb, alpha, depth, background):
             if with_depth:
                 covered = ONE - light
                 depth[y, x] = state[at + np.uint64(4) * distance] / covered if covered > ZERO else ZERO
+
+
+@kernel()
+def bytes_of(values, out):
+    """values in [0, 1], clipped, times 255 and rounded."""
+    for i in range(values.shape[0]):
+        value = min(max(values[i], ZERO), ONE) * np.float32(255.0) + np.float32(0.5)
+        out[i] = np.uint8(np.int32(value))

@@ -82,4 +82,4 @@ def kernel(*, fastmath: frozenset[str] = frozenset()) -> Callable[[Callable], Ca
     """
     if fastmath & {"fast", "nnan", "ninf"}:
         raise ValueError(f"fastmath {sorted(fastmath)} would delete the tests for NaN and infinity")
-    return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=set(fastmath))
+    return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=set(fastmath), no_cfunc_wrapper=True)

@@ -16,12 +16,16 @@ SORTED, TIED, UNSORTED = 0, 1, 2
 def depth_order(depths: NDArray[np.float64], drawn: NDArray[np.int32], gaussians: Gaussians) -> NDArray[np.int32]:
     """Indices of the drawn Gaussians (M,), nearest first; their depths are positive.
 
-    Equal depths are ordered by mean, then by scales, rotation, opacity and harmonics; what is equal in all of these is
-    interchangeable.
+    A radix sort by the bits of the depths rounded to float32, which keep the order of positive numbers, then what is
+    equal in these. Equal depths are ordered by mean, then by scales, rotation, opacity and harmonics; what is equal in
+    all of these is interchangeable.
     """
-    order = np.empty(len(drawn), np.int32)
-    depths, drawn = np.require(depths, requirements=["C", "W"]), np.require(drawn, requirements=["C", "W"])
-    state = sort_by_depth(depths, drawn, order) if len(drawn) else SORTED
+    if not len(drawn):
+        return drawn
+    depths = np.require(depths, requirements=["C", "W"])
+    narrow = depths[drawn].astype(np.float32)
+    keys, order = radix_sorted(narrow.view(np.uint32), drawn.copy())
+    state = settle_equals(keys, depths, order)
     if state == UNSORTED:
         order = drawn[np.argsort(depths[drawn])]
     if state != SORTED:
@@ -29,35 +33,27 @@ def depth_order(depths: NDArray[np.float64], drawn: NDArray[np.int32], gaussians
     return order
 
 
-@kernel()
-def sort_by_depth(depths, drawn, order):
-    """Fill `order` with `drawn` sorted by depth; returns TIED if any depths are equal, UNSORTED if it gave up.
-
-    A radix sort by the bits of the depths rounded to float32, which keep the order of positive numbers, then each run
-    that is equal in float32 by insertion.
-    """
-    count = drawn.shape[0]
-    narrow = np.empty(count, np.float32)
-    for p in range(count):
-        narrow[np.uint64(p)] = depths[np.uint64(drawn[np.uint64(p)])]
-    keys = narrow.view(np.uint32)
-    values = drawn.copy()
-    other_keys, other_values = np.empty(count, np.uint32), np.empty(count, np.int32)
-    least, most = keys.min(), keys.max()
-    bits = 1
-    while bits < 32 and (most - least) >> np.uint32(bits):
-        bits += 1
-    passes = (bits + DIGIT - 1) // DIGIT
-    digit = (bits + passes - 1) // passes
+def radix_sorted(keys: NDArray[np.uint32], values: NDArray[np.int32]) -> tuple[NDArray[np.uint32], NDArray[np.int32]]:
+    """Both in the order of the keys, equal ones in the order they had. The arrays given are used as room to sort in."""
+    least = keys.min()
+    bits = max(1, int(keys.max() - least).bit_length())
+    passes = -(-bits // DIGIT)
+    digit = -(-bits // passes)
     starts = np.empty(1 << digit, np.int64)
+    other_keys, other_values = np.empty_like(keys), np.empty_like(values)
     for turn in range(passes):
         radix_pass(keys, values, other_keys, other_values, starts, least, np.uint32(turn * digit))
-        keys, other_keys = other_keys, keys
-        values, other_values = other_values, values
-    order[:] = values
+        keys, other_keys, values, other_values = other_keys, keys, other_values, values
+    return keys, values
+
+
+@kernel()
+def settle_equals(keys, depths, order):
+    """Sort each run of equal `keys` by depth, by insertion; returns TIED if any depths are equal, UNSORTED if a run is
+    so long that it gave up. `order` is sorted by the keys, which are the depths rounded."""
     state = SORTED
-    begin = 0
-    for p in range(1, count):
+    begin = np.int64(0)
+    for p in range(1, keys.shape[0]):
         if keys[np.uint64(p)] != keys[np.uint64(p - 1)]:
             begin = p
             continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from ..camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
 from .binning import Grid, tile_lists
-from .blend import TILE_STATE, Canvas, blend
+from .blend import TILE_STATE, Canvas, blend, bytes_of
 from .definition import Definition
 from .order import depth_order
 from .parallel import checked_threads
@@ -22,6 +22,13 @@ from .prepare import prepared
 from .project import project
 
 OUTPUTS = ("alpha", "depth")  # what can be asked for beside the colours
+
+
+def to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Clipped to [0, 1] and rounded to 8 bits."""
+    out = np.empty(values.shape, np.uint8)
+    bytes_of(np.ascontiguousarray(values, np.float32).ravel(), out.ravel())
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +45,14 @@ class Render:
 
     def rgb8(self) -> NDArray[np.uint8]:
         """(H, W, 3) clipped to [0, 1] and rounded to 8 bits."""
-        return (np.clip(self.rgb, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+        return to_bytes(self.rgb)
+
+    def rgba8(self) -> NDArray[np.uint8]:
+        """(H, W, 4) with straight alpha, of an image drawn over black: what lies behind may be put there later."""
+        if self.alpha.shape != self.rgb.shape[:2]:
+            raise InputError("the opacity was not computed, ask for it by outputs=('alpha',)", field="outputs")
+        colour = self.rgb / np.maximum(self.alpha, 1e-6)[..., None]
+        return to_bytes(np.concatenate([colour, self.alpha[..., None]], axis=2))
 
 
 def render(
@@ -119,13 +133,18 @@ def render(
     return Render(canvas.rgb, canvas.alpha, canvas.depth, stats)
 
 
+def render_views(gaussians: Gaussians, cameras: Iterable[Camera], **options: Any) -> list[Render]:
+    """`render` for each camera, with the same options; what does not depend on the camera is computed once."""
+    return [render(gaussians, camera, **options) for camera in cameras]
+
+
 def warm_up() -> None:
     """Compile every kernel or load it from the cache, so that no request waits for it."""
     camera = Camera.make(32, 32, 32.0, 32.0, 16.0, 16.0, np.eye(4))
     two = np.ones((2, 3), np.float32)
     gaussians = Gaussians.make(2.0 * two, two, [[1.0, 0.0, 0.0, 0.0]] * 2, [0.5, 0.4], np.zeros((2, 1, 3)))
     for max_entries in (1, 2):  # lists in several batches have a kernel of their own
-        render(gaussians, camera, threads=1, definition=Definition(max_entries=max_entries))
+        render(gaussians, camera, threads=1, definition=Definition(max_entries=max_entries)).rgb8()
 
 
 def checked_definition(definition: Definition | None, near: float | None) -> Definition:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from splat_cases import bits, camera, compare, scene
 
 from gapmes.service.errors import InputError
-from gapmes.service.splat import Definition, render
+from gapmes.service.splat import INRIA, Definition, render, render_views
 from gapmes.service.splat.blend import PIECE, REACH_SLACK, measure_reach
 from gapmes.service.splat.vectors import SIDE
 
@@ -15,7 +15,7 @@ SMOOTH = 2e-6  # as in test_render_accuracy.py
 RULES = {
     "3 sigma": Definition(cut_radius=3.0),
     "1.5 sigma": Definition(cut_radius=1.5),
-    "stop before": Definition(inclusive_stop=False),
+    "inria": INRIA,
     "stop before, early": Definition(inclusive_stop=False, stop=0.05),
     "early stop": Definition(stop=0.05),
     "high alpha cut": Definition(alpha_min=0.05),
@@ -56,6 +56,28 @@ def test_planes_that_are_not_asked_for_change_nothing_and_are_not_there():
             assert plane.tobytes() == getattr(whole, name).tobytes() if name in outputs else plane.size == 0
     with pytest.raises(InputError, match="colour"):
         render(gaussians, view, outputs=("colour",))
+
+
+def test_bytes_are_rounded_and_clipped_and_transparency_composites_to_the_same_picture():
+    gaussians, view = scene(200, 6), camera()
+    image = render(gaussians, view)
+    expected = np.floor(np.clip(image.rgb, 0, 1).astype(np.float64) * 255 + 0.5)
+    assert np.abs(image.rgb8() - expected).max() <= 1  # float32 rounds the product once more
+    assert (image.rgb8() != expected).mean() < 1e-3
+    pixels = image.rgba8().astype(float) / 255
+    again = pixels[..., :3] * pixels[..., 3:]
+    inside = (image.rgb <= image.alpha[..., None]).all(axis=2)  # straight colours above 1 do not fit 8 bits
+    assert inside.mean() > 0.5
+    assert np.abs(again - image.rgb)[inside].max() <= 1.01 / 255  # half a level of each factor
+    with pytest.raises(InputError, match="alpha"):
+        render(gaussians, view, outputs=()).rgba8()
+
+
+def test_several_views_are_those_of_single_calls():
+    gaussians = scene(200, 7, 1)
+    views = [camera(), camera(30, 20), camera(focal=80.0)]
+    for image, view in zip(render_views(gaussians, views, threads=2), views, strict=True):
+        assert bits(image) == bits(render(gaussians, view))
 
 
 @pytest.mark.parametrize("rule", [Definition(), Definition(inclusive_stop=False)])

@@ -13,7 +13,7 @@ from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, render
 from gapmes.service.splat.binning import Grid, TileLists, count_range, fill_rows, tile_lists
 from gapmes.service.splat.blend import TILE_STATE, Canvas, blend, blend_range
-from gapmes.service.splat.order import depth_order, sort_by_depth
+from gapmes.service.splat.order import depth_order, radix_pass, settle_equals
 from gapmes.service.splat.prepare import Workspace, prepare_range, prepared
 from gapmes.service.splat.project import project, project_range
 
@@ -161,7 +161,7 @@ def test_strided_and_read_only_arrays_are_drawn_alike_by_the_same_kernels():
     for field in Gaussians.__dataclass_fields__:
         getattr(frozen, field).flags.writeable = False
     assert bits(render(frozen[::2], camera())) == bits(render(frozen[np.arange(0, 100, 2)], camera()))
-    for kernel in (prepare_range, project_range, sort_by_depth, count_range, fill_rows, blend_range):
+    for kernel in (prepare_range, project_range, radix_pass, settle_equals, count_range, fill_rows, blend_range):
         assert len(kernel.signatures) == 1  # nothing is compiled while a request waits
 
 
