@@ -9,9 +9,9 @@ from gapmes.service.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, render, render_reference
 
-# Largest difference off the edges of cuts; measured 4e-7 on scenes of 1,500 to 4,000 Gaussians at 64 to 256 px.
+# Largest difference off the edges of cuts; measured 7.5e-7 on scenes of 600 to 2,500 Gaussians at 64 to 160 px.
 SMOOTH = 2e-6
-DEPTH = 5e-6  # the sum of weights times depths is divided by 1 - T, which float32 rounds by 6e-8: measured 2.2e-6
+DEPTH = 5e-6  # the sum of weights times depths is divided by 1 - T, which float32 rounds by 6e-8: measured 2.3e-6
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -43,7 +43,7 @@ def test_stiff_scenes_match_the_reference(scales, near_far):
 @pytest.mark.parametrize("sigma_px", [1.0, 30.0, 1e3, 1e4, 1e5])
 @pytest.mark.parametrize("thinness", [1.0, 1e4, 1e8])
 def test_one_needle_of_any_length(sigma_px, thinness):
-    """Measured at most 1.2e-6 over 2,100 needles of 1 to 1e8 px; the bound leaves room for other compilers."""
+    """Measured at most 2.1e-6 over 1,080 needles of 1 to 1e8 px; the bound leaves room for other compilers."""
     view = camera(64, 64, 60.0)
     rng = np.random.default_rng(int(sigma_px + thinness) % 1000)
     for _ in range(4):
