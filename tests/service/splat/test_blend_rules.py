@@ -7,8 +7,11 @@ from hypothesis import strategies as st
 from splat_cases import bits, camera, compare, scene
 
 from gapmes.service.errors import InputError
+from gapmes.service.gaussians import Gaussians
+from gapmes.service.gaussians_cache import size_of
 from gapmes.service.splat import INRIA, Definition, render, render_views
 from gapmes.service.splat.blend import PIECE, REACH_SLACK, measure_reach
+from gapmes.service.splat.prepare import BLOCK, Workspace, prepared
 from gapmes.service.splat.vectors import SIDE
 
 SMOOTH = 2e-6  # as in test_render_accuracy.py
@@ -119,3 +122,14 @@ def test_the_test_of_a_block_leaves_out_nothing_that_a_pixel_would_show(seed):
     assert (reach[shown] >= -REACH_SLACK).all()
     # and it is not generous: between pixel centres the ellipse may come closer than at any of them, but not by much
     assert (reach[best < -40] < 0).all()
+
+
+def test_the_cache_of_sets_knows_what_drawing_keeps():
+    gaussians = scene(5 * BLOCK, 8, 2)
+    bare = sum(getattr(gaussians, name).nbytes for name in Gaussians.__dataclass_fields__)
+    render(gaussians, camera())
+    kept = prepared(gaussians, 1)
+    with kept.workspace() as space:
+        arrays = [kept.geometry, kept.harmonics, *(getattr(space, name) for name in Workspace.__dataclass_fields__)]
+    assert size_of(gaussians) - bare == sum(array.nbytes for array in arrays)
+    assert len(kept.spare) == 1  # drawn twice, one after the other: one workspace
