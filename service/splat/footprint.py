@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from .kernel_cache import kernel
-from .prepare import BLOCK, FACTOR, LOG_OPACITY
+from .prepare import BLOCK, FIELD
 
 OUTPUTS = 15
 
@@ -41,8 +41,8 @@ def footprints(geometry, view, lens, out):
     for j in range(BLOCK):
         at = np.uint64(j)
         # Position relative to the camera centre, still in world axes, then in camera axes.
-        px, py = flat[at] - centre_x, flat[at + np.uint64(BLOCK)] - centre_y
-        pz = flat[at + np.uint64(2 * BLOCK)] - centre_z
+        px, py = flat[at] - centre_x, flat[at + FIELD[1]] - centre_y
+        pz = flat[at + FIELD[2]] - centre_z
         x = w00 * px + w01 * py + w02 * pz
         y = w10 * px + w11 * py + w12 * pz
         z = w20 * px + w21 * py + w22 * pz
@@ -59,11 +59,11 @@ def footprints(geometry, view, lens, out):
         n0 = area * (w20 + tan_x * w00 + tan_y * w10)
         n1 = area * (w21 + tan_x * w01 + tan_y * w11)
         n2 = area * (w22 + tan_x * w02 + tan_y * w12)
-        f00, f01 = flat[at + np.uint64(FACTOR * BLOCK)], flat[at + np.uint64((FACTOR + 1) * BLOCK)]
-        f02, f10 = flat[at + np.uint64((FACTOR + 2) * BLOCK)], flat[at + np.uint64((FACTOR + 3) * BLOCK)]
-        f11, f12 = flat[at + np.uint64((FACTOR + 4) * BLOCK)], flat[at + np.uint64((FACTOR + 5) * BLOCK)]
-        f20, f21 = flat[at + np.uint64((FACTOR + 6) * BLOCK)], flat[at + np.uint64((FACTOR + 7) * BLOCK)]
-        f22 = flat[at + np.uint64((FACTOR + 8) * BLOCK)]
+        f00, f01 = flat[at + FIELD[3]], flat[at + FIELD[4]]
+        f02, f10 = flat[at + FIELD[5]], flat[at + FIELD[6]]
+        f11, f12 = flat[at + FIELD[7]], flat[at + FIELD[8]]
+        f20, f21 = flat[at + FIELD[9]], flat[at + FIELD[10]]
+        f22 = flat[at + FIELD[11]]
         # J W R S, row by row. Its minors are n . (columns' cross products): the columns are orthogonal, so that the
         # products' lengths are those of their factors and nothing cancels.
         a0, a1, a2 = u0 * f00 + u1 * f10 + u2 * f20, u0 * f01 + u1 * f11 + u2 * f21, u0 * f02 + u1 * f12 + u2 * f22
@@ -75,21 +75,21 @@ def footprints(geometry, view, lens, out):
         det = m0 * m0 + m1 * m1 + m2 * m2 + dilation * (aa + bb) + dilation * dilation
         l1, column, root = math.sqrt(aa + dilation), math.sqrt(bb + dilation), math.sqrt(det)
         k = (a0 * b0 + a1 * b1 + a2 * b2) / (l1 * l1)
-        squared = min(2.0 * (flat[at + np.uint64(LOG_OPACITY * BLOCK)] - log_alpha_min), limit)
+        squared = min(2.0 * (flat[at + FIELD[13]] - log_alpha_min), limit)
         radius = math.sqrt(max(squared, 0.0) + RADIUS_SLACK)
         out[at] = z
-        out[at + np.uint64(BLOCK)], out[at + np.uint64(2 * BLOCK)] = mean_x, mean_y
-        out[at + np.uint64(3 * BLOCK)], out[at + np.uint64(4 * BLOCK)] = HALF_LOG2E / l1, k
-        out[at + np.uint64(5 * BLOCK)] = HALF_LOG2E * l1 / root
+        out[at + FIELD[1]], out[at + FIELD[2]] = mean_x, mean_y
+        out[at + FIELD[3]], out[at + FIELD[4]] = HALF_LOG2E / l1, k
+        out[at + FIELD[5]] = HALF_LOG2E * l1 / root
         half_width, half_height = radius * l1, radius * column
-        out[at + np.uint64(6 * BLOCK)], out[at + np.uint64(7 * BLOCK)] = half_width, half_height
-        out[at + np.uint64(8 * BLOCK)] = root / (column * column)
-        out[at + np.uint64(9 * BLOCK)] = abs(root + l1 * column + k + mean_x + mean_y)
+        out[at + FIELD[6]], out[at + FIELD[7]] = half_width, half_height
+        out[at + FIELD[8]] = root / (column * column)
+        out[at + FIELD[9]] = abs(root + l1 * column + k + mean_x + mean_y)
         # Depth extent: |S R^T w| for the camera's z axis w.
         d0, d1 = w20 * f00 + w21 * f10 + w22 * f20, w20 * f01 + w21 * f11 + w22 * f21
         d2 = w20 * f02 + w21 * f12 + w22 * f22
-        out[at + np.uint64(10 * BLOCK)] = d0 * d0 + d1 * d1 + d2 * d2
-        out[at + np.uint64(11 * BLOCK)] = max(math.ceil(mean_x - half_width - 0.5), 0.0)
-        out[at + np.uint64(12 * BLOCK)] = min(math.floor(mean_x + half_width - 0.5), last_column)
-        out[at + np.uint64(13 * BLOCK)] = max(math.ceil(mean_y - half_height - 0.5), 0.0)
-        out[at + np.uint64(14 * BLOCK)] = min(math.floor(mean_y + half_height - 0.5), last_row)
+        out[at + FIELD[10]] = d0 * d0 + d1 * d1 + d2 * d2
+        out[at + FIELD[11]] = max(math.ceil(mean_x - half_width - 0.5), 0.0)
+        out[at + FIELD[12]] = min(math.floor(mean_x + half_width - 0.5), last_column)
+        out[at + FIELD[13]] = max(math.ceil(mean_y - half_height - 0.5), 0.0)
+        out[at + FIELD[14]] = min(math.floor(mean_y + half_height - 0.5), last_row)

@@ -23,6 +23,9 @@ from .parallel import run_ranges
 BLOCK = 256
 FIELDS = 14  # mean (3), R S row by row (9), opacity, natural logarithm of the opacity
 MEAN, FACTOR, OPACITY, LOG_OPACITY = 0, 3, 12, 13
+# Where a block's fields start when it is flat. Constants, since each call of np.uint64 takes time to compile; unsigned,
+# since a signed index keeps loops from becoming vectors.
+FIELD = tuple(np.uint64(field * BLOCK) for field in range(16))
 
 
 # Doubles of a record: x, y, HALF_LOG2E / l1, k, HALF_LOG2E / l2; then floats: log2 opacity, r, g, b, z, log2 cut.

@@ -22,7 +22,7 @@ from .definition import Definition
 from .footprint import OUTPUTS, footprints
 from .kernel_cache import kernel
 from .parallel import run_ranges
-from .prepare import BLOCK, EXTENT, LOG_OPACITY, OPACITY, Prepared, Workspace
+from .prepare import BLOCK, EXTENT, FIELD, LOG_OPACITY, OPACITY, Prepared, Workspace
 from .shade import shades
 from .spans import TILE, add_to_counts, packed_box, small_box, unpacked_box
 
@@ -105,8 +105,8 @@ def project_range(
             i = np.uint64(block * BLOCK + j)
             z = flat[at]
             depths[i] = z
-            first_x, last_x = flat[at + np.uint64(11 * BLOCK)], flat[at + np.uint64(12 * BLOCK)]
-            first_y, last_y = flat[at + np.uint64(13 * BLOCK)], flat[at + np.uint64(14 * BLOCK)]
+            first_x, last_x = flat[at + FIELD[11]], flat[at + FIELD[12]]
+            first_y, last_y = flat[at + FIELD[13]], flat[at + FIELD[14]]
             status = DRAWN
             if not z > near:  # written so that NaN is culled too
                 status = NEAR
@@ -114,7 +114,7 @@ def project_range(
                 status = FAR
             elif not geometry[block, OPACITY, at] >= alpha_min:
                 status = FAINT
-            elif not flat[at + np.uint64(9 * BLOCK)] < 1e150:  # a sum that is not finite when any part is not
+            elif not flat[at + FIELD[9]] < 1e150:  # a sum that is not finite when any part is not
                 status = NOT_FINITE
             elif not (first_x <= last_x and first_y <= last_y):
                 status = OUTSIDE
@@ -132,7 +132,7 @@ def project_range(
             narrow[i, np.uint64(10)] = log_opacity * LOG2E
             narrow[i, np.uint64(15)] = max(lens[9], log_opacity - 0.5 * lens[10]) * LOG2E
             narrow[i, np.uint64(14)] = z
-            depth_reach = flat[at + np.uint64(10 * BLOCK)]
+            depth_reach = flat[at + FIELD[10]]
             reasons[6] += (z - near) * (z - near) < 9.0 * depth_reach
             left, right, top, bottom = unpacked_box(boxes[i])
             if small_box(left, right, top, bottom):  # spelled out: a call with arrays costs more than all of this
