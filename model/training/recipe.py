@@ -21,7 +21,7 @@ class Phase:
 class Recipe:
     """Everything that a run depends on besides code and data."""
 
-    steps: int = 10_400
+    steps: int = 11_600
     seed: int = 1
     learning_rate: float = 1e-3
     warm_up: int = 200  # steps
@@ -36,10 +36,10 @@ class Recipe:
     ssim_weight: float = 0.2
     balance_weight: float = 0.01
     phases: tuple[Phase, ...] = (
-        Phase(0.29, 64, 4, (2, 2, 3), (0.06, 0.6)),
-        Phase(0.29, 96, 2, (2, 3, 2, 4), (0.06, 0.8)),
-        Phase(0.375, 128, 2, (2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
-        Phase(0.045, 256, 2, (2, 2, 2, 3), (0.06, 0.7), (22.0, 80.0)),
+        Phase(0.26, 64, 4, (2, 2, 3), (0.06, 0.6)),
+        Phase(0.26, 96, 2, (2, 3, 2, 4), (0.06, 0.8)),
+        Phase(0.336, 128, 2, (2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
+        Phase(0.144, 256, 2, (2, 2, 2, 3), (0.06, 0.7), (22.0, 80.0)),
     )
 
     def phase(self, step: int) -> Phase:
