@@ -14,6 +14,7 @@ import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numba
 
@@ -82,4 +83,6 @@ def kernel(*, fastmath: frozenset[str] = frozenset()) -> Callable[[Callable], Ca
     """
     if fastmath & {"fast", "nnan", "ninf"}:
         raise ValueError(f"fastmath {sorted(fastmath)} would delete the tests for NaN and infinity")
-    return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=set(fastmath), no_cfunc_wrapper=True)
+    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": set(fastmath)}
+    options["no_cfunc_wrapper"] = True  # nothing calls them from C; numba's stub does not know this option
+    return numba.njit(**options)

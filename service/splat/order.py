@@ -55,7 +55,7 @@ def settle_equals(keys, depths, order):
     begin = np.int64(0)
     for p in range(1, keys.shape[0]):
         if keys[np.uint64(p)] != keys[np.uint64(p - 1)]:
-            begin = p
+            begin = np.int64(p)
             continue
         if p - begin == LONG_RUN:
             return UNSORTED
