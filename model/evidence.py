@@ -79,8 +79,8 @@ class _Guide:
         mean = mean_with_repeated_border(scores, GUIDE_RADIUS)
         slope = (mean_with_repeated_border(self.picture * scores, GUIDE_RADIUS) - self.mean * mean) / self.variance
         level = mean - slope * self.mean
-        slope, level = mean_with_repeated_border(slope, GUIDE_RADIUS), mean_with_repeated_border(level, GUIDE_RADIUS)
-        return slope * self.picture + level
+        smooth = mean_with_repeated_border(slope, GUIDE_RADIUS) * self.picture
+        return smooth + mean_with_repeated_border(level, GUIDE_RADIUS)
 
 
 def at_candidates(evidence: Tensor, candidates: Tensor) -> Tensor:
