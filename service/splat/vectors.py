@@ -2,7 +2,7 @@
 
 Written in LLVM's own instructions, since no loop that a compiler vectorises keeps a block's transmittance and colours
 in registers: four vectors hold its 64 pixels (two rows of 8 each), times the channels. LLVM splits the vectors where a
-processor's are shorter. `detail.py` says the same as plain code, and a test compares them.
+processor's are shorter. `reference.py` says the same in float64, and tests compare them.
 """
 
 from __future__ import annotations
