@@ -28,7 +28,6 @@ CASES = (  # splats, SH degree, px; and what the ratio to the plain renderer mus
     (131_072, 3, 1024, None), (500_000, 0, 256, None), (500_000, 0, 1024, 12.0), (500_000, 3, 1024, None),
     (1_000_000, 0, 1024, None),
 )  # fmt: skip
-FLOP_PER_PAIR = 20  # of a blend evaluation: two squares, the power of two, the weight, three colours
 
 
 def timed(work: Callable[[], object]) -> float:

@@ -57,7 +57,7 @@ def blend(
 ) -> None:  # fmt: skip
     """Blend the lists behind what the canvas holds already; the last batch composites the result into the pictures.
 
-    records (N, 8): see `project.py`.
+    records (N, 8): see `prepare.py`.
     """
     offsets = lists.offsets
     # Ranges of equal work: an entry costs about as much as a fiftieth of starting and storing a tile.

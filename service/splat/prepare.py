@@ -35,7 +35,7 @@ EXTENT = 3  # doubles: half width and height of the box, px, and the shear that 
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """Where the projection of N Gaussians goes; fresh memory for it would cost as much as the projection."""
+    """Where the projection of N Gaussians goes, kept so that drawing the set again allocates nothing of its size."""
 
     records: NDArray[np.float64]  # (N, RECORD)
     extents: NDArray[np.float64]  # (N, EXTENT)

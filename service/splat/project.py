@@ -27,6 +27,7 @@ from .shade import shades
 from .spans import TILE, add_to_counts, packed_box, small_box, unpacked_box
 
 DRAWN, NEAR, FAR, FAINT, NOT_FINITE, OUTSIDE = range(6)
+LOG2E = 1.0 / math.log(2.0)
 REASONS = {"near": NEAR, "far": FAR, "faint": FAINT, "not_finite": NOT_FINITE, "outside": OUTSIDE}
 
 
@@ -149,6 +150,3 @@ def project_range(
             at = i - np.uint64(block * BLOCK)
             for channel in range(3):
                 narrow[i, np.uint64(11 + channel)] = colours[at + np.uint64(channel * BLOCK)]
-
-
-LOG2E = 1.0 / math.log(2.0)
