@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .access import get, larger, put, smaller
 from .kernel_cache import kernel
 from .parallel import run_ranges
 from .project import Projection
@@ -94,19 +95,20 @@ def _fill(
 def count_range(start, stop, boxes, records, extents, order, columns, counts, touched):
     """Add the entries of order[start:stop] to `counts` (tiles,) and set `touched` (M,), how many each one has."""
     for rank in range(start, stop):
-        touched[rank] = add_to_counts(boxes, records, extents, np.uint64(order[rank]), columns, counts)
+        put(touched, rank, add_to_counts(boxes, records, extents, np.int64(get(order, rank)), columns, counts))
 
 
 @kernel()
 def fill_rows(first_row, end_row, boxes, records, extents, order, columns, cursors, members):
     """Write all of `order` into `members` at the cursors of the tiles in rows first_row..end_row-1, which move on."""
-    for rank in range(order.shape[0]):
-        i = np.uint64(order[np.uint64(rank)])
-        left, right, top, bottom = unpacked_box(boxes[i])
+    for rank in range(order.size):
+        i = np.int64(get(order, rank))
+        left, right, top, bottom = unpacked_box(get(boxes, i))
         narrow = small_box(left, right, top, bottom)
-        for tile_row in range(max(top, first_row), min(bottom, end_row - 1) + 1):
+        for tile_row in range(larger(top, first_row), smaller(bottom, end_row - 1) + 1):
             first, last = (left, right) if narrow else tile_span(records, extents, i, tile_row, left, right)
             for column in range(first, last + 1):
-                tile = np.uint64(tile_row * columns + column)
-                members[np.uint64(cursors[tile])] = i
-                cursors[tile] += 1
+                tile = tile_row * columns + column
+                cursor = get(cursors, tile)
+                put(members, cursor, i)
+                put(cursors, tile, cursor + 1)

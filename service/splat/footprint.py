@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
+from .access import BLOCK, get, get_field, larger, put_field, round_down, round_up, smaller
 from .kernel_cache import kernel
-from .prepare import BLOCK, FIELD
 
 OUTPUTS = 15
 
@@ -20,29 +18,30 @@ RADIUS_SLACK = 1e-3
 
 
 @kernel()
-def footprints(geometry, view, lens, out):
-    """Fill `out` field by field for the BLOCK Gaussians of `geometry` (FIELDS, BLOCK): z; x, y of the centre, px;
-    HALF_LOG2E / l1; k; HALF_LOG2E / l2; half width and height of the box, px; the transposed factor's shear; a sum
+def footprints(geometry, start, view, lens, out):
+    """Fill `out` field by field for the BLOCK Gaussians whose fields begin at geometry[start]: z; x, y of the centre,
+    px; HALF_LOG2E / l1; k; HALF_LOG2E / l2; half width and height of the box, px; the transposed factor's shear; a sum
     that is finite and below 1e150 only if all are; the squared depth extent; first and last column, first and last row
     of the pixels whose centres lie in the box, the first beyond the last if none does.
 
     view: rows of the rotation world to camera, camera centre; lens: see `project`. What lies behind the camera or is
     not finite yields numbers without meaning, and no trap.
     """
-    flat = geometry.reshape(-1)
-    w00, w01, w02 = view[0], view[1], view[2]
-    w10, w11, w12 = view[3], view[4], view[5]
-    w20, w21, w22 = view[6], view[7], view[8]
-    centre_x, centre_y, centre_z = view[9], view[10], view[11]
-    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
-    low_x, high_x, low_y, high_y = lens[4], lens[5], lens[6], lens[7]
-    dilation, log_alpha_min, limit = lens[8], lens[9], lens[10]
-    last_column, last_row = lens[11] - 1.0, lens[12] - 1.0
+    w00, w01, w02 = get(view, 0), get(view, 1), get(view, 2)
+    w10, w11, w12 = get(view, 3), get(view, 4), get(view, 5)
+    w20, w21, w22 = get(view, 6), get(view, 7), get(view, 8)
+    centre_x, centre_y, centre_z = get(view, 9), get(view, 10), get(view, 11)
+    fx, fy = get(lens, 0), get(lens, 1)
+    cx, cy = get(lens, 2), get(lens, 3)
+    low_x, high_x = get(lens, 4), get(lens, 5)
+    low_y, high_y = get(lens, 6), get(lens, 7)
+    dilation, log_alpha_min, limit = get(lens, 8), get(lens, 9), get(lens, 10)
+    last_column, last_row = get(lens, 11) - 1.0, get(lens, 12) - 1.0
     for j in range(BLOCK):
-        at = np.uint64(j)
+        at = start + j
         # Position relative to the camera centre, still in world axes, then in camera axes.
-        px, py = flat[at] - centre_x, flat[at + FIELD[1]] - centre_y
-        pz = flat[at + FIELD[2]] - centre_z
+        px, py = get_field(geometry, at, 0) - centre_x, get_field(geometry, at, 1) - centre_y
+        pz = get_field(geometry, at, 2) - centre_z
         x = w00 * px + w01 * py + w02 * pz
         y = w10 * px + w11 * py + w12 * pz
         z = w20 * px + w21 * py + w22 * pz
@@ -50,7 +49,7 @@ def footprints(geometry, view, lens, out):
         tan_x, tan_y = x * inverse_z, y * inverse_z
         mean_x, mean_y = fx * tan_x + cx, fy * tan_y + cy
         # Rows of J W: gradients of the pixel position in the world, at a point at most `fov_margin` out of view.
-        tan_x, tan_y = min(max(tan_x, low_x), high_x), min(max(tan_y, low_y), high_y)
+        tan_x, tan_y = smaller(larger(tan_x, low_x), high_x), smaller(larger(tan_y, low_y), high_y)
         gx, gy = fx * inverse_z, fy * inverse_z
         u0, u1, u2 = gx * (w00 - tan_x * w20), gx * (w01 - tan_x * w21), gx * (w02 - tan_x * w22)
         v0, v1, v2 = gy * (w10 - tan_y * w20), gy * (w11 - tan_y * w21), gy * (w12 - tan_y * w22)
@@ -59,11 +58,11 @@ def footprints(geometry, view, lens, out):
         n0 = area * (w20 + tan_x * w00 + tan_y * w10)
         n1 = area * (w21 + tan_x * w01 + tan_y * w11)
         n2 = area * (w22 + tan_x * w02 + tan_y * w12)
-        f00, f01 = flat[at + FIELD[3]], flat[at + FIELD[4]]
-        f02, f10 = flat[at + FIELD[5]], flat[at + FIELD[6]]
-        f11, f12 = flat[at + FIELD[7]], flat[at + FIELD[8]]
-        f20, f21 = flat[at + FIELD[9]], flat[at + FIELD[10]]
-        f22 = flat[at + FIELD[11]]
+        f00, f01 = get_field(geometry, at, 3), get_field(geometry, at, 4)
+        f02, f10 = get_field(geometry, at, 5), get_field(geometry, at, 6)
+        f11, f12 = get_field(geometry, at, 7), get_field(geometry, at, 8)
+        f20, f21 = get_field(geometry, at, 9), get_field(geometry, at, 10)
+        f22 = get_field(geometry, at, 11)
         # J W R S, row by row. Its minors are n . (columns' cross products): the columns are orthogonal, so that the
         # products' lengths are those of their factors and nothing cancels.
         a0, a1, a2 = u0 * f00 + u1 * f10 + u2 * f20, u0 * f01 + u1 * f11 + u2 * f21, u0 * f02 + u1 * f12 + u2 * f22
@@ -75,21 +74,24 @@ def footprints(geometry, view, lens, out):
         det = m0 * m0 + m1 * m1 + m2 * m2 + dilation * (aa + bb) + dilation * dilation
         l1, column, root = math.sqrt(aa + dilation), math.sqrt(bb + dilation), math.sqrt(det)
         k = (a0 * b0 + a1 * b1 + a2 * b2) / (l1 * l1)
-        squared = min(2.0 * (flat[at + FIELD[13]] - log_alpha_min), limit)
-        radius = math.sqrt(max(squared, 0.0) + RADIUS_SLACK)
-        out[at] = z
-        out[at + FIELD[1]], out[at + FIELD[2]] = mean_x, mean_y
-        out[at + FIELD[3]], out[at + FIELD[4]] = HALF_LOG2E / l1, k
-        out[at + FIELD[5]] = HALF_LOG2E * l1 / root
+        squared = smaller(2.0 * (get_field(geometry, at, 13) - log_alpha_min), limit)
+        radius = math.sqrt(larger(squared, 0.0) + RADIUS_SLACK)
+        put_field(out, j, 0, z)
+        put_field(out, j, 1, mean_x)
+        put_field(out, j, 2, mean_y)
+        put_field(out, j, 3, HALF_LOG2E / l1)
+        put_field(out, j, 4, k)
+        put_field(out, j, 5, HALF_LOG2E * l1 / root)
         half_width, half_height = radius * l1, radius * column
-        out[at + FIELD[6]], out[at + FIELD[7]] = half_width, half_height
-        out[at + FIELD[8]] = root / (column * column)
-        out[at + FIELD[9]] = abs(root + l1 * column + k + mean_x + mean_y)
+        put_field(out, j, 6, half_width)
+        put_field(out, j, 7, half_height)
+        put_field(out, j, 8, root / (column * column))
+        put_field(out, j, 9, abs(root + l1 * column + k + mean_x + mean_y))
         # Depth extent: |S R^T w| for the camera's z axis w.
         d0, d1 = w20 * f00 + w21 * f10 + w22 * f20, w20 * f01 + w21 * f11 + w22 * f21
         d2 = w20 * f02 + w21 * f12 + w22 * f22
-        out[at + FIELD[10]] = d0 * d0 + d1 * d1 + d2 * d2
-        out[at + FIELD[11]] = max(math.ceil(mean_x - half_width - 0.5), 0.0)
-        out[at + FIELD[12]] = min(math.floor(mean_x + half_width - 0.5), last_column)
-        out[at + FIELD[13]] = max(math.ceil(mean_y - half_height - 0.5), 0.0)
-        out[at + FIELD[14]] = min(math.floor(mean_y + half_height - 0.5), last_row)
+        put_field(out, j, 10, d0 * d0 + d1 * d1 + d2 * d2)
+        put_field(out, j, 11, larger(round_up(mean_x - half_width - 0.5), 0.0))
+        put_field(out, j, 12, smaller(round_down(mean_x + half_width - 0.5), last_column))
+        put_field(out, j, 13, larger(round_up(mean_y - half_height - 0.5), 0.0))
+        put_field(out, j, 14, smaller(round_down(mean_y + half_height - 0.5), last_row))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..gaussians import Gaussians
+from .access import get, put
 from .kernel_cache import kernel
 
 DIGIT = 11  # bits of a radix pass at most: 2048 counters of 8 bytes stay in the first-level cache
@@ -51,20 +52,20 @@ def radix_sorted(keys: NDArray[np.uint32], values: NDArray[np.int32]) -> tuple[N
 def settle_equals(keys, depths, order):
     """Sort each run of equal `keys` by depth, by insertion; returns TIED if any depths are equal, UNSORTED if a run is
     so long that it gave up. `order` is sorted by the keys, which are the depths rounded."""
-    state = SORTED
-    begin = np.int64(0)
-    for p in range(1, keys.shape[0]):
-        if keys[np.uint64(p)] != keys[np.uint64(p - 1)]:
-            begin = np.int64(p)
+    state, begin = SORTED, 0
+    for p in range(1, keys.size):
+        if get(keys, p) != get(keys, p - 1):
+            begin = p
             continue
         if p - begin == LONG_RUN:
             return UNSORTED
-        value, q = order[p], np.int64(p)
-        while q > begin and depths[order[q - 1]] > depths[value]:
-            order[q] = order[q - 1]
+        value, q = get(order, p), p
+        depth = get(depths, value)
+        while q > begin and get(depths, get(order, q - 1)) > depth:
+            put(order, q, get(order, q - 1))
             q -= 1
-        order[q] = value
-        if q > begin and depths[order[q - 1]] == depths[value]:
+        put(order, q, value)
+        if q > begin and get(depths, get(order, q - 1)) == depth:
             state = TIED
     return state
 
@@ -72,19 +73,24 @@ def settle_equals(keys, depths, order):
 @kernel()
 def radix_pass(keys, values, sorted_keys, sorted_values, starts, least, shift):
     """Stable counting sort by the bits of keys - least from `shift` on, as many as `starts` (2^bits,) has room for."""
-    mask = np.uint32(starts.shape[0] - 1)
-    starts[:] = 0
-    for p in range(keys.shape[0]):
-        starts[np.uint64(((keys[np.uint64(p)] - least) >> shift) & mask)] += 1
+    mask = np.uint32(starts.size - 1)
+    for d in range(starts.size):
+        put(starts, d, 0)
+    for p in range(keys.size):
+        digits = np.int64(((get(keys, p) - least) >> shift) & mask)
+        put(starts, digits, get(starts, digits) + 1)
     total = 0
-    for d in range(starts.shape[0]):
-        total, starts[d] = total + starts[d], total
-    for p in range(keys.shape[0]):
-        key = keys[np.uint64(p)]
-        digits = np.uint64(((key - least) >> shift) & mask)
-        to = np.uint64(starts[digits])
-        starts[digits] += 1
-        sorted_keys[to], sorted_values[to] = key, values[np.uint64(p)]
+    for d in range(starts.size):
+        here = get(starts, d)
+        put(starts, d, total)
+        total += here
+    for p in range(keys.size):
+        key = get(keys, p)
+        digits = np.int64(((key - least) >> shift) & mask)
+        to = get(starts, digits)
+        put(starts, digits, to + 1)
+        put(sorted_keys, to, key)
+        put(sorted_values, to, get(values, p))
 
 
 def _order_ties(depths: NDArray[np.float64], order: NDArray[np.int32], gaussians: Gaussians) -> None:

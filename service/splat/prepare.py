@@ -6,6 +6,7 @@ up with what is never drawn. It is made once per set and kept as long as the set
 
 from __future__ import annotations
 
+import math
 import threading
 import weakref
 from collections import deque
@@ -17,17 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..gaussians import Gaussians
+from .access import BLOCK, get, put_field
 from .kernel_cache import kernel
 from .parallel import run_ranges
 
-BLOCK = 256
 FIELDS = 14  # mean (3), R S row by row (9), opacity, natural logarithm of the opacity
 MEAN, FACTOR, OPACITY, LOG_OPACITY = 0, 3, 12, 13
-# Where a block's fields start when it is flat. Constants, since each call of np.uint64 takes time to compile; unsigned,
-# since a signed index keeps loops from becoming vectors.
-FIELD = tuple(np.uint64(field * BLOCK) for field in range(16))
-
-
 # Doubles of a record: x, y, HALF_LOG2E / l1, k, HALF_LOG2E / l2; then floats: log2 opacity, r, g, b, z, log2 cut.
 RECORD = 8
 EXTENT = 3  # doubles: half width and height of the box, px, and the shear that the transposed factor has
@@ -109,30 +105,32 @@ def prepare_range(first, last, means, scales, rotations, opacities, harmonics, g
     for block in range(first, last):
         for j in range(BLOCK):
             i = block * BLOCK + j
+            at, to = block * FIELDS * BLOCK + j, block * bands * 3 * BLOCK + j
             if i >= count:
-                geometry[block, :, j] = 0.0
-                geometry[block, LOG_OPACITY, j] = -np.inf
-                shades[block, :, :, j] = np.float32(0.0)
+                for field in range(FIELDS):
+                    put_field(geometry, at, field, -np.inf if field == LOG_OPACITY else 0.0)
+                for term in range(bands * 3):
+                    put_field(shades, to, term, 0.0)
                 continue
             for axis in range(3):
-                geometry[block, MEAN + axis, j] = means[i, axis]
+                put_field(geometry, at, MEAN + axis, get(means, 3 * i + axis))
             # R from a quaternion whose float32 norm is not quite one.
-            w, x = np.float64(rotations[i, 0]), np.float64(rotations[i, 1])
-            y, z = np.float64(rotations[i, 2]), np.float64(rotations[i, 3])
+            w, x = np.float64(get(rotations, 4 * i)), np.float64(get(rotations, 4 * i + 1))
+            y, z = np.float64(get(rotations, 4 * i + 2)), np.float64(get(rotations, 4 * i + 3))
             two = 2.0 / (w * w + x * x + y * y + z * z)
-            s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
-            geometry[block, FACTOR, j] = s0 * (1.0 - two * (y * y + z * z))
-            geometry[block, FACTOR + 1, j] = s1 * two * (x * y - w * z)
-            geometry[block, FACTOR + 2, j] = s2 * two * (x * z + w * y)
-            geometry[block, FACTOR + 3, j] = s0 * two * (x * y + w * z)
-            geometry[block, FACTOR + 4, j] = s1 * (1.0 - two * (x * x + z * z))
-            geometry[block, FACTOR + 5, j] = s2 * two * (y * z - w * x)
-            geometry[block, FACTOR + 6, j] = s0 * two * (x * z - w * y)
-            geometry[block, FACTOR + 7, j] = s1 * two * (y * z + w * x)
-            geometry[block, FACTOR + 8, j] = s2 * (1.0 - two * (x * x + y * y))
-            opacity = np.float64(opacities[i])
-            geometry[block, OPACITY, j] = opacity
-            geometry[block, LOG_OPACITY, j] = np.log(opacity) if opacity > 0.0 else -np.inf
-            for band in range(bands):
-                for channel in range(3):
-                    shades[block, band, channel, j] = harmonics[i, band, channel]
+            s0, s1 = np.float64(get(scales, 3 * i)), np.float64(get(scales, 3 * i + 1))
+            s2 = np.float64(get(scales, 3 * i + 2))
+            put_field(geometry, at, FACTOR, s0 * (1.0 - two * (y * y + z * z)))
+            put_field(geometry, at, FACTOR + 1, s1 * two * (x * y - w * z))
+            put_field(geometry, at, FACTOR + 2, s2 * two * (x * z + w * y))
+            put_field(geometry, at, FACTOR + 3, s0 * two * (x * y + w * z))
+            put_field(geometry, at, FACTOR + 4, s1 * (1.0 - two * (x * x + z * z)))
+            put_field(geometry, at, FACTOR + 5, s2 * two * (y * z - w * x))
+            put_field(geometry, at, FACTOR + 6, s0 * two * (x * z - w * y))
+            put_field(geometry, at, FACTOR + 7, s1 * two * (y * z + w * x))
+            put_field(geometry, at, FACTOR + 8, s2 * (1.0 - two * (x * x + y * y)))
+            opacity = np.float64(get(opacities, i))
+            put_field(geometry, at, OPACITY, opacity)
+            put_field(geometry, at, LOG_OPACITY, math.log(opacity) if opacity > 0.0 else -np.inf)
+            for term in range(bands * 3):
+                put_field(shades, to, term, get(harmonics, i * bands * 3 + term))

@@ -18,15 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import Camera
+from .access import BLOCK, get, get_field, larger, put, smaller
 from .definition import Definition
 from .footprint import OUTPUTS, footprints
 from .kernel_cache import kernel
 from .parallel import run_ranges
-from .prepare import BLOCK, EXTENT, FIELD, LOG_OPACITY, OPACITY, Prepared, Workspace
+from .prepare import EXTENT, FIELDS, LOG_OPACITY, OPACITY, RECORD, Prepared, Workspace
 from .shade import shades
 from .spans import TILE, add_to_counts, packed_box, small_box, unpacked_box
 
-DRAWN, NEAR, FAR, FAINT, NOT_FINITE, OUTSIDE = range(6)
+DRAWN, NEAR, FAR, FAINT, NOT_FINITE, OUTSIDE, CROSSING = range(7)
 LOG2E = 1.0 / math.log(2.0)
 REASONS = {"near": NEAR, "far": FAR, "faint": FAINT, "not_finite": NOT_FINITE, "outside": OUTSIDE}
 
@@ -65,7 +66,7 @@ def project(
     parts = 4 * threads if threads > 1 else 1
     bounds = np.unique(np.linspace(0, len(scene.geometry), parts + 1).astype(np.int64))
     counts = {int(start): np.zeros(tiles, np.int64) for start in bounds[:-1]}
-    reasons = {int(start): np.zeros(len(REASONS) + 2, np.int64) for start in bounds[:-1]}
+    reasons = {int(start): np.zeros(CROSSING + 1, np.int64) for start in bounds[:-1]}
     out = (space.records, space.records.view(np.float32), space.extents, space.boxes, space.depths, space.drawn)
     run_ranges(
         lambda first, last: project_range(
@@ -75,14 +76,14 @@ def project(
         bounds,
         threads,
     )  # fmt: skip
-    total = sum(reasons.values(), np.zeros(len(REASONS) + 2, np.int64))
+    total = sum(reasons.values(), np.zeros(CROSSING + 1, np.int64))
     kept = [space.drawn[start * BLOCK : start * BLOCK + found[DRAWN]] for start, found in reasons.items()]
     return Projection(
         space,
         np.concatenate(kept) if kept else np.empty(0, np.int32),
         sum(counts.values(), np.zeros(tiles, np.int64)),
         {reason: int(total[code]) for reason, code in REASONS.items()},
-        int(total[-1]),
+        int(total[CROSSING]),
     )
 
 
@@ -95,58 +96,62 @@ def project_range(
 
     reasons (7,): how many were drawn or not, by code, and how many of the drawn cross the near plane.
     """
-    near, far, alpha_min = cuts[0], cuts[1], cuts[2]
-    flat, colours = np.empty(OUTPUTS * BLOCK), np.empty(3 * BLOCK, np.float32)
+    near, far, alpha_min = get(cuts, 0), get(cuts, 1), get(cuts, 2)
+    lowest_cut, limit = get(lens, 9), get(lens, 10)
+    flat, weights, colours = np.empty(OUTPUTS * BLOCK), np.empty(16 * BLOCK), np.empty(3 * BLOCK, np.float32)
+    block_harmonics = harmonics.size // geometry.shape[0]
     listed = first * BLOCK
     for block in range(first, last):
-        footprints(geometry[block], view, lens, flat)
+        fields = block * FIELDS * BLOCK
+        footprints(geometry, fields, view, lens, flat)
         before = listed
-        for j in range(min(BLOCK, count - block * BLOCK)):
-            at = np.uint64(j)
-            i = np.uint64(block * BLOCK + j)
-            z = flat[at]
-            depths[i] = z
-            first_x, last_x = flat[at + FIELD[11]], flat[at + FIELD[12]]
-            first_y, last_y = flat[at + FIELD[13]], flat[at + FIELD[14]]
+        for j in range(smaller(BLOCK, count - block * BLOCK)):
+            i = block * BLOCK + j
+            z = get(flat, j)
+            put(depths, i, z)
+            first_x, last_x = get_field(flat, j, 11), get_field(flat, j, 12)
+            first_y, last_y = get_field(flat, j, 13), get_field(flat, j, 14)
             status = DRAWN
             if not z > near:  # written so that NaN is culled too
                 status = NEAR
             elif z > far:
                 status = FAR
-            elif not geometry[block, OPACITY, at] >= alpha_min:
+            elif not get_field(geometry, fields + j, OPACITY) >= alpha_min:
                 status = FAINT
-            elif not flat[at + FIELD[9]] < 1e150:  # a sum that is not finite when any part is not
+            elif not get_field(flat, j, 9) < 1e150:  # a sum that is not finite when any part is not
                 status = NOT_FINITE
             elif not (first_x <= last_x and first_y <= last_y):
                 status = OUTSIDE
-            reasons[status] += 1
+            put(reasons, status, get(reasons, status) + 1)
             if status != DRAWN:
                 continue
-            drawn[np.uint64(listed)] = i
+            put(drawn, listed, i)
             listed += 1
-            boxes[i] = packed_box(first_x, last_x, first_y, last_y)
+            box = packed_box(first_x, last_x, first_y, last_y)
+            put(boxes, i, box)
+            record = i * RECORD
             for field in range(5):
-                records[i, np.uint64(field)] = flat[at + np.uint64((1 + field) * BLOCK)]
+                put(records, record + field, get_field(flat, j, 1 + field))
             for field in range(EXTENT):
-                extents[i, np.uint64(field)] = flat[at + np.uint64((6 + field) * BLOCK)]
-            log_opacity = geometry[block, LOG_OPACITY, at]
-            narrow[i, np.uint64(10)] = log_opacity * LOG2E
-            narrow[i, np.uint64(15)] = max(lens[9], log_opacity - 0.5 * lens[10]) * LOG2E
-            narrow[i, np.uint64(14)] = z
-            depth_reach = flat[at + FIELD[10]]
-            reasons[6] += (z - near) * (z - near) < 9.0 * depth_reach
-            left, right, top, bottom = unpacked_box(boxes[i])
+                put(extents, i * EXTENT + field, get_field(flat, j, 6 + field))
+            log_opacity = get_field(geometry, fields + j, LOG_OPACITY)
+            put(narrow, 2 * record + 10, log_opacity * LOG2E)
+            put(narrow, 2 * record + 15, larger(lowest_cut, log_opacity - 0.5 * limit) * LOG2E)
+            put(narrow, 2 * record + 14, z)
+            crosses = (z - near) * (z - near) < 9.0 * get_field(flat, j, 10)
+            put(reasons, CROSSING, get(reasons, CROSSING) + crosses)
+            left, right, top, bottom = unpacked_box(box)
             if small_box(left, right, top, bottom):  # spelled out: a call with arrays costs more than all of this
                 for tile_row in range(top, bottom + 1):
                     for column in range(left, right + 1):
-                        counts[np.uint64(tile_row * columns + column)] += 1
+                        tile = tile_row * columns + column
+                        put(counts, tile, get(counts, tile) + 1)
             else:
                 add_to_counts(boxes, records, extents, i, columns, counts)
         if listed == before:
             continue
-        shades(geometry[block], harmonics[block], degree, view, colours)
+        shades(geometry, fields, harmonics, block * block_harmonics, degree, view, weights, colours)
         for position in range(before, listed):
-            i = np.uint64(drawn[np.uint64(position)])
-            at = i - np.uint64(block * BLOCK)
+            member = np.int64(get(drawn, position))
             for channel in range(3):
-                narrow[i, np.uint64(11 + channel)] = colours[at + np.uint64(channel * BLOCK)]
+                put(narrow, 2 * RECORD * member + 11 + channel, get_field(colours, member - block * BLOCK, channel))

@@ -47,8 +47,9 @@ def render_reference(
     sh_degree: int | None = None,
     near: float | None = None,
     definition: Definition | None = None,
+    subset: NDArray[np.bool_] | None = None,
 ) -> Render:
-    """The image that `render` approximates, in float64; takes N x H x W steps."""
+    """The image that `render` approximates with all outputs, in float64; takes N x H x W steps."""
     rule, degree = checked_definition(definition, near), checked_degree(sh_degree, gaussians)
     offset = gaussians.means - camera.center
     x, y, z = (offset @ camera.rotation).T
@@ -59,7 +60,10 @@ def render_reference(
     columns, rows = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
     finished = np.zeros((camera.height, camera.width), bool)
     light, mass = np.ones((camera.height, camera.width)), np.zeros((camera.height, camera.width))
-    colour, depth = np.zeros((camera.height, camera.width, 3)), np.zeros_like(light)
+    colour = np.zeros((camera.height, camera.width, 3))
+    depth, median, removed = (np.zeros_like(light) for _ in range(3))
+    peaks, pairs = np.zeros(len(gaussians)), 0
+    chosen = np.zeros(len(gaussians), bool) if subset is None else subset
     for i in depth_order(z, np.flatnonzero(drawn).astype(np.int32), gaussians):
         tan = np.clip([x[i] / z[i], y[i] / z[i]], low, high)
         jacobian = np.array([[camera.fx, 0, -camera.fx * tan[0]], [0, camera.fy, -camera.fy * tan[1]]]) / z[i]
@@ -72,13 +76,18 @@ def render_reference(
         alpha = np.minimum(gaussians.opacities[i].astype(np.float64) * np.exp(-0.5 * distance2), rule.alpha_max)
         seen = (alpha >= rule.alpha_min) & (distance2 <= rule.cut_radius**2)
         if rule.inclusive_stop:
-            weight = np.where(seen & (light > rule.stop), alpha * light, 0.0)
+            added = seen & (light > rule.stop)
         else:
             finished |= seen & (light - alpha * light < rule.stop)
-            weight = np.where(seen & ~finished, alpha * light, 0.0)
+            added = seen & ~finished
+        weight = np.where(added, alpha * light, 0.0)
         basis = sh_basis(offset[i : i + 1] / np.linalg.norm(offset[i]), degree)[0]
         colour += weight[..., None] * np.maximum(0.5 + basis @ gaussians.harmonics[i, : len(basis)], 0.0)
+        median[added & (light > 0.5) & (light - weight <= 0.5)] = z[i]
+        peaks[i], pairs = weight.max(initial=0.0), pairs + int(added.sum())
+        removed += weight * chosen[i]
         depth, mass, light = depth + weight * z[i], mass + weight, light - weight
     depth = np.divide(depth, mass, out=np.zeros_like(depth), where=mass > 0)
     colour += light[..., None] * checked_background(background)
-    return Render(colour, 1.0 - light, depth, {"count": len(gaussians), "projected": int(drawn.sum())})
+    stats = {"count": len(gaussians), "projected": int(drawn.sum()), "pairs": pairs}
+    return Render(colour, 1.0 - light, depth, median, removed, peaks, stats)

@@ -14,14 +14,21 @@ from ..camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
 from .binning import Grid, tile_lists
-from .blend import TILE_STATE, Canvas, blend, bytes_of
+from .blend import Canvas, blend
 from .definition import Definition
 from .order import depth_order
 from .parallel import checked_threads
 from .prepare import prepared
 from .project import project
+from .tile_state import bytes_of, tile_floats
+from .vectors import ALL_CHANNELS, COLOURS_ONLY, WITH_DEPTH
 
-OUTPUTS = ("alpha", "depth")  # what can be asked for beside the colours
+OUTPUTS = ("alpha", "depth", "median", "removed", "peaks", "pairs")  # what can be asked for beside the colours
+ANALYSIS = ("median", "removed", "peaks", "pairs")  # these are computed together
+
+
+NOTHING = np.empty((0, 0), np.float32)
+DEPTH_FIELD = 14  # of the floats of a record
 
 
 def to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -35,12 +42,16 @@ def to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
 class Render:
     """An image of H x W px, in float32 (the reference's in float64); a plane not asked for has no pixels.
 
-    `stats` says what was drawn, what was not and why, and the seconds of each stage.
+    `stats` says what was drawn, what was not and why, and the seconds of each stage. `blocks` counts the pairs of a
+    Gaussian and a block of 8 x 8 px that were blended, `pairs`, if asked for, those of a Gaussian and a pixel.
     """
 
     rgb: NDArray[np.floating]  # (H, W, 3) over the background, >= 0, not clipped at 1
     alpha: NDArray[np.floating]  # (H, W) 1 - transmittance
     depth: NDArray[np.floating]  # (H, W) expected z-depth, sum w z / sum w; 0 where alpha is 0
+    median: NDArray[np.floating]  # (H, W) z-depth of what takes the transmittance to 1/2 or below; 0 if nothing does
+    removed: NDArray[np.floating]  # (H, W) sum of the weights of the chosen Gaussians: what leaving them out frees
+    peaks: NDArray[np.floating]  # (N,) the largest weight that each Gaussian has at any pixel
     stats: dict[str, Any]
 
     def rgb8(self) -> NDArray[np.uint8]:
@@ -64,25 +75,24 @@ def render(
     near: float | None = None,
     threads: int | None = None,
     definition: Definition | None = None,
-    outputs: Collection[str] = OUTPUTS,
+    outputs: Collection[str] = ("alpha", "depth"),
+    subset: NDArray[np.bool_] | None = None,
 ) -> Render:
     """Draw the Gaussians; `definition.py` says what image that is, `reference.py` computes the same in float64.
 
     `background` is three numbers (black), `sh_degree` the highest band used (all there are), `near` the nearest z-depth
     in the caller's units (0.01), `threads` the number of CPU threads (all), `outputs` which planes to compute beside
-    the colours. The image has the same bits for every number of threads, every order of the input and every choice of
-    outputs, and differs from the float64 one by at most 1e-5, apart from pixels at which a Gaussian lies on the very
-    edge of a cut (alpha_min, stop, near, equal depths).
+    the colours (`OUTPUTS`), `subset` (N,) which Gaussians `removed` is about. The image has the same bits for every
+    number of threads, every order of the input and every choice of outputs, and differs from the float64 one by at most
+    1e-5, apart from pixels at which a Gaussian lies on the very edge of a cut (alpha_min, stop, near, equal depths).
 
-    Raises `InputError` for a background, degree, plane, thread count or output that makes no sense.
+    Raises `InputError` for a background, degree, plane, thread count, output or subset that makes no sense.
     """
     definition = checked_definition(definition, near)
     behind = checked_background(background)
     degree = checked_degree(sh_degree, gaussians)
     threads = checked_threads(threads)
-    unknown = sorted(set(outputs) - set(OUTPUTS))
-    if unknown:
-        raise InputError(f"{unknown[0]!r} is unknown, need some of {', '.join(OUTPUTS)}", field="outputs")
+    marked = checked_outputs(outputs, subset, gaussians)
     grid = Grid(camera.width, camera.height)
 
     clock = [time.perf_counter()]
@@ -93,24 +103,17 @@ def render(
         clock.append(time.perf_counter())
         order = depth_order(space.depths, projection.drawn, gaussians)
         clock.append(time.perf_counter())
-        entries = batches = 0
-        binning = 0.0
-        shape = (camera.height, camera.width)
+        if marked is not None:  # a depth with a minus sign marks a Gaussian, see `vectors.py`
+            space.records.view(np.float32)[marked, DEPTH_FIELD] *= -1
         several = int(projection.counts.sum()) > definition.max_entries
-        canvas = Canvas(
-            np.empty((*shape, 3), np.float32),
-            np.empty(shape if "alpha" in outputs else (0, 0), np.float32),
-            np.empty(shape if "depth" in outputs else (0, 0), np.float32),
-            np.empty((grid.tiles if several else 0, TILE_STATE), np.float32),
-            behind,
-        )
-        mark = time.perf_counter()
+        canvas = new_canvas(camera, outputs, len(gaussians), grid.tiles if several else 0, behind)
+        entries = batches = blocks = pairs = 0
+        binning, mark = 0.0, time.perf_counter()
         for lists in tile_lists(projection, order, grid, definition.max_entries, threads):
             binning += time.perf_counter() - mark
-            entries += len(lists.members)
-            first = batches == 0
-            batches += 1
-            blend(lists, space.records, canvas, grid, definition, threads, first_batch=first)
+            found = blend(lists, space.records, canvas, grid, definition, threads, first_batch=batches == 0)
+            entries, batches = entries + len(lists.members), batches + 1
+            blocks, pairs = blocks + found[0], pairs + found[1]
             mark = time.perf_counter()
         clock.append(time.perf_counter())
 
@@ -122,6 +125,8 @@ def render(
         "tiles": grid.tiles,
         "entries": entries,
         "batches": batches,
+        "blocks": blocks,
+        **({"pairs": pairs} if "pairs" in outputs else {}),
         "seconds": {
             "prepare": clock[1] - clock[0],
             "project": clock[2] - clock[1],
@@ -130,7 +135,34 @@ def render(
             "blend": clock[4] - clock[3] - binning,
         },
     }
-    return Render(canvas.rgb, canvas.alpha, canvas.depth, stats)
+    planes = {
+        name: plane if name in outputs and plane is not None else NOTHING
+        for name, plane in (
+            ("alpha", canvas.alpha), ("depth", canvas.depth), ("median", canvas.median), ("removed", canvas.removed),
+        )
+    }  # fmt: skip
+    peaks = canvas.peaks if "peaks" in outputs and canvas.peaks is not None else NOTHING.ravel()
+    return Render(canvas.rgb, **planes, peaks=peaks, stats=stats)
+
+
+def new_canvas(
+    camera: Camera, outputs: Collection[str], count: int, tiles: int, background: NDArray[np.float32]
+) -> Canvas:
+    """Planes for what is asked for and what comes with it; `tiles` of state where there are several batches."""
+    shape = (camera.height, camera.width)
+    everything = any(name in outputs for name in ANALYSIS)
+    channels = ALL_CHANNELS if everything else WITH_DEPTH if "depth" in outputs else COLOURS_ONLY
+    more = [np.empty(shape, np.float32) if everything else None for _ in range(2)]
+    return Canvas(
+        rgb=np.empty((*shape, 3), np.float32),
+        alpha=np.empty(shape if "alpha" in outputs else (0, 0), np.float32),
+        depth=np.empty(shape, np.float32) if channels != COLOURS_ONLY else None,
+        median=more[0],
+        removed=more[1],
+        peaks=np.zeros(count, np.float32) if everything else None,
+        state=np.empty((tiles, tile_floats(channels)), np.float32),
+        background=background,
+    )
 
 
 def render_views(gaussians: Gaussians, cameras: Iterable[Camera], **options: Any) -> list[Render]:
@@ -159,6 +191,25 @@ def checked_background(background: Sequence[float] | None) -> NDArray[np.float32
     if value.shape != (3,) or not np.isfinite(value).all():
         raise InputError(f"is {background}, need three finite numbers", field="background")
     return value
+
+
+def checked_outputs(
+    outputs: Collection[str], subset: NDArray[np.bool_] | None, gaussians: Gaussians
+) -> NDArray[np.bool_] | None:
+    """The subset that `removed` needs, None where it is not asked for."""
+    unknown = sorted(set(outputs) - set(OUTPUTS))
+    if unknown:
+        raise InputError(f"{unknown[0]!r} is unknown, need some of {', '.join(OUTPUTS)}", field="outputs")
+    if ("removed" in outputs) != (subset is not None):
+        cure = "give one" if subset is None else "ask for 'removed' or leave it out"
+        raise InputError(f"goes with the output 'removed': {cure}", field="subset")
+    if subset is None:
+        return None
+    chosen = np.asarray(subset)
+    if chosen.shape != (len(gaussians),) or chosen.dtype != bool:
+        need = f"need ({len(gaussians)},) of bool"
+        raise InputError(f"is {chosen.shape} of {chosen.dtype}, {need}", field="subset")
+    return chosen
 
 
 def checked_degree(sh_degree: int | None, gaussians: Gaussians) -> int:

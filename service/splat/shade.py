@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
+from .access import BLOCK, get, get_field, put, put_field, smaller
 from .kernel_cache import kernel
-from .prepare import BLOCK
 
 C0 = math.sqrt(1 / (4 * math.pi))
 C1 = math.sqrt(3 / (4 * math.pi))
@@ -29,54 +27,53 @@ COLOUR_MAX = 1e37
 
 
 @kernel()
-def shades(geometry, harmonics, degree, view, out):
+def shades(geometry, at, harmonics, start, degree, view, weights, out):
     """Fill `out` (3 * BLOCK) channel by channel with max(0, 0.5 + sum of bands 0..degree); NaN becomes 0.
 
-    harmonics (K, 3, BLOCK) float32; the direction is that from the camera's centre to the mean, of `geometry`.
+    The block's fields begin at geometry[at], its coefficients (K, 3, BLOCK) at harmonics[start]; the direction is that
+    from the camera's centre to the mean. weights (16 * BLOCK,) is room to work in.
     """
-    flat, coefficients = geometry.reshape(-1), harmonics.reshape(-1)
-    weights = np.empty(16 * BLOCK)
     if degree > 0:
-        directions(flat, view, degree, weights)
+        directions(geometry, at, view, degree, weights)
     terms = (degree + 1) * (degree + 1)
     for channel in range(3):
-        start = channel * BLOCK
         for j in range(BLOCK):
-            weights[np.uint64(j)] = 0.5 + C0 * coefficients[np.uint64(start + j)]
+            put(weights, j, 0.5 + C0 * get_field(harmonics, start + j, channel))
         for term in range(1, terms):
-            column = term * 3 * BLOCK + start
+            row = 3 * term + channel
             for j in range(BLOCK):
-                weights[np.uint64(j)] += weights[np.uint64(term * BLOCK + j)] * coefficients[np.uint64(column + j)]
+                more = get_field(weights, j, term) * get_field(harmonics, start + j, row)
+                put(weights, j, get(weights, j) + more)
         for j in range(BLOCK):
-            value = weights[np.uint64(j)]
-            out[np.uint64(start + j)] = np.float32(min(value, COLOUR_MAX)) if value > 0.0 else np.float32(0.0)
+            value = get(weights, j)
+            put_field(out, j, channel, smaller(value, COLOUR_MAX) if value > 0.0 else 0.0)
 
 
 @kernel()
-def directions(flat, view, degree, weights):
-    """The basis functions 1..15 of each Gaussian's unit direction, term by term; row 0 stays free."""
-    centre_x, centre_y, centre_z = view[9], view[10], view[11]
+def directions(geometry, start, view, degree, weights):
+    """The basis functions 1..15 of each Gaussian's unit direction, row by row; row 0 stays free."""
+    centre_x, centre_y, centre_z = get(view, 9), get(view, 10), get(view, 11)
     for j in range(BLOCK):
-        at = np.uint64(j)
-        x, y = flat[at] - centre_x, flat[at + np.uint64(BLOCK)] - centre_y
-        z = flat[at + np.uint64(2 * BLOCK)] - centre_z
+        at = start + j
+        x, y = get_field(geometry, at, 0) - centre_x, get_field(geometry, at, 1) - centre_y
+        z = get_field(geometry, at, 2) - centre_z
         inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
         x, y, z = x * inverse, y * inverse, z * inverse
-        weights[at + np.uint64(BLOCK)] = -C1 * y
-        weights[at + np.uint64(2 * BLOCK)] = C1 * z
-        weights[at + np.uint64(3 * BLOCK)] = -C1 * x
+        put_field(weights, j, 1, -C1 * y)
+        put_field(weights, j, 2, C1 * z)
+        put_field(weights, j, 3, -C1 * x)
         if degree > 1:
             xx, yy, zz = x * x, y * y, z * z
-            weights[at + np.uint64(4 * BLOCK)] = C2_XY * x * y
-            weights[at + np.uint64(5 * BLOCK)] = -C2_XY * y * z
-            weights[at + np.uint64(6 * BLOCK)] = C2_ZZ * (2.0 * zz - xx - yy)
-            weights[at + np.uint64(7 * BLOCK)] = -C2_XY * x * z
-            weights[at + np.uint64(8 * BLOCK)] = C2_XX * (xx - yy)
+            put_field(weights, j, 4, C2_XY * x * y)
+            put_field(weights, j, 5, -C2_XY * y * z)
+            put_field(weights, j, 6, C2_ZZ * (2.0 * zz - xx - yy))
+            put_field(weights, j, 7, -C2_XY * x * z)
+            put_field(weights, j, 8, C2_XX * (xx - yy))
             ring = 4.0 * zz - xx - yy
-            weights[at + np.uint64(9 * BLOCK)] = -C3_3 * y * (3.0 * xx - yy)
-            weights[at + np.uint64(10 * BLOCK)] = C3_2 * x * y * z
-            weights[at + np.uint64(11 * BLOCK)] = -C3_1 * y * ring
-            weights[at + np.uint64(12 * BLOCK)] = C3_0 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy)
-            weights[at + np.uint64(13 * BLOCK)] = -C3_1 * x * ring
-            weights[at + np.uint64(14 * BLOCK)] = C3_2Z * z * (xx - yy)
-            weights[at + np.uint64(15 * BLOCK)] = -C3_3 * x * (xx - 3.0 * yy)
+            put_field(weights, j, 9, -C3_3 * y * (3.0 * xx - yy))
+            put_field(weights, j, 10, C3_2 * x * y * z)
+            put_field(weights, j, 11, -C3_1 * y * ring)
+            put_field(weights, j, 12, C3_0 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy))
+            put_field(weights, j, 13, -C3_1 * x * ring)
+            put_field(weights, j, 14, C3_2Z * z * (xx - yy))
+            put_field(weights, j, 15, -C3_3 * x * (xx - 3.0 * yy))

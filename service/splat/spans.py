@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 
+from .access import get, larger, put, round_down, round_up, smaller
 from .kernel_cache import kernel
+from .prepare import EXTENT, RECORD
 
 TILE = 32  # px: 16 blocks of 8 x 8, whose colours (20 KiB) and one piece of the list stay in the first-level cache
 BITS = 16  # of a box's four tile numbers
@@ -44,34 +46,37 @@ def tile_span(records, extents, i, tile_row, left, right):
     Over a strip the ellipse reaches furthest right at its rightmost point if that lies inside, else at the edge nearest
     to it; at height d its chord is k' d +- h sqrt(half_height^2 - d^2), with k' and h of the transposed factor.
     """
-    x, y, k = records[i, 0], records[i, 1], records[i, 3]
-    half_width, half_height, shear = extents[i, 0], extents[i, 1], extents[i, 2]
-    top = max(tile_row * TILE + 0.5 - y, -half_height)
-    bottom = min((tile_row + 1) * TILE - 0.5 - y, half_height)
+    record, extent = i * RECORD, i * EXTENT
+    x, y, k = get(records, record), get(records, record + 1), get(records, record + 3)
+    half_width, half_height, shear = get(extents, extent), get(extents, extent + 1), get(extents, extent + 2)
+    top = larger(tile_row * TILE + 0.5 - y, -half_height)
+    bottom = smaller((tile_row + 1) * TILE - 0.5 - y, half_height)
     aspect = half_width / half_height
     slope = k * aspect * aspect
-    d = min(max(k * half_width, top), bottom)
-    end = x + slope * d + shear * math.sqrt(max((half_height - d) * (half_height + d), 0.0))
-    d = min(max(-k * half_width, top), bottom)
-    start = x + slope * d - shear * math.sqrt(max((half_height - d) * (half_height + d), 0.0))
+    d = smaller(larger(k * half_width, top), bottom)
+    end = x + slope * d + shear * math.sqrt(larger((half_height - d) * (half_height + d), 0.0))
+    d = smaller(larger(-k * half_width, top), bottom)
+    start = x + slope * d - shear * math.sqrt(larger((half_height - d) * (half_height + d), 0.0))
     slack = 0.5 + 1e-14 * (half_width + abs(x))  # half a pixel, and the rounding of the two chord ends
     # Pixel centres within start..end; clamped before they become integers.
-    first = math.ceil(min(max(start - slack, left * TILE - 1.0), right * TILE + TILE + 0.0))
-    last = math.floor(min(max(end - 1.0 + slack, left * TILE - 1.0), right * TILE + TILE + 0.0))
+    low, high = left * TILE - 1.0, right * TILE + TILE + 0.0
+    first = round_up(smaller(larger(start - slack, low), high))
+    last = round_down(smaller(larger(end - 1.0 + slack, low), high))
     if first > last:
         return 0, -1
-    return max(int(first) // TILE, left), min(int(last) // TILE, right)
+    return larger(np.int64(first) // TILE, left), smaller(np.int64(last) // TILE, right)
 
 
 @kernel()
 def add_to_counts(boxes, records, extents, i, columns, counts):
     """Add one to the count of every tile that Gaussian i touches; returns how many those are."""
-    left, right, top, bottom = unpacked_box(boxes[i])
+    left, right, top, bottom = unpacked_box(get(boxes, i))
     narrow = small_box(left, right, top, bottom)
     total = 0
     for tile_row in range(top, bottom + 1):
         first, last = (left, right) if narrow else tile_span(records, extents, i, tile_row, left, right)
         for column in range(first, last + 1):
-            counts[np.uint64(tile_row * columns + column)] += 1
-        total += max(last - first + 1, 0)
+            tile = tile_row * columns + column
+            put(counts, tile, get(counts, tile) + 1)
+        total += larger(last - first + 1, 0)
     return total

@@ -8,23 +8,26 @@ processor's are shorter. `reference.py` says the same in float64, and tests comp
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
+
+from .access import data_of, typed
 
 LANES = 16
 SIDE = 8  # px of a block
 VECTORS = SIDE * SIDE // LANES
 ROWS = LANES // SIDE  # of a block in one vector
-CHANNELS = 5  # transmittance, red, green, blue, depth
-BLOCK_STATE = CHANNELS * SIDE * SIDE  # floats
+PIXELS = SIDE * SIDE
+# Channels of a block's state, PIXELS floats each; a picture without depth has the first 4, one with only that has 5.
+LIGHT, COLOUR, DEPTH_SUM, REMOVED, MEDIAN = 0, 1, 4, 5, 6
+COLOURS_ONLY, WITH_DEPTH, ALL_CHANNELS = 4, 5, 7
 CHECK = 8  # Gaussians between two looks whether all pixels of the block are finished, a power of two
 
 # What a list's entry holds of its Gaussian, relative to the tile's centre: one cache line.
+# A depth with a minus sign belongs to a Gaussian whose share of each pixel is to be summed.
 U1, STEP1, U2, SHEAR2, STEP2, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, CUT = range(11)
 ENTRY = 16  # floats
 
@@ -35,8 +38,9 @@ POWER = (
 )  # fmt: skip
 MAGIC = 12582912.0  # 1.5 * 2^23: adding it rounds to an integer, which then stands in the lowest bits
 
-_FLOAT, _INT, _LONG, _BYTE = ir.FloatType(), ir.IntType(32), ir.IntType(64), ir.IntType(8)
+_FLOAT, _INT, _LONG = ir.FloatType(), ir.IntType(32), ir.IntType(64)
 _VECTOR, _INTS = ir.VectorType(_FLOAT, LANES), ir.VectorType(_INT, LANES)
+_MASK = ir.IntType(LANES)  # a truth value of each lane as a number's bits
 
 
 class _Lanes:
@@ -86,9 +90,30 @@ class _Lanes:
         self.b.store(value, self.b.bitcast(pointer, _VECTOR.as_pointer())).align = 4
 
 
+def _largest(b: ir.IRBuilder, vectors: list[ir.Value]) -> ir.Value:
+    """The largest of all lanes of vectors that are not negative: their bits are ordered as integers are."""
+    most = vectors[0]
+    for vector in vectors[1:]:
+        most = b.select(b.fcmp_ordered(">", vector, most), vector, most)
+    kind = ir.FunctionType(_INT, [_INTS])
+    reduce = cgutils.get_or_insert_function(b.module, kind, "llvm.vector.reduce.umax.v16i32")
+    return b.bitcast(b.call(reduce, [b.bitcast(most, _INTS)]), _FLOAT)
+
+
+def _lanes_set(b: ir.IRBuilder, masks: list[ir.Value]) -> ir.Value:
+    """How many lanes of the masks are true."""
+    kind = ir.FunctionType(_MASK, [_MASK])
+    count = cgutils.get_or_insert_function(b.module, kind, f"llvm.ctpop.i{LANES}")
+    total = ir.Constant(_LONG, 0)
+    for mask in masks:
+        total = b.add(total, b.zext(b.call(count, [b.bitcast(mask, _MASK)]), _LONG))
+    return total
+
+
 def _blend_one(lanes: _Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts: list[ir.Value],
-               state: list[list[ir.Value]], channels: int, inclusive: bool) -> None:  # fmt: skip
-    """Add one entry to the block whose channels lie in the stack slots `state[channel][vector]`.
+               state: list[list[ir.Value]], exclusive: bool) -> tuple[list[ir.Value], list[ir.Value]]:  # fmt: skip
+    """Add one entry to the block whose channels lie in the stack slots `state[channel][vector]`; returns its weights
+    and which pixels it was added to.
 
     All vectors go through each step together: their chains of dependent operations then overlap.
     """
@@ -97,6 +122,10 @@ def _blend_one(lanes: _Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], c
 
     def field(index: int) -> ir.Value:
         return lanes.spread(b.load(b.gep(entry, [ir.Constant(_LONG, index)])))
+
+    def add(channel: int, factors: list[ir.Value], value: ir.Value) -> None:
+        for j in each:
+            b.store(lanes.fma(factors[j], value, b.load(state[channel][j])), state[channel][j])
 
     across = lanes.fma(x, field(STEP1), field(U1))
     level = lanes.fma(lanes.minus(across), across, field(LOG_OPACITY))
@@ -108,122 +137,114 @@ def _blend_one(lanes: _Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], c
     seen = [b.fcmp_ordered(">=", power[j], cut) for j in each]
     alpha = [lanes.power_of_two(power[j]) for j in each]
     alpha = [b.select(b.fcmp_ordered("<", a, alpha_max), a, alpha_max) for a in alpha]
-    light = [b.load(state[0][j]) for j in each]
+    light = [b.load(state[LIGHT][j]) for j in each]
     none = lanes.constant(0.0)
-    if inclusive:
+    if not exclusive:
         counts = [b.and_(seen[j], b.fcmp_ordered(">", light[j], stop)) for j in each]
         weight = [b.select(counts[j], b.fmul(alpha[j], light[j]), none) for j in each]
         left = [b.fsub(light[j], weight[j]) for j in each]
     else:  # a pixel that the Gaussian would finish is finished without it: its light stays, with a minus sign
+        live = [b.fcmp_ordered(">", light[j], none) for j in each]
         weight = [b.select(seen[j], b.fmul(alpha[j], light[j]), none) for j in each]
         left = [b.fsub(light[j], weight[j]) for j in each]
         goes_on = [b.fcmp_ordered(">=", left[j], stop) for j in each]
+        counts = [b.and_(b.and_(seen[j], live[j]), goes_on[j]) for j in each]
         weight = [b.select(goes_on[j], weight[j], none) for j in each]
-        finished = [b.select(b.fcmp_ordered(">", light[j], none), lanes.minus(light[j]), light[j]) for j in each]
+        finished = [b.select(live[j], lanes.minus(light[j]), light[j]) for j in each]
         left = [b.select(goes_on[j], left[j], finished[j]) for j in each]
     for j in each:
-        b.store(left[j], state[0][j])
-    for channel in range(1, channels):
-        shade = field(RED + channel - 1)
+        b.store(left[j], state[LIGHT][j])
+    for channel, shade in enumerate((RED, GREEN, BLUE), COLOUR):
+        add(channel, weight, field(shade))
+    if len(state) == WITH_DEPTH:
+        add(DEPTH_SUM, weight, field(DEPTH))
+    elif len(state) == ALL_CHANNELS:
+        signed, half = field(DEPTH), lanes.constant(0.5)
+        chosen = b.fcmp_ordered("<", signed, none)
+        depth = b.select(chosen, lanes.minus(signed), signed)
+        add(DEPTH_SUM, weight, depth)
+        add(REMOVED, weight, b.select(chosen, lanes.constant(1.0), none))
         for j in each:
-            b.store(lanes.fma(weight[j], shade, b.load(state[channel][j])), state[channel][j])
+            passes = b.and_(b.fcmp_ordered(">", light[j], half), b.fcmp_ordered("<=", left[j], half))
+            before = b.load(state[MEDIAN][j])
+            b.store(b.select(b.and_(passes, counts[j]), depth, before), state[MEDIAN][j])
+    return weight, counts
 
 
-def _block_loop(channels: int, inclusive: bool) -> Callable:
-    """Code of `blend_block` for 4 channels or 5, and one of the two stopping rules."""
+def _block_loop(channels: int, exclusive: bool) -> Callable:
+    """Code of `blend_block` for 4, 5 or 7 channels and one of the two stopping rules."""
 
     def generate(context, b: ir.IRBuilder, signature, arguments):
-        arrays = [context.make_array(signature.args[n])(context, b, arguments[n]).data for n in (0, 1, 6)]
-        entries, members, states = arrays
-        first, last, x0, y0, at = (arguments[n] for n in (2, 3, 4, 5, 7))
-        lanes = _Lanes(b)
-        alpha_max, stop = (lanes.spread(arguments[n]) for n in (8, 9))
+        entries, chosen, states, tops = (data_of(context, b, signature.args[n], arguments[n]) for n in (0, 1, 5, 9))
+        kept, x0, y0, at = (arguments[n] for n in (2, 3, 4, 6))
+        lanes, each = _Lanes(b), range(VECTORS)
+        alpha_max, stop = (lanes.spread(arguments[n]) for n in (7, 8))
         x = b.fadd(lanes.constant([lane % SIDE for lane in range(LANES)]), lanes.spread(x0))
-        y = [
-            b.fadd(lanes.constant([ROWS * j + lane // SIDE for lane in range(LANES)]), lanes.spread(y0))
-            for j in range(VECTORS)
-        ]
-        state = [[cgutils.alloca_once(b, _VECTOR) for _ in range(VECTORS)] for _ in range(channels)]
+        y = [b.fadd(lanes.constant([ROWS * j + lane // SIDE for lane in range(LANES)]), lanes.spread(y0)) for j in each]
+        state = [[cgutils.alloca_once(b, _VECTOR) for _ in each] for _ in range(channels)]
+        zero = ir.Constant(_LONG, 0)
 
         def place(channel: int, j: int) -> ir.Value:
-            return b.gep(states, [b.add(at, ir.Constant(_LONG, channel * SIDE * SIDE + j * LANES))])
+            return b.gep(states, [b.add(at, ir.Constant(_LONG, channel * PIXELS + j * LANES))])
 
         for channel in range(channels):
-            for j in range(VECTORS):
+            for j in each:
                 b.store(lanes.load(place(channel, j)), state[channel][j])
-        position = cgutils.alloca_once_value(b, first)
+        position, pairs = cgutils.alloca_once_value(b, zero), cgutils.alloca_once_value(b, zero)
         head, body, look, end = (b.append_basic_block(name) for name in ("head", "body", "look", "end"))
         b.branch(head)
         b.position_at_end(head)
-        b.cbranch(b.icmp_signed("<", b.load(position), last), body, end)
+        b.cbranch(b.icmp_signed("<", b.load(position), kept), body, end)
         b.position_at_end(body)
         now = b.load(position)
-        member = b.zext(b.load(b.gep(members, [now])), _LONG)
+        member = b.zext(b.load(b.gep(chosen, [now])), _LONG)
         entry = b.gep(entries, [b.mul(member, ir.Constant(_LONG, ENTRY))])
-        _blend_one(lanes, entry, x, y, [alpha_max, stop], state, channels, inclusive)
+        weight, counts = _blend_one(lanes, entry, x, y, [alpha_max, stop], state, exclusive)
+        if channels == ALL_CHANNELS:
+            top = b.gep(tops, [member])
+            before, most = b.load(top), _largest(b, weight)
+            b.store(b.select(b.fcmp_ordered(">", most, before), most, before), top)
+            b.store(b.add(b.load(pairs), _lanes_set(b, counts)), pairs)
         following = b.add(now, ir.Constant(_LONG, 1))
         b.store(following, position)
-        due = b.icmp_signed("==", b.and_(following, ir.Constant(_LONG, CHECK - 1)), ir.Constant(_LONG, 0))
+        due = b.icmp_signed("==", b.and_(following, ir.Constant(_LONG, CHECK - 1)), zero)
         b.cbranch(due, look, head)
 
         def anything_live() -> ir.Value:
-            most = b.load(state[0][0])
+            most = b.load(state[LIGHT][0])
             for j in range(1, VECTORS):
-                light = b.load(state[0][j])
+                light = b.load(state[LIGHT][j])
                 most = b.select(b.fcmp_ordered(">", light, most), light, most)
-            live = b.fcmp_ordered(">", most, stop if inclusive else lanes.constant(0.0))
-            return b.icmp_unsigned("!=", b.bitcast(live, ir.IntType(LANES)), ir.Constant(ir.IntType(LANES), 0))
+            live = b.fcmp_ordered(">", most, lanes.constant(0.0) if exclusive else stop)
+            return b.icmp_unsigned("!=", b.bitcast(live, _MASK), ir.Constant(_MASK, 0))
 
         b.position_at_end(look)
         b.cbranch(anything_live(), head, end)
         b.position_at_end(end)
         for channel in range(channels):
-            for j in range(VECTORS):
+            for j in each:
                 lanes.store(b.load(state[channel][j]), place(channel, j))
-        return b.zext(anything_live(), _LONG)
+        return b.add(b.zext(anything_live(), _LONG), b.shl(b.load(pairs), ir.Constant(_LONG, 1)))
 
     return generate
 
 
-def _typed(function: Callable) -> Any:
-    """`numba.extending.intrinsic`, whose stub takes the typing context for an argument of the call."""
-    return intrinsic(function)
+@typed
+def blend_block(
+    typing, entries, chosen, kept, x0, y0, states, at, alpha_max, stop, tops, depth, median, exclusive
+):  # fmt: skip
+    """Blend entries[chosen[:kept]] into the block states[at:], whose first pixel lies (x0, y0) px from the tile's
+    centre; returns whether anything can still change, plus twice the pairs of a Gaussian and a pixel if they are
+    counted.
 
-
-def _signature(entries, members, states):
-    scalars = (types.int64, types.int64, types.float32, types.float32)
-    return types.int64(entries, members, *scalars, states, types.int64, *(types.float32,) * 2)
-
-
-@_typed
-def blend_colour(typing, entries, members, first, last, x0, y0, states, at, alpha_max, stop):
-    """Blend entries[members[first:last]] into the block states[at:], whose first pixel lies (x0, y0) px from the tile's
-    centre; returns whether anything can still change. The Gaussian that finishes a pixel is added."""
-    return _signature(entries, members, states), _block_loop(4, True)
-
-
-@_typed
-def blend_depth(typing, entries, members, first, last, x0, y0, states, at, alpha_max, stop):
-    """As `blend_colour`, with the depth sum."""
-    return _signature(entries, members, states), _block_loop(5, True)
-
-
-@_typed
-def blend_exclusive(typing, entries, members, first, last, x0, y0, states, at, alpha_max, stop):
-    """As `blend_depth`; the Gaussian that would finish a pixel is left out, and the pixel's light becomes negative."""
-    return _signature(entries, members, states), _block_loop(5, False)
-
-
-@_typed
-def prefetch(typing, array, index):
-    """Ask for the cache line of array[index], which may lie anywhere."""
-
-    def generate(context, b: ir.IRBuilder, signature, arguments):
-        data = context.make_array(signature.args[0])(context, b, arguments[0]).data
-        pointer = b.bitcast(b.gep(data, [arguments[1]]), _BYTE.as_pointer())
-        kind = ir.FunctionType(ir.VoidType(), [_BYTE.as_pointer(), _INT, _INT, _INT])
-        function = cgutils.get_or_insert_function(b.module, kind, "llvm.prefetch.p0")
-        b.call(function, [pointer, ir.Constant(_INT, 0), ir.Constant(_INT, 3), ir.Constant(_INT, 1)])
-        return context.get_dummy_value()
-
-    return types.void(array, types.int64), generate
+    The types of the last three say what is computed, so that each choice has a loop of its own: `depth` and `median`
+    are None or planes, `exclusive` is None (the Gaussian that finishes a pixel is added) or anything else (it is left
+    out, and the pixel's light becomes negative). With `median` all channels are computed, pairs are counted, and
+    tops[chosen] rises to the largest weight of each entry.
+    """
+    channels = ALL_CHANNELS if median != types.none else WITH_DEPTH if depth != types.none else COLOURS_ONLY
+    numbers = (types.float32,) * 2
+    signature = types.int64(
+        entries, chosen, types.int64, *numbers, states, types.int64, *numbers, tops, depth, median, exclusive
+    )
+    return signature, _block_loop(channels, exclusive != types.none)

@@ -45,7 +45,7 @@ def colours(directions, harmonics, degree):
     block[..., :count] = harmonics.transpose(1, 2, 0)
     view = np.array([*np.eye(3).ravel(), 1.0, 2.0, 3.0])
     out = np.empty(3 * BLOCK, np.float32)
-    shades(geometry, block, degree, view, out)
+    shades(geometry.ravel(), 0, block.ravel(), 0, degree, view, np.empty(16 * BLOCK), out)
     return out.reshape(3, BLOCK)[:, :count].T
 
 
