@@ -1,12 +1,13 @@
 # Commands from a bare checkout: `make demo` (runtime only, no torch), `make test` (everything) and `make evaluate`
 # (quality on held-out views, minutes; further options by ARGS, for example ARGS=--check). `make bench-splat` compares the
-# splatter with a plain renderer (ARGS=--quick).
+# splatter with a plain renderer (ARGS=--quick), `make compare-viewer` its pictures with those of a viewer (needs npm and
+# Chromium).
 # All keep their environment in .venv and reuse it until pyproject.toml changes. pip's own settings apply, for example
 # PIP_EXTRA_INDEX_URL for an index that has the CPU build of torch.
 
 PYTHON ?= python3
 BIN := .venv/bin
-.PHONY: demo test evaluate bench-splat clean
+.PHONY: demo test evaluate bench-splat compare-viewer clean
 
 demo: .venv/.runtime
 	$(BIN)/gapmes demo --output demo
@@ -21,6 +22,9 @@ evaluate: .venv/.dev
 
 bench-splat: .venv/.runtime
 	$(BIN)/python -m benchmarks.splat.run $(ARGS)
+
+compare-viewer: .venv/.runtime
+	$(BIN)/python -m benchmarks.viewer.compare $(ARGS)
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "gapmes needs Python 3.11 or newer; set PYTHON=")'

@@ -1,0 +1,1 @@
+"""Our pictures beside those of an independent viewer."""

@@ -1,0 +1,174 @@
+"""`make compare-viewer`: the same .ply from the same camera, drawn by us and by SuperSplat's viewer in Chromium.
+
+Needs npm and Chromium. The viewer cuts splats elsewhere, fades them towards the cut and sorts by its own rule, so the
+pictures agree as pictures do, not to the last digit; wrong colours, handedness or scales would show at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import http
+import http.server
+import json
+import math
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from gapmes.service.camera import Camera
+from gapmes.service.camera_file import read_camera_file
+from gapmes.service.ply import read_ply
+from gapmes.service.shipped import sample_folder
+from gapmes.service.splat import render
+
+HERE = Path(__file__).resolve().parent
+PACKAGE = HERE / "node_modules" / "@playcanvas" / "supersplat-viewer"
+NEED_DB = 35.0
+PATIENCE = 240  # s, for the first frame, drawn without a GPU
+SETTLING_MS = 8_000  # after it: the sorter works beside the drawing
+
+
+def viewer_settings(camera: Camera) -> dict[str, object]:
+    """The camera in the viewer's terms: it turns a .ply by half a turn about z and looks from a position to a target.
+
+    Only an upright pinhole with a central principal point and square pixels can be said so.
+    """
+    right, _, forward = camera.rotation.T
+    centred = abs(camera.cx - camera.width / 2) < 1e-6 and abs(camera.cy - camera.height / 2) < 1e-6
+    if not centred or abs(camera.fx / camera.fy - 1) > 1e-6 or abs(right[1]) > 1e-3:
+        raise SystemExit("the viewer shows only upright cameras with square pixels and a central principal point")
+    turned = np.array([-1.0, -1.0, 1.0])
+    return {
+        "version": 2,
+        "tonemapping": "none",
+        "highPrecisionRendering": True,
+        "background": {"color": [0, 0, 0]},
+        "postEffectSettings": {
+            "sharpness": {"enabled": False, "amount": 0},
+            "bloom": {"enabled": False, "intensity": 0, "blurLevel": 1},
+            "grading": {"enabled": False, "brightness": 1, "contrast": 1, "saturation": 1, "tint": [1, 1, 1]},
+            "vignette": {"enabled": False, "intensity": 0, "inner": 0, "outer": 1, "curvature": 1},
+            "fringing": {"enabled": False, "intensity": 0},
+        },
+        "animTracks": [],
+        "cameras": [
+            {
+                "initial": {
+                    "position": list(turned * camera.center),
+                    "target": list(turned * (camera.center + forward)),
+                    "fov": 2 * math.degrees(math.atan(0.5 * camera.height / camera.fy)),
+                }
+            }
+        ],
+        "annotations": [],
+        "startMode": "default",
+    }
+
+
+PAGE = """<!doctype html>
+<link rel="stylesheet" href="index.css">
+<style>body { margin: 0; background: #000 } #view { position: relative; width: %dpx; height: %dpx }</style>
+<div id="view"></div>
+<img src="shown" width="1" height="1" style="position: absolute; right: 0; bottom: 0">
+<script type="module">
+  import { createViewer } from "./index.js";
+  // The picture is loaded, and with it the page, when the viewer has had time to sort and to draw again.
+  window.firstFrame = () => setTimeout(() => fetch("settled"), %d);
+  createViewer({
+    container: document.getElementById("view"), settings: await (await fetch("settings.json")).json(),
+    contentUrl: "./scene.ply", renderer: "webgl", ui: false, noanim: true, nofx: true, exposeGlobals: true,
+  });
+</script>"""
+
+
+class Handler(http.server.SimpleHTTPRequestHandler):
+    """Serves one folder on the loopback address; holds back the page's last picture until the viewer has drawn."""
+
+    def __init__(self, *args: Any, settled: threading.Event, **options: Any) -> None:
+        self.settled = settled
+        super().__init__(*args, **options)
+
+    def do_GET(self) -> None:  # the base class names it so
+        """A file, or one of the two signals."""
+        if self.path == "/settled":
+            self.settled.set()
+        elif self.path == "/shown":
+            self.settled.wait(PATIENCE)
+        else:
+            return super().do_GET()
+        return self.send_error(http.HTTPStatus.NOT_FOUND)
+
+    def log_message(self, format: str, *args: object) -> None:  # the base class names it so
+        """Nothing."""
+
+
+def shown_by_viewer(ply: Path, camera: Camera, chromium: str) -> np.ndarray:
+    """(H, W, 3) bytes: what the viewer shows of a .ply."""
+    settled = threading.Event()
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        for name in ("index.js", "index.css"):
+            shutil.copy(PACKAGE / "public" / name, root / name)
+        shutil.copy(ply, root / "scene.ply")
+        (root / "settings.json").write_text(json.dumps(viewer_settings(camera)))
+        (root / "page.html").write_text(PAGE % (camera.width, camera.height, SETTLING_MS))
+        picture = root / "shown.png"
+        handler = functools.partial(Handler, directory=folder, settled=settled)
+        with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            command = [
+                chromium, "--headless", "--no-sandbox", "--hide-scrollbars", "--force-device-scale-factor=1",
+                "--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--user-data-dir={root / 'profile'}",
+                # larger than the picture: a headless window is never quite as large as it was asked to be
+                f"--window-size={camera.width + 200},{camera.height + 200}", f"--screenshot={picture}",
+                f"http://127.0.0.1:{server.server_port}/page.html",
+            ]  # fmt: skip
+            subprocess.run(command, check=True, stderr=subprocess.DEVNULL, timeout=2 * PATIENCE)
+            server.shutdown()
+        if not settled.is_set():
+            raise SystemExit(f"the viewer drew nothing within {PATIENCE} s: has this Chromium WebGL 2?")
+        return np.asarray(Image.open(picture).convert("RGB"))[: camera.height, : camera.width]
+
+
+def main() -> None:
+    """Draw with both, print how they agree, write the pictures side by side; see --help."""
+    parser = argparse.ArgumentParser(prog="make compare-viewer", description=__doc__)
+    parser.add_argument("--ply", type=Path, help="a scene (the sample scene, reconstructed now)")
+    parser.add_argument("--cameras", type=Path, default=sample_folder() / "cameras.json", help="a camera file")
+    parser.add_argument("--view", type=int, default=3, help="which of its cameras (3)")
+    parser.add_argument("--size", type=int, default=1024, help="px of the picture's width (1024)")
+    parser.add_argument("--chromium", default="chromium", help="the browser's command (chromium)")
+    parser.add_argument("--out", type=Path, default=Path("viewer.png"), help="picture to write (viewer.png)")
+    options = parser.parse_args()
+    if not PACKAGE.is_dir():
+        subprocess.run(["npm", "ci", "--ignore-scripts", "--prefix", str(HERE)], check=True)
+    with tempfile.TemporaryDirectory() as folder:
+        ply = options.ply or Path(folder) / "sample.ply"
+        if options.ply is None:
+            command = [sys.executable, "-m", "gapmes.service.cli", "reconstruct", str(sample_folder())]
+            subprocess.run([*command, "--output", str(ply)], check=True)
+        camera = read_camera_file(options.cameras).views[options.view].camera
+        camera = camera.resized(options.size, round(options.size * camera.height / camera.width))
+        ours = render(read_ply(ply), camera, outputs=()).rgb8()
+        theirs = shown_by_viewer(ply, camera, options.chromium)
+    error = ((ours / 255.0 - theirs / 255.0) ** 2).mean()
+    db = -10 * math.log10(error + 1e-12)
+    amplified = np.clip(127.5 + 8.0 * (ours.astype(float) - theirs), 0, 255).astype(np.uint8)
+    Image.fromarray(np.hstack([ours, theirs, amplified])).save(options.out)
+    print(
+        f"{db:.1f} dB between our picture (left) and the viewer's (middle), difference times 8 (right): {options.out}"
+    )
+    if db < NEED_DB:
+        raise SystemExit(f"need {NEED_DB:g} dB")
+
+
+if __name__ == "__main__":
+    main()
