@@ -153,8 +153,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         ply = options.ply or Path(folder) / "sample.ply"
         if options.ply is None:
-            command = [Path(sys.executable).with_name("gapmes"), "reconstruct", sample_folder(), "--output", ply]
-            subprocess.run(command, check=True)
+            command = [Path(sys.executable).with_name("gapmes"), "reconstruct", sample_folder(), "--views", "1,5"]
+            subprocess.run([*command, "--output", ply], check=True)
         camera = read_camera_file(options.cameras).views[options.view].camera
         camera = camera.resized(options.size, round(options.size * camera.height / camera.width))
         ours = render(read_ply(ply), camera, outputs=()).rgb8()
