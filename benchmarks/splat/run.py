@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import platform
 import resource
-import statistics
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numba
-import numpy as np
 
+from gapmes.service.camera import Camera
+from gapmes.service.camera_file import read_camera_file
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.ply import read_ply
-from gapmes.service.splat import render, warm_up
+from gapmes.service.splat import warm_up
 from gapmes.service.threads import available_threads
 
+from .measure import Other, Row, measure
 from .peak import peak_gflops
-from .plain import PlainRenderer
 from .scenes import camera, surface_scene
 
 CASES = (  # splats, SH degree, px; and what the ratio to the plain renderer must reach
@@ -28,81 +29,91 @@ CASES = (  # splats, SH degree, px; and what the ratio to the plain renderer mus
     (131_072, 3, 1024, None), (500_000, 0, 256, None), (500_000, 0, 1024, 12.0), (500_000, 3, 1024, None),
     (1_000_000, 0, 1024, None),
 )  # fmt: skip
+NEED_SCALING, NEED_HARMONICS = 1.7, 1.35  # one thread to two at 131,072 splats and 1024 px; SH 3 to SH 0
 
 
-def timed(work: Callable[[], object]) -> float:
-    """Seconds of one call."""
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
+def other_renderer(path: Path) -> Other:
+    """`renderer(gaussians, threads)` of a Python file: returns a function from a camera to (H, W, 3) colours."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise SystemExit(f"{path} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return Other(path.stem, module.renderer)
 
 
-def measure(name: str, gaussians: Gaussians, size: int, repeats: int, threads: int, plainly: bool) -> dict[str, object]:
-    """One scene: the product with one thread and with all, and the plain renderer, in turns."""
-    view = camera(size)
-    plain = PlainRenderer(gaussians)
-    runs: dict[str, Callable[[], object]] = {
-        "all": lambda: stages.append(render(gaussians, view, threads=threads, outputs=()).stats["seconds"]),
-        "one": lambda: render(gaussians, view, threads=1, outputs=()),
-    }
-    if plainly:
-        runs["plain"] = lambda: plain(view)
-    stages: list[dict[str, float]] = []
-    for work in runs.values():
-        work()
-    stages.clear()
-    seconds: dict[str, list[float]] = {key: [] for key in runs}
-    for _ in range(repeats):
-        for key, work in runs.items():
-            seconds[key].append(timed(work))
-    medians = {key: statistics.median(values) for key, values in seconds.items()}
-    result: dict[str, object] = {"scene": name, "px": size, **{f"{k} ms": 1e3 * v for k, v in medians.items()}}
-    if plainly:
-        difference = np.abs(plain(view) - render(gaussians, view, outputs=()).rgb)
-        result["ratio"] = medians["plain"] / medians["all"]
-        result["agree"] = -10 * np.log10(float((difference**2).mean()) + 1e-30)
-    result["1 to all"] = medians["one"] / medians["all"]
-    for stage in stages[0]:
-        result[stage] = 1e3 * statistics.median(row[stage] for row in stages)
-    return result
+def trained_scene(path: Path, cameras: Path | None, size: int) -> tuple[Gaussians, Camera]:
+    """A .ply and the first of its cameras, at `size` px of width; without cameras it is seen from the origin."""
+    gaussians = read_ply(path)
+    if cameras is None:
+        return gaussians, camera(size)
+    view = read_camera_file(cameras).views[0].camera
+    return gaussians, view.resized(size, round(size * view.height / view.width))
+
+
+def verdicts(rows: list[tuple[Row, float | None]]) -> list[str]:
+    """What must be reached and whether it is."""
+    lines = []
+
+    def say(what: str, value: float, need: float, reached: bool) -> None:
+        lines.append(f"{what}: {value:.2f}, need {need:g}: {'reached' if reached else 'MISSED'}")
+
+    for row, floor in rows:
+        if floor is not None:
+            say(f"{row.name} at {row.px} px, times the plain renderer", row.ratio, floor, row.ratio >= floor)
+        if row.harmonics is not None:
+            reached = row.harmonics <= NEED_HARMONICS
+            say(f"{row.name} at {row.px} px, times SH 0", row.harmonics, NEED_HARMONICS, reached)
+    large = [row for row, _ in rows if row.px == 1024 and "SH 0" in row.name]
+    for row in large:
+        if row.count == 131_072:
+            say("one thread to all", row.scaling, NEED_SCALING, row.scaling >= NEED_SCALING)
+    if len(large) > 1:
+        growth = (large[-1].milliseconds / large[0].milliseconds) / (large[-1].count / large[0].count)
+        say(f"time per splat at {large[-1].count:,}, times that at {large[0].count:,}", growth, 1.0, growth <= 1.0)
+    return lines
 
 
 def main() -> None:
     """Print the table; see --help."""
     parser = argparse.ArgumentParser(prog="make bench-splat", description=__doc__)
     parser.add_argument("--repeats", type=int, default=9, help="of each renderer, in turns (9)")
-    parser.add_argument("--threads", type=int, default=available_threads(), help="of both renderers (all)")
+    parser.add_argument("--threads", type=int, default=available_threads(), help="of all renderers (all)")
     parser.add_argument("--quick", action="store_true", help="only 131,072 splats")
     parser.add_argument("--ply", type=Path, action="append", default=[], help="a trained scene to draw as well")
+    parser.add_argument("--cameras", type=Path, action="append", default=[], help="its camera file, in the same order")
+    parser.add_argument(
+        "--other", type=Path, action="append", default=[], help="a Python file with renderer(gaussians, threads)"
+    )
     options = parser.parse_args()
     numba.config.THREADING_LAYER = "workqueue"  # its idle threads sleep; the others' spin against whoever comes next
     numba.set_num_threads(options.threads)
     start = time.perf_counter()
     warm_up()
+    ready, peak = time.perf_counter() - start, peak_gflops(options.threads)
     print(f"{platform.processor() or platform.machine()}, {options.threads} threads, numba {numba.__version__}; "
-          f"kernels ready after {time.perf_counter() - start:.2f} s; "
-          f"peak {peak_gflops(options.threads):.0f} GFLOP/s")  # fmt: skip
-    rows, floors = [], []
-    for count, degree, size, floor in CASES:
-        if options.quick and count != 131_072:
-            continue
-        name = f"{count:,} SH {degree}"
-        print(f"{name} at {size} px ...", file=sys.stderr, flush=True)
-        row = measure(name, surface_scene(count, degree), size, options.repeats, options.threads, count <= 500_000)
-        rows.append(row)
-        if floor is not None:
-            verdict = "reached" if float(str(row["ratio"])) >= floor else "MISSED"
-            floors.append(
-                f"{name} at {size} px: {row['ratio']:.1f} times the plain renderer, need {floor:g}: {verdict}"
-            )
-    for path in options.ply:
-        rows.append(measure(path.stem, read_ply(path), 512, options.repeats, options.threads, True))
-    columns = list(dict.fromkeys(key for row in rows for key in row))
+          f"kernels ready after {ready:.2f} s; peak {peak:.0f} GFLOP/s")  # fmt: skip
+    others = [other_renderer(path) for path in options.other]
+    cameras = [*options.cameras, *[None] * len(options.ply)]
+    todo: list[tuple[str, Callable[[], tuple[Gaussians, Camera]], float | None]] = [
+        (f"{count:,} SH {degree}", lambda c=count, d=degree, s=size: (surface_scene(c, d), camera(s)), floor)
+        for count, degree, size, floor in CASES
+        if count == 131_072 or not options.quick
+    ]
+    for path, file in zip(options.ply, cameras, strict=False):
+        for size in (256, 1024):
+            todo.append((path.stem, lambda p=path, f=file, s=size: trained_scene(p, f, s), None))
+    rows = []
+    for name, make, floor in todo:
+        gaussians, view = make()
+        print(f"{name} at {view.width} px ...", file=sys.stderr, flush=True)
+        row = measure(name, gaussians, view, options.repeats, options.threads, others, peak)
+        rows.append((row, floor))
+    columns = list(dict.fromkeys(key for row, _ in rows for key in row.cells()))
     print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
-    for row in rows:
-        cells = [row.get(key, "") for key in columns]
-        print("| " + " | ".join(f"{c:.1f}" if isinstance(c, float) else str(c) for c in cells) + " |")
-    print("\n".join(floors))
+    for row, _ in rows:
+        print("| " + " | ".join(row.cells().get(key, "") for key in columns) + " |")
+    print("\n".join(verdicts(rows)))
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 
 
