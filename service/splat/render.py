@@ -20,7 +20,7 @@ from .order import depth_order
 from .parallel import checked_threads
 from .prepare import prepared
 from .project import project
-from .tile_state import bytes_of, tile_floats
+from .tile_state import BLOCKS, bytes_of, tile_floats
 from .vectors import ALL_CHANNELS, COLOURS_ONLY, WITH_DEPTH
 
 OUTPUTS = ("alpha", "depth", "median", "removed", "peaks", "pairs")  # what can be asked for beside the colours
@@ -43,7 +43,8 @@ class Render:
     """An image of H x W px, in float32 (the reference's in float64); a plane not asked for has no pixels.
 
     `stats` says what was drawn, what was not and why, and the seconds of each stage. `blocks` counts the pairs of a
-    Gaussian and a block of 8 x 8 px that were blended, `pairs`, if asked for, those of a Gaussian and a pixel.
+    listed Gaussian and a block of 8 x 8 px that were blended, `skipped` those that were not; `pairs`, if asked for,
+    those of a Gaussian and a pixel.
     """
 
     rgb: NDArray[np.floating]  # (H, W, 3) over the background, >= 0, not clipped at 1
@@ -126,6 +127,7 @@ def render(
         "entries": entries,
         "batches": batches,
         "blocks": blocks,
+        "skipped": entries * BLOCKS - blocks,
         **({"pairs": pairs} if "pairs" in outputs else {}),
         "seconds": {
             "prepare": clock[1] - clock[0],

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
 from .access import data_of, typed
+from .lanes import LANES, LONG, MASK, VECTOR, Lanes
 
-LANES = 16
 SIDE = 8  # px of a block
 VECTORS = SIDE * SIDE // LANES
 ROWS = LANES // SIDE  # of a block in one vector
@@ -31,86 +30,8 @@ CHECK = 8  # Gaussians between two looks whether all pixels of the block are fin
 U1, STEP1, U2, SHEAR2, STEP2, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, CUT = range(11)
 ENTRY = 16  # floats
 
-# 2^f on [-1/2, 1/2]: the polynomial of degree 5 of least relative error, 7.6e-8 in exact arithmetic.
-POWER = (
-    1.0000000720325866, 0.6931469780529467, 0.24022118496605865, 0.05550695276973524, 0.009675590659164249,
-    0.00132822976697421,
-)  # fmt: skip
-MAGIC = 12582912.0  # 1.5 * 2^23: adding it rounds to an integer, which then stands in the lowest bits
 
-_FLOAT, _INT, _LONG = ir.FloatType(), ir.IntType(32), ir.IntType(64)
-_VECTOR, _INTS = ir.VectorType(_FLOAT, LANES), ir.VectorType(_INT, LANES)
-_MASK = ir.IntType(LANES)  # a truth value of each lane as a number's bits
-
-
-class _Lanes:
-    """The few vector operations that the loop needs, on one builder."""
-
-    def __init__(self, builder: ir.IRBuilder) -> None:
-        self.b = builder
-        kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
-        self._fma = cgutils.get_or_insert_function(builder.module, kind, "llvm.fma.v16f32")
-
-    def constant(self, values: float | list[float]) -> ir.Constant:
-        lanes = values if isinstance(values, list) else [values] * LANES
-        return ir.Constant(_VECTOR, [ir.Constant(_FLOAT, float(np.float32(v))) for v in lanes])
-
-    def integer(self, value: int) -> ir.Constant:
-        return ir.Constant(_INTS, [ir.Constant(_INT, value)] * LANES)
-
-    def spread(self, scalar: ir.Value) -> ir.Value:
-        undefined = ir.Constant(_VECTOR, ir.Undefined)
-        first = self.b.insert_element(undefined, scalar, ir.Constant(_INT, 0))
-        return self.b.shuffle_vector(first, undefined, self.integer(0))
-
-    def fma(self, x: ir.Value, y: ir.Value, z: ir.Value) -> ir.Value:
-        """x y + z, rounded once."""
-        return self.b.call(self._fma, [x, y, z])
-
-    def minus(self, x: ir.Value) -> ir.Value:
-        return self.b.fneg(x)
-
-    def power_of_two(self, q: ir.Value) -> ir.Value:
-        """2^q for -125 <= q < 127, anything elsewhere: the fraction by a polynomial, the rest into the exponent."""
-        b = self.b
-        shifted = b.fadd(q, self.constant(MAGIC))
-        fraction = b.fsub(q, b.fsub(shifted, self.constant(MAGIC)))
-        value = self.constant(POWER[-1])
-        for coefficient in POWER[-2::-1]:
-            value = self.fma(value, fraction, self.constant(coefficient))
-        exponent = b.shl(b.bitcast(shifted, _INTS), self.integer(23))
-        return b.bitcast(b.add(b.bitcast(value, _INTS), exponent), _VECTOR)
-
-    def load(self, pointer: ir.Value) -> ir.Value:
-        value = self.b.load(self.b.bitcast(pointer, _VECTOR.as_pointer()))
-        value.align = 4
-        return value
-
-    def store(self, value: ir.Value, pointer: ir.Value) -> None:
-        self.b.store(value, self.b.bitcast(pointer, _VECTOR.as_pointer())).align = 4
-
-
-def _largest(b: ir.IRBuilder, vectors: list[ir.Value]) -> ir.Value:
-    """The largest of all lanes of vectors that are not negative: their bits are ordered as integers are."""
-    most = vectors[0]
-    for vector in vectors[1:]:
-        most = b.select(b.fcmp_ordered(">", vector, most), vector, most)
-    kind = ir.FunctionType(_INT, [_INTS])
-    reduce = cgutils.get_or_insert_function(b.module, kind, "llvm.vector.reduce.umax.v16i32")
-    return b.bitcast(b.call(reduce, [b.bitcast(most, _INTS)]), _FLOAT)
-
-
-def _lanes_set(b: ir.IRBuilder, masks: list[ir.Value]) -> ir.Value:
-    """How many lanes of the masks are true."""
-    kind = ir.FunctionType(_MASK, [_MASK])
-    count = cgutils.get_or_insert_function(b.module, kind, f"llvm.ctpop.i{LANES}")
-    total = ir.Constant(_LONG, 0)
-    for mask in masks:
-        total = b.add(total, b.zext(b.call(count, [b.bitcast(mask, _MASK)]), _LONG))
-    return total
-
-
-def _blend_one(lanes: _Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts: list[ir.Value],
+def _blend_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts: list[ir.Value],
                state: list[list[ir.Value]], exclusive: bool) -> tuple[list[ir.Value], list[ir.Value]]:  # fmt: skip
     """Add one entry to the block whose channels lie in the stack slots `state[channel][vector]`; returns its weights
     and which pixels it was added to.
@@ -121,7 +42,7 @@ def _blend_one(lanes: _Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], c
     alpha_max, stop = cuts
 
     def field(index: int) -> ir.Value:
-        return lanes.spread(b.load(b.gep(entry, [ir.Constant(_LONG, index)])))
+        return lanes.spread(b.load(b.gep(entry, [ir.Constant(LONG, index)])))
 
     def add(channel: int, factors: list[ir.Value], value: ir.Value) -> None:
         for j in each:
@@ -177,15 +98,15 @@ def _block_loop(channels: int, exclusive: bool) -> Callable:
     def generate(context, b: ir.IRBuilder, signature, arguments):
         entries, chosen, states, tops = (data_of(context, b, signature.args[n], arguments[n]) for n in (0, 1, 5, 9))
         kept, x0, y0, at = (arguments[n] for n in (2, 3, 4, 6))
-        lanes, each = _Lanes(b), range(VECTORS)
+        lanes, each = Lanes(b), range(VECTORS)
         alpha_max, stop = (lanes.spread(arguments[n]) for n in (7, 8))
         x = b.fadd(lanes.constant([lane % SIDE for lane in range(LANES)]), lanes.spread(x0))
         y = [b.fadd(lanes.constant([ROWS * j + lane // SIDE for lane in range(LANES)]), lanes.spread(y0)) for j in each]
-        state = [[cgutils.alloca_once(b, _VECTOR) for _ in each] for _ in range(channels)]
-        zero = ir.Constant(_LONG, 0)
+        state = [[cgutils.alloca_once(b, VECTOR) for _ in each] for _ in range(channels)]
+        zero = ir.Constant(LONG, 0)
 
         def place(channel: int, j: int) -> ir.Value:
-            return b.gep(states, [b.add(at, ir.Constant(_LONG, channel * PIXELS + j * LANES))])
+            return b.gep(states, [b.add(at, ir.Constant(LONG, channel * PIXELS + j * LANES))])
 
         for channel in range(channels):
             for j in each:
@@ -197,17 +118,17 @@ def _block_loop(channels: int, exclusive: bool) -> Callable:
         b.cbranch(b.icmp_signed("<", b.load(position), kept), body, end)
         b.position_at_end(body)
         now = b.load(position)
-        member = b.zext(b.load(b.gep(chosen, [now])), _LONG)
-        entry = b.gep(entries, [b.mul(member, ir.Constant(_LONG, ENTRY))])
+        member = b.zext(b.load(b.gep(chosen, [now])), LONG)
+        entry = b.gep(entries, [b.mul(member, ir.Constant(LONG, ENTRY))])
         weight, counts = _blend_one(lanes, entry, x, y, [alpha_max, stop], state, exclusive)
         if channels == ALL_CHANNELS:
             top = b.gep(tops, [member])
-            before, most = b.load(top), _largest(b, weight)
+            before, most = b.load(top), lanes.largest(weight)
             b.store(b.select(b.fcmp_ordered(">", most, before), most, before), top)
-            b.store(b.add(b.load(pairs), _lanes_set(b, counts)), pairs)
-        following = b.add(now, ir.Constant(_LONG, 1))
+            b.store(b.add(b.load(pairs), lanes.count_set(counts)), pairs)
+        following = b.add(now, ir.Constant(LONG, 1))
         b.store(following, position)
-        due = b.icmp_signed("==", b.and_(following, ir.Constant(_LONG, CHECK - 1)), zero)
+        due = b.icmp_signed("==", b.and_(following, ir.Constant(LONG, CHECK - 1)), zero)
         b.cbranch(due, look, head)
 
         def anything_live() -> ir.Value:
@@ -216,7 +137,7 @@ def _block_loop(channels: int, exclusive: bool) -> Callable:
                 light = b.load(state[LIGHT][j])
                 most = b.select(b.fcmp_ordered(">", light, most), light, most)
             live = b.fcmp_ordered(">", most, lanes.constant(0.0) if exclusive else stop)
-            return b.icmp_unsigned("!=", b.bitcast(live, _MASK), ir.Constant(_MASK, 0))
+            return b.icmp_unsigned("!=", b.bitcast(live, MASK), ir.Constant(MASK, 0))
 
         b.position_at_end(look)
         b.cbranch(anything_live(), head, end)
@@ -224,7 +145,7 @@ def _block_loop(channels: int, exclusive: bool) -> Callable:
         for channel in range(channels):
             for j in each:
                 lanes.store(b.load(state[channel][j]), place(channel, j))
-        return b.add(b.zext(anything_live(), _LONG), b.shl(b.load(pairs), ir.Constant(_LONG, 1)))
+        return b.add(b.zext(anything_live(), LONG), b.shl(b.load(pairs), ir.Constant(LONG, 1)))
 
     return generate
 

@@ -1,0 +1,86 @@
+"""Vectors of 16 float32 lanes in LLVM's own instructions, as far as the blending loop needs them."""
+
+from __future__ import annotations
+
+import numpy as np
+from llvmlite import ir
+from numba.core import cgutils
+
+LANES = 16
+FLOAT, INT, LONG = ir.FloatType(), ir.IntType(32), ir.IntType(64)
+VECTOR, INTS = ir.VectorType(FLOAT, LANES), ir.VectorType(INT, LANES)
+MASK = ir.IntType(LANES)  # a truth value of each lane as a number's bits
+
+# 2^f on [-1/2, 1/2]: the polynomial of degree 5 of least relative error, 7.6e-8 in exact arithmetic.
+POWER = (
+    1.0000000720325866, 0.6931469780529467, 0.24022118496605865, 0.05550695276973524, 0.009675590659164249,
+    0.00132822976697421,
+)  # fmt: skip
+MAGIC = 12582912.0  # 1.5 * 2^23: adding it rounds to an integer, which then stands in the lowest bits
+
+
+class Lanes:
+    """Operations on one builder."""
+
+    def __init__(self, builder: ir.IRBuilder) -> None:
+        self.b = builder
+        kind = ir.FunctionType(VECTOR, [VECTOR] * 3)
+        self._fma = cgutils.get_or_insert_function(builder.module, kind, "llvm.fma.v16f32")
+
+    def constant(self, values: float | list[float]) -> ir.Constant:
+        lanes = values if isinstance(values, list) else [values] * LANES
+        return ir.Constant(VECTOR, [ir.Constant(FLOAT, float(np.float32(v))) for v in lanes])
+
+    def integer(self, value: int) -> ir.Constant:
+        return ir.Constant(INTS, [ir.Constant(INT, value)] * LANES)
+
+    def spread(self, scalar: ir.Value) -> ir.Value:
+        undefined = ir.Constant(VECTOR, ir.Undefined)
+        first = self.b.insert_element(undefined, scalar, ir.Constant(INT, 0))
+        return self.b.shuffle_vector(first, undefined, self.integer(0))
+
+    def fma(self, x: ir.Value, y: ir.Value, z: ir.Value) -> ir.Value:
+        """x y + z, rounded once."""
+        return self.b.call(self._fma, [x, y, z])
+
+    def minus(self, x: ir.Value) -> ir.Value:
+        return self.b.fneg(x)
+
+    def power_of_two(self, q: ir.Value) -> ir.Value:
+        """2^q for -125 <= q < 127, anything elsewhere: the fraction by a polynomial, the rest into the exponent."""
+        b = self.b
+        shifted = b.fadd(q, self.constant(MAGIC))
+        fraction = b.fsub(q, b.fsub(shifted, self.constant(MAGIC)))
+        value = self.constant(POWER[-1])
+        for coefficient in POWER[-2::-1]:
+            value = self.fma(value, fraction, self.constant(coefficient))
+        exponent = b.shl(b.bitcast(shifted, INTS), self.integer(23))
+        return b.bitcast(b.add(b.bitcast(value, INTS), exponent), VECTOR)
+
+    def load(self, pointer: ir.Value) -> ir.Value:
+        value = self.b.load(self.b.bitcast(pointer, VECTOR.as_pointer()))
+        value.align = 4
+        return value
+
+    def store(self, value: ir.Value, pointer: ir.Value) -> None:
+        self.b.store(value, self.b.bitcast(pointer, VECTOR.as_pointer())).align = 4
+
+    def largest(self, vectors: list[ir.Value]) -> ir.Value:
+        """The largest of all lanes of vectors that are not negative: their bits are ordered as integers are."""
+        b = self.b
+        most = vectors[0]
+        for vector in vectors[1:]:
+            most = b.select(b.fcmp_ordered(">", vector, most), vector, most)
+        kind = ir.FunctionType(INT, [INTS])
+        reduce = cgutils.get_or_insert_function(b.module, kind, "llvm.vector.reduce.umax.v16i32")
+        return b.bitcast(b.call(reduce, [b.bitcast(most, INTS)]), FLOAT)
+
+    def count_set(self, masks: list[ir.Value]) -> ir.Value:
+        """How many lanes of the masks are true."""
+        b = self.b
+        kind = ir.FunctionType(MASK, [MASK])
+        count = cgutils.get_or_insert_function(b.module, kind, f"llvm.ctpop.i{LANES}")
+        total = ir.Constant(LONG, 0)
+        for mask in masks:
+            total = b.add(total, b.zext(b.call(count, [b.bitcast(mask, MASK)]), LONG))
+        return total
