@@ -12,7 +12,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-LANES, CHAINS, STEPS = 16, 12, 200_000  # enough chains to hide the latency of a multiply-add on two units
+LANES, CHAINS, STEPS = 16, 12, 20_000_000  # enough chains to hide the latency of a multiply-add on two units
 
 
 @intrinsic
@@ -42,15 +42,22 @@ def _run(steps, start):
     return _chains(steps, start)
 
 
-def peak_gflops(threads: int, repeats: int = 7) -> float:
+def peak_gflops(threads: int, repeats: int = 5) -> float:
     """Best of `repeats`: float32 operations per second of all threads together, in thousand millions."""
     _run(np.int64(10), np.float32(0.5))
     best = 0.0
     for _ in range(repeats):
-        workers = [threading.Thread(target=_run, args=(np.int64(STEPS), np.float32(0.5))) for _ in range(threads)]
-        start = time.perf_counter()
+        ready = threading.Barrier(threads + 1)
+
+        def work(ready: threading.Barrier = ready) -> None:
+            ready.wait()
+            _run(np.int64(STEPS), np.float32(0.5))
+
+        workers = [threading.Thread(target=work) for _ in range(threads)]
         for worker in workers:
             worker.start()
+        ready.wait()
+        start = time.perf_counter()
         for worker in workers:
             worker.join()
         best = max(best, threads * STEPS * CHAINS * LANES * 2 / (time.perf_counter() - start) / 1e9)

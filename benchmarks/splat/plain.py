@@ -1,6 +1,7 @@
 """What one writes first: tiles of 16 x 16, float32 covariances, one pixel after the other, with numba's own threads.
 
-The same image as the product but for rounding: dilation 0.3, alpha cut 1/255, clamp 0.99, inclusive stop at 1e-4.
+For a central principal point the same image as the product but for rounding: dilation 0.3, alpha cut 1/255, clamp 0.99,
+inclusive stop at 1e-4.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
 BLOCK = 256  # Gaussians that `prepare.py` keeps together, field by field
@@ -28,9 +29,16 @@ def data_of(context, b: ir.IRBuilder, kind: types.Array, array: ir.Value) -> ir.
     return b.extract_value(array, context.data_model_manager[kind].get_field_position("data"))
 
 
+def _require_rows(array: types.Array) -> None:
+    """Strides are ignored below: anything but C order would be read at the wrong place."""
+    if array.layout != "C":
+        raise TypingError(f"an array in layout {array.layout}, need C order")
+
+
 @typed
 def get(typing, array, index):
-    """array[index] of a contiguous 1-D array, 0 <= index < its length."""
+    """Element `index` of an array in C order, counted over all its dimensions, 0 <= index < its size."""
+    _require_rows(array)
 
     def generate(context, b, signature, arguments):
         data = data_of(context, b, signature.args[0], arguments[0])
@@ -41,7 +49,8 @@ def get(typing, array, index):
 
 @typed
 def put(typing, array, index, value):
-    """array[index] = value, as `get`."""
+    """Set what `get` reads."""
+    _require_rows(array)
 
     def generate(context, b, signature, arguments):
         kind = signature.args[0]
@@ -54,7 +63,8 @@ def put(typing, array, index, value):
 
 @typed
 def get_field(typing, array, at, field):
-    """array[at + field * BLOCK]: one field of one Gaussian of a block, or one row of a table of the block's length."""
+    """Element at + field * BLOCK: one field of one Gaussian of a block, or one row of a table of the block's length."""
+    _require_rows(array)
 
     def generate(context, b, signature, arguments):
         return b.load(_field(context, b, signature, arguments))
@@ -64,7 +74,8 @@ def get_field(typing, array, at, field):
 
 @typed
 def put_field(typing, array, at, field, value):
-    """array[at + field * BLOCK] = value."""
+    """Set what `get_field` reads."""
+    _require_rows(array)
 
     def generate(context, b, signature, arguments):
         value = context.cast(b, arguments[3], signature.args[3], signature.args[0].dtype)

@@ -49,8 +49,8 @@ def tile_lists(
 ) -> Iterator[TileLists]:
     """Lists of consecutive stretches of `order`, at most `max_entries` long each; one is nearly always enough.
 
-    A single Gaussian may exceed the limit by itself (it has at most one entry per tile), so memory is bounded by
-    4 bytes x max(max_entries, tiles) plus 16 bytes per tile.
+    A single Gaussian may exceed the limit by itself (it has at most one entry per tile), so the lists take at most
+    4 bytes x max(max_entries, tiles), plus 24 bytes per tile and, where there are several batches, 16 per Gaussian.
     """
     if int(projection.counts.sum()) <= max_entries:
         yield _fill(projection, order, projection.counts, grid, threads, last=True)

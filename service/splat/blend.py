@@ -9,6 +9,7 @@ passes the cut somewhere in the block, and `vectors.py` blends those.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ F32 = NDArray[np.float32]
 
 PIECE = 256  # entries taken at a time: 16 KiB, and 10 KiB more for the test against the blocks
 AHEAD = 16  # entries between asking for a record and reading it
-REACH_SLACK = np.float32(1e-3)  # on log2 alpha in the block test, whose float32 error is below 1e-4
+REACH_SLACK = np.float32(1e-3)  # on log2 alpha in the block test, whose float32 error is below 1e-4 at dilation 0.3
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 
 
@@ -44,14 +45,21 @@ class Canvas:
     background: F32  # (3,)
 
 
+class Blended(NamedTuple):
+    """What was done, and what is left."""
+
+    blocks: int  # pairs of a Gaussian and a block of 8 x 8 pixels
+    pairs: int  # pairs of a Gaussian and a pixel, counted only where `peaks` are asked for
+    unfinished: int  # tiles that a further Gaussian could change
+
+
 def blend(
     lists: TileLists, records: NDArray[np.float64], canvas: Canvas, grid: Grid, definition: Definition, threads: int,
     *, first_batch: bool,
-) -> tuple[int, int]:  # fmt: skip
+) -> Blended:  # fmt: skip
     """Blend the lists behind what the canvas holds already; the last batch composites the result into the pictures.
 
-    records (N, 8): see `prepare.py`. Returns how many pairs of a Gaussian and a block of 8 x 8 pixels were blended, and
-    of a Gaussian and a pixel, the latter only where `peaks` are asked for.
+    records (N, 8): see `prepare.py`.
     """
     offsets = lists.offsets
     # Ranges of equal work: an entry costs about as much as a fiftieth of starting and storing a tile.
@@ -64,7 +72,7 @@ def blend(
     exclusive = None if definition.inclusive_stop else True
     spare: list[F32] = []  # peaks that nobody is writing to: as many as threads that ever worked at once
 
-    def work_on(first: int, last: int) -> tuple[int, int]:
+    def work_on(first: int, last: int) -> tuple[int, int, int]:
         peaks = None
         if canvas.peaks is not None:
             try:
@@ -84,7 +92,7 @@ def blend(
     if canvas.peaks is not None:
         for peaks in spare:
             np.maximum(canvas.peaks, peaks, out=canvas.peaks)
-    return sum(blocks for blocks, _ in counts), sum(pairs for _, pairs in counts)
+    return Blended(*(sum(column) for column in zip(*counts, strict=True)))
 
 
 @kernel()
@@ -92,7 +100,8 @@ def blend_range(
     first, last, width, height, offsets, members, records, narrow, states, rgb, alpha, depth, median, removed, peaks,
     background, cuts, exclusive, first_batch, last_batch,
 ):  # fmt: skip
-    """Blend the lists of tiles first..last-1."""
+    """Blend the lists of tiles first..last-1; returns pairs with blocks, pairs with pixels, and how many of the tiles
+    a further Gaussian could change."""
     columns = (width + TILE - 1) // TILE
     size = states.shape[1]
     own = np.empty(size, np.float32)
@@ -103,7 +112,7 @@ def blend_range(
     alpha_max, stop = get(cuts, 0), get(cuts, 1)
     # Nothing can change any more where the light is at most this; it is negative where the stop is exclusive.
     finished = stop if exclusive is None else ZERO
-    blocks = pairs = 0
+    blocks = pairs = unfinished = 0
     for tile in range(first, last):
         left, top = (tile % columns) * TILE, (tile // columns) * TILE
         state = states[tile] if states.shape[0] else own
@@ -137,9 +146,10 @@ def blend_range(
                     member = np.int64(get(members, piece + j))
                     put(peaks, member, larger(get(peaks, member), get(tops, j)))
                     put(tops, j, ZERO)
+        unfinished += 1 if live != 0 else 0
         if last_batch:
             store_tile(state, left, top, width, height, rgb, alpha, depth, median, removed, background)
-    return blocks, pairs
+    return blocks, pairs, unfinished
 
 
 @kernel()

@@ -16,14 +16,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import llvmlite
 import numba
 
 PACKAGE = Path(__file__).resolve().parent
 
 
 def source_stamp(package: Path = PACKAGE) -> str:
-    """12 hexadecimal digits that change with any source of the package and with numba's version."""
-    digest = hashlib.sha256(numba.__version__.encode())
+    """12 hexadecimal digits that change with any source of the package and with the compiler's version."""
+    digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
     for path in sorted(package.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:12]
@@ -66,13 +67,12 @@ def _is_private(folder: Path, *, create: Path) -> bool:
         status = folder.stat()
     except OSError:
         return False
-    if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & stat.S_IWOTH):
+    if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
         return False
     return os.access(folder, os.W_OK | os.X_OK)
 
 
-_folder = cache_folder() / f"kernels-{source_stamp()}"
-numba.config.CACHE_DIR = str(_folder)  # type: ignore[attr-defined]  # numba defines its options at run time
+KERNELS = cache_folder() / f"kernels-{source_stamp()}"
 
 
 def kernel(*, fastmath: frozenset[str] = frozenset()) -> Callable[[Callable], Callable]:
@@ -85,4 +85,14 @@ def kernel(*, fastmath: frozenset[str] = frozenset()) -> Callable[[Callable], Ca
         raise ValueError(f"fastmath {sorted(fastmath)} would delete the tests for NaN and infinity")
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": set(fastmath)}
     options["no_cfunc_wrapper"] = True  # nothing calls them from C; numba's stub does not know this option
-    return numba.njit(**options)
+
+    def compiled(function: Callable) -> Callable:
+        config: Any = numba.config  # its options are defined at run time
+        others = config.CACHE_DIR
+        config.CACHE_DIR = str(KERNELS)  # read when a function is decorated, and meant for these alone
+        try:
+            return numba.njit(**options)(function)
+        finally:
+            config.CACHE_DIR = others
+
+    return compiled

@@ -46,6 +46,10 @@ class Lanes:
     def minus(self, x: ir.Value) -> ir.Value:
         return self.b.fneg(x)
 
+    def negative(self, x: ir.Value) -> ir.Value:
+        """Which lanes have a minus sign, zeros included."""
+        return self.b.icmp_signed("<", self.b.bitcast(x, INTS), self.integer(0))
+
     def power_of_two(self, q: ir.Value) -> ir.Value:
         """2^q for -125 <= q < 127, anything elsewhere: the fraction by a polynomial, the rest into the exponent."""
         b = self.b

@@ -7,9 +7,10 @@ fork, and their idle threads spin against onnxruntime's.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from itertools import pairwise
+from numbers import Integral
 from typing import TypeVar
 
 from ..errors import InputError
@@ -22,16 +23,17 @@ def checked_threads(threads: int | None) -> int:
     """The number of threads to use; None is all that are available."""
     if threads is None:
         return available_threads()
-    if threads < 1:
-        raise InputError(f"is {threads}, need at least 1", field="threads")
-    return threads
+    if not isinstance(threads, Integral) or threads < 1:
+        raise InputError(f"is {threads}, need a whole number of at least 1", field="threads")
+    return int(threads)
 
 
 def run_ranges(work: Callable[[int, int], T], bounds: Iterable[int], threads: int) -> list[T]:
     """[work(bounds[0], bounds[1]), work(bounds[1], bounds[2]), ...], empty ranges left out.
 
     The caller's thread works too and never waits for a helper that has not started, so a busy or forked pool only costs
-    speed. `work` must write to places that depend on its range alone.
+    speed. An error in one range is raised once no helper works any more. `work` must write to places that depend on its
+    range alone.
     """
     ranges = [(int(a), int(b)) for a, b in pairwise(bounds) if a < b]
     results: dict[int, T] = {}
@@ -47,9 +49,10 @@ def run_ranges(work: Callable[[int, int], T], bounds: Iterable[int], threads: in
     try:
         drain(todo)
     finally:
-        for helper in helpers:
-            if not helper.cancel():
-                helper.result()
+        started = [helper for helper in helpers if not helper.cancel()]
+        wait(started)
+    for helper in started:
+        helper.result()
     return [results[item] for item in range(len(ranges))]
 
 

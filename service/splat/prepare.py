@@ -54,19 +54,17 @@ class Prepared:
     count: int
     geometry: NDArray[np.float64]  # (blocks, FIELDS, BLOCK); opacity 0 in what fills up the last
     harmonics: NDArray[np.float32]  # (blocks, K, 3, BLOCK)
-    spare: deque[Workspace] = field(default_factory=deque)
+    spare: deque[Workspace] = field(default_factory=lambda: deque(maxlen=1))
 
     @contextmanager
     def workspace(self) -> Iterator[Workspace]:
-        """One that nobody else uses; there are as many as pictures of this set were ever drawn at once."""
+        """One that nobody else uses. One is kept; after an error it is not, since a kernel may still write to it."""
         try:
             space = self.spare.pop()
         except IndexError:
             space = Workspace.of(self.count)
-        try:
-            yield space
-        finally:
-            self.spare.append(space)
+        yield space
+        self.spare.append(space)
 
 
 _known: weakref.WeakKeyDictionary[Gaussians, Prepared] = weakref.WeakKeyDictionary()

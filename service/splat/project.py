@@ -56,7 +56,7 @@ def project(
             camera.fx, camera.fy, camera.cx, camera.cy,
             -(camera.cx + margin_x) / camera.fx, (camera.width - camera.cx + margin_x) / camera.fx,
             -(camera.cy + margin_y) / camera.fy, (camera.height - camera.cy + margin_y) / camera.fy,
-            definition.dilation, math.log(definition.alpha_min), definition.cut_radius**2,
+            definition.dilation, math.log(definition.alpha_min), definition.cut_radius * definition.cut_radius,
             camera.width, camera.height,
         ]
     )  # fmt: skip

@@ -63,7 +63,7 @@ def render_reference(
     colour = np.zeros((camera.height, camera.width, 3))
     depth, median, removed = (np.zeros_like(light) for _ in range(3))
     peaks, pairs = np.zeros(len(gaussians)), 0
-    chosen = np.zeros(len(gaussians), bool) if subset is None else subset
+    chosen = np.zeros(len(gaussians), bool) if subset is None else np.asarray(subset, bool)
     for i in depth_order(z, np.flatnonzero(drawn).astype(np.int32), gaussians):
         tan = np.clip([x[i] / z[i], y[i] / z[i]], low, high)
         jacobian = np.array([[camera.fx, 0, -camera.fx * tan[0]], [0, camera.fy, -camera.fy * tan[1]]]) / z[i]
@@ -74,7 +74,7 @@ def render_reference(
         dx, dy = columns - (camera.fx * x[i] / z[i] + camera.cx), rows - (camera.fy * y[i] / z[i] + camera.cy)
         distance2 = (dx / l1) ** 2 + ((dy - k * dx) / np.linalg.norm(a[1] - k * a[0])) ** 2
         alpha = np.minimum(gaussians.opacities[i].astype(np.float64) * np.exp(-0.5 * distance2), rule.alpha_max)
-        seen = (alpha >= rule.alpha_min) & (distance2 <= rule.cut_radius**2)
+        seen = (alpha >= rule.alpha_min) & (distance2 <= rule.cut_radius * rule.cut_radius)
         if rule.inclusive_stop:
             added = seen & (light > rule.stop)
         else:
@@ -89,5 +89,5 @@ def render_reference(
         depth, mass, light = depth + weight * z[i], mass + weight, light - weight
     depth = np.divide(depth, mass, out=np.zeros_like(depth), where=mass > 0)
     colour += light[..., None] * checked_background(background)
-    stats = {"count": len(gaussians), "projected": int(drawn.sum()), "pairs": pairs}
+    stats = {"count": len(gaussians), "in_range": int(drawn.sum()), "pairs": pairs}
     return Render(colour, 1.0 - light, depth, median, removed, peaks, stats)

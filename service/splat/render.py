@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from ..camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
-from .binning import Grid, tile_lists
+from .binning import Grid, TileLists, tile_lists
 from .blend import Canvas, blend
 from .definition import Definition
 from .order import depth_order
 from .parallel import checked_threads
 from .prepare import prepared
 from .project import project
+from .spans import MAX_SIDE
 from .tile_state import BLOCKS, bytes_of, tile_floats
 from .vectors import ALL_CHANNELS, COLOURS_ONLY, WITH_DEPTH
 
@@ -47,7 +48,7 @@ class Render:
     those of a Gaussian and a pixel.
     """
 
-    rgb: NDArray[np.floating]  # (H, W, 3) over the background, >= 0, not clipped at 1
+    rgb: NDArray[np.floating]  # (H, W, 3) over the background, not clipped
     alpha: NDArray[np.floating]  # (H, W) 1 - transmittance
     depth: NDArray[np.floating]  # (H, W) expected z-depth, sum w z / sum w; 0 where alpha is 0
     median: NDArray[np.floating]  # (H, W) z-depth of what takes the transmittance to 1/2 or below; 0 if nothing does
@@ -84,17 +85,18 @@ def render(
     `background` is three numbers (black), `sh_degree` the highest band used (all there are), `near` the nearest z-depth
     in the caller's units (0.01), `threads` the number of CPU threads (all), `outputs` which planes to compute beside
     the colours (`OUTPUTS`), `subset` (N,) which Gaussians `removed` is about. The image has the same bits for every
-    number of threads, every order of the input and every choice of outputs, and differs from the float64 one by at most
-    1e-5, apart from pixels at which a Gaussian lies on the very edge of a cut (alpha_min, stop, near, equal depths).
+    number of threads, every order of the input and every choice of outputs. It differs from the float64 one by at most
+    1e-5 for any dilation and alpha_min from the usual ones up, apart from pixels at which a Gaussian lies on the very
+    edge of a cut (alpha_min, stop, near, equal depths).
 
-    Raises `InputError` for a background, degree, plane, thread count, output or subset that makes no sense.
+    Raises `InputError` for a background, degree, plane, thread count, output, subset or size that makes no sense.
     """
     definition = checked_definition(definition, near)
     behind = checked_background(background)
     degree = checked_degree(sh_degree, gaussians)
     threads = checked_threads(threads)
     marked = checked_outputs(outputs, subset, gaussians)
-    grid = Grid(camera.width, camera.height)
+    grid = checked_size(camera)
 
     clock = [time.perf_counter()]
     scene = prepared(gaussians, threads)
@@ -105,7 +107,8 @@ def render(
         order = depth_order(space.depths, projection.drawn, gaussians)
         clock.append(time.perf_counter())
         if marked is not None:  # a depth with a minus sign marks a Gaussian, see `vectors.py`
-            space.records.view(np.float32)[marked, DEPTH_FIELD] *= -1
+            rows = projection.drawn[marked[projection.drawn]]
+            space.records.view(np.float32)[rows, DEPTH_FIELD] *= -1
         several = int(projection.counts.sum()) > definition.max_entries
         canvas = new_canvas(camera, outputs, len(gaussians), grid.tiles if several else 0, behind)
         entries = batches = blocks = pairs = 0
@@ -114,8 +117,12 @@ def render(
             binning += time.perf_counter() - mark
             found = blend(lists, space.records, canvas, grid, definition, threads, first_batch=batches == 0)
             entries, batches = entries + len(lists.members), batches + 1
-            blocks, pairs = blocks + found[0], pairs + found[1]
+            blocks, pairs = blocks + found.blocks, pairs + found.pairs
             mark = time.perf_counter()
+            if not (found.unfinished or lists.last):  # what lies behind is hidden everywhere
+                nothing = TileLists(np.zeros(grid.tiles + 1, np.int64), np.empty(0, np.int32), True)
+                blend(nothing, space.records, canvas, grid, definition, threads, first_batch=False)
+                break
         clock.append(time.perf_counter())
 
     stats = {
@@ -173,12 +180,16 @@ def render_views(gaussians: Gaussians, cameras: Iterable[Camera], **options: Any
 
 
 def warm_up() -> None:
-    """Compile every kernel or load it from the cache, so that no request waits for it."""
+    """Compile or load from the cache what drawing colours, or colours, opacity and depth, needs.
+
+    The loops of the other outputs and of the exclusive stop compile when they are first asked for.
+    """
     camera = Camera.make(32, 32, 32.0, 32.0, 16.0, 16.0, np.eye(4))
     two = np.ones((2, 3), np.float32)
     gaussians = Gaussians.make(2.0 * two, two, [[1.0, 0.0, 0.0, 0.0]] * 2, [0.5, 0.4], np.zeros((2, 1, 3)))
     for max_entries in (1, 2):  # lists in several batches have a kernel of their own
         render(gaussians, camera, threads=1, definition=Definition(max_entries=max_entries)).rgb8()
+    render(gaussians, camera, threads=1, outputs=())
 
 
 def checked_definition(definition: Definition | None, near: float | None) -> Definition:
@@ -189,10 +200,25 @@ def checked_definition(definition: Definition | None, near: float | None) -> Def
 
 def checked_background(background: Sequence[float] | None) -> NDArray[np.float32]:
     """(3,) finite background colour; None is black."""
-    value = np.zeros(3, np.float32) if background is None else np.asarray(background, dtype=np.float32)
+    try:  # a copy in C order: kernels take no strides, and numba would compile them again for a read-only array
+        value = np.array((0, 0, 0) if background is None else background, dtype=np.float32, order="C")
+    except (TypeError, ValueError):
+        value = np.empty(0, np.float32)
     if value.shape != (3,) or not np.isfinite(value).all():
         raise InputError(f"is {background}, need three finite numbers", field="background")
     return value
+
+
+def checked_size(camera: Camera) -> Grid:
+    """The tiles of the picture. Raises `InputError` for a side whose tiles cannot be numbered."""
+    side = max(camera.width, camera.height)
+    if side > MAX_SIDE:
+        raise InputError(
+            f"{camera.width} x {camera.height} px, at most {MAX_SIDE} per side can be drawn",
+            field="camera.size",
+            cure="draw it in parts, each by a cropped camera",
+        )
+    return Grid(camera.width, camera.height)
 
 
 def checked_outputs(

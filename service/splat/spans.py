@@ -12,6 +12,7 @@ from .prepare import EXTENT, RECORD
 
 TILE = 32  # px: 16 blocks of 8 x 8, whose colours (20 KiB) and one piece of the list stay in the first-level cache
 BITS = 16  # of a box's four tile numbers
+MAX_SIDE = TILE << BITS  # px
 
 
 @kernel()

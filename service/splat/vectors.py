@@ -81,7 +81,7 @@ def _blend_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cu
         add(DEPTH_SUM, weight, field(DEPTH))
     elif len(state) == ALL_CHANNELS:
         signed, half = field(DEPTH), lanes.constant(0.5)
-        chosen = b.fcmp_ordered("<", signed, none)
+        chosen = lanes.negative(signed)
         depth = b.select(chosen, lanes.minus(signed), signed)
         add(DEPTH_SUM, weight, depth)
         add(REMOVED, weight, b.select(chosen, lanes.constant(1.0), none))

@@ -1,13 +1,16 @@
 """Ranges are each run once, on any number of threads, and an error in one reaches the caller."""
 
-import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 from splat_cases import bits, camera, scene
 
 from gapmes.service.errors import InputError
 from gapmes.service.splat import render
 from gapmes.service.splat.parallel import available_threads, checked_threads, run_ranges
+from gapmes.service.splat.render import OUTPUTS
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -35,11 +38,32 @@ def test_thread_counts():
 
 
 def test_concurrent_renders_do_not_disturb_each_other():
-    gaussians, view = scene(800, 1), camera()
-    expected, seen = bits(render(gaussians, view)), []
-    workers = [threading.Thread(target=lambda: seen.append(bits(render(gaussians, view, threads=2)))) for _ in range(8)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
-    assert seen == [expected] * 8
+    """One set of Gaussians, but every thread has a camera and a subset of its own."""
+    gaussians = scene(800, 1)
+    views = [camera(48 + 8 * number, 40, 30.0 + 10 * number) for number in range(8)]
+    subsets = [np.random.default_rng(number).random(800) < 0.5 for number in range(8)]
+
+    def draw(number):
+        image = render(gaussians, views[number], threads=2, outputs=OUTPUTS, subset=subsets[number])
+        return bits(image) + image.removed.tobytes() + image.peaks.tobytes()
+
+    expected = [draw(number) for number in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        for _ in range(5):
+            assert list(pool.map(draw, range(8))) == expected
+
+
+def test_no_helper_works_any_more_when_an_error_arrives():
+    begun, ended = [], []
+
+    def work(a, b):
+        begun.append(a)
+        if a == 0:
+            time.sleep(0.02)
+            raise ValueError("range 0")
+        time.sleep(0.1)
+        ended.append(a)
+
+    with pytest.raises(ValueError, match="range 0"):
+        run_ranges(work, list(range(7)), 4)
+    assert sorted(begun) == sorted([0, *ended])

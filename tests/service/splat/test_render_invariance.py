@@ -54,7 +54,7 @@ def projected(gaussians, view):
     return project(prepared(gaussians, 1), view, Definition(), 0, 1, Workspace.of(len(gaussians)))
 
 
-@pytest.mark.parametrize("max_entries", [1, 7, 100, 1000])
+@pytest.mark.parametrize("max_entries", [1, 7, 100, 300])
 def test_batches_give_the_same_bits_and_bound_the_lists(max_entries):
     gaussians, view = scene(200, 4), camera(70, 50)
     whole = render(gaussians, view)
@@ -122,7 +122,7 @@ def test_any_unit_gives_the_same_image_up_to_jumps():
         other = moved(gaussians, means=gaussians.means * unit, scales=gaussians.scales * np.float32(unit))
         difference = np.abs(render(other, view, near=0.01 * unit).rgb - render(gaussians, view).rgb).max(axis=2)
         assert np.quantile(difference, 0.99) < 1e-5
-        assert difference.max() < 2 / 255
+        assert difference.max() < 1e-3  # jumps
 
 
 @pytest.mark.parametrize("offset", [1e3, 1e6, 1e7])
@@ -153,6 +153,7 @@ def test_a_rigid_motion_of_the_world_gives_the_same_image_up_to_jumps():
         axis=2
     )
     assert np.quantile(difference, 0.99) < 1e-5
+    assert -10 * np.log10((difference**2).mean()) > 85
     assert difference.max() < 2 / 255
 
 
@@ -169,6 +170,6 @@ def test_strided_and_read_only_arrays_are_drawn_alike_by_the_same_kernels():
 
 def test_a_lens_of_unequal_focal_lengths_and_a_far_principal_point():
     gaussians = scene(150, 12, 1)
-    for fx, fy, cx, cy in ((4.0, 700.0, 20.0, 20.0), (45.0, 30.0, -40.0, 60.0), (60.0, 50.0, 80.0, -3.0)):
-        result = compare(gaussians, Camera.make(40, 36, fx, fy, cx, min(cy, 72.0), np.eye(4)))
+    for fx, fy, cx, cy in ((4.0, 4000.0, 20.0, 20.0), (45.0, 30.0, -40.0, 60.0), (60.0, 50.0, 80.0, -36.0)):
+        result = compare(gaussians, Camera(40, 36, fx, fy, cx, cy, np.eye(4)))  # beyond what `Camera.make` takes
         assert result.smooth < 2e-6

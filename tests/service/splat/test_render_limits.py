@@ -1,15 +1,20 @@
 """Extreme and empty input: a finite image or a named refusal, and everything left out is counted."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba.core.errors import TypingError
 from splat_cases import bits, camera, compare, dots, moved, scene
 
 from gapmes.service.camera import Camera
 from gapmes.service.errors import GaussiansError, InputError
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, render, render_reference
+from gapmes.service.splat.spans import MAX_SIDE
+from gapmes.service.splat.tile_state import bytes_of
 
 
 def assert_finite(image) -> None:
@@ -112,16 +117,27 @@ def test_opacity_zero_draws_nothing():
 
 
 def test_huge_gaussians_in_bounded_batches():
-    """2,000 faint sheets over 64 tiles are 128,000 entries; 500 at a time hold eight sheets each."""
+    """20,000 faint sheets over 64 tiles are 1.28 million entries, 5 MB; 8,192 at a time hold 128 sheets each."""
     rng = np.random.default_rng(5)
-    means = np.stack([*rng.uniform(-1, 1, (2, 2000)), rng.uniform(1, 5, 2000)], axis=1)
-    sheets = dots(means, np.full(2000, 0.01), rng.uniform(0, 1, (2000, 3)), 1e3)
-    view = camera(128, 128, 100.0)
-    image = render(sheets, view, definition=Definition(max_entries=512))
-    assert bits(image) == bits(render(sheets, view))
-    # 0.99^917 falls below the stop, so the batches behind are never binned.
-    assert image.stats["batches"] < 130
-    assert image.stats["entries"] < 70_000
+    count = 20_000
+    means = np.stack([*rng.uniform(-1, 1, (2, count)), rng.uniform(1, 5, count)], axis=1)
+    sheets = dots(means, np.full(count, 0.01), rng.uniform(0, 1, (count, 3)), 1e3)
+    view = camera(256, 256, 200.0)
+    whole, split = Definition(), Definition(max_entries=8192)
+    image = render(sheets, view, definition=split)
+    assert bits(image) == bits(render(sheets, view, definition=whole))
+    assert render(sheets, view, definition=whole).stats["entries"] == 64 * count
+    # 0.99^917 falls below the stop: the eighth batch ends every pixel, and what lies behind is never binned.
+    assert image.stats["batches"] == 8
+    assert image.stats["entries"] == 8 * 8192
+    peaks = []
+    for rule in (whole, split):
+        tracemalloc.start()
+        render(sheets, view, definition=rule)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # Lists of 5.1 MB against 33 kB; the batches need 64 tile states of 20 kB, and 16 bytes per sheet to be planned.
+    assert peaks[0] - peaks[1] > 2.5e6
 
 
 def test_lower_bands_are_drawn_alone():
@@ -147,6 +163,9 @@ def test_lower_bands_are_drawn_alone():
         ({"threads": 0}, "threads"),
         ({"near": -1.0}, "definition.near"),
         ({"near": np.nan}, "definition.near"),
+        ({"background": "red"}, "background"),
+        ({"background": [[1, 2], [3]]}, "background"),
+        ({"threads": 1.5}, "threads"),
     ],
 )
 def test_senseless_options_are_refused_by_name(options, field):
@@ -169,3 +188,27 @@ def test_eight_bit_image_rounds_and_clips():
 def test_a_view_of_far_off_centre_lens_is_a_camera():
     view = Camera.make(16, 16, 20.0, 20.0, -16.0, 32.0, np.eye(4))
     assert_finite(render(scene(50, 1), view))
+
+
+def test_a_side_whose_tiles_cannot_be_numbered_is_refused():
+    gaussians = dots([[0.9, 0.0, 2.0]], [0.9], (1, 1, 1))
+    largest = Camera(MAX_SIDE, 1, 1000.0, 1000.0, 0.0, 0.5, np.eye(4))
+    assert render(gaussians, largest).alpha[0, 450] > 0.5
+    with pytest.raises(InputError, match=f"at most {MAX_SIDE} per side"):
+        render(gaussians, Camera(MAX_SIDE + 1, 1, 1000.0, 1000.0, 0.0, 0.5, np.eye(4)))
+
+
+def test_a_background_in_any_layout_is_the_same_background():
+    gaussians, view = scene(20, 1), camera()
+    expected = bits(render(gaussians, view, background=(0.5, 0.25, 0.75)))
+    for behind in (
+        np.array([0.75, 0.25, 0.5])[::-1],
+        np.array([0.5, 9, 0.25, 9, 0.75, 9], np.float32)[::2],
+        np.frombuffer(np.array([0.5, 0.25, 0.75], np.float32).tobytes(), np.float32),  # read-only
+    ):
+        assert bits(render(gaussians, view, background=behind)) == expected
+
+
+def test_kernels_take_no_strided_array():
+    with pytest.raises(TypingError, match="need C order"):
+        bytes_of(np.zeros(6, np.float32)[::2], np.zeros(3, np.uint8))
