@@ -1,7 +1,8 @@
-"""What one writes first: tiles of 16 x 16, float32 covariances, one pixel after the other, with numba's own threads.
+"""What one writes first: tiles of 16 x 16, float32 covariances, one pixel after the other.
 
 For a central principal point the same image as the product but for rounding: dilation 0.3, alpha cut 1/255, clamp 0.99,
-inclusive stop at 1e-4.
+inclusive stop at 1e-4. It shares the product's way of running threads: numba's own poll while idle, which slows
+down whoever comes next.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from gapmes.service.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import evaluate_basis
+from gapmes.service.splat.parallel import run_ranges
 
 TILE = 16
 F32 = np.float32
@@ -23,8 +25,9 @@ F32 = np.float32
 class PlainRenderer:
     """Draws one set of Gaussians; what does not depend on the camera is done once."""
 
-    def __init__(self, gaussians: Gaussians) -> None:
+    def __init__(self, gaussians: Gaussians, threads: int) -> None:
         self.gaussians = gaussians
+        self.threads = threads
         self.covariances = covariances(gaussians.rotations_wxyz, gaussians.scales)
         self.means = gaussians.means.astype(F32)
 
@@ -40,17 +43,33 @@ class PlainRenderer:
             colours = np.maximum(0.5 + 0.28209479177387814 * g.harmonics[:, 0], 0).astype(F32)
         pose = camera.cam_from_world.astype(F32)
         lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height], F32)
-        splats, depths = project(self.means, self.covariances, g.opacities, pose, lens)
+        splats, depths = np.empty((len(g), 7), F32), np.zeros(len(g), F32)
+        run_ranges(
+            lambda first, last: project(
+                first, last, self.means, self.covariances, g.opacities, pose, lens, splats, depths
+            ),
+            self._parts(len(g)),
+            self.threads,
+        )
         drawn = np.flatnonzero(depths > 0)
         order = drawn[np.argsort(depths[drawn], kind="stable")]
         offsets, members = bin_tiles(splats, order, camera.width, camera.height)
-        return blend(splats, colours, g.opacities, offsets, members, camera.width, camera.height)
+        image = np.zeros((camera.height, camera.width, 3), F32)
+        run_ranges(
+            lambda first, last: blend(first, last, splats, colours, g.opacities, offsets, members, image),
+            self._parts(len(offsets) - 1),
+            self.threads,
+        )
+        return image
+
+    def _parts(self, count: int) -> NDArray[np.int64]:
+        return np.linspace(0, count, 16 * self.threads + 1).astype(np.int64)
 
 
-@numba.njit(parallel=True, cache=True)
+@numba.njit(cache=True)
 def covariances(rotations, scales):
     out = np.empty((rotations.shape[0], 6), np.float32)
-    for i in numba.prange(rotations.shape[0]):
+    for i in range(rotations.shape[0]):
         w, x, y, z = rotations[i]
         r = np.array(
             [
@@ -65,14 +84,12 @@ def covariances(rotations, scales):
     return out
 
 
-@numba.njit(parallel=True, cache=True)
-def project(means, covariance, opacities, pose, lens):
-    """(N, 7) x, y, conic a, b, c, half width, half height; (N,) depths, 0 where nothing is drawn."""
-    count = means.shape[0]
-    splats, depths = np.empty((count, 7), np.float32), np.zeros(count, np.float32)
+@numba.njit(cache=True, nogil=True)
+def project(first, last, means, covariance, opacities, pose, lens, splats, depths):
+    """splats (N, 7): x, y, conic a, b, c, half width, half height; depths (N,) stays 0 where nothing is drawn."""
     fx, fy, cx, cy, width, height = lens
     limit_x, limit_y = F32(0.65) * width / fx, F32(0.65) * height / fy
-    for i in numba.prange(count):
+    for i in range(first, last):
         p = pose[:3, 0] * means[i, 0] + pose[:3, 1] * means[i, 1] + pose[:3, 2] * means[i, 2] + pose[:3, 3]
         z = p[2]
         if z <= F32(0.01) or opacities[i] < F32(1 / 255):
@@ -105,7 +122,6 @@ def project(means, covariance, opacities, pose, lens):
             continue
         splats[i] = np.array([x, y, d / det, -b / det, a / det, half_width, half_height], np.float32)
         depths[i] = z
-    return splats, depths
 
 
 @numba.njit(cache=True)
@@ -130,11 +146,11 @@ def bin_tiles(splats, order, width, height):
     return offsets, members
 
 
-@numba.njit(parallel=True, cache=True)
-def blend(splats, colours, opacities, offsets, members, width, height):
+@numba.njit(cache=True, nogil=True)
+def blend(first, last, splats, colours, opacities, offsets, members, image):
+    height, width = image.shape[:2]
     columns = (width + TILE - 1) // TILE
-    image = np.zeros((height, width, 3), np.float32)
-    for tile in numba.prange(offsets.shape[0] - 1):
+    for tile in range(first, last):
         left, top = (tile % columns) * TILE, (tile // columns) * TILE
         for y in range(top, min(top + TILE, height)):
             for x in range(left, min(left + TILE, width)):
@@ -154,4 +170,3 @@ def blend(splats, colours, opacities, offsets, members, width, height):
                     if light <= F32(1e-4):
                         break
                 image[y, x, 0], image[y, x, 1], image[y, x, 2] = red, green, blue
-    return image

@@ -86,8 +86,6 @@ def main() -> None:
         "--other", type=Path, action="append", default=[], help="a Python file with renderer(gaussians, threads)"
     )
     options = parser.parse_args()
-    numba.config.THREADING_LAYER = "workqueue"  # its idle threads sleep; the others' spin against whoever comes next
-    numba.set_num_threads(options.threads)
     start = time.perf_counter()
     warm_up()
     ready, peak = time.perf_counter() - start, peak_gflops(options.threads)

@@ -19,7 +19,7 @@ from .binning import TILE, Grid, TileLists
 from .definition import Definition
 from .kernel_cache import kernel
 from .parallel import run_ranges
-from .prepare import RECORD
+from .prepare import LOG2_CUT, LOG2_OPACITY, RECORD
 from .tile_state import BLOCKS, corner, live_blocks, start_tile, store_tile
 from .vectors import ENTRY, LOG_OPACITY, SIDE, U1, blend_block
 
@@ -172,13 +172,13 @@ def gather(members, records, narrow, piece, count, end, left, top, entries, fiel
         put(entries, to + 3, shear2)
         put(entries, to + 4, step2)
         for field in range(6):  # log2 opacity, red, green, blue, depth, cut
-            put(entries, to + LOG_OPACITY + field, get(narrow, 2 * record + 10 + field))
+            put(entries, to + LOG_OPACITY + field, get(narrow, 2 * record + LOG2_OPACITY + field))
         put(fields, j, u1)
         put(fields, j + PIECE, step1)
         put(fields, j + 2 * PIECE, u2)
         put(fields, j + 3 * PIECE, shear2)
         put(fields, j + 4 * PIECE, step2)
-        put(fields, j + 5 * PIECE, get(narrow, 2 * record + 10) - get(narrow, 2 * record + 15))
+        put(fields, j + 5 * PIECE, get(narrow, 2 * record + LOG2_OPACITY) - get(narrow, 2 * record + LOG2_CUT))
         put(fields, j + 9 * PIECE, np.float32(-y))
     for j in range(count):
         step1, shear2 = get(fields, j + PIECE), get(fields, j + 3 * PIECE)

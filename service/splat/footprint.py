@@ -6,7 +6,11 @@ import math
 
 from .access import BLOCK, get, get_field, larger, put_field, round_down, round_up, smaller
 from .kernel_cache import kernel
+from .prepare import FACTOR, LOG_OPACITY, MEAN
 
+# What `footprints` finds, field by field; X to INVERSE2 begin a record, HALF_WIDTH to OTHER_SHEAR are an extent.
+Z, X, Y, INVERSE1, SHEAR, INVERSE2, HALF_WIDTH, HALF_HEIGHT, OTHER_SHEAR = range(9)
+FINITE, DEPTH_EXTENT, FIRST_X, LAST_X, FIRST_Y, LAST_Y = range(9, 15)
 OUTPUTS = 15
 
 # The exponent is carried as a power of two: 2^-(u1^2 + u2^2) with u scaled by this is exp(-distance^2 / 2).
@@ -40,8 +44,8 @@ def footprints(geometry, start, view, lens, out):
     for j in range(BLOCK):
         at = start + j
         # Position relative to the camera centre, still in world axes, then in camera axes.
-        px, py = get_field(geometry, at, 0) - centre_x, get_field(geometry, at, 1) - centre_y
-        pz = get_field(geometry, at, 2) - centre_z
+        px, py = get_field(geometry, at, MEAN) - centre_x, get_field(geometry, at, MEAN + 1) - centre_y
+        pz = get_field(geometry, at, MEAN + 2) - centre_z
         x = w00 * px + w01 * py + w02 * pz
         y = w10 * px + w11 * py + w12 * pz
         z = w20 * px + w21 * py + w22 * pz
@@ -58,11 +62,11 @@ def footprints(geometry, start, view, lens, out):
         n0 = area * (w20 + tan_x * w00 + tan_y * w10)
         n1 = area * (w21 + tan_x * w01 + tan_y * w11)
         n2 = area * (w22 + tan_x * w02 + tan_y * w12)
-        f00, f01 = get_field(geometry, at, 3), get_field(geometry, at, 4)
-        f02, f10 = get_field(geometry, at, 5), get_field(geometry, at, 6)
-        f11, f12 = get_field(geometry, at, 7), get_field(geometry, at, 8)
-        f20, f21 = get_field(geometry, at, 9), get_field(geometry, at, 10)
-        f22 = get_field(geometry, at, 11)
+        f00, f01 = get_field(geometry, at, FACTOR), get_field(geometry, at, FACTOR + 1)
+        f02, f10 = get_field(geometry, at, FACTOR + 2), get_field(geometry, at, FACTOR + 3)
+        f11, f12 = get_field(geometry, at, FACTOR + 4), get_field(geometry, at, FACTOR + 5)
+        f20, f21 = get_field(geometry, at, FACTOR + 6), get_field(geometry, at, FACTOR + 7)
+        f22 = get_field(geometry, at, FACTOR + 8)
         # J W R S, row by row. Its minors are n . (columns' cross products): the columns are orthogonal, so that the
         # products' lengths are those of their factors and nothing cancels.
         a0, a1, a2 = u0 * f00 + u1 * f10 + u2 * f20, u0 * f01 + u1 * f11 + u2 * f21, u0 * f02 + u1 * f12 + u2 * f22
@@ -74,24 +78,24 @@ def footprints(geometry, start, view, lens, out):
         det = m0 * m0 + m1 * m1 + m2 * m2 + dilation * (aa + bb) + dilation * dilation
         l1, column, root = math.sqrt(aa + dilation), math.sqrt(bb + dilation), math.sqrt(det)
         k = (a0 * b0 + a1 * b1 + a2 * b2) / (l1 * l1)
-        squared = smaller(2.0 * (get_field(geometry, at, 13) - log_alpha_min), limit)
+        squared = smaller(2.0 * (get_field(geometry, at, LOG_OPACITY) - log_alpha_min), limit)
         radius = math.sqrt(larger(squared, 0.0) + RADIUS_SLACK)
-        put_field(out, j, 0, z)
-        put_field(out, j, 1, mean_x)
-        put_field(out, j, 2, mean_y)
-        put_field(out, j, 3, HALF_LOG2E / l1)
-        put_field(out, j, 4, k)
-        put_field(out, j, 5, HALF_LOG2E * l1 / root)
+        put_field(out, j, Z, z)
+        put_field(out, j, X, mean_x)
+        put_field(out, j, Y, mean_y)
+        put_field(out, j, INVERSE1, HALF_LOG2E / l1)
+        put_field(out, j, SHEAR, k)
+        put_field(out, j, INVERSE2, HALF_LOG2E * l1 / root)
         half_width, half_height = radius * l1, radius * column
-        put_field(out, j, 6, half_width)
-        put_field(out, j, 7, half_height)
-        put_field(out, j, 8, root / (column * column))
-        put_field(out, j, 9, abs(root + l1 * column + k + mean_x + mean_y))
+        put_field(out, j, HALF_WIDTH, half_width)
+        put_field(out, j, HALF_HEIGHT, half_height)
+        put_field(out, j, OTHER_SHEAR, root / (column * column))
+        put_field(out, j, FINITE, abs(root + l1 * column + k + mean_x + mean_y))
         # Depth extent: |S R^T w| for the camera's z axis w.
         d0, d1 = w20 * f00 + w21 * f10 + w22 * f20, w20 * f01 + w21 * f11 + w22 * f21
         d2 = w20 * f02 + w21 * f12 + w22 * f22
-        put_field(out, j, 10, d0 * d0 + d1 * d1 + d2 * d2)
-        put_field(out, j, 11, larger(round_up(mean_x - half_width - 0.5), 0.0))
-        put_field(out, j, 12, smaller(round_down(mean_x + half_width - 0.5), last_column))
-        put_field(out, j, 13, larger(round_up(mean_y - half_height - 0.5), 0.0))
-        put_field(out, j, 14, smaller(round_down(mean_y + half_height - 0.5), last_row))
+        put_field(out, j, DEPTH_EXTENT, d0 * d0 + d1 * d1 + d2 * d2)
+        put_field(out, j, FIRST_X, larger(round_up(mean_x - half_width - 0.5), 0.0))
+        put_field(out, j, LAST_X, smaller(round_down(mean_x + half_width - 0.5), last_column))
+        put_field(out, j, FIRST_Y, larger(round_up(mean_y - half_height - 0.5), 0.0))
+        put_field(out, j, LAST_Y, smaller(round_down(mean_y + half_height - 0.5), last_row))

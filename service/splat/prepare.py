@@ -24,8 +24,9 @@ from .parallel import run_ranges
 
 FIELDS = 14  # mean (3), R S row by row (9), opacity, natural logarithm of the opacity
 MEAN, FACTOR, OPACITY, LOG_OPACITY = 0, 3, 12, 13
-# Doubles of a record: x, y, HALF_LOG2E / l1, k, HALF_LOG2E / l2; then floats: log2 opacity, r, g, b, z, log2 cut.
+# Doubles of a record: x, y, HALF_LOG2E / l1, k, HALF_LOG2E / l2; then, as floats: log2 opacity, r, g, b, z, log2 cut.
 RECORD = 8
+LOG2_OPACITY, RED, DEPTH, LOG2_CUT = 10, 11, 14, 15  # where the floats stand when all of it is read as such
 EXTENT = 3  # doubles: half width and height of the box, px, and the shear that the transposed factor has
 
 

@@ -20,10 +20,34 @@ from numpy.typing import NDArray
 from ..camera import Camera
 from .access import BLOCK, get, get_field, larger, put, smaller
 from .definition import Definition
-from .footprint import OUTPUTS, footprints
+from .footprint import (
+    DEPTH_EXTENT,
+    FINITE,
+    FIRST_X,
+    FIRST_Y,
+    HALF_WIDTH,
+    LAST_X,
+    LAST_Y,
+    OUTPUTS,
+    X,
+    Z,
+    footprints,
+)
 from .kernel_cache import kernel
 from .parallel import run_ranges
-from .prepare import EXTENT, FIELDS, LOG_OPACITY, OPACITY, RECORD, Prepared, Workspace
+from .prepare import (
+    DEPTH,
+    EXTENT,
+    FIELDS,
+    LOG2_CUT,
+    LOG2_OPACITY,
+    LOG_OPACITY,
+    OPACITY,
+    RECORD,
+    RED,
+    Prepared,
+    Workspace,
+)
 from .shade import shades
 from .spans import TILE, add_to_counts, packed_box, small_box, unpacked_box
 
@@ -107,10 +131,10 @@ def project_range(
         before = listed
         for j in range(smaller(BLOCK, count - block * BLOCK)):
             i = block * BLOCK + j
-            z = get(flat, j)
+            z = get_field(flat, j, Z)
             put(depths, i, z)
-            first_x, last_x = get_field(flat, j, 11), get_field(flat, j, 12)
-            first_y, last_y = get_field(flat, j, 13), get_field(flat, j, 14)
+            first_x, last_x = get_field(flat, j, FIRST_X), get_field(flat, j, LAST_X)
+            first_y, last_y = get_field(flat, j, FIRST_Y), get_field(flat, j, LAST_Y)
             status = DRAWN
             if not z > near:  # written so that NaN is culled too
                 status = NEAR
@@ -118,7 +142,7 @@ def project_range(
                 status = FAR
             elif not get_field(geometry, fields + j, OPACITY) >= alpha_min:
                 status = FAINT
-            elif not get_field(flat, j, 9) < 1e150:  # a sum that is not finite when any part is not
+            elif not get_field(flat, j, FINITE) < 1e150:  # a sum that is not finite when any part is not
                 status = NOT_FINITE
             elif not (first_x <= last_x and first_y <= last_y):
                 status = OUTSIDE
@@ -131,14 +155,14 @@ def project_range(
             put(boxes, i, box)
             record = i * RECORD
             for field in range(5):
-                put(records, record + field, get_field(flat, j, 1 + field))
+                put(records, record + field, get_field(flat, j, X + field))
             for field in range(EXTENT):
-                put(extents, i * EXTENT + field, get_field(flat, j, 6 + field))
+                put(extents, i * EXTENT + field, get_field(flat, j, HALF_WIDTH + field))
             log_opacity = get_field(geometry, fields + j, LOG_OPACITY)
-            put(narrow, 2 * record + 10, log_opacity * LOG2E)
-            put(narrow, 2 * record + 15, larger(lowest_cut, log_opacity - 0.5 * limit) * LOG2E)
-            put(narrow, 2 * record + 14, z)
-            crosses = (z - near) * (z - near) < 9.0 * get_field(flat, j, 10)
+            put(narrow, 2 * record + LOG2_OPACITY, log_opacity * LOG2E)
+            put(narrow, 2 * record + LOG2_CUT, larger(lowest_cut, log_opacity - 0.5 * limit) * LOG2E)
+            put(narrow, 2 * record + DEPTH, z)
+            crosses = (z - near) * (z - near) < 9.0 * get_field(flat, j, DEPTH_EXTENT)
             put(reasons, CROSSING, get(reasons, CROSSING) + crosses)
             left, right, top, bottom = unpacked_box(box)
             if small_box(left, right, top, bottom):  # spelled out: a call with arrays costs more than all of this
@@ -154,4 +178,4 @@ def project_range(
         for position in range(before, listed):
             member = np.int64(get(drawn, position))
             for channel in range(3):
-                put(narrow, 2 * RECORD * member + 11 + channel, get_field(colours, member - block * BLOCK, channel))
+                put(narrow, 2 * RECORD * member + RED + channel, get_field(colours, member - block * BLOCK, channel))

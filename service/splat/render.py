@@ -18,7 +18,7 @@ from .blend import Canvas, blend
 from .definition import Definition
 from .order import depth_order
 from .parallel import checked_threads
-from .prepare import prepared
+from .prepare import DEPTH, prepared
 from .project import project
 from .spans import MAX_SIDE
 from .tile_state import BLOCKS, bytes_of, tile_floats
@@ -29,7 +29,6 @@ ANALYSIS = ("median", "removed", "peaks", "pairs")  # these are computed togethe
 
 
 NOTHING = np.empty((0, 0), np.float32)
-DEPTH_FIELD = 14  # of the floats of a record
 
 
 def to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -108,7 +107,7 @@ def render(
         clock.append(time.perf_counter())
         if marked is not None:  # a depth with a minus sign marks a Gaussian, see `vectors.py`
             rows = projection.drawn[marked[projection.drawn]]
-            space.records.view(np.float32)[rows, DEPTH_FIELD] *= -1
+            space.records.view(np.float32)[rows, DEPTH] *= -1
         several = int(projection.counts.sum()) > definition.max_entries
         canvas = new_canvas(camera, outputs, len(gaussians), grid.tiles if several else 0, behind)
         entries = batches = blocks = pairs = 0

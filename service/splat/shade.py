@@ -10,6 +10,7 @@ import math
 
 from .access import BLOCK, get, get_field, put, put_field, smaller
 from .kernel_cache import kernel
+from .prepare import MEAN
 
 C0 = math.sqrt(1 / (4 * math.pi))
 C1 = math.sqrt(3 / (4 * math.pi))
@@ -55,8 +56,8 @@ def directions(geometry, start, view, degree, weights):
     centre_x, centre_y, centre_z = get(view, 9), get(view, 10), get(view, 11)
     for j in range(BLOCK):
         at = start + j
-        x, y = get_field(geometry, at, 0) - centre_x, get_field(geometry, at, 1) - centre_y
-        z = get_field(geometry, at, 2) - centre_z
+        x, y = get_field(geometry, at, MEAN) - centre_x, get_field(geometry, at, MEAN + 1) - centre_y
+        z = get_field(geometry, at, MEAN + 2) - centre_z
         inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
         x, y, z = x * inverse, y * inverse, z * inverse
         put_field(weights, j, 1, -C1 * y)
