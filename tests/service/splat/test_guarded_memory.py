@@ -1,0 +1,93 @@
+"""Kernels write without bounds checks: here every array that they fill lies between guards that must stay untouched."""
+
+import numpy as np
+import pytest
+from splat_cases import bits, camera, compare, dots, scene
+
+from gapmes.service.camera import Camera
+from gapmes.service.splat import Definition, render
+from gapmes.service.splat.access import BLOCK
+from gapmes.service.splat.binning import Grid, tile_lists
+from gapmes.service.splat.blend import Canvas, blend
+from gapmes.service.splat.order import depth_order
+from gapmes.service.splat.prepare import EXTENT, RECORD, Workspace, prepared
+from gapmes.service.splat.project import project
+from gapmes.service.splat.tile_state import tile_floats
+from gapmes.service.splat.vectors import ALL_CHANNELS
+
+GUARD = 4096  # bytes on either side
+PATTERN = 0xA5
+
+
+class Guarded:
+    """Arrays in the middle of larger buffers."""
+
+    def __init__(self):
+        self.buffers = []
+
+    def array(self, shape, dtype):
+        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        buffer = np.full(2 * GUARD + size, PATTERN, np.uint8)
+        self.buffers.append(buffer)
+        return buffer[GUARD : GUARD + size].view(dtype).reshape(shape)
+
+    def check(self):
+        for buffer in self.buffers:
+            assert (buffer[:GUARD] == PATTERN).all()
+            assert (buffer[-GUARD:] == PATTERN).all()
+
+
+@pytest.mark.parametrize("count", [1, BLOCK - 1, BLOCK, BLOCK + 1, 700])
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 37), (37, 1), (17, 33), (64, 64), (4096, 16)])
+@pytest.mark.parametrize("max_entries", [1 << 24, 40])
+def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries):
+    gaussians, view = (
+        scene(count, 3, 1, (1e-3, 3.0)),
+        Camera(width, height, 45.0, 45.0, width / 2, height / 2, np.eye(4)),
+    )
+    rule, grid, guarded = Definition(max_entries=max_entries), Grid(width, height), Guarded()
+    space = Workspace(
+        guarded.array((count, RECORD), np.float64),
+        guarded.array((count, EXTENT), np.float64),
+        guarded.array((count,), np.uint64),
+        guarded.array((count,), np.float64),
+        guarded.array((count,), np.int32),
+    )
+    shape = (height, width)
+    planes = [guarded.array(shape, np.float32) for _ in range(4)]
+    rgb, peaks = guarded.array((*shape, 3), np.float32), guarded.array((count,), np.float32)
+    peaks[:] = 0.0
+    state = guarded.array((grid.tiles, tile_floats(ALL_CHANNELS)), np.float32)
+    canvas = Canvas(rgb, *planes, peaks, state, np.zeros(3, np.float32))
+    for threads in (1, 2):
+        projection = project(prepared(gaussians, threads), view, rule, 1, threads, space)
+        order = depth_order(space.depths, projection.drawn, gaussians)
+        for number, lists in enumerate(tile_lists(projection, order, grid, max_entries, threads)):
+            blend(lists, space.records, canvas, grid, rule, threads, first_batch=number == 0)
+        guarded.check()
+    # and every pixel was written: the pattern is -7e-17 as a float, which no plane holds
+    expected = render(gaussians, view)
+    assert rgb.tobytes() == expected.rgb.tobytes()
+    assert planes[0].tobytes() == expected.alpha.tobytes()
+    assert planes[1].tobytes() == expected.depth.tobytes()
+
+
+def test_a_very_wide_picture_matches_the_reference():
+    view = Camera(4096, 16, 900.0, 900.0, 2048.0, 8.0, np.eye(4))
+    result = compare(scene(60, 4, 0, (0.02, 1.0)), view)
+    assert result.smooth < 2e-6
+
+
+def test_ten_repeats_give_the_same_bits():
+    gaussians, view = scene(500, 5, 2), camera(120, 90)
+    assert len({bits(render(gaussians, view, threads=1 + number % 3)) for number in range(10)}) == 1
+
+
+def test_minus_zero_is_zero():
+    """In every field of one Gaussian of three."""
+    means = np.array([[0.0, 0.0, 2.0], [0.1, 0.0, 2.5], [0.0, 0.1, 3.0]])
+    plain = dots(means, [0.5, 0.0, 0.7], (0.5, 0.2, 0.9))
+    turned = dots(np.where(means == 0, -0.0, means), [0.5, -0.0, 0.7], (0.5, 0.2, 0.9), -0.0)
+    turned.rotations_wxyz[1, 1:] = -0.0
+    assert np.signbit(turned.scales).all()
+    assert bits(render(turned, camera())) == bits(render(plain, camera()))
