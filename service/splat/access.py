@@ -139,3 +139,15 @@ def prefetch(typing, array, index):
         return context.get_dummy_value()
 
     return types.void(array, types.int64), generate
+
+
+@typed
+def take(typing, counter, amount):
+    """The value of counter[0], which rises by `amount` in the same instant: each of several threads gets another."""
+    _require_rows(counter)
+
+    def generate(context, b, signature, arguments):
+        data = data_of(context, b, signature.args[0], arguments[0])
+        return b.atomic_rmw("add", data, arguments[1], "monotonic")
+
+    return types.int64(counter, types.int64), generate

@@ -77,13 +77,14 @@ def _fill(
     np.cumsum(counts, out=offsets[1:])
     members = np.empty(offsets[-1], np.int32)
     cursors, space = offsets[:-1].copy(), projection.space
+    boxes = space.boxes[order]  # gathered once: every thread reads all of them
     # Each thread goes through all Gaussians and fills some of the tile rows, those of equal shares of the entries.
     shares = np.linspace(0, offsets[-1], threads + 1)
     bounds = np.searchsorted(offsets[:: grid.columns], shares)
     bounds[0], bounds[-1] = 0, grid.rows
     run_ranges(
         lambda top, bottom: fill_rows(
-            top, bottom, space.boxes, space.records, space.extents, order, grid.columns, cursors, members
+            top, bottom, boxes, space.records, space.extents, order, grid.columns, cursors, members
         ),
         np.unique(bounds),
         threads,
@@ -100,10 +101,13 @@ def count_range(start, stop, boxes, records, extents, order, columns, counts, to
 
 @kernel()
 def fill_rows(first_row, end_row, boxes, records, extents, order, columns, cursors, members):
-    """Write all of `order` into `members` at the cursors of the tiles in rows first_row..end_row-1, which move on."""
+    """Write all of `order` into `members` at the cursors of the tiles in rows first_row..end_row-1, which move on.
+
+    boxes (M,) are in that order too.
+    """
     for rank in range(order.size):
         i = np.int64(get(order, rank))
-        left, right, top, bottom = unpacked_box(get(boxes, i))
+        left, right, top, bottom = unpacked_box(get(boxes, rank))
         narrow = small_box(left, right, top, bottom)
         for tile_row in range(larger(top, first_row), smaller(bottom, end_row - 1) + 1):
             first, last = (left, right) if narrow else tile_span(records, extents, i, tile_row, left, right)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .access import get, larger, prefetch, put, smaller
+from .access import get, larger, prefetch, put, smaller, take
 from .binning import TILE, Grid, TileLists
 from .definition import Definition
 from .kernel_cache import kernel
@@ -26,6 +26,7 @@ from .vectors import ENTRY, LOG_OPACITY, SIDE, U1, blend_block
 F32 = NDArray[np.float32]
 
 PIECE = 256  # entries taken at a time: 16 KiB, and 10 KiB more for the test against the blocks
+TOGETHER = 4  # tiles that a thread takes at a time: neighbours share Gaussians
 AHEAD = 16  # entries between asking for a record and reading it
 REACH_SLACK = np.float32(1e-3)  # on log2 alpha in the block test, whose float32 error is below 1e-4 at dilation 0.3
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
@@ -61,48 +62,35 @@ def blend(
 
     records (N, 8): see `prepare.py`.
     """
-    offsets = lists.offsets
-    # Ranges of equal work: an entry costs about as much as a fiftieth of starting and storing a tile.
-    work = offsets + 50 * np.arange(len(offsets))
-    parts = 1 if threads == 1 else min(grid.tiles, 16 * threads)
-    bounds = np.searchsorted(work, np.linspace(0, work[-1], parts + 1))
-    bounds[0], bounds[-1] = 0, grid.tiles
     cuts = np.array([definition.alpha_max, definition.stop], np.float32)
     narrow = records.view(np.float32)
     exclusive = None if definition.inclusive_stop else True
-    spare: list[F32] = []  # peaks that nobody is writing to: as many as threads that ever worked at once
-
-    def work_on(first: int, last: int) -> tuple[int, int, int]:
-        peaks = None
-        if canvas.peaks is not None:
-            try:
-                peaks = spare.pop()
-            except IndexError:
-                peaks = np.zeros_like(canvas.peaks)
-        counts = blend_range(
-            first, last, grid.width, grid.height, offsets, lists.members, records, narrow, canvas.state, canvas.rgb,
-            canvas.alpha, canvas.depth, canvas.median, canvas.removed, peaks, canvas.background, cuts, exclusive,
-            first_batch, lists.last,
-        )  # fmt: skip
-        if peaks is not None:
-            spare.append(peaks)
-        return counts
-
-    counts = run_ranges(work_on, bounds, threads)
-    if canvas.peaks is not None:
-        for peaks in spare:
-            np.maximum(canvas.peaks, peaks, out=canvas.peaks)
+    counter = np.zeros(1, np.int64)  # of the tiles that somebody has begun
+    workers = min(threads, grid.tiles)
+    own = None if canvas.peaks is None else np.zeros((workers, len(canvas.peaks)), np.float32)
+    counts = run_ranges(
+        lambda worker, _: blend_tiles(
+            counter, grid.width, grid.height, lists.offsets, lists.members, records, narrow, canvas.state, canvas.rgb,
+            canvas.alpha, canvas.depth, canvas.median, canvas.removed, None if own is None else own[worker],
+            canvas.background, cuts, exclusive, first_batch, lists.last,
+        ),
+        range(workers + 1),
+        threads,
+    )  # fmt: skip
+    if own is not None and canvas.peaks is not None:
+        np.maximum(canvas.peaks, own.max(axis=0), out=canvas.peaks)
     return Blended(*(sum(column) for column in zip(*counts, strict=True)))
 
 
 @kernel()
-def blend_range(
-    first, last, width, height, offsets, members, records, narrow, states, rgb, alpha, depth, median, removed, peaks,
+def blend_tiles(
+    counter, width, height, offsets, members, records, narrow, states, rgb, alpha, depth, median, removed, peaks,
     background, cuts, exclusive, first_batch, last_batch,
 ):  # fmt: skip
-    """Blend the lists of tiles first..last-1; returns pairs with blocks, pairs with pixels, and how many of the tiles
-    a further Gaussian could change."""
+    """Blend the lists of tiles as long as `counter` has any; returns pairs with blocks, pairs with pixels, and how many
+    of these tiles a further Gaussian could change."""
     columns = (width + TILE - 1) // TILE
+    tiles = columns * ((height + TILE - 1) // TILE)
     size = states.shape[1]
     own = np.empty(size, np.float32)
     entries = np.empty(PIECE * ENTRY, np.float32)
@@ -113,42 +101,45 @@ def blend_range(
     # Nothing can change any more where the light is at most this; it is negative where the stop is exclusive.
     finished = stop if exclusive is None else ZERO
     blocks = pairs = unfinished = 0
-    for tile in range(first, last):
-        left, top = (tile % columns) * TILE, (tile // columns) * TILE
-        state = states[tile] if states.shape[0] else own
-        if first_batch:
-            start_tile(state, left, top, width, height)
-        live = live_blocks(state, finished)
-        begin, end = get(offsets, tile), get(offsets, tile + 1)
-        for piece in range(begin, end, PIECE):
-            if live == 0:
-                break
-            count = smaller(PIECE, end - piece)
-            gather(members, records, narrow, piece, count, end, left, top, entries, fields)
-            for block in range(BLOCKS):
-                if (live >> block) & 1 == 0:
-                    continue
-                x0, y0 = corner(block)
-                measure_reach(fields, count, x0, y0, reach)
-                kept = choose(reach, count, chosen)
-                if kept == 0:
-                    continue
-                at = block * (size // BLOCKS)
-                found = blend_block(
-                    entries, chosen, kept, x0, y0, state, at, alpha_max, stop, tops, depth, median, exclusive
-                )
-                if found & 1 == 0:
-                    live &= ~(1 << block)
-                blocks += kept
-                pairs += found >> 1
-            if peaks is not None:
-                for j in range(count):
-                    member = np.int64(get(members, piece + j))
-                    put(peaks, member, larger(get(peaks, member), get(tops, j)))
-                    put(tops, j, ZERO)
-        unfinished += 1 if live != 0 else 0
-        if last_batch:
-            store_tile(state, left, top, width, height, rgb, alpha, depth, median, removed, background)
+    start = take(counter, TOGETHER)
+    while start < tiles:
+        for tile in range(start, smaller(start + TOGETHER, tiles)):
+            left, top = (tile % columns) * TILE, (tile // columns) * TILE
+            state = states[tile] if states.shape[0] else own
+            if first_batch:
+                start_tile(state, left, top, width, height)
+            live = live_blocks(state, finished)
+            begin, end = get(offsets, tile), get(offsets, tile + 1)
+            for piece in range(begin, end, PIECE):
+                if live == 0:
+                    break
+                count = smaller(PIECE, end - piece)
+                gather(members, records, narrow, piece, count, end, left, top, entries, fields)
+                for block in range(BLOCKS):
+                    if (live >> block) & 1 == 0:
+                        continue
+                    x0, y0 = corner(block)
+                    measure_reach(fields, count, x0, y0, reach)
+                    kept = choose(reach, count, chosen)
+                    if kept == 0:
+                        continue
+                    at = block * (size // BLOCKS)
+                    found = blend_block(
+                        entries, chosen, kept, x0, y0, state, at, alpha_max, stop, tops, depth, median, exclusive
+                    )
+                    if found & 1 == 0:
+                        live &= ~(1 << block)
+                    blocks += kept
+                    pairs += found >> 1
+                if peaks is not None:
+                    for j in range(count):
+                        member = np.int64(get(members, piece + j))
+                        put(peaks, member, larger(get(peaks, member), get(tops, j)))
+                        put(tops, j, ZERO)
+            unfinished += 1 if live != 0 else 0
+            if last_batch:
+                store_tile(state, left, top, width, height, rgb, alpha, depth, median, removed, background)
+        start = take(counter, TOGETHER)
     return blocks, pairs, unfinished
 
 

@@ -12,7 +12,7 @@ from gapmes.service.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, render
 from gapmes.service.splat.binning import Grid, TileLists, count_range, fill_rows, tile_lists
-from gapmes.service.splat.blend import blend, blend_range
+from gapmes.service.splat.blend import blend, blend_tiles
 from gapmes.service.splat.order import depth_order, radix_pass, settle_equals
 from gapmes.service.splat.prepare import Workspace, prepare_range, prepared
 from gapmes.service.splat.project import project, project_range
@@ -165,7 +165,7 @@ def test_strided_and_read_only_arrays_are_drawn_alike_by_the_same_kernels():
     assert bits(render(frozen[::2], camera())) == bits(render(frozen[np.arange(0, 100, 2)], camera()))
     for kernel in (prepare_range, project_range, radix_pass, settle_equals, count_range, fill_rows):
         assert len(kernel.signatures) == 1  # nothing is compiled while a request waits
-    assert len(blend_range.signatures) <= 6  # one for each choice of planes and stopping rule
+    assert len(blend_tiles.signatures) <= 6  # one for each choice of planes and stopping rule
 
 
 def test_a_lens_of_unequal_focal_lengths_and_a_far_principal_point():
