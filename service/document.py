@@ -27,6 +27,7 @@ def scene_document(
     outputs: Mapping[str, NDArray],
     kept: int,
     dropped: Mapping[str, int],
+    check: Mapping[str, Any],
     warnings: Sequence[Mapping[str, Any]],
     timings: Mapping[str, float],
 ) -> dict[str, Any]:
@@ -51,6 +52,7 @@ def scene_document(
         "gaussians": {"count": kept, "sh_degree": round(outputs["harmonics"].shape[1] ** 0.5) - 1},
         "dropped": [{"reason": reason, "count": count} for reason, count in dropped.items()],
         "routing": routing_summary(outputs),
+        "check": dict(check),
         "warnings": [dict(warning) for warning in warnings],
         "timings": {stage: round(seconds, 6) for stage, seconds in timings.items()},
     }

@@ -22,6 +22,8 @@ from .masks import check_kept, kept_rows, patch_mask
 from .model_info import ModelInfo
 from .photo_checks import check_photos
 from .progress import Listener, Stages, silent
+from .scene_views import NEAR_PLANE_SHARE
+from .self_check import self_check
 from .view_checks import Notice, check_count, check_views
 from .world_frame import WorldFrame
 
@@ -59,7 +61,7 @@ class Reconstructor:
         `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
         a warning.
-        `listener` hears the stages cameras, images, network, gaussians. Raises `InputError` and `ModelError`.
+        `listener` hears the stages cameras, images, network, gaussians, check. Raises `InputError` and `ModelError`.
         """
         stages = Stages(listener)
         info = self.engine.info
@@ -89,6 +91,9 @@ class Reconstructor:
         with stages.stage("gaussians"):
             rows, dropped = kept_rows(outputs, views, frame)
             gaussians = frame.to_world(outputs, rows)
+        with stages.stage("check"):
+            near_plane = NEAR_PLANE_SHARE * depths.near
+            check = self_check(gaussians, views, depths, outputs, info, near=near_plane, threads=self.engine.threads)
         document = scene_document(
             info=info,
             threads=self.engine.threads,
@@ -98,6 +103,7 @@ class Reconstructor:
             outputs=outputs,
             kept=len(gaussians),
             dropped=dropped,
+            check=check,
             warnings=warnings,
             timings=stages.timings,
         )

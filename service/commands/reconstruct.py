@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -58,8 +59,21 @@ def reconstruct(
         with stages.stage("write .ply"):
             write_ply(output, scene.gaussians)
     bars.say(f"{len(scene.gaussians)} Gaussians in {output}")
+    bars.say(check_line(scene.document["check"]))
     for warning in scene.document.get("warnings", ()):
         bars.say(f"warning: {warning['message']}")
     if as_json:
         document = {"ply": str(output), "selected_views": list(folder.indices), **scene.document}
         sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")
+
+
+def check_line(check: Mapping[str, Any]) -> str:
+    """The self-check in a line: what the scene shows of its own inputs, and how much of them says nothing of depth."""
+    shown = ", ".join("no pixel" if row["psnr"] is None else f"{row['psnr']:.1f}" for row in check["input_views"])
+    parts = [f"inputs drawn again: {shown} dB"]
+    for name, share in (("textureless", "textureless_share"), ("without parallax", "no_parallax_share")):
+        if check[share] is not None:
+            parts.append(f"{100 * check[share]:.1f} % {name}")
+    if check["depth_step"]["middle"] is not None:
+        parts.append(f"depth in steps of {100 * 2 * check['depth_step']['middle']:.1f} % half way")
+    return "; ".join(parts)

@@ -90,4 +90,4 @@ def render_reference(
     depth = np.divide(depth, mass, out=np.zeros_like(depth), where=mass > 0)
     colour += light[..., None] * checked_background(background)
     stats = {"count": len(gaussians), "in_range": int(drawn.sum()), "pairs": pairs}
-    return Render(colour, 1.0 - light, depth, median, removed, peaks, stats)
+    return Render(colour, 1.0 - light, depth, stats, median, removed, peaks)

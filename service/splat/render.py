@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,9 @@ OUTPUTS = ("alpha", "depth", "median", "removed", "peaks", "pairs")  # what can 
 ANALYSIS = ("median", "removed", "peaks", "pairs")  # these are computed together
 
 
-NOTHING = np.empty((0, 0), np.float32)
+def nothing() -> NDArray[np.float32]:
+    """A plane that was not asked for."""
+    return np.empty((0, 0), np.float32)
 
 
 def to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -50,10 +52,13 @@ class Render:
     rgb: NDArray[np.floating]  # (H, W, 3) over the background, not clipped
     alpha: NDArray[np.floating]  # (H, W) 1 - transmittance
     depth: NDArray[np.floating]  # (H, W) expected z-depth, sum w z / sum w; 0 where alpha is 0
-    median: NDArray[np.floating]  # (H, W) z-depth of what takes the transmittance to 1/2 or below; 0 if nothing does
-    removed: NDArray[np.floating]  # (H, W) sum of the weights of the chosen Gaussians: what leaving them out frees
-    peaks: NDArray[np.floating]  # (N,) the largest weight that each Gaussian has at any pixel
     stats: dict[str, Any]
+    # (H, W) z-depth of what takes the transmittance to 1/2 or below; 0 if nothing does
+    median: NDArray[np.floating] = field(default_factory=nothing)
+    # (H, W) sum of the weights of the chosen Gaussians: what leaving them out frees
+    removed: NDArray[np.floating] = field(default_factory=nothing)
+    # (N,) the largest weight that each Gaussian has at any pixel
+    peaks: NDArray[np.floating] = field(default_factory=nothing)
 
     def rgb8(self) -> NDArray[np.uint8]:
         """(H, W, 3) clipped to [0, 1] and rounded to 8 bits."""
@@ -119,8 +124,8 @@ def render(
             blocks, pairs = blocks + found.blocks, pairs + found.pairs
             mark = time.perf_counter()
             if not (found.unfinished or lists.last):  # what lies behind is hidden everywhere
-                nothing = TileLists(np.zeros(grid.tiles + 1, np.int64), np.empty(0, np.int32), True)
-                blend(nothing, space.records, canvas, grid, definition, threads, first_batch=False)
+                rest = TileLists(np.zeros(grid.tiles + 1, np.int64), np.empty(0, np.int32), True)
+                blend(rest, space.records, canvas, grid, definition, threads, first_batch=False)
                 break
         clock.append(time.perf_counter())
 
@@ -144,12 +149,12 @@ def render(
         },
     }
     planes = {
-        name: plane if name in outputs and plane is not None else NOTHING
+        name: plane if name in outputs and plane is not None else nothing()
         for name, plane in (
             ("alpha", canvas.alpha), ("depth", canvas.depth), ("median", canvas.median), ("removed", canvas.removed),
         )
     }  # fmt: skip
-    peaks = canvas.peaks if "peaks" in outputs and canvas.peaks is not None else NOTHING.ravel()
+    peaks = canvas.peaks if "peaks" in outputs and canvas.peaks is not None else nothing().ravel()
     return Render(canvas.rgb, **planes, peaks=peaks, stats=stats)
 
 

@@ -119,7 +119,7 @@ def test_document_is_plain_json_and_complete(scene, plane_scene, engine):
     assert document["gaussians"] == {"count": 3 * (HEIGHT * WIDTH + EXTRA), "sh_degree": 1}
     assert document["dropped"] == []
     assert document["warnings"] == []
-    assert list(document["timings"]) == ["cameras", "images", "network", "gaussians"]
+    assert list(document["timings"]) == ["cameras", "images", "network", "gaussians", "check"]
     assert document["routing"]["patches_per_expert"] == {"0": 0, "1": 36, "2": 0, "3": 0, "4": 36}
     assert sum(document["routing"]["mean_task_weight"].values()) == pytest.approx(1)
     assert document["crop"][0]["kept_share"] == 1.0
@@ -128,7 +128,7 @@ def test_document_is_plain_json_and_complete(scene, plane_scene, engine):
 def test_stages_are_heard_in_order(reconstructor, plane_scene):
     heard = []
     reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, listener=heard.append)
-    assert [e.name for e in heard if e.seconds is not None] == ["cameras", "images", "network", "gaussians"]
+    assert [e.name for e in heard if e.seconds is not None] == ["cameras", "images", "network", "gaussians", "check"]
     assert [e.done for e in heard if e.name == "images"] == [0, 1, 2, 3, 4]
 
 

@@ -1,0 +1,51 @@
+"""PSNR and SSIM of two pictures with colours in [0, 1], over all pixels or those of a mask."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+
+WINDOW, SIGMA = 11, 1.5  # px, of SSIM (Wang et al. 2004)
+C1, C2 = 0.01**2, 0.03**2
+EQUAL_DB = 100.0  # where there is no difference, so that equal pictures have a number
+
+
+def psnr(picture: NDArray, truth: NDArray, mask: NDArray[np.bool_] | None = None) -> float:
+    """dB from the mean squared error of (3, H, W) pictures, at most 100; NaN for a mask without a pixel."""
+    difference = picture.astype(np.float64) - truth
+    chosen = difference if mask is None else difference[:, mask]
+    if not chosen.size:
+        return math.nan
+    error = float(np.square(chosen).mean())
+    return min(EQUAL_DB, -10 * math.log10(error)) if error > 0 else EQUAL_DB
+
+
+def ssim(picture: NDArray, truth: NDArray, mask: NDArray[np.bool_] | None = None) -> float:
+    """Mean SSIM of (3, H, W) pictures over the windows inside whose centre the mask keeps; NaN if there is none."""
+    a, b = picture.astype(np.float32), truth.astype(np.float32)
+    mean_a, mean_b = _gaussian_means(a), _gaussian_means(b)
+    var_a, var_b = _gaussian_means(a * a) - mean_a**2, _gaussian_means(b * b) - mean_b**2
+    covariance = _gaussian_means(a * b) - mean_a * mean_b
+    top = (2 * mean_a * mean_b + C1) * (2 * covariance + C2)
+    values = (top / ((mean_a**2 + mean_b**2 + C1) * (var_a + var_b + C2))).mean(axis=0)
+    border = WINDOW // 2
+    chosen = values if mask is None else values[mask[border:-border, border:-border]]
+    return float(chosen.mean(dtype=np.float64)) if chosen.size else math.nan
+
+
+def _gaussian_means(x: F32) -> F32:
+    """(3, H - 10, W - 10) means under the Gaussian window, of every window that lies inside (3, H, W)."""
+    offsets = np.arange(WINDOW) - WINDOW // 2
+    weights = np.exp(-(offsets**2) / (2 * SIGMA**2))
+    weights = (weights / weights.sum()).astype(np.float32)
+    for axis in (1, 2):
+        length = max(x.shape[axis] - WINDOW + 1, 0)
+        total = np.zeros_like(np.take(x, range(length), axis=axis))
+        for start, weight in enumerate(weights):
+            total += weight * np.take(x, range(start, start + length), axis=axis)
+        x = total
+    return x

@@ -1,0 +1,114 @@
+"""What a reconstruction tells about its own error: the inputs drawn again, and what could not be measured at all.
+
+None of it needs a truth. A scene that does not show its own inputs is wrong; one that does may still be wrong where
+nothing was measured, so the shares of such pixels stand beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .depth_range import DepthRange
+from .gaussians import Gaussians
+from .images import FittedView
+from .model_info import ModelInfo
+from .overlap import inverse_depth_steps
+from .picture_error import psnr, ssim
+from .splat import render
+from .window_match import contrast
+
+TEXTURE = 2 / 255  # standard deviation of grey in 7 x 7 px below which a window is as good as flat after 8-bit noise
+PARALLAX_PX = 0.25  # shift between near and far below which matching says nothing about depth
+GRID = 16  # rays per side on which parallax is looked at
+DEPTHS = 8  # depths at which a ray is looked for in the other views
+HOLE = 0.5  # opacity
+
+
+def self_check(
+    gaussians: Gaussians,
+    views: Sequence[FittedView],
+    depths: DepthRange,
+    outputs: Mapping[str, NDArray],
+    info: ModelInfo,
+    *,
+    near: float,
+    threads: int | None = None,
+) -> dict[str, Any]:
+    """Plain JSON values; `near` is where drawing begins, in the caller's units like all depths.
+
+    `input_views`: PSNR in dB, SSIM and share of holes of every input drawn again, over the pixels that its mask keeps
+    (None where it keeps none). `depth_step`: half a step between the network's depth candidates as a share of the
+    depth, at near, at far, and at the geometric mean of both. Shares are of pixels, or of patches.
+    """
+    return {
+        "input_views": [_drawn_again(gaussians, view, near, threads) for view in views],
+        "textureless_share": _share([_flat(view) for view in views]),
+        "no_parallax_share": _share([~parallax(views, index, depths) for index in range(len(views))]),
+        "depth_step": depth_steps(depths, info),
+        "undecided_patches_share": undecided_share(outputs, info),
+    }
+
+
+def _drawn_again(gaussians: Gaussians, view: FittedView, near: float, threads: int | None) -> dict[str, float | None]:
+    image = render(gaussians, view.camera, near=near, threads=threads, outputs=("alpha",))
+    picture = np.clip(image.rgb, 0.0, 1.0).transpose(2, 0, 1)
+    kept = np.ones(image.alpha.shape, bool) if view.mask is None else view.mask
+    holes = float((image.alpha[kept] < HOLE).mean()) if kept.any() else math.nan
+    values = {"psnr": psnr(picture, view.image, kept), "ssim": ssim(picture, view.image, kept), "holes": holes}
+    return {name: None if math.isnan(value) else round(value, 6) for name, value in values.items()}
+
+
+def _flat(view: FittedView) -> NDArray[np.bool_]:
+    flat = contrast(view.image.mean(axis=0, dtype=np.float64)) < TEXTURE
+    return flat if view.mask is None else flat[view.mask]
+
+
+def parallax(views: Sequence[FittedView], index: int, depths: DepthRange) -> NDArray[np.bool_]:
+    """(GRID * GRID,) whether some other view that has a ray of this one in its picture sees it move by a quarter pixel
+    or more between the near depth and the far one."""
+    camera: Camera = views[index].camera
+    steps = (np.arange(GRID) + 0.5) / GRID
+    pixels = np.stack(np.meshgrid(steps * camera.width, steps * camera.height), axis=-1).reshape(-1, 2)
+    found = np.zeros(len(pixels), bool)
+    for other in (view.camera for position, view in enumerate(views) if position != index):
+        tracks, inside = [], np.zeros(len(pixels), bool)
+        for depth in inverse_depth_steps(depths.near, depths.far, DEPTHS):
+            at, z = other.project(camera.unproject(pixels, np.full(len(pixels), depth)))
+            within = ((at >= 0) & (at < (other.width, other.height))).all(axis=1) & (z > 0)
+            inside |= within
+            tracks.append(at)
+        moved = np.linalg.norm(np.nan_to_num(tracks[0] - tracks[-1], nan=np.inf), axis=1)  # behind it: far from it
+        found |= inside & (moved >= PARALLAX_PX)
+    return found
+
+
+def depth_steps(depths: DepthRange, info: ModelInfo) -> dict[str, float | None]:
+    """Candidates are uniform in inverse depth, so half a step at depth z is z (1/near - 1/far) / (2 (D - 1)) of z."""
+    planes = info.config.get("depth_planes")
+    span = 1 / depths.near - 1 / depths.far
+    at = {"near": depths.near, "middle": math.sqrt(depths.near * depths.far), "far": depths.far}
+    if not isinstance(planes, int) or planes < 2:
+        return dict.fromkeys(at)
+    return {name: round(z * span / (2 * (planes - 1)), 6) for name, z in at.items()}
+
+
+def undecided_share(outputs: Mapping[str, NDArray], info: ModelInfo) -> float | None:
+    """Patches whose first two experts weigh the same but for the deviation between runtimes measured at export; another
+    processor may order them otherwise. None without experts, or with one per patch."""
+    weights = outputs.get("expert_weight")
+    if weights is None or weights.shape[-1] < 2:
+        return None
+    deviation = float(info.tolerance.get("expert_weight", {}).get("p99", 0.0))
+    gap = np.abs(weights[..., 0] - weights[..., 1])
+    return round(float((gap <= 2 * deviation).mean()), 6)
+
+
+def _share(masks: Sequence[NDArray[np.bool_]]) -> float | None:
+    joined = np.concatenate([mask.ravel() for mask in masks])
+    return round(float(joined.mean()), 6) if joined.size else None

@@ -1,0 +1,129 @@
+"""What a reconstruction says about itself: figures against closed forms and another SSIM, shares against cases."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from skimage.metrics import structural_similarity
+
+from gapmes.service.camera import Camera
+from gapmes.service.depth_range import DepthRange
+from gapmes.service.gaussians import Gaussians
+from gapmes.service.images import FittedView
+from gapmes.service.picture_error import psnr, ssim
+from gapmes.service.self_check import GRID, depth_steps, parallax, self_check, undecided_share
+from gapmes.service.splat import render
+
+DEPTHS = DepthRange(1.0, 10.0, "given")
+
+
+class Info:
+    """The two fields of `ModelInfo` that are looked at."""
+
+    config = {"depth_planes": 65}  # noqa: RUF012
+    tolerance = {"expert_weight": {"p99": 1e-3}}  # noqa: RUF012
+
+
+def camera(x: float = 0.0, turn: float = 0.0, size: int = 48) -> Camera:
+    pose = np.eye(4)
+    c, s = np.cos(turn), np.sin(turn)
+    pose[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    pose[0, 3] = x
+    return Camera.make(size, size, 50.0, 50.0, size / 2, size / 2, pose)
+
+
+def cloud(seed: int = 0) -> Gaussians:
+    rng = np.random.default_rng(seed)
+    means = np.column_stack([rng.uniform(-1.5, 1.5, (400, 2)), rng.uniform(2, 3, 400)])
+    harmonics = rng.uniform(-1.7, 1.7, (400, 1, 3))
+    return Gaussians.make(means, np.full((400, 3), 0.15), rng.standard_normal((400, 4)), np.full(400, 0.9), harmonics)
+
+
+def drawn(gaussians: Gaussians, view: Camera, mask: np.ndarray | None = None) -> FittedView:
+    picture = np.clip(render(gaussians, view, near=0.1).rgb, 0, 1).transpose(2, 0, 1)
+    return FittedView(np.ascontiguousarray(picture), mask, view, 1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ssim_is_that_of_scikit_image(seed):
+    rng = np.random.default_rng(seed)
+    truth = rng.random((3, 40, 52)).cumsum(axis=2) / 52
+    picture = np.clip(truth + rng.normal(0, 0.05, truth.shape), 0, 1)
+    _, expected = structural_similarity(
+        picture, truth, channel_axis=0, data_range=1.0, gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+        win_size=11, full=True,
+    )  # fmt: skip
+    assert ssim(picture, truth) == pytest.approx(expected[:, 5:-5, 5:-5].mean(), abs=2e-6)  # float32: measured 3e-7
+    mask = rng.random((40, 52)) < 0.3
+    inner = mask[5:-5, 5:-5]
+    assert ssim(picture, truth, mask) == pytest.approx(expected[:, 5:-5, 5:-5].mean(axis=0)[inner].mean(), abs=2e-6)
+
+
+def test_psnr_has_a_closed_form_and_ends_at_100_db():
+    truth = np.full((3, 12, 12), 0.5, np.float32)
+    picture = truth.copy()
+    picture[:, :6] += np.float32(0.125)
+    top = np.arange(12)[:, None] < np.full(12, 6)
+    assert psnr(picture, truth) == pytest.approx(-10 * math.log10(0.125**2 / 2))
+    assert psnr(picture, truth, top) == pytest.approx(-10 * math.log10(0.125**2))
+    assert psnr(picture, truth, ~top) == 100.0
+    assert ssim(truth, truth) == pytest.approx(1.0)
+    assert math.isnan(psnr(picture, truth, np.zeros((12, 12), bool)))
+    assert math.isnan(ssim(picture[:, :8], truth[:, :8]))
+
+
+def test_a_scene_that_shows_its_inputs_says_so_and_another_does_not():
+    gaussians, views = cloud(), [camera(), camera(0.3)]
+    fitted = [drawn(gaussians, view) for view in views]
+    check = self_check(gaussians, fitted, DEPTHS, {}, Info, near=0.1, threads=1)
+    assert [row["psnr"] for row in check["input_views"]] == [100.0, 100.0]
+    assert [row["ssim"] for row in check["input_views"]] == [1.0, 1.0]
+    other = self_check(cloud(1), fitted, DEPTHS, {}, Info, near=0.1, threads=1)
+    assert max(row["psnr"] for row in other["input_views"]) < 20
+    nothing = self_check(gaussians[:0], fitted, DEPTHS, {}, Info, near=0.1, threads=1)
+    assert [row["holes"] for row in nothing["input_views"]] == [1.0, 1.0]
+
+
+def test_only_what_the_mask_keeps_counts():
+    gaussians, view = cloud(), camera()
+    half = np.broadcast_to(np.arange(48) < 24, (48, 48))
+    spoiled = drawn(gaussians, view, half)
+    spoiled.image[:, :, 24:] = 0.5
+    fitted = [spoiled, drawn(gaussians, camera(0.3), np.zeros((48, 48), bool))]
+    check = self_check(gaussians, fitted, DEPTHS, {}, Info, near=0.1, threads=1)
+    assert check["input_views"][0]["psnr"] == 100.0
+    assert check["input_views"][1] == {"psnr": None, "ssim": None, "holes": None}
+    whole = self_check(gaussians, [replace(spoiled, mask=None)], DEPTHS, {}, Info, near=0.1, threads=1)
+    assert whole["input_views"][0]["psnr"] < 40
+    assert whole["textureless_share"] == pytest.approx((48 - 24 - 3) / 48, abs=0.01)  # windows of 7 px within the grey
+
+
+def test_parallax_is_a_shift_between_near_and_far():
+    """A sideways step b shifts by f b (1/near - 1/far) px: 45 b here."""
+    views = [FittedView(np.zeros((3, 48, 48), np.float32), None, camera(x), 1.0) for x in (0.0, 0.0, 0.0)]
+    assert not parallax(views, 0, DEPTHS).any()
+    for shift, expected in ((0.24, 0.0), (0.26, 1.0)):
+        views[1] = replace(views[1], camera=camera(shift / 45))
+        assert parallax(views[:2], 0, DEPTHS).mean() == pytest.approx(expected, abs=1 / GRID)
+    turned = [views[0], replace(views[1], camera=camera(0.0, 0.4))]
+    assert not parallax(turned, 0, DEPTHS).any()  # a pure rotation moves the picture, not its depths
+    away = [views[0], replace(views[1], camera=camera(0.5, math.pi))]
+    assert not parallax(away, 0, DEPTHS).any()
+
+
+def test_depth_steps_are_half_the_distance_of_candidates():
+    candidates = 1 / np.linspace(1 / DEPTHS.near, 1 / DEPTHS.far, 65)
+    steps = depth_steps(DEPTHS, Info)
+    assert steps["near"] == pytest.approx((candidates[1] - candidates[0]) / 2 / 1.0, rel=0.02)
+    # A step of 0.14 of the depth is no longer small: the one-sided difference falls short by that share.
+    assert steps["far"] == pytest.approx((candidates[-1] - candidates[-2]) / 2 / candidates[-2], rel=0.02)
+    assert steps["middle"] == pytest.approx(math.sqrt(10) * 0.9 / 128, abs=1e-6)
+    assert depth_steps(DEPTHS, type("Other", (), {"config": {}}))["far"] is None
+
+
+def test_a_patch_is_undecided_where_its_experts_weigh_the_same():
+    weights = np.array([[[0.5, 0.5], [0.5009, 0.4991], [0.5011, 0.4989], [0.9, 0.1]]])
+    assert undecided_share({"expert_weight": weights}, Info) == 0.5
+    assert undecided_share({"expert_weight": weights[..., :1]}, Info) is None
+    assert undecided_share({}, Info) is None
