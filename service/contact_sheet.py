@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,12 +27,6 @@ class Cell:
 class Row:
     title: str
     cells: Sequence[Cell]
-
-
-def psnr(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
-    """Peak signal-to-noise ratio in dB of two 8-bit pictures, -10 log10(MSE) with colours in [0, 1]; inf if equal."""
-    error = np.mean((a.astype(np.float64) - b.astype(np.float64)) ** 2) / 255**2
-    return math.inf if error == 0 else -10 * math.log10(error)
 
 
 def contact_sheet(rows: Sequence[Row]) -> Image.Image:

@@ -16,8 +16,9 @@ import httpx
 import numpy as np
 from PIL import Image
 
-from .contact_sheet import Cell, Row, contact_sheet, psnr
+from .contact_sheet import Cell, Row, contact_sheet
 from .local_server import checked, local_server, wait_until_ready
+from .picture_error import psnr
 from .progress import Stage, Stages
 from .shipped import sample_folder
 from .terminal import ProgressBars

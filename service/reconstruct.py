@@ -93,7 +93,7 @@ class Reconstructor:
             gaussians = frame.to_world(outputs, rows)
         with stages.stage("check"):
             near_plane = NEAR_PLANE_SHARE * depths.near
-            check = self_check(gaussians, views, depths, outputs, info, near=near_plane, threads=self.engine.threads)
+            check = self_check(gaussians, views, depths, info, near=near_plane, threads=self.engine.threads)
         document = scene_document(
             info=info,
             threads=self.engine.threads,

@@ -7,7 +7,7 @@ nothing was measured, so the shares of such pixels stand beside it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,12 +21,12 @@ from .model_info import ModelInfo
 from .overlap import inverse_depth_steps
 from .picture_error import psnr, ssim
 from .splat import render
-from .window_match import contrast
+from .window_match import contrast, window_mean
 
 TEXTURE = 2 / 255  # standard deviation of grey in 7 x 7 px below which a window is as good as flat after 8-bit noise
 PARALLAX_PX = 0.25  # shift between near and far below which matching says nothing about depth
 GRID = 16  # rays per side on which parallax is looked at
-DEPTHS = 8  # depths at which a ray is looked for in the other views
+DEPTHS = 64  # depths at which a ray is looked for in the other views
 HOLE = 0.5  # opacity
 
 
@@ -34,7 +34,6 @@ def self_check(
     gaussians: Gaussians,
     views: Sequence[FittedView],
     depths: DepthRange,
-    outputs: Mapping[str, NDArray],
     info: ModelInfo,
     *,
     near: float,
@@ -43,15 +42,15 @@ def self_check(
     """Plain JSON values; `near` is where drawing begins, in the caller's units like all depths.
 
     `input_views`: PSNR in dB, SSIM and share of holes of every input drawn again, over the pixels that its mask keeps
-    (None where it keeps none). `depth_step`: half a step between the network's depth candidates as a share of the
-    depth, at near, at far, and at the geometric mean of both. Shares are of pixels, or of patches.
+    (None where it keeps none; windows of SSIM at its edge see pixels beyond). `depth_step`: half a step between the
+    network's depth candidates as a share of the depth, at near, at far, and at the geometric mean of both (None where
+    the model does not tell how many there are). Shares are of the pixels that the masks keep, or of rays through them.
     """
     return {
         "input_views": [_drawn_again(gaussians, view, near, threads) for view in views],
         "textureless_share": _share([_flat(view) for view in views]),
         "no_parallax_share": _share([~parallax(views, index, depths) for index in range(len(views))]),
         "depth_step": depth_steps(depths, info),
-        "undecided_patches_share": undecided_share(outputs, info),
     }
 
 
@@ -65,16 +64,26 @@ def _drawn_again(gaussians: Gaussians, view: FittedView, near: float, threads: i
 
 
 def _flat(view: FittedView) -> NDArray[np.bool_]:
-    flat = contrast(view.image.mean(axis=0, dtype=np.float64)) < TEXTURE
-    return flat if view.mask is None else flat[view.mask]
+    grey = view.image.mean(axis=0, dtype=np.float64)
+    if view.mask is None:
+        return contrast(grey) < TEXTURE
+    kept = view.mask.astype(np.float64)  # windows at the mask's edge look at what it keeps alone
+    share = np.maximum(window_mean(kept), 1e-9)
+    mean = window_mean(grey * kept) / share
+    variance = window_mean(grey**2 * kept) / share - mean**2
+    return (variance < TEXTURE**2)[view.mask]
 
 
 def parallax(views: Sequence[FittedView], index: int, depths: DepthRange) -> NDArray[np.bool_]:
-    """(GRID * GRID,) whether some other view that has a ray of this one in its picture sees it move by a quarter pixel
-    or more between the near depth and the far one."""
+    """For each ray of a grid that the view's mask keeps, whether some other view that has it in its picture sees it
+    move by a quarter pixel or more between the near depth and the far one."""
     camera: Camera = views[index].camera
     steps = (np.arange(GRID) + 0.5) / GRID
     pixels = np.stack(np.meshgrid(steps * camera.width, steps * camera.height), axis=-1).reshape(-1, 2)
+    mask = views[index].mask
+    if mask is not None:
+        column, row = pixels.astype(np.intp).T
+        pixels = pixels[mask[row, column]]
     found = np.zeros(len(pixels), bool)
     for other in (view.camera for position, view in enumerate(views) if position != index):
         tracks, inside = [], np.zeros(len(pixels), bool)
@@ -89,24 +98,14 @@ def parallax(views: Sequence[FittedView], index: int, depths: DepthRange) -> NDA
 
 
 def depth_steps(depths: DepthRange, info: ModelInfo) -> dict[str, float | None]:
-    """Candidates are uniform in inverse depth, so half a step at depth z is z (1/near - 1/far) / (2 (D - 1)) of z."""
+    """Candidates are uniform in inverse depth: with half a step h = (1/near - 1/far) / (2 (D - 1)) the depth z becomes
+    1 / (1/z + h), which is nearer by z h / (1 + z h) of itself."""
     planes = info.config.get("depth_planes")
-    span = 1 / depths.near - 1 / depths.far
     at = {"near": depths.near, "middle": math.sqrt(depths.near * depths.far), "far": depths.far}
     if not isinstance(planes, int) or planes < 2:
         return dict.fromkeys(at)
-    return {name: round(z * span / (2 * (planes - 1)), 6) for name, z in at.items()}
-
-
-def undecided_share(outputs: Mapping[str, NDArray], info: ModelInfo) -> float | None:
-    """Patches whose first two experts weigh the same but for the deviation between runtimes measured at export; another
-    processor may order them otherwise. None without experts, or with one per patch."""
-    weights = outputs.get("expert_weight")
-    if weights is None or weights.shape[-1] < 2:
-        return None
-    deviation = float(info.tolerance.get("expert_weight", {}).get("p99", 0.0))
-    gap = np.abs(weights[..., 0] - weights[..., 1])
-    return round(float((gap <= 2 * deviation).mean()), 6)
+    half = (1 / depths.near - 1 / depths.far) / (2 * (planes - 1))
+    return {name: round(z * half / (1 + z * half), 6) for name, z in at.items()}
 
 
 def _share(masks: Sequence[NDArray[np.bool_]]) -> float | None:

@@ -56,8 +56,8 @@ def peak_gflops(threads: int, repeats: int = 5) -> float:
         workers = [threading.Thread(target=work) for _ in range(threads)]
         for worker in workers:
             worker.start()
-        ready.wait()
         start = time.perf_counter()
+        ready.wait()
         for worker in workers:
             worker.join()
         best = max(best, threads * STEPS * CHAINS * LANES * 2 / (time.perf_counter() - start) / 1e9)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gapmes.service import picture_error
 from gapmes.service.camera import Camera
 from gapmes.service.errors import GapmesError
 from gapmes.service.gaussians import Gaussians
@@ -19,7 +20,7 @@ from ..pictures import NEAR_SHARE
 from .case import Case
 from .covisible import PREDICTED_TOLERANCE, TRUE_TOLERANCE, Mask, covisible
 from .lpips import Lpips
-from .metrics import Figures, figures, masked_psnr, mean_figures
+from .metrics import Figures, figures, mean_figures
 from .models import Model
 from .pixel_splats import drawn_over, pixel_gaussians
 from .planes import consistent_plane, nearest_input, plane_blend
@@ -163,7 +164,7 @@ def _at_twice(case: Case, ours: _Reconstruction, score: MethodScore, threads: in
     for target, (photo, camera) in zip(case.targets, case.target_photos, strict=True):
         truth = fit_view(photo, camera, 2 * target.camera.height, 2 * target.camera.width)
         drawn = ours.draw(truth.camera, threads)
-        values.append(masked_psnr(_picture(drawn), truth.image, np.ones(drawn.alpha.shape, dtype=bool)))
+        values.append(picture_error.psnr(_picture(drawn), truth.image))
         holes.append(float((drawn.alpha < HOLE).mean()))
         sides.append(min(photo.height, photo.width))
     psnr = float(np.mean(values))

@@ -7,19 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
-from torch import Tensor
+
+from gapmes.service.picture_error import psnr, ssim
 
 from .lpips import Lpips
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-
-WINDOW, SIGMA = 11, 1.5  # px, of SSIM (Wang et al. 2004)
-_C1, _C2 = 0.01**2, 0.03**2
-LEAST_ERROR = 1e-10  # mean squared; 100 dB, so that equal pictures have a number
 
 
 @dataclass(frozen=True)
@@ -32,12 +27,16 @@ class Figures:
 
 
 def figures(picture: F32, truth: F32, mask: Mask, lpips: Lpips | None) -> Figures:
-    """Compare (3, H, W) pictures in [0, 1] over the pixels of `mask` (H, W)."""
+    """Compare (3, H, W) pictures in [0, 1] over the pixels of `mask` (H, W).
+
+    SSIM is over the windows centred in the mask, which at its edge see pixels beyond it.
+    """
     if not mask.any():
         return Figures(None, None, None)
+    similarity = ssim(picture.astype(np.float64), truth.astype(np.float64), mask)
     return Figures(
-        masked_psnr(picture, truth, mask),
-        masked_ssim(picture, truth, mask),
+        psnr(picture, truth, mask),
+        None if math.isnan(similarity) else similarity,
         None if lpips is None else lpips.distance(picture, truth, mask),
     )
 
@@ -51,36 +50,3 @@ def mean_or_none(values: Sequence[float | None]) -> float | None:
     """Mean of what is not None; None when nothing is left."""
     there = [value for value in values if value is not None]
     return sum(there) / len(there) if there else None
-
-
-def masked_psnr(picture: F32, truth: F32, mask: Mask) -> float:
-    """dB from the mean squared error over the pixels of the mask (at least one) and the three channels."""
-    difference = picture.astype(np.float64) - truth
-    return -10 * math.log10(max(LEAST_ERROR, float(np.square(difference[:, mask]).mean())))
-
-
-def masked_ssim(picture: F32, truth: F32, mask: Mask) -> float | None:
-    """Mean SSIM over the windows whose centre is in the mask; windows that leave the picture do not count.
-
-    With a full mask it is the standard figure. A window at the edge of a mask still sees pixels beyond it.
-    """
-    values = ssim_map(torch.from_numpy(picture).double()[None], torch.from_numpy(truth).double()[None])[0]
-    border = WINDOW // 2
-    inner = mask[border:-border, border:-border]
-    return float(values.mean(dim=0).numpy()[inner].mean()) if inner.any() else None
-
-
-def ssim_map(a: Tensor, b: Tensor) -> Tensor:
-    """(n, 3, H - 10, W - 10) SSIM of every window of (n, 3, H, W) pictures in [0, 1]."""
-    offsets = torch.arange(WINDOW, dtype=a.dtype) - WINDOW // 2
-    kernel = torch.exp(-offsets.square() / (2 * SIGMA**2))
-    kernel = (kernel / kernel.sum()).repeat(3, 1)
-
-    def mean(x: Tensor) -> Tensor:
-        return F.conv2d(F.conv2d(x, kernel[:, None, None, :], groups=3), kernel[:, None, :, None], groups=3)
-
-    mean_a, mean_b = mean(a), mean(b)
-    var_a, var_b = mean(a * a) - mean_a**2, mean(b * b) - mean_b**2
-    covariance = mean(a * b) - mean_a * mean_b
-    top = (2 * mean_a * mean_b + _C1) * (2 * covariance + _C2)
-    return top / ((mean_a**2 + mean_b**2 + _C1) * (var_a + var_b + _C2))

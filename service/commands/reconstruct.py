@@ -35,6 +35,7 @@ def reconstruct(
     from ..ply import write_ply
     from ..progress import Stages
     from ..reconstruct import Reconstructor
+    from ..splat import warm_up
 
     if not output.parent.is_dir():  # said before the work, not after it
         raise InputError(f"{output.parent} is not a folder", field="output")
@@ -43,6 +44,8 @@ def reconstruct(
         stages = Stages(bars)
         with stages.stage("load model"):
             reconstructor = Reconstructor(model, threads=threads)
+        with stages.stage("kernels"):  # compiled the first time, then loaded
+            warm_up()
         with stages.stage("read images", len(folder.indices)) as step:
             photos = []
             for index, path in zip(folder.indices, folder.image_paths, strict=True):
@@ -75,5 +78,5 @@ def check_line(check: Mapping[str, Any]) -> str:
         if check[share] is not None:
             parts.append(f"{100 * check[share]:.1f} % {name}")
     if check["depth_step"]["middle"] is not None:
-        parts.append(f"depth in steps of {100 * 2 * check['depth_step']['middle']:.1f} % half way")
+        parts.append(f"depth candidates every {200 * check['depth_step']['middle']:.1f} % half way")
     return "; ".join(parts)

@@ -26,7 +26,7 @@ from .vectors import ENTRY, LOG_OPACITY, SIDE, U1, blend_block
 F32 = NDArray[np.float32]
 
 PIECE = 256  # entries taken at a time: 16 KiB, and 10 KiB more for the test against the blocks
-TOGETHER = 4  # tiles that a thread takes at a time: neighbours share Gaussians
+TOGETHER = 4  # tiles at most that a thread takes at a time: neighbours share Gaussians
 AHEAD = 16  # entries between asking for a record and reading it
 REACH_SLACK = np.float32(1e-3)  # on log2 alpha in the block test, whose float32 error is below 1e-4 at dilation 0.3
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
@@ -67,12 +67,13 @@ def blend(
     exclusive = None if definition.inclusive_stop else True
     counter = np.zeros(1, np.int64)  # of the tiles that somebody has begun
     workers = min(threads, grid.tiles)
+    together = max(1, min(TOGETHER, grid.tiles // (4 * workers)))
     own = None if canvas.peaks is None else np.zeros((workers, len(canvas.peaks)), np.float32)
     counts = run_ranges(
         lambda worker, _: blend_tiles(
-            counter, grid.width, grid.height, lists.offsets, lists.members, records, narrow, canvas.state, canvas.rgb,
-            canvas.alpha, canvas.depth, canvas.median, canvas.removed, None if own is None else own[worker],
-            canvas.background, cuts, exclusive, first_batch, lists.last,
+            counter, together, grid.width, grid.height, lists.offsets, lists.members, records, narrow, canvas.state,
+            canvas.rgb, canvas.alpha, canvas.depth, canvas.median, canvas.removed,
+            None if own is None else own[worker], canvas.background, cuts, exclusive, first_batch, lists.last,
         ),
         range(workers + 1),
         threads,
@@ -84,8 +85,8 @@ def blend(
 
 @kernel()
 def blend_tiles(
-    counter, width, height, offsets, members, records, narrow, states, rgb, alpha, depth, median, removed, peaks,
-    background, cuts, exclusive, first_batch, last_batch,
+    counter, together, width, height, offsets, members, records, narrow, states, rgb, alpha, depth, median, removed,
+    peaks, background, cuts, exclusive, first_batch, last_batch,
 ):  # fmt: skip
     """Blend the lists of tiles as long as `counter` has any; returns pairs with blocks, pairs with pixels, and how many
     of these tiles a further Gaussian could change."""
@@ -101,9 +102,9 @@ def blend_tiles(
     # Nothing can change any more where the light is at most this; it is negative where the stop is exclusive.
     finished = stop if exclusive is None else ZERO
     blocks = pairs = unfinished = 0
-    start = take(counter, TOGETHER)
+    start = take(counter, together)
     while start < tiles:
-        for tile in range(start, smaller(start + TOGETHER, tiles)):
+        for tile in range(start, smaller(start + together, tiles)):
             left, top = (tile % columns) * TILE, (tile // columns) * TILE
             state = states[tile] if states.shape[0] else own
             if first_batch:
@@ -139,7 +140,7 @@ def blend_tiles(
             unfinished += 1 if live != 0 else 0
             if last_batch:
                 store_tile(state, left, top, width, height, rgb, alpha, depth, median, removed, background)
-        start = take(counter, TOGETHER)
+        start = take(counter, together)
     return blocks, pairs, unfinished
 
 

@@ -53,13 +53,6 @@ class Definition:
     max_entries: int = 1 << 24
     """(tile, Gaussian) pairs held at a time, 4 bytes each; more are drawn in several batches, same image to the bit."""
 
-    @property
-    def stop_share(self) -> float:
-        """The most that lies behind where a pixel ends, in units of the range of the colours."""
-        if self.inclusive_stop:
-            return self.stop
-        return min(1.0, self.stop / (1.0 - self.alpha_max)) if self.alpha_max < 1.0 else 1.0
-
     def __post_init__(self) -> None:
         for name in ("dilation", "alpha_min", "alpha_max", "stop", "near", "far", "fov_margin"):
             if not math.isfinite(getattr(self, name)):

@@ -61,7 +61,17 @@ def test_reconstruct_and_render(scene_dir: Path, standin_model: Path, capfd: pyt
     document = json.loads(out)
     assert document["selected_views"] == [0, 2]
     assert document["gaussians"]["count"] == len(read_ply(scene_dir / "out.ply"))
-    for stage in ("load model", "read images", "cameras", "images", "network", "gaussians", "write .ply"):
+    for stage in (
+        "load model",
+        "kernels",
+        "read images",
+        "cameras",
+        "images",
+        "network",
+        "gaussians",
+        "check",
+        "write .ply",
+    ):
         assert re.search(rf"^{re.escape(stage)} +\d+\.\d\d s$", err, re.MULTILINE), err
 
     cameras = scene_dir / "cameras.json"

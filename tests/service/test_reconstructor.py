@@ -119,6 +119,9 @@ def test_document_is_plain_json_and_complete(scene, plane_scene, engine):
     assert document["gaussians"] == {"count": 3 * (HEIGHT * WIDTH + EXTRA), "sh_degree": 1}
     assert document["dropped"] == []
     assert document["warnings"] == []
+    assert len(document["check"]["input_views"]) == len(plane_scene.cameras)
+    assert document["check"]["no_parallax_share"] < 0.02  # corners that no other view has in its picture
+    assert document["check"]["textureless_share"] < 0.05
     assert list(document["timings"]) == ["cameras", "images", "network", "gaussians", "check"]
     assert document["routing"]["patches_per_expert"] == {"0": 0, "1": 36, "2": 0, "3": 0, "4": 36}
     assert sum(document["routing"]["mean_task_weight"].values()) == pytest.approx(1)

@@ -8,21 +8,21 @@ import pytest
 from skimage.metrics import structural_similarity
 
 from gapmes.service.camera import Camera
+from gapmes.service.commands.reconstruct import check_line
 from gapmes.service.depth_range import DepthRange
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import FittedView
 from gapmes.service.picture_error import psnr, ssim
-from gapmes.service.self_check import GRID, depth_steps, parallax, self_check, undecided_share
+from gapmes.service.self_check import GRID, depth_steps, parallax, self_check
 from gapmes.service.splat import render
 
 DEPTHS = DepthRange(1.0, 10.0, "given")
 
 
 class Info:
-    """The two fields of `ModelInfo` that are looked at."""
+    """The field of `ModelInfo` that is looked at."""
 
     config = {"depth_planes": 65}  # noqa: RUF012
-    tolerance = {"expert_weight": {"p99": 1e-3}}  # noqa: RUF012
 
 
 def camera(x: float = 0.0, turn: float = 0.0, size: int = 48) -> Camera:
@@ -66,9 +66,13 @@ def test_psnr_has_a_closed_form_and_ends_at_100_db():
     picture[:, :6] += np.float32(0.125)
     top = np.arange(12)[:, None] < np.full(12, 6)
     assert psnr(picture, truth) == pytest.approx(-10 * math.log10(0.125**2 / 2))
+    assert math.isnan(psnr(picture + np.nan, truth))
     assert psnr(picture, truth, top) == pytest.approx(-10 * math.log10(0.125**2))
     assert psnr(picture, truth, ~top) == 100.0
     assert ssim(truth, truth) == pytest.approx(1.0)
+    black = np.zeros((4, 4, 3), np.uint8)
+    assert psnr(black, black + 255) == pytest.approx(0.0)
+    assert psnr(black, black + 51) == pytest.approx(-20 * math.log10(0.2))
     assert math.isnan(psnr(picture, truth, np.zeros((12, 12), bool)))
     assert math.isnan(ssim(picture[:, :8], truth[:, :8]))
 
@@ -76,12 +80,12 @@ def test_psnr_has_a_closed_form_and_ends_at_100_db():
 def test_a_scene_that_shows_its_inputs_says_so_and_another_does_not():
     gaussians, views = cloud(), [camera(), camera(0.3)]
     fitted = [drawn(gaussians, view) for view in views]
-    check = self_check(gaussians, fitted, DEPTHS, {}, Info, near=0.1, threads=1)
+    check = self_check(gaussians, fitted, DEPTHS, Info, near=0.1, threads=1)
     assert [row["psnr"] for row in check["input_views"]] == [100.0, 100.0]
     assert [row["ssim"] for row in check["input_views"]] == [1.0, 1.0]
-    other = self_check(cloud(1), fitted, DEPTHS, {}, Info, near=0.1, threads=1)
+    other = self_check(cloud(1), fitted, DEPTHS, Info, near=0.1, threads=1)
     assert max(row["psnr"] for row in other["input_views"]) < 20
-    nothing = self_check(gaussians[:0], fitted, DEPTHS, {}, Info, near=0.1, threads=1)
+    nothing = self_check(gaussians[:0], fitted, DEPTHS, Info, near=0.1, threads=1)
     assert [row["holes"] for row in nothing["input_views"]] == [1.0, 1.0]
 
 
@@ -91,10 +95,10 @@ def test_only_what_the_mask_keeps_counts():
     spoiled = drawn(gaussians, view, half)
     spoiled.image[:, :, 24:] = 0.5
     fitted = [spoiled, drawn(gaussians, camera(0.3), np.zeros((48, 48), bool))]
-    check = self_check(gaussians, fitted, DEPTHS, {}, Info, near=0.1, threads=1)
+    check = self_check(gaussians, fitted, DEPTHS, Info, near=0.1, threads=1)
     assert check["input_views"][0]["psnr"] == 100.0
     assert check["input_views"][1] == {"psnr": None, "ssim": None, "holes": None}
-    whole = self_check(gaussians, [replace(spoiled, mask=None)], DEPTHS, {}, Info, near=0.1, threads=1)
+    whole = self_check(gaussians, [replace(spoiled, mask=None)], DEPTHS, Info, near=0.1, threads=1)
     assert whole["input_views"][0]["psnr"] < 40
     assert whole["textureless_share"] == pytest.approx((48 - 24 - 3) / 48, abs=0.01)  # windows of 7 px within the grey
 
@@ -115,15 +119,37 @@ def test_parallax_is_a_shift_between_near_and_far():
 def test_depth_steps_are_half_the_distance_of_candidates():
     candidates = 1 / np.linspace(1 / DEPTHS.near, 1 / DEPTHS.far, 65)
     steps = depth_steps(DEPTHS, Info)
-    assert steps["near"] == pytest.approx((candidates[1] - candidates[0]) / 2 / 1.0, rel=0.02)
-    # A step of 0.14 of the depth is no longer small: the one-sided difference falls short by that share.
-    assert steps["far"] == pytest.approx((candidates[-1] - candidates[-2]) / 2 / candidates[-2], rel=0.02)
-    assert steps["middle"] == pytest.approx(math.sqrt(10) * 0.9 / 128, abs=1e-6)
+    half_way = 2 / (1 / candidates[:-1] + 1 / candidates[1:])  # between two candidates in inverse depth
+    assert steps["far"] == pytest.approx((10 - half_way[-1]) / 10, abs=1e-6)
+    assert steps["near"] == pytest.approx(0.9 / 128 / (1 + 0.9 / 128), abs=1e-6)
+    assert steps["middle"] == pytest.approx(1 - 1 / (1 + math.sqrt(10) * 0.9 / 128), abs=1e-6)
+    wide = depth_steps(DepthRange(1.0, 1e6, "given"), Info)
+    assert 0.99 < (wide["far"] or 0.0) < 1  # half a step before 1e6 is nearly all of it, never more
     assert depth_steps(DEPTHS, type("Other", (), {"config": {}}))["far"] is None
 
 
-def test_a_patch_is_undecided_where_its_experts_weigh_the_same():
-    weights = np.array([[[0.5, 0.5], [0.5009, 0.4991], [0.5011, 0.4989], [0.9, 0.1]]])
-    assert undecided_share({"expert_weight": weights}, Info) == 0.5
-    assert undecided_share({"expert_weight": weights[..., :1]}, Info) is None
-    assert undecided_share({}, Info) is None
+def test_a_uniform_object_on_a_mask_has_no_texture():
+    mask = np.zeros((48, 48), bool)
+    mask[20:30, 15:25] = True
+    image = np.where(mask, np.float32(0.6), np.float32(0.0)) * np.ones((3, 1, 1), np.float32)
+    views = [FittedView(image, mask, camera(x), 1.0) for x in (0.0, 0.3)]
+    assert self_check(cloud(), views, DEPTHS, Info, near=0.1, threads=1)["textureless_share"] == 1.0
+
+
+def test_rays_that_cross_a_picture_quickly_are_found():
+    """A long step to the side, turned inwards: each ray is in the other picture for a small part of its depths."""
+    views = [FittedView(np.zeros((3, 48, 48), np.float32), None, view, 1.0) for view in (camera(), camera(1.0, -0.3))]
+    found = parallax(views, 0, DepthRange(0.05, 100.0, "given"))
+    assert found.mean() > 0.95
+
+
+def test_the_line_of_the_command_names_what_is_known():
+    gaussians = cloud()
+    check = self_check(gaussians, [drawn(gaussians, camera(x)) for x in (0.0, 0.3)], DEPTHS, Info, near=0.1, threads=1)
+    line = check_line(check)
+    assert line.startswith("inputs drawn again: 100.0, 100.0 dB; ")
+    assert line.endswith("depth candidates every 4.4 % half way")
+    check["depth_step"]["middle"], check["no_parallax_share"] = None, None
+    check["input_views"][1]["psnr"] = None
+    assert "100.0, no pixel dB" in check_line(check)
+    assert "parallax" not in check_line(check)

@@ -9,12 +9,12 @@ from synthetic_scenes import FAR, NEAR, StepScene, camera_at
 
 from gapmes.export.evaluation.case import generated_cases
 from gapmes.export.evaluation.measure import _baseline_pictures
-from gapmes.export.evaluation.metrics import masked_psnr
 from gapmes.export.evaluation.pixel_splats import drawn_over, pixel_gaussians
 from gapmes.export.evaluation.planes import PLANES, consistent_plane, nearest_input, plane_blend
 from gapmes.export.evaluation.scores import BASELINES, NEAREST, SWEEP, TRUE_DEPTH, TUNED_SWEEP
 from gapmes.export.evaluation.sweep import filled_from_behind, swept_depths
 from gapmes.export.evaluation.warp import source_positions, warped
+from gapmes.service.picture_error import psnr
 
 
 def test_positions_are_those_of_the_camera() -> None:
@@ -86,7 +86,7 @@ def test_splats_at_true_depth_show_their_own_view() -> None:
     behind = np.zeros_like(view.image)
     picture = drawn_over(pixel_gaussians([view], depth), view.camera, behind, near=0.05, threads=1)
     # the blur of 0.55 px takes some contrast off the texture: measured 36.6 dB
-    assert masked_psnr(picture, view.image, np.ones((64, 64), dtype=bool)) > 32
+    assert psnr(picture, view.image) > 32
     nothing = pixel_gaussians([view], depth, np.zeros(depth.shape, dtype=bool))
     faint = drawn_over(nothing, view.camera, behind, near=0.05, threads=1)
     assert faint.mean() < picture.mean()
@@ -99,8 +99,7 @@ def test_true_depth_is_a_ceiling_on_generated_scenes() -> None:
         assert case.near is not None
         assert case.far is not None
         for name, drawn in _baseline_pictures(case, case.near, case.far, 1).items():
-            full = np.ones((64, 64), dtype=bool)
-            values[name] += [masked_psnr(p, t.image, full) for p, t in zip(drawn, case.targets, strict=True)]
+            values[name] += [psnr(p, t.image) for p, t in zip(drawn, case.targets, strict=True)]
     means = {name: np.mean(v) for name, v in values.items()}
     assert means[TRUE_DEPTH] > max(means[name] for name in BASELINES)
     assert min(means[SWEEP], means[TUNED_SWEEP]) > means[NEAREST]

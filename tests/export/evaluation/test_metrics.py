@@ -10,9 +10,10 @@ import torch
 import torch.nn.functional as F
 
 from gapmes.export.evaluation.lpips import LAYERS, Lpips, default_weights
-from gapmes.export.evaluation.metrics import Figures, figures, masked_psnr, masked_ssim, mean_figures
-from gapmes.model.training.losses import gaussian_ssim, psnr
+from gapmes.export.evaluation.metrics import Figures, figures, mean_figures
+from gapmes.model.training import losses
 from gapmes.service.errors import InputError
+from gapmes.service.picture_error import psnr, ssim
 
 RNG = np.random.default_rng(5)
 
@@ -38,7 +39,7 @@ def test_masked_psnr_is_the_error_of_the_kept_pixels() -> None:
         for channel in range(3):
             total += (float(a[channel, row, column]) - float(b[channel, row, column])) ** 2
             count += 1
-    assert masked_psnr(a, b, mask) == pytest.approx(-10 * math.log10(total / count), abs=1e-9)
+    assert psnr(a, b, mask) == pytest.approx(-10 * math.log10(total / count), abs=1e-9)
 
 
 def test_masked_ssim_is_the_mean_of_windows_centred_in_the_mask() -> None:
@@ -59,15 +60,17 @@ def test_masked_ssim_is_the_mean_of_windows_centred_in_the_mask() -> None:
                 c = (kernel * x * y).sum() - mx * my
                 top = (2 * mx * my + 1e-4) * (2 * c + 9e-4)
                 values.append(top / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4)))
-    assert masked_ssim(a, b, mask) == pytest.approx(np.mean(values), abs=1e-9)
+    assert ssim(a.astype(np.float64), b.astype(np.float64), mask) == pytest.approx(np.mean(values), abs=1e-9)
 
 
 def test_with_a_full_mask_both_are_the_figures_of_training() -> None:
     a, b = pictures()
     full = np.ones(a.shape[1:], dtype=bool)
     one, other = torch.from_numpy(a)[None], torch.from_numpy(b)[None]
-    assert masked_psnr(a, b, full) == pytest.approx(float(psnr(one, other)), abs=1e-4)  # float32 there
-    assert masked_ssim(a, b, full) == pytest.approx(float(gaussian_ssim(one, other)), abs=1e-5)
+    assert psnr(a, b, full) == pytest.approx(float(losses.psnr(one, other)), abs=1e-4)  # float32 there
+    assert ssim(a.astype(np.float64), b.astype(np.float64), full) == pytest.approx(
+        float(losses.gaussian_ssim(one, other)), abs=1e-5
+    )
 
 
 def test_equal_pictures_and_empty_masks() -> None:

@@ -1,4 +1,4 @@
-"""Kernels write without bounds checks: here every array that they fill lies between guards that must stay untouched."""
+"""Kernels write without bounds checks: here what they fill lies between guards that must stay untouched."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,9 @@ from gapmes.service.splat.access import BLOCK
 from gapmes.service.splat.binning import Grid, tile_lists
 from gapmes.service.splat.blend import Canvas, blend
 from gapmes.service.splat.order import depth_order
-from gapmes.service.splat.prepare import EXTENT, RECORD, Workspace, prepared
+from gapmes.service.splat.prepare import DEPTH, EXTENT, RECORD, Workspace, prepared
 from gapmes.service.splat.project import project
+from gapmes.service.splat.render import OUTPUTS
 from gapmes.service.splat.tile_state import tile_floats
 from gapmes.service.splat.vectors import ALL_CHANNELS
 
@@ -56,20 +57,25 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
     shape = (height, width)
     planes = [guarded.array(shape, np.float32) for _ in range(4)]
     rgb, peaks = guarded.array((*shape, 3), np.float32), guarded.array((count,), np.float32)
-    peaks[:] = 0.0
     state = guarded.array((grid.tiles, tile_floats(ALL_CHANNELS)), np.float32)
     canvas = Canvas(rgb, *planes, peaks, state, np.zeros(3, np.float32))
+    subset = np.arange(count) % 2 == 0
     for threads in (1, 2):
+        for array in (rgb, *planes, space.records, space.extents, space.depths):
+            array.view(np.uint8)[...] = PATTERN
+        peaks[:] = 0.0
         projection = project(prepared(gaussians, threads), view, rule, 1, threads, space)
         order = depth_order(space.depths, projection.drawn, gaussians)
+        marked = projection.drawn[subset[projection.drawn]]
+        space.records.view(np.float32)[marked, DEPTH] *= -1
         for number, lists in enumerate(tile_lists(projection, order, grid, max_entries, threads)):
             blend(lists, space.records, canvas, grid, rule, threads, first_batch=number == 0)
         guarded.check()
-    # and every pixel was written: the pattern is -7e-17 as a float, which no plane holds
-    expected = render(gaussians, view)
-    assert rgb.tobytes() == expected.rgb.tobytes()
-    assert planes[0].tobytes() == expected.alpha.tobytes()
-    assert planes[1].tobytes() == expected.depth.tobytes()
+        # and every pixel was written: the pattern is -2.9e-16 as a float, which no plane holds
+        expected = render(gaussians, view, outputs=OUTPUTS, subset=subset)
+        names = ("rgb", "alpha", "depth", "median", "removed", "peaks")
+        for name, array in zip(names, (rgb, *planes, peaks), strict=True):
+            assert array.tobytes() == getattr(expected, name).tobytes(), name
 
 
 def test_a_very_wide_picture_matches_the_reference():
@@ -84,10 +90,12 @@ def test_ten_repeats_give_the_same_bits():
 
 
 def test_minus_zero_is_zero():
-    """In every field of one Gaussian of three."""
+    """In every field: positions, scales, rotations, an opacity and all harmonics."""
     means = np.array([[0.0, 0.0, 2.0], [0.1, 0.0, 2.5], [0.0, 0.1, 3.0]])
-    plain = dots(means, [0.5, 0.0, 0.7], (0.5, 0.2, 0.9))
-    turned = dots(np.where(means == 0, -0.0, means), [0.5, -0.0, 0.7], (0.5, 0.2, 0.9), -0.0)
-    turned.rotations_wxyz[1, 1:] = -0.0
+    plain = dots(means, [0.5, 0.0, 0.7], (0.5, 0.5, 0.5))
+    turned = dots(np.where(means == 0, -0.0, means), [0.5, -0.0, 0.7], (0.5, 0.5, 0.5), -0.0)
+    turned.rotations_wxyz[:, 1:] = -0.0
+    turned.harmonics[:] = -0.0
     assert np.signbit(turned.scales).all()
+    assert (render(plain, camera()).alpha > 0.4).any()
     assert bits(render(turned, camera())) == bits(render(plain, camera()))
