@@ -7,3 +7,4 @@ from .render import Render as Render
 from .render import render as render
 from .render import render_views as render_views
 from .render import warm_up as warm_up
+from .supersample import render_supersampled as render_supersampled

@@ -78,3 +78,5 @@ def _require(name: str, value: float, low: float, high: float) -> None:
 INRIA = Definition(near=0.2, inclusive_stop=False)
 """The constants and the stopping rule of the reference rasteriser of 3DGS: near cut 0.2, and a pixel ends before the
 Gaussian that would take its transmittance below 1e-4."""
+
+COMPATIBLE = {"inria": INRIA}

@@ -47,10 +47,11 @@ def render_reference(
     sh_degree: int | None = None,
     near: float | None = None,
     definition: Definition | None = None,
+    compatibility: str | None = None,
     subset: NDArray[np.bool_] | None = None,
 ) -> Render:
     """The image that `render` approximates with all outputs, in float64; takes N x H x W steps."""
-    rule, degree = checked_definition(definition, near), checked_degree(sh_degree, gaussians)
+    rule, degree = checked_definition(definition, near, compatibility), checked_degree(sh_degree, gaussians)
     offset = gaussians.means - camera.center
     x, y, z = (offset @ camera.rotation).T
     drawn = (z > rule.near) & (z <= rule.far) & (gaussians.opacities.astype(np.float64) >= rule.alpha_min)

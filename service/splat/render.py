@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..gaussians import Gaussians
 from .binning import Grid, TileLists, tile_lists
 from .blend import Canvas, blend
-from .definition import Definition
+from .definition import COMPATIBLE, Definition
 from .order import depth_order
 from .parallel import checked_threads
 from .prepare import DEPTH, prepared
@@ -81,21 +81,22 @@ def render(
     near: float | None = None,
     threads: int | None = None,
     definition: Definition | None = None,
+    compatibility: str | None = None,
     outputs: Collection[str] = ("alpha", "depth"),
     subset: NDArray[np.bool_] | None = None,
 ) -> Render:
     """Draw the Gaussians; `definition.py` says what image that is, `reference.py` computes the same in float64.
 
     `background` is three numbers (black), `sh_degree` the highest band used (all there are), `near` the nearest z-depth
-    in the caller's units (0.01), `threads` the number of CPU threads (all), `outputs` which planes to compute beside
-    the colours (`OUTPUTS`), `subset` (N,) which Gaussians `removed` is about. The image has the same bits for every
-    number of threads, every order of the input and every choice of outputs. It differs from the float64 one by at most
-    1e-5 for any dilation and alpha_min from the usual ones up, apart from pixels at which a Gaussian lies on the very
-    edge of a cut (alpha_min, stop, near, equal depths).
+    in the caller's units (0.01), `compatibility` "inria" for the reference rasteriser's rules, `threads` the number of
+    CPU threads (all), `outputs` which planes to compute beside the colours (`OUTPUTS`), `subset` (N,) which Gaussians
+    `removed` is about. The image has the same bits for every number of threads, every order of the input and every
+    choice of outputs. It differs from the float64 one by at most 1e-5 for any dilation and alpha_min from the usual
+    ones up, apart from pixels at which a Gaussian lies on the very edge of a cut (alpha_min, stop, near, equal depths).
 
     Raises `InputError` for a background, degree, plane, thread count, output, subset or size that makes no sense.
     """
-    definition = checked_definition(definition, near)
+    definition = checked_definition(definition, near, compatibility)
     behind = checked_background(background)
     degree = checked_degree(sh_degree, gaussians)
     threads = checked_threads(threads)
@@ -196,8 +197,14 @@ def warm_up() -> None:
     render(gaussians, camera, threads=1, outputs=())
 
 
-def checked_definition(definition: Definition | None, near: float | None) -> Definition:
-    """The definition asked for, with `near` replaced if given."""
+def checked_definition(definition: Definition | None, near: float | None, compatibility: str | None) -> Definition:
+    """The definition asked for, as a whole or by the name of a renderer, with `near` replaced if given."""
+    if compatibility is not None:
+        if compatibility not in COMPATIBLE:
+            raise InputError(f"is {compatibility!r}, need one of {', '.join(COMPATIBLE)}", field="compatibility")
+        if definition is not None:
+            raise InputError("goes without a definition, which it is", field="compatibility")
+        definition = COMPATIBLE[compatibility]
     definition = definition or Definition()
     return definition if near is None else replace(definition, near=float(near))
 

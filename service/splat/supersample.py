@@ -1,0 +1,52 @@
+"""Several samples per pixel: drawn larger and averaged, with the low-pass filter of the picture's own pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import Camera
+from ..errors import InputError
+from ..gaussians import Gaussians
+from .render import Render, checked_definition, render
+
+AVERAGED = ("alpha", "depth")  # what has a mean
+
+
+def render_supersampled(gaussians: Gaussians, camera: Camera, factor: int, **options: Any) -> Render:
+    """`render` with factor x factor samples per pixel, each of the mean of its squares: colour, opacity, and depth by
+    weight.
+
+    The dilation is that of the picture's own pixels, so that a splat keeps its footprint and only the sampling within a
+    pixel is finer. Time grows with the square of the factor. `stats` are those of the larger picture. Raises
+    `InputError` for a factor that is no whole number from 1 on, and for outputs that have no mean.
+    """
+    if not isinstance(factor, int) or factor < 1:
+        raise InputError(f"is {factor}, need a whole number of at least 1", field="factor")
+    outputs = options.pop("outputs", AVERAGED)
+    others = sorted(set(outputs) - set(AVERAGED))
+    if others:
+        raise InputError(f"{others[0]!r} has no mean over samples, need some of {', '.join(AVERAGED)}", field="outputs")
+    rule = checked_definition(*(options.pop(name, None) for name in ("definition", "near", "compatibility")))
+    rule = replace(rule, dilation=rule.dilation * factor * factor)
+    larger = camera.resized(factor * camera.width, factor * camera.height)
+    needed = {*outputs, "alpha"} if "depth" in outputs else outputs
+    image = render(gaussians, larger, definition=rule, outputs=needed, **options)
+    alpha = depth = image.depth[:0, :0]
+    if "depth" in outputs:
+        weight = averaged(image.alpha, factor)
+        total = averaged(image.alpha * image.depth, factor)
+        depth = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0)
+    if "alpha" in outputs:
+        alpha = averaged(image.alpha, factor)
+    return Render(averaged(image.rgb, factor), alpha, depth, image.stats)
+
+
+def averaged(plane: NDArray[np.floating], factor: int) -> NDArray[np.float32]:
+    """(H, W, ...) means over squares of factor x factor samples of (factor H, factor W, ...)."""
+    height, width, *rest = plane.shape
+    squares = plane.reshape(height // factor, factor, width // factor, factor, *rest)
+    return squares.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
