@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from ..camera import Camera
 from ..gaussians import Gaussians
 from .definition import Definition
+from .options import checked_background, checked_definition, checked_degree
 from .order import depth_order
-from .render import Render, checked_background, checked_definition, checked_degree
+from .render import Render
 
 F64 = NDArray[np.float64]
 

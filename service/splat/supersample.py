@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ..camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
-from .render import Render, checked_definition, render
+from .options import checked_definition
+from .render import Render, render
 
 AVERAGED = ("alpha", "depth")  # what has a mean
 

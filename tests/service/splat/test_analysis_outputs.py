@@ -8,7 +8,7 @@ from splat_cases import bits, camera, dots, scene
 
 from gapmes.service.errors import InputError
 from gapmes.service.splat import INRIA, Definition, render, render_reference
-from gapmes.service.splat.render import OUTPUTS
+from gapmes.service.splat.options import OUTPUTS
 
 
 def halves(count: int, seed: int) -> np.ndarray:

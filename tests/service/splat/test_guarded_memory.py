@@ -9,10 +9,10 @@ from gapmes.service.splat import Definition, render
 from gapmes.service.splat.access import BLOCK
 from gapmes.service.splat.binning import Grid, tile_lists
 from gapmes.service.splat.blend import Canvas, blend
+from gapmes.service.splat.options import OUTPUTS
 from gapmes.service.splat.order import depth_order
 from gapmes.service.splat.prepare import DEPTH, EXTENT, RECORD, Workspace, prepared
 from gapmes.service.splat.project import project
-from gapmes.service.splat.render import OUTPUTS
 from gapmes.service.splat.tile_state import tile_floats
 from gapmes.service.splat.vectors import ALL_CHANNELS
 

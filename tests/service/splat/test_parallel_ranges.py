@@ -9,8 +9,8 @@ from splat_cases import bits, camera, scene
 
 from gapmes.service.errors import InputError
 from gapmes.service.splat import render
+from gapmes.service.splat.options import OUTPUTS
 from gapmes.service.splat.parallel import available_threads, checked_threads, run_ranges
-from gapmes.service.splat.render import OUTPUTS
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])

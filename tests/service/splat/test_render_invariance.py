@@ -13,10 +13,11 @@ from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, render
 from gapmes.service.splat.binning import Grid, TileLists, count_range, fill_rows, tile_lists
 from gapmes.service.splat.blend import blend, blend_tiles
+from gapmes.service.splat.options import OUTPUTS
 from gapmes.service.splat.order import depth_order, radix_pass, settle_equals
 from gapmes.service.splat.prepare import Workspace, prepare_range, prepared
 from gapmes.service.splat.project import project, project_range
-from gapmes.service.splat.render import OUTPUTS, new_canvas
+from gapmes.service.splat.render import new_canvas
 
 
 def test_threads_and_repeats_give_the_same_bits():

@@ -1,0 +1,82 @@
+"""What drawing is asked to do, checked once: rules, background, size, outputs, degree."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import Camera
+from ..errors import InputError
+from ..gaussians import Gaussians
+from .binning import Grid
+from .definition import COMPATIBLE, Definition
+from .spans import MAX_SIDE
+
+OUTPUTS = ("alpha", "depth", "median", "removed", "peaks", "pairs")  # what can be asked for beside the colours
+ANALYSIS = ("median", "removed", "peaks", "pairs")  # these are computed together
+
+
+def checked_definition(definition: Definition | None, near: float | None, compatibility: str | None) -> Definition:
+    """The definition asked for, as a whole or by the name of a renderer, with `near` replaced if given."""
+    if compatibility is not None:
+        if compatibility not in COMPATIBLE:
+            raise InputError(f"is {compatibility!r}, need one of {', '.join(COMPATIBLE)}", field="compatibility")
+        if definition is not None:
+            raise InputError("goes without a definition, which it is", field="compatibility")
+        definition = COMPATIBLE[compatibility]
+    definition = definition or Definition()
+    return definition if near is None else replace(definition, near=float(near))
+
+
+def checked_background(background: Sequence[float] | None) -> NDArray[np.float32]:
+    """(3,) finite background colour; None is black."""
+    try:  # a copy in C order: kernels take no strides, and numba would compile them again for a read-only array
+        value = np.array((0, 0, 0) if background is None else background, dtype=np.float32, order="C")
+    except (TypeError, ValueError):
+        value = np.empty(0, np.float32)
+    if value.shape != (3,) or not np.isfinite(value).all():
+        raise InputError(f"is {background}, need three finite numbers", field="background")
+    return value
+
+
+def checked_size(camera: Camera) -> Grid:
+    """The tiles of the picture. Raises `InputError` for a side whose tiles cannot be numbered."""
+    side = max(camera.width, camera.height)
+    if side > MAX_SIDE:
+        raise InputError(
+            f"{camera.width} x {camera.height} px, at most {MAX_SIDE} per side can be drawn",
+            field="camera.size",
+            cure="draw it in parts, each by a cropped camera",
+        )
+    return Grid(camera.width, camera.height)
+
+
+def checked_outputs(
+    outputs: Collection[str], subset: NDArray[np.bool_] | None, gaussians: Gaussians
+) -> NDArray[np.bool_] | None:
+    """The subset that `removed` needs, None where it is not asked for."""
+    unknown = sorted(set(outputs) - set(OUTPUTS))
+    if unknown:
+        raise InputError(f"{unknown[0]!r} is unknown, need some of {', '.join(OUTPUTS)}", field="outputs")
+    if ("removed" in outputs) != (subset is not None):
+        cure = "give one" if subset is None else "ask for 'removed' or leave it out"
+        raise InputError(f"goes with the output 'removed': {cure}", field="subset")
+    if subset is None:
+        return None
+    chosen = np.asarray(subset)
+    if chosen.shape != (len(gaussians),) or chosen.dtype != bool:
+        need = f"need ({len(gaussians)},) of bool"
+        raise InputError(f"is {chosen.shape} of {chosen.dtype}, {need}", field="subset")
+    return chosen
+
+
+def checked_degree(sh_degree: int | None, gaussians: Gaussians) -> int:
+    """The SH degree to evaluate: the one asked for, at most what the scene has."""
+    if sh_degree is None:
+        return gaussians.sh_degree
+    if sh_degree not in (0, 1, 2, 3):
+        raise InputError(f"is {sh_degree}, need 0, 1, 2 or 3", field="sh_degree")
+    return min(int(sh_degree), gaussians.sh_degree)
