@@ -51,13 +51,16 @@ class GaussiansCache:
             self._bytes -= size_of(gaussians)
 
 
-# Per Gaussian, what the splatter keeps beside a set that it has drawn (`splat/prepare.py`): 14 doubles for every camera
-# and the projection of one, 108 bytes; and the harmonics once more.
-DRAWING_BYTES = 14 * 8 + 108
+# What the splatter keeps beside a set that it has drawn (`splat/prepare.py`): in blocks of 256 Gaussians 14 doubles for
+# every camera and the harmonics once more, and the projection of one camera, 108 bytes each.
+BLOCK, PREPARED_BYTES, PROJECTED_BYTES = 256, 14 * 8, 108
 
 
 def size_of(gaussians: Gaussians) -> int:
     """Bytes of the arrays, and of what the splatter will keep beside them."""
     arrays = (gaussians.means, gaussians.scales, gaussians.rotations_wxyz, gaussians.opacities, gaussians.harmonics)
-    drawing = len(gaussians) * DRAWING_BYTES + gaussians.harmonics.nbytes
+    count = len(gaussians)
+    padded = -(-count // BLOCK) * BLOCK
+    harmonics = gaussians.harmonics[:1].nbytes if count else 0
+    drawing = padded * (PREPARED_BYTES + harmonics) + count * PROJECTED_BYTES
     return sum(array.nbytes for array in arrays) + drawing

@@ -124,8 +124,9 @@ def test_the_test_of_a_block_leaves_out_nothing_that_a_pixel_would_show(seed):
     assert (reach[best < -40] < 0).all()
 
 
-def test_the_cache_of_sets_knows_what_drawing_keeps():
-    gaussians = scene(5 * BLOCK, 8, 2)
+@pytest.mark.parametrize("count", [1, 5 * BLOCK, 5 * BLOCK + 1])
+def test_the_cache_of_sets_knows_what_drawing_keeps(count):
+    gaussians = scene(count, 8, 2)
     bare = sum(getattr(gaussians, name).nbytes for name in Gaussians.__dataclass_fields__)
     render(gaussians, camera())
     kept = prepared(gaussians, 1)
