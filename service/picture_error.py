@@ -1,4 +1,4 @@
-"""PSNR and SSIM of two pictures, over all pixels or those of a mask; colours in [0, 1], or bytes."""
+"""PSNR and SSIM of two pictures with colours in [0, 1] (for PSNR also bytes), over all pixels or those of a mask."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def psnr(picture: NDArray, truth: NDArray, mask: NDArray[np.bool_] | None = None
 def ssim(picture: NDArray, truth: NDArray, mask: NDArray[np.bool_] | None = None) -> float:
     """Mean SSIM of (3, H, W) pictures over the windows inside whose centre the mask keeps; NaN if there is none.
 
-    Computed in the precision of the pictures: float32 is right to 1e-6, a tenth of float64's time.
+    Computed in the precision of the pictures: float32 is right to 1e-6 (measured 1e-7) in two thirds of the time.
     """
     a, b = picture, truth
     mean_a, mean_b = _gaussian_means(a), _gaussian_means(b)

@@ -1,7 +1,7 @@
 """What a reconstruction tells about its own error: the inputs drawn again, and what could not be measured at all.
 
-None of it needs a truth. A scene that does not show its own inputs is wrong; one that does may still be wrong where
-nothing was measured, so the shares of such pixels stand beside it.
+None of it needs a truth. A scene that does not show its own inputs well points to an error; one that does may still be
+wrong where nothing was measured, so the shares of such pixels stand beside it.
 """
 
 from __future__ import annotations

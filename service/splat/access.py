@@ -1,8 +1,8 @@
 """Single machine instructions for the kernels: unchecked flat access, the larger and the smaller, rounding up and down.
 
 Numba's own indexing unpacks an array's seven fields and allows for negative indices at every access, and its min, max
-and ceil are compiled functions. These are one or two instructions each: the kernels compile in two thirds of the time,
-and LLVM sees loops that it can turn into vectors.
+and ceil are compiled functions. These are one or two instructions each: the kernels compile in four fifths of the
+time, and LLVM sees loops that it can turn into vectors.
 """
 
 from __future__ import annotations

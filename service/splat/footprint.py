@@ -17,7 +17,7 @@ OUTPUTS = 15
 HALF_LOG2E = math.sqrt(0.5 / math.log(2.0))
 
 # Added to the squared radius of the alpha cut, so that tile lists hold every pixel that float32 lets through: its
-# error in the squared distance is below 1e-4 for the default dilation, and ten times that for a hundredth of it.
+# error in the squared distance is below 1e-4 from the default dilation up.
 RADIUS_SLACK = 1e-3
 
 

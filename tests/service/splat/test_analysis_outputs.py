@@ -18,7 +18,7 @@ def halves(count: int, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("rule", [Definition(), INRIA, Definition(stop=0.05)], ids=["own", "inria", "early stop"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_all_outputs_match_the_reference(rule, seed):
-    """Measured: 3e-7 for masses and peaks, medians and pairs equal but for edges of cuts."""
+    """Measured: masses 5.7e-7, peaks 1.3e-7; medians and pairs are equal on these scenes, no pixel lies on an edge."""
     gaussians, view, subset = scene(250, seed, 1), camera(), halves(250, seed)
     ours = render(gaussians, view, definition=rule, outputs=OUTPUTS, subset=subset)
     true = render_reference(gaussians, view, definition=rule, subset=subset)
