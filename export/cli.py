@@ -16,6 +16,7 @@ from gapmes.service.terminal import ProgressBars
 
 from .pipeline import Exported, ExportRejected, VerificationBroken, export_checkpoint
 from .tolerance import TOLERANCES
+from .variant import Variant
 
 REFUSED = 1
 REJECTED = 3
@@ -33,6 +34,10 @@ def export(
     ] = None,
     size: Annotated[str, typer.Option(help="HEIGHTxWIDTH in pixels, multiples of 16.")] = "256x256",
     precision: Annotated[str, typer.Option(help=f"One of {', '.join(TOLERANCES)}.")] = "fp32",
+    top_k: Annotated[int | None, typer.Option(help="Experts per patch, at most all [default: as trained].")] = None,
+    keep_all: Annotated[
+        bool, typer.Option("--keep-all", help="Run every expert on every patch and match every pair of views.")
+    ] = False,
     quick: Annotated[bool, typer.Option(help="Verify at two view counts instead of five.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> None:
@@ -60,6 +65,7 @@ def export(
                 height=height,
                 width=width,
                 precision=precision,
+                variant=Variant(top_k, keep_all),
                 quick=quick,
                 listener=bars,
             )

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from gapmes.model.backbones import VitFeatures
 from gapmes.model.config import PIXELS_PER_PATCH
 from gapmes.model.network import GaPMeS
-from gapmes.service.contract import EXPERT_OUTPUTS, REQUIRED_OUTPUTS, TASK_OUTPUTS
+from gapmes.service.contract import EXPERT_OUTPUTS, MARGIN_OUTPUTS, REQUIRED_OUTPUTS, TASK_OUTPUTS
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class SceneGraph(nn.Module):
         gates = self.network.mixture.gates
         experts = EXPERT_OUTPUTS if gates is not None and gates.expert_gate is not None else ()
         tasks = TASK_OUTPUTS if gates is not None and gates.task_gate is not None else ()
-        return REQUIRED_OUTPUTS + experts + tasks
+        return REQUIRED_OUTPUTS + experts + tasks + (MARGIN_OUTPUTS if gates is not None else ())
 
     def forward(
         self, images: Tensor, intrinsics: Tensor, world_from_cam: Tensor, near_far: Tensor, patch_mask: Tensor
@@ -63,6 +63,8 @@ class SceneGraph(nn.Module):
             for value in (routing.expert_index, routing.expert_weight, routing.task_weight):
                 if value is not None:
                     outputs.append(value.reshape(-1, patches, value.shape[-1]))
+            if routing.margin is not None:
+                outputs.append(routing.margin.reshape(-1, patches))
         return tuple(outputs)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import onnx
 
-from gapmes.model.checkpoint import file_sha256, load_checkpoint, read_metadata
+from gapmes.model.checkpoint import file_sha256, read_metadata
 from gapmes.service.progress import Listener, Stage, Stages, silent
 
 from .build import export_graph
@@ -20,7 +20,10 @@ from .metadata import add_metadata, contract_metadata, write_model
 from .quantise import quantised
 from .report import Report
 from .tolerance import Precision
+from .variant import Variant, load_variant
 from .verify import FAILED
+
+AS_TRAINED = Variant()
 
 
 class VerificationBroken(RuntimeError):
@@ -57,6 +60,7 @@ def export_checkpoint(
     height: int,
     width: int,
     precision: Precision = "fp32",
+    variant: Variant = AS_TRAINED,
     quick: bool = False,
     listener: Listener = silent,
 ) -> Exported:
@@ -68,7 +72,7 @@ def export_checkpoint(
     """
     stages = Stages(listener)
     with stages.stage("load checkpoint"):
-        network = load_checkpoint(checkpoint)
+        network = load_variant(checkpoint, variant)
     with stages.stage("export graph"):
         model = export_graph(network, height, width)
     if precision == "int8":

@@ -40,6 +40,7 @@ class DepthFromMatching(nn.Module):
 
     def __init__(self, config: ModelConfig, mono_channels: int) -> None:
         super().__init__()
+        self.sparse = True  # see `matching_evidence`
         self.planes, self.candidates = config.depth_planes, config.refine_candidates
         self.second_candidates = config.second_candidates
         c2, c4 = config.half_channels, config.quarter_channels
@@ -78,7 +79,7 @@ class DepthFromMatching(nn.Module):
         zncc_quarter = self.descriptor(F.avg_pool2d(grey, 2))
         (learned, zncc), seen = sweep([quarter, zncc_quarter], views, self.planes)
         with torch.no_grad():
-            evidence = matching_evidence(colours, views, self.planes)
+            evidence = matching_evidence(colours, views, self.planes, sparse=self.sparse)
             pooled = F.avg_pool2d(evidence, 2)
         volume = self.volume_net(torch.cat([learned * 2, zncc, seen, features.quarter, mono, pooled], dim=1))
         logits = self.volume_logits(volume) + learned * self.learned_sharpness[0] + zncc * self.zncc_sharpness[0]

@@ -21,12 +21,14 @@ FLAT = 1e-3  # geometric mean of two variances: below it windows count as ever l
 UNSEEN = 0.6  # of 0 (different) .. 1 (equal): less than a match, more than a clear mismatch
 
 
-def matching_evidence(images: Tensor, views: Views, planes: int) -> Tensor:
+def matching_evidence(images: Tensor, views: Views, planes: int, *, sparse: bool = True) -> Tensor:
     """(B*V, D, h, w) in about 0..1, how well each plane uniform in inverse depth matches the other views.
 
     images (B*V, 3, h, w) in [0, 1], without gradient. Half of it is zero-mean normalised cross-correlation of all three
     channels, half the truncated difference of colours; mean over the other views, then filtered by the view's own grey
     picture (guided filter: He et al. 2010; on cost volumes: Hosni et al. 2011).
+    Pairs of views that have no sample of a group of planes in common are not compared on it, which changes no bit;
+    `sparse` False compares them all.
     """
     n, _, h, w = images.shape
     others = views.count - 1
@@ -47,11 +49,24 @@ def matching_evidence(images: Tensor, views: Views, planes: int) -> Tensor:
         count = some.shape[2]
         grid = grid.transpose(1, 2).reshape(-1, count * h, w, 2)
         seen = inside.transpose(1, 2).reshape(-1, count, h, w)
-        colours = F.grid_sample(source, grid, mode="bilinear", padding_mode="border", align_corners=False)
-        score = _similarity(reference, colours.reshape(-1, 3, count, h, w))
+        if sparse:
+            pairs = torch.nonzero(inside.flatten(1).any(dim=1)).squeeze(1)
+            found = _compared(
+                reference.index_select(0, pairs), source.index_select(0, pairs), grid.index_select(0, pairs)
+            )
+            score = torch.zeros_like(seen, dtype=images.dtype).index_add(0, pairs, found)
+        else:
+            score = _compared(reference, source, grid)
         score = torch.where(seen, score, torch.full_like(score, UNSEEN))
         pieces.append(guide.filter(score.reshape(n, others, count, h, w).mean(1)))
     return torch.cat(pieces, dim=1)
+
+
+def _compared(reference: Tensor, source: Tensor, grid: Tensor) -> Tensor:
+    """(m, D, h, w) of pictures (m, 3, h, w) and where each plane's pixels lie in the other's, grid (m, D*h, w, 2)."""
+    h, w = reference.shape[-2:]
+    colours = F.grid_sample(source, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    return _similarity(reference, colours.reshape(colours.shape[0], 3, grid.shape[1] // h, h, w))
 
 
 def _similarity(reference: Tensor, colours: Tensor) -> Tensor:

@@ -33,6 +33,7 @@ class ExpertGroup(nn.Module):
     def __init__(self, experts: int, channels: int) -> None:
         super().__init__()
         self.channels = channels
+        self.sparse = True  # False runs every expert on every patch: the same up to rounding, to see what it costs
         self.experts = nn.ModuleList([Expert(channels) for _ in range(experts)])
 
     def forward(self, patches: Tensor, routing: Routing) -> Tensor:
@@ -40,6 +41,8 @@ class ExpertGroup(nn.Module):
 
         A patch whose weight for an expert is exactly 0 (not selected, lambda = 1, masked) is not computed for it.
         """
+        if not self.sparse:
+            return self.dense(patches, routing)
         weights = dense_weights(routing, len(self.experts))
         p = CELLS_PER_PATCH
         result = torch.zeros_like(patches)

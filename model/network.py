@@ -115,5 +115,11 @@ class GaPMeS(nn.Module):
         pixels = F.interpolate(patches, scale_factor=PIXELS_PER_PATCH, mode="nearest")
         return patches.reshape(-1), pixels
 
+    def keep_all(self) -> None:
+        """Compute also what a scene does not need: every expert on every patch, every pair of views on every plane."""
+        self.depth.sparse = False
+        if self.mixture.experts is not None:
+            self.mixture.experts.sparse = False
+
     def trainable_parameters(self) -> int:
         return sum(p.numel() for p in self.parameters() if p.requires_grad)

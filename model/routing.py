@@ -20,6 +20,7 @@ class Routing:
     expert_index: Tensor | None  # (M, k) int64, best first
     expert_weight: Tensor | None  # (M, k)
     task_weight: Tensor | None  # (M, 4)
+    margin: Tensor | None  # (M,) least gap of the deciding logits, as a share of the largest magnitude of its gate
     balance_loss: Tensor  # scalar, 1 when the load of the experts is even, 0 without experts
 
     def kept(self, keep: Tensor) -> Routing:
@@ -29,6 +30,7 @@ class Routing:
             self.expert_index,
             None if self.expert_weight is None else self.expert_weight * factor,
             None if self.task_weight is None else self.task_weight * factor,
+            self.margin,
             self.balance_loss,
         )
 
@@ -44,6 +46,16 @@ def top_k_lowest_first(logits: Tensor, k: int) -> Tensor:
         chosen.append(index)
         logits = logits.scatter(-1, index, float("-inf"))
     return torch.cat(chosen, dim=-1)
+
+
+def decisiveness(logits: Tensor, deciding: int) -> Tensor:
+    """(M,) the least of the first `deciding` gaps between sorted logits (M, c), as a share of the row's largest
+    magnitude (2 at most; 0 where all are 0): the smaller, the less rounding it takes to change the route."""
+    if logits.shape[-1] < 2:
+        return torch.full_like(logits[:, 0], 2.0)  # nothing to choose from
+    ordered = logits.sort(dim=-1, descending=True).values
+    gaps = (ordered[:, :-1] - ordered[:, 1:])[:, :deciding].amin(dim=-1)
+    return gaps / logits.abs().amax(dim=-1).clamp(min=1e-30)
 
 
 def gumbel_noise(like: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -82,6 +94,7 @@ class Gates(nn.Module):
     def forward(self, query: Tensor) -> Routing:
         """query (M, query_size) -> `Routing`; noise only while training (Eq. 5-6)."""
         index = weight = task_weight = None
+        margins = []
         balance_loss = query.new_zeros(())
         if self.expert_gate is not None and self.expert_balance is not None:
             clean = self.expert_gate(query)
@@ -90,10 +103,14 @@ class Gates(nn.Module):
             soft = self._softmax(logits.gather(-1, index))  # Eq. 10 over S_i
             weight = hybrid_weights(soft, torch.sigmoid(self.expert_balance))
             balance_loss = _balance_loss(clean, index)
+            margins.append(decisiveness(clean, self.top_k))
         if self.task_gate is not None and self.task_balance is not None:
-            soft = self._softmax(self._perturbed(self.task_gate(query)))  # Eq. 10 over all tasks
+            clean = self.task_gate(query)
+            soft = self._softmax(self._perturbed(clean))  # Eq. 10 over all tasks
+            margins.append(decisiveness(clean, 1))
             task_weight = hybrid_weights(soft, torch.sigmoid(self.task_balance))
-        return Routing(index, weight, task_weight, balance_loss)
+        margin = torch.stack(margins).amin(dim=0) if margins else None
+        return Routing(index, weight, task_weight, margin, balance_loss)
 
     def _perturbed(self, logits: Tensor) -> Tensor:
         """Eq. 5-6."""

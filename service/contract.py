@@ -9,6 +9,11 @@ REQUIRED_OUTPUTS = GAUSSIAN_OUTPUTS + IMAGE_OUTPUTS
 # A network without experts or without a task gate has no such outputs.
 EXPERT_OUTPUTS = ("expert_index", "expert_weight")
 TASK_OUTPUTS = ("task_weight",)
-OPTIONAL_OUTPUTS = EXPERT_OUTPUTS + TASK_OUTPUTS
+# How far rounding is from changing a patch's route; files that do not tell it are served all the same.
+MARGIN_OUTPUTS = ("route_margin",)
+OPTIONAL_OUTPUTS = EXPERT_OUTPUTS + TASK_OUTPUTS + MARGIN_OUTPUTS
+
+# A route may differ between two runtimes where the margin is within their rounding of the logits.
+AMBIGUOUS_MARGIN = 2e-5
 
 FORMAT = "1"  # gapmes.format: bumped when names or meanings change

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .camera import Camera
 from .camera_file import camera_document
 from .depth_range import DepthRange
+from .gaussians import Gaussians
 from .images import FittedView
 from .model_info import ModelInfo
 
@@ -25,8 +26,10 @@ def scene_document(
     views: Sequence[FittedView],
     depths: DepthRange,
     outputs: Mapping[str, NDArray],
-    kept: int,
+    gaussians: Gaussians,
     dropped: Mapping[str, int],
+    left_out: Sequence[Mapping[str, Any]],
+    pruned: Mapping[str, Any],
     check: Mapping[str, Any],
     warnings: Sequence[Mapping[str, Any]],
     timings: Mapping[str, float],
@@ -49,8 +52,10 @@ def scene_document(
         "cameras": [camera_document(camera) for camera in cameras],
         "view_cameras": [camera_document(view.camera) for view in views],
         "crop": [{"kept_share": round(view.kept_share, 6)} for view in views],
-        "gaussians": {"count": kept, "sh_degree": round(outputs["harmonics"].shape[1] ** 0.5) - 1},
+        "gaussians": {"count": len(gaussians), "sh_degree": gaussians.sh_degree},
         "dropped": [{"reason": reason, "count": count} for reason, count in dropped.items()],
+        "left_out": [dict(row) for row in left_out],
+        "pruning": dict(pruned),
         "routing": routing_summary(outputs),
         "check": dict(check),
         "warnings": [dict(warning) for warning in warnings],

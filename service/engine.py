@@ -70,8 +70,8 @@ class Engine:
         world_from_cam (V, 4, 4) float32 relative to camera 0; near_far (2,) float32; patch_mask (V, P) bool, False
         leaves a patch out. Returns means (N, 3), scales (N, 3), rotations_wxyz (N, 4), opacities (N,), harmonics
         (N, K, 3), depth and confidence (V, H, W), expert_index (V, P, k) int64, expert_weight (V, P, k), task_weight
-        (V, P, 4); of the last three those are missing that the network does not have. The first V * H * W Gaussians
-        belong to the pixels, view by view, row by row; others may follow.
+        (V, P, 4), route_margin (V, P); of the last four those are missing that the network does not have. The first
+        V * H * W Gaussians belong to the pixels, view by view, row by row; others may follow.
         Same bits for the same input and thread count. Raises `ModelError` for other shapes and for outputs that are
         not finite.
         """
@@ -138,6 +138,7 @@ def _check_outputs(outputs: Arrays, views: int, info: ModelInfo) -> None:
         "expert_index": (*patches, *chosen),
         "expert_weight": (*patches, *chosen),
         "task_weight": (*patches, 4),
+        "route_margin": patches,
     }
     for name, value in outputs.items():
         if value.shape != shapes[name]:

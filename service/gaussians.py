@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +73,15 @@ class Gaussians:
             self.opacities[selection],
             self.harmonics[selection],
         )
+
+
+def without_zero_bands(gaussians: Gaussians) -> Gaussians:
+    """The same set without the highest harmonic bands that are 0 in all of it: the same colours to the bit."""
+    used = np.flatnonzero(gaussians.harmonics.any(axis=(0, 2)))
+    degree = math.isqrt(int(used[-1])) if used.size else 0
+    if degree == gaussians.sh_degree:
+        return gaussians
+    return replace(gaussians, harmonics=np.ascontiguousarray(gaussians.harmonics[:, : (degree + 1) ** 2]))
 
 
 def normalized_quaternions(wxyz: F32) -> F32:

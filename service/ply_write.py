@@ -46,10 +46,7 @@ def ply_bytes(gaussians: Gaussians, *, positions: Positions = "auto") -> bytes:
     if not wide:
         _require_float32(gaussians.means)
     rest = gaussians.harmonics.shape[1] - 1
-    names = ["nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(3 * rest)), "opacity"]
-    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-    kind, word = ("<f8", "double") if wide else ("<f4", "float")
-    record = np.dtype([("xyz", kind, 3), ("rest", "<f4", len(names))])
+    record, names, word = _layout(rest, wide)
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(gaussians)}"]
     header += [f"property {word} {axis}" for axis in "xyz"] + [f"property float {name}" for name in names]
     header += ["end_header", ""]
@@ -69,6 +66,21 @@ def ply_bytes(gaussians: Gaussians, *, positions: Positions = "auto") -> bytes:
         axis=1,
     )
     return "\n".join(header).encode("ascii") + rows.tobytes()
+
+
+def ply_size(gaussians: Gaussians) -> int:
+    """Bytes of the rows that `ply_bytes` writes."""
+    record, _, _ = _layout(gaussians.harmonics.shape[1] - 1, _needs_float64(gaussians))
+    return len(gaussians) * record.itemsize
+
+
+def _layout(rest: int, wide: bool) -> tuple[np.dtype, list[str], str]:
+    """A row with `rest` coefficients per channel above the constant band, its float32 columns' names, and the type of
+    its positions."""
+    names = ["nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(3 * rest)), "opacity"]
+    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    kind, word = ("<f8", "double") if wide else ("<f4", "float")
+    return np.dtype([("xyz", kind, 3), ("rest", "<f4", len(names))]), names, word
 
 
 def _logit(opacities: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .budget import Budget
 from .camera import Camera
 from .depth_range import depth_range
 from .depth_sweep import narrowed
@@ -18,14 +19,17 @@ from .engine import Engine
 from .errors import CameraError, ViewCountError
 from .gaussians import Gaussians
 from .images import EncodedPhoto, FittedView, Photo, fit_view, match_photo
+from .left_out import leave_out, table
 from .masks import check_kept, kept_rows, patch_mask
 from .model_info import ModelInfo
 from .photo_checks import check_photos
 from .progress import Listener, Stages, silent
-from .scene_views import NEAR_PLANE_SHARE
-from .self_check import self_check
+from .scene_views import SceneViews
+from .self_check import ambiguous_routes, leave_one_out, self_check
 from .view_checks import Notice, check_count, check_views
 from .world_frame import WorldFrame
+
+DEFAULT_BUDGET = Budget()
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +57,7 @@ class Reconstructor:
         near: float | None = None,
         far: float | None = None,
         trust_poses: bool = False,
+        budget: Budget = DEFAULT_BUDGET,
         listener: Listener = silent,
     ) -> Scene:
         """2..6 photographs, uint8 (H, W, 3 or 4), `Photo` or `EncodedPhoto`, with one camera each -> `Scene`.
@@ -60,8 +65,9 @@ class Reconstructor:
         An `EncodedPhoto` is decoded in its turn and dropped once it is fitted: one at a time is in memory.
         `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
-        a warning.
-        `listener` hears the stages cameras, images, network, gaussians, check. Raises `InputError` and `ModelError`.
+        a warning. `budget` says what may be left out of the scene and for which views that is proved.
+        `listener` hears the stages cameras, images, network, gaussians, leave out, check. Raises `InputError` and
+        `ModelError`.
         """
         stages = Stages(listener)
         info = self.engine.info
@@ -80,20 +86,31 @@ class Reconstructor:
             warnings += check_photos(views, depths, trust_poses=trust_poses)
             depths = narrowed(depths, views)
         frame = WorldFrame.of(cameras, depths)
+        masks = patch_mask(views, info.patch)
         with stages.stage("network"):
             outputs = self.engine.run(
                 np.stack([view.image for view in views]),
                 np.stack([view.camera.normalized_intrinsics for view in views]).astype(np.float32),
                 frame.poses(cameras),
                 frame.near_far(depths),
-                patch_mask(views, info.patch),
+                masks,
             )
         with stages.stage("gaussians"):
             rows, dropped = kept_rows(outputs, views, frame)
             gaussians = frame.to_world(outputs, rows)
+        view_cameras = tuple(view.camera for view in views)
+        scene = SceneViews(view_cameras, depths.near, depths.far)
+        owner = np.minimum(rows // (info.height * info.width), len(views))  # the view whose pixel it is, if any
+        with stages.stage("leave out"):  # what stands behind the scene is there for views that nobody has asked for
+            lean, drawn, pruned = leave_out(gaussians, owner < len(views), scene, budget, self.engine.threads)
         with stages.stage("check"):
-            near_plane = NEAR_PLANE_SHARE * depths.near
-            check = self_check(gaussians, views, depths, info, near=near_plane, threads=self.engine.threads)
+            check = {
+                **self_check(views, depths, info, drawn),
+                "leave_one_out": leave_one_out(
+                    gaussians, owner, views, threads=self.engine.threads, **scene.near_plane
+                ),
+                "ambiguous_routes": ambiguous_routes(outputs, masks),
+            }
         document = scene_document(
             info=info,
             threads=self.engine.threads,
@@ -101,13 +118,15 @@ class Reconstructor:
             views=views,
             depths=depths,
             outputs=outputs,
-            kept=len(gaussians),
+            gaussians=lean,
             dropped=dropped,
+            left_out=table(outputs, masks, info, dropped, pruned, (gaussians.sh_degree, lean.sh_degree)),
+            pruned=pruned,
             check=check,
             warnings=warnings,
             timings=stages.timings,
         )
-        return Scene(gaussians, cameras, tuple(view.camera for view in views), document)
+        return Scene(lean, cameras, view_cameras, document)
 
 
 def _as_cameras(cameras: Sequence[Camera], images: int) -> tuple[Camera, ...]:

@@ -7,20 +7,21 @@ wrong where nothing was measured, so the shares of such pixels stand beside it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
+from .contract import AMBIGUOUS_MARGIN
 from .depth_range import DepthRange
 from .gaussians import Gaussians
 from .images import FittedView
 from .model_info import ModelInfo
 from .overlap import inverse_depth_steps
 from .picture_error import psnr, ssim
-from .splat import render
+from .splat import Render, render
 from .window_match import contrast, window_mean
 
 TEXTURE = 2 / 255  # standard deviation of grey in 7 x 7 px below which a window is as good as flat after 8-bit noise
@@ -31,15 +32,12 @@ HOLE = 0.5  # opacity
 
 
 def self_check(
-    gaussians: Gaussians,
     views: Sequence[FittedView],
     depths: DepthRange,
     info: ModelInfo,
-    *,
-    near: float,
-    threads: int | None = None,
+    drawn: Sequence[Render],
 ) -> dict[str, Any]:
-    """Plain JSON values; `near` is where drawing begins, in the caller's units like all depths.
+    """Plain JSON values; `drawn` are the scene's pictures from the views' cameras, with their opacity.
 
     `input_views`: PSNR in dB, SSIM and share of holes of every input drawn again, over the pixels that its mask keeps
     (None where it keeps none; windows of SSIM at its edge see pixels beyond). `depth_step`: half a step between the
@@ -47,20 +45,48 @@ def self_check(
     the model does not tell how many there are). Shares are of the pixels that the masks keep, or of rays through them.
     """
     return {
-        "input_views": [_drawn_again(gaussians, view, near, threads) for view in views],
+        "input_views": [drawn_again(image, view) for image, view in zip(drawn, views, strict=True)],
         "textureless_share": _share([_flat(view) for view in views]),
         "no_parallax_share": _share([~parallax(views, index, depths) for index in range(len(views))]),
         "depth_step": depth_steps(depths, info),
     }
 
 
-def _drawn_again(gaussians: Gaussians, view: FittedView, near: float, threads: int | None) -> dict[str, float | None]:
-    image = render(gaussians, view.camera, near=near, threads=threads, outputs=("alpha",))
+def drawn_again(image: Render, view: FittedView, *, covered_only: bool = False) -> dict[str, float | None]:
+    """PSNR, SSIM and share of holes over what the mask keeps; PSNR and SSIM `covered_only` where there is no hole."""
     picture = np.clip(image.rgb, 0.0, 1.0).transpose(2, 0, 1)
     kept = np.ones(image.alpha.shape, bool) if view.mask is None else view.mask
-    holes = float((image.alpha[kept] < HOLE).mean()) if kept.any() else math.nan
-    values = {"psnr": psnr(picture, view.image, kept), "ssim": ssim(picture, view.image, kept), "holes": holes}
+    hole = image.alpha < HOLE
+    holes = float(hole[kept].mean()) if kept.any() else math.nan
+    compared = kept & ~hole if covered_only else kept
+    values = {"psnr": psnr(picture, view.image, compared), "ssim": ssim(picture, view.image, compared), "holes": holes}
     return {name: None if math.isnan(value) else round(value, 6) for name, value in values.items()}
+
+
+def leave_one_out(
+    gaussians: Gaussians, owner: NDArray[np.integer], views: Sequence[FittedView], **options: Any
+) -> list[dict[str, float | None]] | None:
+    """Each input drawn from the Gaussians of the other inputs' pixels alone, where they cover it; None for two views.
+
+    `owner` (N,) is the view whose pixel a Gaussian belongs to, len(views) for one that belongs to none; `options` are
+    keywords of `render`. The network has seen the input, so that this tells of agreement between the views, and is no
+    substitute for a photograph held back.
+    """
+    if len(views) < 3:
+        return None
+    rows = []
+    for index, view in enumerate(views):
+        others = gaussians[(owner != index) & (owner < len(views))]
+        image = render(others, view.camera, outputs=("alpha",), **options)
+        rows.append(drawn_again(image, view, covered_only=True))
+    return rows
+
+
+def ambiguous_routes(outputs: Mapping[str, NDArray], patch_mask: NDArray[np.bool_]) -> float | None:
+    """Share of the kept patches whose route rounding may decide; None where the model does not tell."""
+    if "route_margin" not in outputs:
+        return None
+    return _share([outputs["route_margin"][patch_mask] <= AMBIGUOUS_MARGIN])
 
 
 def _flat(view: FittedView) -> NDArray[np.bool_]:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from ..budget import DEFAULT_CERTIFY
 from ..terminal import ProgressBars
 from .selection import view_indices
+from .summary import check_line, left_out_lines
 
 
 def reconstruct(
@@ -24,11 +25,18 @@ def reconstruct(
     near: Annotated[float | None, typer.Option(help="nearest depth, in the cameras' units")] = None,
     far: Annotated[float | None, typer.Option(help="farthest depth, in the cameras' units")] = None,
     trust_poses: Annotated[bool, typer.Option(help="only warn where photographs or overlap oppose the poses")] = False,
+    max_error: Annotated[
+        str, typer.Option(help="change of colour up to which Gaussians are left out; 0: none, off: keep all")
+    ] = "1/255",
+    certify: Annotated[
+        int, typer.Option(help="views between neighbouring inputs for which that is proved")
+    ] = DEFAULT_CERTIFY,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
 ) -> None:
     """Reconstruct a scene from some of the views of a folder."""
+    from ..budget import Budget, parse_max_error
     from ..camera_file import load_scene_folder
     from ..errors import InputError
     from ..images import decode_image
@@ -39,6 +47,7 @@ def reconstruct(
 
     if not output.parent.is_dir():  # said before the work, not after it
         raise InputError(f"{output.parent} is not a folder", field="output")
+    budget = Budget(parse_max_error(max_error), certify)
     folder = load_scene_folder(scene_dir, None if views is None else partial(view_indices, views))
     with ProgressBars() as bars:
         stages = Stages(bars)
@@ -57,26 +66,17 @@ def reconstruct(
             near=folder.file.near if near is None else near,
             far=folder.file.far if far is None else far,
             trust_poses=trust_poses,
+            budget=budget,
             listener=bars,
         )
         with stages.stage("write .ply"):
             write_ply(output, scene.gaussians)
     bars.say(f"{len(scene.gaussians)} Gaussians in {output}")
     bars.say(check_line(scene.document["check"]))
+    for line in left_out_lines(scene.document):
+        bars.say(line)
     for warning in scene.document.get("warnings", ()):
         bars.say(f"warning: {warning['message']}")
     if as_json:
         document = {"ply": str(output), "selected_views": list(folder.indices), **scene.document}
         sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")
-
-
-def check_line(check: Mapping[str, Any]) -> str:
-    """The self-check in a line: what the scene shows of its own inputs, and how much of them says nothing of depth."""
-    shown = ", ".join("no pixel" if row["psnr"] is None else f"{row['psnr']:.1f}" for row in check["input_views"])
-    parts = [f"inputs drawn again: {shown} dB"]
-    for name, share in (("textureless", "textureless_share"), ("without parallax", "no_parallax_share")):
-        if check[share] is not None:
-            parts.append(f"{100 * check[share]:.1f} % {name}")
-    if check["depth_step"]["middle"] is not None:
-        parts.append(f"depth candidates every {200 * check['depth_step']['middle']:.1f} % half way")
-    return "; ".join(parts)

@@ -8,6 +8,7 @@ from typing import Annotated
 import anyio.to_thread
 from fastapi import APIRouter, Depends, Request, Response
 
+from ..budget import DEFAULT_CERTIFY, MAX_CERTIFY
 from ..camera_file import camera_document
 from ..image_files import check_total
 from ..images import EncodedPhoto
@@ -36,6 +37,19 @@ _FORM = {
         "trust_poses": {
             "type": "boolean",
             "description": "warn only, where photographs or overlap speak against the poses",
+        },
+        "max_error": {
+            "type": "string",
+            "default": "1/255",
+            "description": "change of colour up to which Gaussians are left out, proved for the inputs, the views"
+            " between them and `views`: a number, a fraction, or off",
+        },
+        "certify": {
+            "type": "integer",
+            "minimum": 0,
+            "maximum": MAX_CERTIFY,
+            "default": DEFAULT_CERTIFY,
+            "description": "views between neighbouring inputs for which that is proved",
         },
     },
 }
@@ -72,6 +86,7 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
 
 def _scene_id(model_sha256: str, upload: Upload) -> str:
     """Everything that the stored scene depends on, and nothing else: file names are the request's own."""
+    budget = upload.budget
     return SceneStore.scene_id(
         model_sha256,
         [image.data for image in upload.pairing.images],
@@ -80,6 +95,9 @@ def _scene_id(model_sha256: str, upload: Upload) -> str:
             "near": upload.near,
             "far": upload.far,
             "trust_poses": upload.trust_poses,
+            "max_error": budget.max_error,
+            "certify": budget.certify if budget.max_error is not None else None,
+            "views": sorted(set(budget.asked)) if budget.max_error is not None else None,
             "algorithm_revision": ALGORITHM_REVISION,
         },
     )
@@ -93,7 +111,7 @@ def _compute(runtime: Runtime, scene_id: str, upload: Upload) -> None:
     check_total(encoded, max_pixels=limits.max_image_pixels, max_total=limits.max_request_pixels)
     photos = [EncodedPhoto(data, limits.max_image_pixels) for data in encoded]
     scene = runtime.reconstructor.reconstruct(
-        photos, pairing.cameras, near=upload.near, far=upload.far, trust_poses=upload.trust_poses
+        photos, pairing.cameras, near=upload.near, far=upload.far, trust_poses=upload.trust_poses, budget=upload.budget
     )
     document = {
         "id": scene_id,

@@ -10,6 +10,7 @@ from fastapi import Request
 from starlette.datastructures import FormData, UploadFile
 from starlette.exceptions import HTTPException
 
+from ..budget import DEFAULT_CERTIFY, DEFAULT_MAX_ERROR, Budget, parse_max_error
 from ..camera_file import CameraFile, parse_camera_file
 from ..errors import (
     DepthRangeError,
@@ -27,7 +28,7 @@ from .pairing import NamedImage, Pairing, PostedSizes, pair
 
 MAX_FRAMES = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
 MAX_PARTS = 64  # far above what a valid request has, so that one image too many is told from a flood
-FIELDS = ("images", "cameras", "near", "far", "views", "trust_poses")
+FIELDS = ("images", "cameras", "near", "far", "views", "trust_poses", "max_error", "certify")
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,13 @@ class Upload:
     pairing: Pairing
     near: float | None
     far: float | None
-    views: tuple[str, ...]
     trust_poses: bool
+    budget: Budget  # its `asked` are the views to draw
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """To be drawn, such as "1.5"."""
+        return self.budget.asked
 
 
 async def read_upload(request: Request, settings: Settings) -> Upload:
@@ -81,7 +87,18 @@ async def _parse(form: FormData, settings: Settings) -> Upload:
     sizes = PostedSizes(images, settings.max_image_pixels)
     cameras, pairing = await anyio.to_thread.run_sync(lambda: _paired(document, images, sizes))
     near, far = (_number(form, name, given) for name, given in (("near", cameras.near), ("far", cameras.far)))
-    return Upload(pairing, near, far, _views(form), _flag(form, "trust_poses"))
+    return Upload(pairing, near, far, _flag(form, "trust_poses"), _budget(form))
+
+
+def _budget(form: FormData) -> Budget:
+    max_error, certify = _text(form, "max_error"), _text(form, "certify")
+    if certify and not (certify.isascii() and certify.isdigit() and len(certify) < 9):
+        raise InputError(f"{certify[:50]!r} is not a whole number", field="certify")
+    return Budget(
+        parse_max_error(max_error) if max_error else DEFAULT_MAX_ERROR,
+        int(certify) if certify else DEFAULT_CERTIFY,
+        _views(form),
+    )
 
 
 def _paired(document: str | bytes, images: list[NamedImage], sizes: PostedSizes) -> tuple[CameraFile, Pairing]:

@@ -21,7 +21,7 @@ def group() -> ExpertGroup:
 def routing_of(logits: torch.Tensor, k: int = 2) -> Routing:
     index = top_k_lowest_first(logits, k)
     weight = hybrid_weights(torch.softmax(logits.gather(-1, index), -1), torch.tensor(0.4))
-    return Routing(index, weight, torch.full((len(logits), 4), 0.25), torch.zeros(()))
+    return Routing(index, weight, torch.full((len(logits), 4), 0.25), None, torch.zeros(()))
 
 
 def logits_for(kind: str, patches: int) -> torch.Tensor:
@@ -74,7 +74,7 @@ def test_a_weight_of_exactly_zero_is_not_computed() -> None:
     for expert in experts.experts:
         expert.register_forward_hook(lambda _m, inputs, _o: seen.append(inputs[0].shape[0]))
     index = torch.tensor([[0, 1], [2, 1]])
-    routing = Routing(index, torch.tensor([[1.0, 0.0], [0.0, 0.0]]), torch.zeros(2, 4), torch.zeros(()))
+    routing = Routing(index, torch.tensor([[1.0, 0.0], [0.0, 0.0]]), torch.zeros(2, 4), None, torch.zeros(()))
     with torch.no_grad():
         out = experts(torch.randn(2, STREAMS * CHANNELS, 4, 4), routing)
     assert sum(seen) == STREAMS

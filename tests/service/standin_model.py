@@ -119,6 +119,7 @@ def build(g: _Graph) -> None:
         ("task_weight", np.array([0.7, 0.1, 0.1, 0.1], f32)),
     ):
         g("Expand", g.constant(row[None, None]), g("Concat", patches, g.shape(len(row)), axis=0), to=name)
+    g("Expand", g.constant(np.full((1, 1), 0.5, f32)), patches, to="route_margin")
 
 
 def _points(g: _Graph, positions: np.ndarray, depth: str) -> str:
@@ -176,6 +177,7 @@ def _outputs() -> list:
         "expert_index": ["V", patches, 2],
         "expert_weight": ["V", patches, 2],
         "task_weight": ["V", patches, 4],
+        "route_margin": ["V", patches],
     }
     return [
         helper.make_tensor_value_info(name, TensorProto.INT64 if name == "expert_index" else f32, shape)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from standin_model import BAND_1, C0, EXTRA, HEIGHT, OPACITY, ROTATION, SCALES, WIDTH
 
+from gapmes.service.budget import KEEP_ALL
 from gapmes.service.camera import Camera
 from gapmes.service.errors import (
     CameraError,
@@ -33,7 +34,7 @@ def reconstructor(engine):
 @pytest.fixture(scope="module")
 def scene(reconstructor, plane_scene):
     return reconstructor.reconstruct(
-        plane_scene.images, plane_scene.cameras, near=plane_scene.near, far=plane_scene.far
+        plane_scene.images, plane_scene.cameras, near=plane_scene.near, far=plane_scene.far, budget=KEEP_ALL
     )
 
 
@@ -77,7 +78,8 @@ def test_gaussians_move_with_the_world(reconstructor, scene, plane_scene, unit, 
     rotation = about_axis(np.array([0.48, -0.6, 0.64]), 2.3)
     translation = offset * unit * np.array([1.0, -0.7, 0.4])
     moved = plane_scene.moved(rotation, translation, unit)
-    result = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far).gaussians
+    whole = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far, budget=KEEP_ALL)
+    result = whole.gaussians
     # In units: float32 inside the frame, and the rounding of camera positions at the offset (2^-53 * 1e6 = 1e-10).
     atol = 1e-5 if offset == 0 else 1e-5 + 1e-9
     expected = scene.gaussians.means @ rotation.T
@@ -96,15 +98,15 @@ def test_gaussians_move_with_the_world(reconstructor, scene, plane_scene, unit, 
 def test_a_far_origin_keeps_every_pixel(reconstructor, plane_scene):
     """At 1e6 units a float32 world would be off by tens of pixels; here the rays still meet theirs."""
     moved = plane_scene.moved(np.eye(3), np.array([1e6, -2e6, 5e5]), 1.0)
-    result = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far)
+    result = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far, budget=KEEP_ALL)
     pixels, _ = result.view_cameras[1].project(result.gaussians.means[HEIGHT * WIDTH : 2 * HEIGHT * WIDTH])
     np.testing.assert_allclose(pixels, pixel_centres(), atol=1e-4)  # worst 1.3e-5
 
 
 def test_estimated_depths_move_with_the_world_too(reconstructor, plane_scene):
-    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras)
+    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, budget=KEEP_ALL)
     moved = plane_scene.moved(about_axis(np.array([1.0, 0, 0]), 0.4), np.array([10.0, 20.0, -5.0]), 250.0)
-    far_off = reconstructor.reconstruct(moved.images, moved.cameras)
+    far_off = reconstructor.reconstruct(moved.images, moved.cameras, budget=KEEP_ALL)
     assert plain.document["depth_range_source"] == "estimated"
     for name in ("near", "far"):
         assert far_off.document[name] == pytest.approx(250.0 * plain.document[name], rel=1e-6)
@@ -122,7 +124,7 @@ def test_document_is_plain_json_and_complete(scene, plane_scene, engine):
     assert len(document["check"]["input_views"]) == len(plane_scene.cameras)
     assert document["check"]["no_parallax_share"] < 0.02  # corners that no other view has in its picture
     assert document["check"]["textureless_share"] < 0.05
-    assert list(document["timings"]) == ["cameras", "images", "network", "gaussians", "check"]
+    assert list(document["timings"]) == ["cameras", "images", "network", "gaussians", "leave out", "check"]
     assert document["routing"]["patches_per_expert"] == {"0": 0, "1": 36, "2": 0, "3": 0, "4": 36}
     assert sum(document["routing"]["mean_task_weight"].values()) == pytest.approx(1)
     assert document["crop"][0]["kept_share"] == 1.0
@@ -131,7 +133,8 @@ def test_document_is_plain_json_and_complete(scene, plane_scene, engine):
 def test_stages_are_heard_in_order(reconstructor, plane_scene):
     heard = []
     reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, listener=heard.append)
-    assert [e.name for e in heard if e.seconds is not None] == ["cameras", "images", "network", "gaussians", "check"]
+    ended = [e.name for e in heard if e.seconds is not None]
+    assert ended == ["cameras", "images", "network", "gaussians", "leave out", "check"]
     assert [e.done for e in heard if e.name == "images"] == [0, 1, 2, 3, 4]
 
 
@@ -141,7 +144,7 @@ def test_masked_pixels_and_patches_are_left_out_and_counted(reconstructor, plane
         alpha = np.full((*image.shape[:2], 1), 255, np.uint8)
         alpha[:, :40] = 0  # the left 40 of 96 columns: 26.67 of 64 in the crop
         images.append(np.concatenate([image, alpha], axis=2))
-    result = reconstructor.reconstruct(images, plane_scene.cameras, near=2, far=8)
+    result = reconstructor.reconstruct(images, plane_scene.cameras, near=2, far=8, budget=KEEP_ALL)
     kept_columns = WIDTH - 27
     dropped = {entry["reason"]: entry["count"] for entry in result.document["dropped"]}
     assert dropped["opacity is 0"] == 3 * HEIGHT * 16  # one column of patches has no kept pixel
@@ -157,17 +160,18 @@ def test_masked_pixels_and_patches_are_left_out_and_counted(reconstructor, plane
 def test_a_smaller_copy_of_the_photographs_gives_the_same_rays(reconstructor, plane_scene):
     """A camera file made for the originals goes with photographs of half the size."""
     doubled = [camera.resized(192, 144) for camera in plane_scene.cameras]
-    result = reconstructor.reconstruct(plane_scene.images, doubled, near=2, far=8)
-    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8)
+    result = reconstructor.reconstruct(plane_scene.images, doubled, near=2, far=8, budget=KEEP_ALL)
+    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, budget=KEEP_ALL)
     np.testing.assert_array_equal(result.gaussians.means, plain.gaussians.means)
 
 
 def test_more_views_than_two_and_in_any_order(reconstructor, plane_scene):
     order = [2, 0, 1]
     result = reconstructor.reconstruct(
-        [plane_scene.images[i] for i in order], [plane_scene.cameras[i] for i in order], near=2, far=8
-    )
-    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8)
+        [plane_scene.images[i] for i in order], [plane_scene.cameras[i] for i in order], near=2, far=8,
+        budget=KEEP_ALL,
+    )  # fmt: skip
+    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, budget=KEEP_ALL)
     per_view = HEIGHT * WIDTH
     for place, index in enumerate(order):
         np.testing.assert_allclose(
@@ -222,6 +226,6 @@ def test_a_missing_model_is_named_at_once(tmp_path):
 def test_near_and_far_beyond_float32_units(reconstructor, plane_scene):
     """A scene in units of 1e30: the network's frame divides by near, and only the last scaling is in float64."""
     moved = plane_scene.moved(np.eye(3), np.zeros(3), 1e30)
-    result = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far)
+    result = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far, budget=KEEP_ALL)
     assert np.isfinite(result.gaussians.means).all()
     assert isinstance(result.cameras[0], Camera)

@@ -8,12 +8,12 @@ import pytest
 from skimage.metrics import structural_similarity
 
 from gapmes.service.camera import Camera
-from gapmes.service.commands.reconstruct import check_line
+from gapmes.service.commands.summary import check_line, left_out_lines
 from gapmes.service.depth_range import DepthRange
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import FittedView
 from gapmes.service.picture_error import psnr, ssim
-from gapmes.service.self_check import GRID, depth_steps, parallax, self_check
+from gapmes.service.self_check import GRID, ambiguous_routes, depth_steps, leave_one_out, parallax, self_check
 from gapmes.service.splat import render
 
 DEPTHS = DepthRange(1.0, 10.0, "given")
@@ -43,6 +43,11 @@ def cloud(seed: int = 0) -> Gaussians:
 def drawn(gaussians: Gaussians, view: Camera, mask: np.ndarray | None = None) -> FittedView:
     picture = np.clip(render(gaussians, view, near=0.1).rgb, 0, 1).transpose(2, 0, 1)
     return FittedView(np.ascontiguousarray(picture), mask, view, 1.0)
+
+
+def checked(gaussians: Gaussians, fitted: list[FittedView]) -> dict:
+    pictures = [render(gaussians, view.camera, near=0.1, outputs=("alpha",)) for view in fitted]
+    return self_check(fitted, DEPTHS, Info, pictures)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -82,12 +87,12 @@ def test_psnr_has_a_closed_form_and_ends_at_100_db():
 def test_a_scene_that_shows_its_inputs_says_so_and_another_does_not():
     gaussians, views = cloud(), [camera(), camera(0.3)]
     fitted = [drawn(gaussians, view) for view in views]
-    check = self_check(gaussians, fitted, DEPTHS, Info, near=0.1, threads=1)
+    check = checked(gaussians, fitted)
     assert [row["psnr"] for row in check["input_views"]] == [100.0, 100.0]
     assert [row["ssim"] for row in check["input_views"]] == [1.0, 1.0]
-    other = self_check(cloud(1), fitted, DEPTHS, Info, near=0.1, threads=1)
+    other = checked(cloud(1), fitted)
     assert max(row["psnr"] for row in other["input_views"]) < 20
-    nothing = self_check(gaussians[:0], fitted, DEPTHS, Info, near=0.1, threads=1)
+    nothing = checked(gaussians[:0], fitted)
     assert [row["holes"] for row in nothing["input_views"]] == [1.0, 1.0]
 
 
@@ -97,10 +102,10 @@ def test_only_what_the_mask_keeps_counts():
     spoiled = drawn(gaussians, view, half)
     spoiled.image[:, :, 24:] = 0.5
     fitted = [spoiled, drawn(gaussians, camera(0.3), np.zeros((48, 48), bool))]
-    check = self_check(gaussians, fitted, DEPTHS, Info, near=0.1, threads=1)
+    check = checked(gaussians, fitted)
     assert check["input_views"][0]["psnr"] == 100.0
     assert check["input_views"][1] == {"psnr": None, "ssim": None, "holes": None}
-    whole = self_check(gaussians, [replace(spoiled, mask=None)], DEPTHS, Info, near=0.1, threads=1)
+    whole = checked(gaussians, [replace(spoiled, mask=None)])
     assert whole["input_views"][0]["psnr"] < 40
     assert whole["textureless_share"] == pytest.approx((48 - 24 - 3) / 48, abs=0.01)  # windows of 7 px within the grey
 
@@ -135,7 +140,7 @@ def test_a_uniform_object_on_a_mask_has_no_texture():
     mask[20:30, 15:25] = True
     image = np.where(mask, np.float32(0.6), np.float32(0.0)) * np.ones((3, 1, 1), np.float32)
     views = [FittedView(image, mask, camera(x), 1.0) for x in (0.0, 0.3)]
-    assert self_check(cloud(), views, DEPTHS, Info, near=0.1, threads=1)["textureless_share"] == 1.0
+    assert checked(cloud(), views)["textureless_share"] == 1.0
 
 
 def test_rays_that_cross_a_picture_quickly_are_found():
@@ -147,7 +152,7 @@ def test_rays_that_cross_a_picture_quickly_are_found():
 
 def test_the_line_of_the_command_names_what_is_known():
     gaussians = cloud()
-    check = self_check(gaussians, [drawn(gaussians, camera(x)) for x in (0.0, 0.3)], DEPTHS, Info, near=0.1, threads=1)
+    check = checked(gaussians, [drawn(gaussians, camera(x)) for x in (0.0, 0.3)])
     line = check_line(check)
     assert line.startswith("inputs drawn again: 100.0, 100.0 dB; ")
     assert line.endswith("depth candidates every 4.4 % half way")
@@ -155,3 +160,52 @@ def test_the_line_of_the_command_names_what_is_known():
     check["input_views"][1]["psnr"] = None
     assert "100.0, no pixel dB" in check_line(check)
     assert "parallax" not in check_line(check)
+    check["leave_one_out"] = [{"psnr": 20.04}, {"psnr": None}]
+    check["ambiguous_routes"] = 0.0125
+    assert "drawn from the other views: 20.0, no pixel dB; 1.25 % ambiguous routes; " in check_line(check) + "; "
+
+
+def test_an_input_is_drawn_from_the_others_alone():
+    """Three clouds in the same place: where a view's own is spoiled, the others still show what it saw."""
+    gaussians, cameras = cloud(), [camera(), camera(0.2), camera(0.4)]
+    fitted = [drawn(gaussians, view) for view in cameras]
+    assert leave_one_out(gaussians, np.zeros(400, int), fitted[:2], near=0.1) is None
+    three = Gaussians.make(
+        *(np.concatenate([getattr(gaussians, name)] * 4) for name in
+          ("means", "scales", "rotations_wxyz", "opacities", "harmonics"))
+    )  # fmt: skip
+    owner = np.repeat([0, 1, 2, 3], 400)  # the last belong to no view's pixels
+    three.harmonics[owner == 1] = -1.0
+    three.harmonics[owner == 3] = 1.5
+    rows = leave_one_out(three, owner, fitted, near=0.1)
+    assert rows[1]["psnr"] > 3 + max(rows[0]["psnr"], rows[2]["psnr"])
+    alone = leave_one_out(gaussians, np.full(400, 1), fitted, near=0.1)
+    assert alone[1] == {"psnr": None, "ssim": None, "holes": 1.0}
+    assert alone[0]["holes"] == checked(gaussians, fitted)["input_views"][0]["holes"]
+
+
+def test_routes_that_rounding_may_decide_are_counted_among_the_kept_patches():
+    margin = np.array([[0.0, 1e-5, 2e-5, 1e-3], [0.5, 1e-6, 1.0, 1.0]], np.float32)
+    everything = np.ones((2, 4), bool)
+    assert ambiguous_routes({"route_margin": margin}, everything) == 0.5
+    assert ambiguous_routes({"route_margin": margin}, np.arange(8).reshape(2, 4) > 2) == 0.2
+    assert ambiguous_routes({"route_margin": margin}, ~everything) is None
+    assert ambiguous_routes({}, everything) is None
+
+
+def test_the_table_of_what_was_left_out():
+    document = {"left_out": [], "pruning": {"dropped": 0}}
+    assert left_out_lines(document) == ["left out: nothing"]
+    document["left_out"] = [
+        {"what": "Gaussians", "count": 1200, "of": 9000, "error": 0.0037},
+        {"what": "experts", "count": 1, "of": 6, "error": 0.0},
+    ]
+    assert left_out_lines(document)[1].split() == ["Gaussians", "1,200", "9,000", "at", "most", "0.00370"]
+    assert left_out_lines(document)[2].endswith("none")
+    document["pruning"] = {
+        "dropped": 1200, "certified": {"inputs": 2, "between": 3, "asked": 1}, "actual": 0.001, "bytes_saved": 81600,
+        "picture_seconds": [0.0125, 0.011], "seconds": 0.25,
+    }  # fmt: skip
+    text = "\n".join(left_out_lines(document))
+    assert "2 inputs, 3 views between them and 1 asked for, 0.00100 found" in text
+    assert "saved 82 kB of .ply; a picture takes 11.0 ms, all of it would take 12.5 ms; deciding took 0.25 s" in text

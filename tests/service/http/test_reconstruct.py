@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from http_requests import camera_object, photograph, post, stored
+from http_requests import assert_problem, camera_object, photograph, post, stored
 from PIL import Image
 from starlette.testclient import TestClient
 
@@ -202,3 +202,33 @@ def test_trust_poses_is_a_flag_of_its_own_scene(client: TestClient) -> None:
     refused = post(client, trust_poses="perhaps")
     assert refused.status_code == 422
     assert refused.json()["field"] == "trust_poses"
+
+
+def test_a_budget_belongs_to_the_scene(client: TestClient) -> None:
+    """Other budgets and other certified views are other scenes; where nothing may go, views certify nothing."""
+    default = post(client).json()
+    assert default["pruning"]["max_error"] == pytest.approx(1 / 255)
+    assert post(client, max_error="1/255", certify="1").json()["id"] == default["id"]
+    whole = post(client, max_error="off").json()
+    assert whole["pruning"]["dropped"] == 0
+    assert whole["gaussians"]["count"] >= default["gaussians"]["count"]
+    assert post(client, max_error="off", certify="4", views="0.5").json()["id"] == whole["id"]
+    exact = post(client, max_error="0", certify="2", views="orbit:10").json()
+    assert exact["pruning"]["certified"] == {"inputs": 2, "between": 2, "asked": 1}
+    assert exact["pruning"]["bound"] == 0
+    assert len({scene["id"] for scene in (default, whole, exact)}) == 3
+
+
+@pytest.mark.parametrize(
+    ("fields", "field"),
+    [
+        ({"max_error": "much"}, "max_error"),
+        ({"max_error": "2"}, "max_error"),
+        ({"max_error": "1/0"}, "max_error"),
+        ({"certify": "-1"}, "certify"),
+        ({"certify": "31"}, "certify"),
+        ({"certify": "1.5"}, "certify"),
+    ],
+)
+def test_a_budget_that_makes_no_sense_is_refused(client: TestClient, fields: dict[str, str], field: str) -> None:
+    assert_problem(post(client, **fields), 422, "invalid_input", field)

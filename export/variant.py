@@ -1,0 +1,38 @@
+"""The network of a checkpoint as a file shall compute it: experts per patch, and whether nothing is skipped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from gapmes.model.checkpoint import load_checkpoint
+from gapmes.model.config import ModelConfig
+from gapmes.model.network import GaPMeS
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What is asked for beside the checkpoint's own configuration."""
+
+    top_k: int | None = None  # experts per patch, of those it was trained with
+    keep_all: bool = False  # every expert on every patch, every pair of views on every plane
+
+
+def load_variant(checkpoint: Path, variant: Variant) -> GaPMeS:
+    """The network with the variant's settings. Raises `CheckpointError`, and `ValueError` for a wrong `top_k`."""
+    network = load_checkpoint(checkpoint)
+    if variant.top_k is not None:
+        network.config = with_top_k(network.config, variant.top_k)
+        if network.mixture.gates is not None:
+            network.mixture.gates.top_k = variant.top_k
+    if variant.keep_all:
+        network.keep_all()
+    return network
+
+
+def with_top_k(config: ModelConfig, top_k: int) -> ModelConfig:
+    """The configuration with another number of experts per patch. Raises `ValueError`."""
+    most = 0 if config.without_experts else config.experts
+    if not 1 <= top_k <= most:
+        raise ValueError(f"top_k is {top_k}, need 1 to {most}: the network has so many experts")
+    return replace(config, top_k=top_k)

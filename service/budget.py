@@ -1,0 +1,56 @@
+"""How much may be left out of a scene: a budget on the change of colour, and the views for which it is proved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .errors import InputError
+
+DEFAULT_MAX_ERROR = 1 / 255  # one level of an 8-bit picture
+DEFAULT_CERTIFY = 1  # views between two neighbouring inputs: what only they see stays
+MAX_CERTIFY = 30
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What may be left out: `max_error` is a change of colour (None: nothing goes), `certify` how many views between
+    two neighbouring inputs it holds for, `asked` further views that it holds for (such as "orbit:20").
+
+    Raises `InputError` for numbers out of range.
+    """
+
+    max_error: float | None = DEFAULT_MAX_ERROR
+    certify: int = DEFAULT_CERTIFY
+    asked: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.max_error is not None:
+            checked_max_error(self.max_error)
+        if isinstance(self.certify, bool) or not isinstance(self.certify, int) or not 0 <= self.certify <= MAX_CERTIFY:
+            raise InputError(f"is {self.certify}, need a whole number from 0 to {MAX_CERTIFY}", field="certify")
+
+
+KEEP_ALL = Budget(None)
+
+
+def checked_max_error(value: float) -> float:
+    """A budget on a change of colour, 0..1. Raises `InputError`."""
+    if not 0 <= value <= 1:
+        raise InputError(
+            f"is {value:g}, need 0 to 1", field="max_error", cure="1/255 = 0.0039 is one level of 8 bits; off keeps all"
+        )
+    return float(value)
+
+
+def parse_max_error(text: str) -> float | None:
+    """The budget that `text` names: a number, a fraction such as 1/255, or "off". Raises `InputError`."""
+    if text.strip().lower() == "off":
+        return None
+    try:
+        above, _, below = text.partition("/")
+        value = float(above) / float(below or 1)
+    except (ValueError, ZeroDivisionError) as error:
+        raise InputError(
+            f"{text[:50]!r} is not a budget", field="max_error", cure="give a change of colour such as 1/255, 0, or off"
+        ) from error
+    return checked_max_error(value)

@@ -1,0 +1,19 @@
+"""Which views a scene's bounds hold for: its inputs, views on the path between them, and those that were asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+from .camera import Camera
+from .views import between
+
+
+def certified_views(cameras: Sequence[Camera], certify: int, asked: Sequence[Camera] = ()) -> list[Camera]:
+    """The inputs, then `certify` views at equal steps between each and the next, then those asked for.
+
+    The middle of each way comes first among its views: where it shows that all is needed, the others are not drawn.
+    """
+    steps = sorted((step / (certify + 1) for step in range(1, certify + 1)), key=lambda share: abs(share - 0.5))
+    path = [between(first, second, share) for share in steps for first, second in pairwise(cameras)]
+    return [*cameras, *path, *asked]

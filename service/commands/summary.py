@@ -1,0 +1,47 @@
+"""What the scene document says, in lines for a terminal: how far to trust the scene, and what was left out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def check_line(check: Mapping[str, Any]) -> str:
+    """The self-check in a line: what the scene shows of its own inputs, and how much of them says nothing of depth."""
+    shown = ", ".join("no pixel" if row["psnr"] is None else f"{row['psnr']:.1f}" for row in check["input_views"])
+    parts = [f"inputs drawn again: {shown} dB"]
+    for name, share in (("textureless", "textureless_share"), ("without parallax", "no_parallax_share")):
+        if check[share] is not None:
+            parts.append(f"{100 * check[share]:.1f} % {name}")
+    if check.get("leave_one_out"):
+        others = [row["psnr"] for row in check["leave_one_out"]]
+        shown = ", ".join("no pixel" if value is None else f"{value:.1f}" for value in others)
+        parts.append(f"drawn from the other views: {shown} dB")
+    if check.get("ambiguous_routes"):
+        parts.append(f"{100 * check['ambiguous_routes']:.2f} % ambiguous routes")
+    if check["depth_step"]["middle"] is not None:
+        parts.append(f"depth candidates every {200 * check['depth_step']['middle']:.1f} % half way")
+    return "; ".join(parts)
+
+
+def left_out_lines(document: Mapping[str, Any]) -> list[str]:
+    """A table of what was left out, at which error, and what it saved; one line where it is nothing."""
+    rows, pruned = document["left_out"], document["pruning"]
+    if not rows:
+        return ["left out: nothing"]
+    width = max(len(row["what"]) for row in rows)
+    lines = [f"{'left out':{width}}       count          of  change of colour"]
+    for row in rows:
+        change = f"at most {row['error']:.5f}" if row["error"] else "none"
+        lines.append(f"{row['what']:{width}}  {row['count']:10,}  {row['of']:10,}  {change}")
+    if pruned["dropped"]:
+        views, (before, after) = pruned["certified"], pruned["picture_seconds"]
+        lines.append(
+            f"proved for {views['inputs']} inputs, {views['between']} views between them and {views['asked']} asked "
+            f"for, {pruned['actual']:.5f} found; elsewhere an estimate"
+        )
+        lines.append(
+            f"saved {pruned['bytes_saved'] / 1e3:,.0f} kB of .ply; a picture takes {1e3 * after:.1f} ms, all of it "
+            f"would take {1e3 * before:.1f} ms; deciding took {pruned['seconds']:.2f} s"
+        )
+    return lines

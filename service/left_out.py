@@ -1,0 +1,101 @@
+"""What one reconstruction left out: a row for each kind, with how many of how many, at which error, and what it saved.
+
+The order is that in which things are left out: routes and patches before the network's experts run, then Gaussians.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .budget import Budget
+from .camera import Camera
+from .certified import certified_views
+from .gaussians import Gaussians, without_zero_bands
+from .model_info import ModelInfo
+from .ply_write import ply_size
+from .pruning import prune
+from .scene_views import SceneViews
+from .splat import Render, render
+
+
+def leave_out(
+    gaussians: Gaussians, may_go: NDArray[np.bool_], scene: SceneViews, budget: Budget, threads: int | None
+) -> tuple[Gaussians, list[Render], dict[str, Any]]:
+    """The scene without what it does not need of `may_go` (N,), its pictures from the inputs' cameras (colour and
+    opacity), and what was done as plain JSON."""
+    started = time.perf_counter()
+    options: dict[str, Any] = {**scene.near_plane, "threads": threads}
+    cameras = scene.cameras
+    report: dict[str, Any] = {"max_error": budget.max_error, "certified": None, "elsewhere": "estimate"}
+    if budget.max_error is None:
+        lean, unseen, bound, actual = gaussians, 0, 0.0, 0.0
+        pictures = [render(gaussians, camera, outputs=("alpha",), **options) for camera in cameras]
+    else:
+        asked = [scene.resolve(spec, field="views") for spec in budget.asked]
+        views = certified_views(cameras, budget.certify, asked)
+        between = len(views) - len(cameras) - len(asked)
+        report["certified"] = {"inputs": len(cameras), "between": between, "asked": len(asked)}
+        found = prune(gaussians, views, budget.max_error, may_go=may_go, pictures=len(cameras), options=options)
+        lean = without_zero_bands(gaussians[found.keep] if found.dropped else gaussians)
+        unseen, bound, actual, pictures = found.unseen, found.bound, found.actual, found.pictures
+    report |= {
+        "kept": len(lean),
+        "dropped": len(gaussians) - len(lean),
+        "unseen": unseen,
+        "bound": bound,
+        "actual": actual,
+        "bytes_saved": 0 if lean is gaussians else ply_size(gaussians) - ply_size(lean),
+        "seconds": round(time.perf_counter() - started, 6),
+        "picture_seconds": None if lean is gaussians else [_seconds(s, cameras[0], options) for s in (gaussians, lean)],
+    }
+    return lean, pictures, report
+
+
+def _seconds(gaussians: Gaussians, camera: Camera, options: Mapping[str, Any]) -> float:
+    """One picture, the quicker of two: the first may prepare the set."""
+    times = []
+    for _ in range(2):
+        start = time.perf_counter()
+        render(gaussians, camera, outputs=(), **options)
+        times.append(time.perf_counter() - start)
+    return round(min(times), 6)
+
+
+def table(
+    outputs: Mapping[str, NDArray],
+    patch_mask: NDArray[np.bool_],
+    info: ModelInfo,
+    dropped: Mapping[str, int],
+    pruned: Mapping[str, Any],
+    degrees: tuple[int, int],
+) -> list[dict[str, Any]]:
+    """Rows {what, count, of, error}; `error` is the largest change of a certified colour, 0 where nothing changes.
+
+    `degrees`: of the harmonics before and after.
+    """
+    rows: list[dict[str, Any]] = []
+
+    def row(what: str, count: int, of: int, error: float = 0.0) -> None:
+        if count:
+            rows.append({"what": what, "count": int(count), "of": int(of), "error": error})
+
+    row("patches under a mask", int((~patch_mask).sum()), patch_mask.size)
+    experts = info.config.get("experts")
+    if "expert_weight" in outputs and isinstance(experts, int):
+        runs = int((outputs["expert_weight"] > 0).sum())
+        row("runs of an expert on a patch", patch_mask.size * experts - runs, patch_mask.size * experts)
+        idle = experts - len(np.unique(outputs["expert_index"][outputs["expert_weight"] > 0]))
+        row("experts that no patch chose", idle, experts)
+    total = len(outputs["opacities"])
+    for reason, count in dropped.items():
+        row(f"Gaussians: {reason}", count, total)
+    if pruned["dropped"]:
+        row("Gaussians without weight in the certified views", pruned["unseen"], total)
+        row("Gaussians within the budget", pruned["dropped"] - pruned["unseen"], total, pruned["bound"])
+    row("bands of harmonics that are 0", degrees[0] - degrees[1], degrees[0])
+    return rows
