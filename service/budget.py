@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .errors import InputError
+from .stride import STRIDES
 
 DEFAULT_MAX_ERROR = 1 / 255  # one level of an 8-bit picture
 DEFAULT_CERTIFY = 1  # views between two neighbouring inputs: what only they see stays
@@ -22,12 +23,18 @@ class Budget:
     max_error: float | None = DEFAULT_MAX_ERROR
     certify: int = DEFAULT_CERTIFY
     asked: tuple[str, ...] = ()
+    min_opacity: float = 0.0  # fainter Gaussians go whatever that changes; the change is bounded and reported
+    stride: int = 1  # a Gaussian per so many pixels in both directions; another model, of which no bound is known
 
     def __post_init__(self) -> None:
         if self.max_error is not None:
             checked_max_error(self.max_error)
         if isinstance(self.certify, bool) or not isinstance(self.certify, int) or not 0 <= self.certify <= MAX_CERTIFY:
             raise InputError(f"is {self.certify}, need a whole number from 0 to {MAX_CERTIFY}", field="certify")
+        if not 0 <= self.min_opacity <= 1:
+            raise InputError(f"is {self.min_opacity:g}, need 0 to 1", field="min_opacity")
+        if self.stride not in STRIDES:
+            raise InputError(f"is {self.stride}, need one of {STRIDES}", field="stride")
 
 
 KEEP_ALL = Budget(None)

@@ -6,7 +6,7 @@ The order is that in which things are left out: routes and patches before the ne
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from .certified import certified_views
 from .gaussians import Gaussians, without_zero_bands
 from .model_info import ModelInfo
 from .ply_write import ply_size
-from .pruning import prune
+from .pruning import prune, removal_bound
 from .scene_views import SceneViews
 from .splat import Render, render
 
@@ -32,14 +32,17 @@ def leave_out(
     options: dict[str, Any] = {**scene.near_plane, "threads": threads}
     cameras = scene.cameras
     report: dict[str, Any] = {"max_error": budget.max_error, "certified": None, "elsewhere": "estimate"}
+    asked = [scene.resolve(spec, field="views") for spec in budget.asked]
+    views = certified_views(cameras, budget.certify, asked)
+    if budget.max_error is not None or budget.min_opacity > 0:
+        between = len(views) - len(cameras) - len(asked)
+        report["certified"] = {"inputs": len(cameras), "between": between, "asked": len(asked)}
+    whole = gaussians
+    gaussians, may_go, faint, faint_bound = _without_faint(gaussians, may_go, views, budget.min_opacity, options)
     if budget.max_error is None:
         lean, unseen, bound, actual = gaussians, 0, 0.0, 0.0
         pictures = [render(gaussians, camera, outputs=("alpha",), **options) for camera in cameras]
     else:
-        asked = [scene.resolve(spec, field="views") for spec in budget.asked]
-        views = certified_views(cameras, budget.certify, asked)
-        between = len(views) - len(cameras) - len(asked)
-        report["certified"] = {"inputs": len(cameras), "between": between, "asked": len(asked)}
         found = prune(gaussians, views, budget.max_error, may_go=may_go, pictures=len(cameras), options=options)
         lean = without_zero_bands(gaussians[found.keep] if found.dropped else gaussians)
         unseen, bound, actual, pictures = found.unseen, found.bound, found.actual, found.pictures
@@ -49,11 +52,29 @@ def leave_out(
         "unseen": unseen,
         "bound": bound,
         "actual": actual,
-        "bytes_saved": 0 if lean is gaussians else ply_size(gaussians) - ply_size(lean),
+        "faint": faint,
+        "faint_bound": faint_bound,
+        "bands": [whole.sh_degree, lean.sh_degree],
+        "bytes_saved": 0 if lean is whole else ply_size(whole) - ply_size(lean),
         "seconds": round(time.perf_counter() - started, 6),
-        "picture_seconds": None if lean is gaussians else [_seconds(s, cameras[0], options) for s in (gaussians, lean)],
+        "picture_seconds": None if lean is whole else [_seconds(s, cameras[0], options) for s in (whole, lean)],
     }
     return lean, pictures, report
+
+
+def _without_faint(
+    gaussians: Gaussians,
+    may_go: NDArray[np.bool_],
+    views: Sequence[Camera],
+    min_opacity: float,
+    options: Mapping[str, Any],
+) -> tuple[Gaussians, NDArray[np.bool_], int, float]:
+    """The set without those fainter than `min_opacity`, `may_go` of it, how many went, and the most that this changes
+    a colour of `views`."""
+    faint = gaussians.opacities < min_opacity
+    if not faint.any():
+        return gaussians, may_go, 0, 0.0
+    return gaussians[~faint], may_go[~faint], int(faint.sum()), removal_bound(gaussians, faint, views, options)
 
 
 def _seconds(gaussians: Gaussians, camera: Camera, options: Mapping[str, Any]) -> float:
@@ -72,12 +93,8 @@ def table(
     info: ModelInfo,
     dropped: Mapping[str, int],
     pruned: Mapping[str, Any],
-    degrees: tuple[int, int],
 ) -> list[dict[str, Any]]:
-    """Rows {what, count, of, error}; `error` is the largest change of a certified colour, 0 where nothing changes.
-
-    `degrees`: of the harmonics before and after.
-    """
+    """Rows {what, count, of, error}; `error` is the largest change of a certified colour, 0 where nothing changes."""
     rows: list[dict[str, Any]] = []
 
     def row(what: str, count: int, of: int, error: float = 0.0) -> None:
@@ -97,5 +114,6 @@ def table(
     if pruned["dropped"]:
         row("Gaussians without weight in the certified views", pruned["unseen"], total)
         row("Gaussians within the budget", pruned["dropped"] - pruned["unseen"], total, pruned["bound"])
-    row("bands of harmonics that are 0", degrees[0] - degrees[1], degrees[0])
+    row("Gaussians below min_opacity", pruned["faint"], total, pruned["faint_bound"])
+    row("bands of harmonics that are 0", pruned["bands"][0] - pruned["bands"][1], pruned["bands"][0])
     return rows

@@ -125,6 +125,16 @@ def prune(
     return Pruning(~going, (freed + ROUNDING + 2 * rule.stop_share) * extent, actual, int(unseen.sum()), after)
 
 
+def removal_bound(
+    gaussians: Gaussians, gone: NDArray[np.bool_], cameras: Sequence[Camera], options: Mapping[str, Any]
+) -> float:
+    """The most that leaving out `gone` (N,) changes a colour of any pixel of `cameras`."""
+    rule = options.get("definition", Definition())
+    lost = [render(gaussians, camera, outputs=("removed",), subset=gone, **options).removed for camera in cameras]
+    freed = max((float(plane.max(initial=0.0)) for plane in lost), default=0.0)
+    return 0.0 if freed == 0 else min(freed + ROUNDING + 2 * rule.stop_share, 1.0) * colour_range(gaussians)
+
+
 def reaches(gaussians: Gaussians, camera: Camera, pixels: NDArray[np.bool_], rule: Definition) -> NDArray[np.bool_]:
     """(N,) whether any of `pixels` (H, W) lies in the square about a Gaussian that holds its footprint; True also where
     it may not.

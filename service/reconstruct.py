@@ -26,6 +26,7 @@ from .photo_checks import check_photos
 from .progress import Listener, Stages, silent
 from .scene_views import SceneViews
 from .self_check import ambiguous_routes, leave_one_out, self_check
+from .stride import thinned
 from .view_checks import Notice, check_count, check_views
 from .world_frame import WorldFrame
 
@@ -97,7 +98,9 @@ class Reconstructor:
             )
         with stages.stage("gaussians"):
             rows, dropped = kept_rows(outputs, views, frame)
-            gaussians = frame.to_world(outputs, rows)
+            shape = len(views), info.height, info.width
+            thin, rows = thinned(outputs, rows, shape, budget.stride)
+            gaussians = frame.to_world(thin, rows)
         view_cameras = tuple(view.camera for view in views)
         scene = SceneViews(view_cameras, depths.near, depths.far)
         owner = np.minimum(rows // (info.height * info.width), len(views))  # the view whose pixel it is, if any
@@ -120,7 +123,7 @@ class Reconstructor:
             outputs=outputs,
             gaussians=lean,
             dropped=dropped,
-            left_out=table(outputs, masks, info, dropped, pruned, (gaussians.sh_degree, lean.sh_degree)),
+            left_out=table(outputs, masks, info, dropped, pruned),
             pruned=pruned,
             check=check,
             warnings=warnings,

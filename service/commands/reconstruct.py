@@ -31,6 +31,8 @@ def reconstruct(
     certify: Annotated[
         int, typer.Option(help="views between neighbouring inputs for which that is proved")
     ] = DEFAULT_CERTIFY,
+    min_opacity: Annotated[float, typer.Option(help="fainter Gaussians are left out, whatever that changes")] = 0.0,
+    stride: Annotated[int, typer.Option(help="a Gaussian per so many pixels each way: 1, 2 or 4")] = 1,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
@@ -47,7 +49,7 @@ def reconstruct(
 
     if not output.parent.is_dir():  # said before the work, not after it
         raise InputError(f"{output.parent} is not a folder", field="output")
-    budget = Budget(parse_max_error(max_error), certify)
+    budget = Budget(parse_max_error(max_error), certify, min_opacity=min_opacity, stride=stride)
     folder = load_scene_folder(scene_dir, None if views is None else partial(view_indices, views))
     with ProgressBars() as bars:
         stages = Stages(bars)

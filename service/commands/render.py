@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from ..effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort, draw
 from ..terminal import ProgressBars
 from .selection import view_specs
 
@@ -22,6 +23,12 @@ def render(
     crop: Annotated[Literal["none", "square"], typer.Option(help="square: the centred square of each view")] = "none",
     channel: Annotated[Literal["rgb", "alpha", "depth"], typer.Option(help="colour, opacity or z-depth")] = "rgb",
     background: Annotated[str, typer.Option(help="rrggbb in hex, black, white or grey")] = "black",
+    alpha_min: Annotated[float, typer.Option(help="layers below this opacity are not drawn")] = ALPHA_MIN,
+    stop: Annotated[float, typer.Option(help="what lies behind so little light is not drawn")] = STOP,
+    sh_degree: Annotated[
+        int | None, typer.Option(min=0, max=3, help="highest band of harmonics [default: all]")
+    ] = None,
+    samples: Annotated[int, typer.Option(min=1, max=MAX_SAMPLES, help="per side of a pixel")] = 1,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
 ) -> None:
@@ -38,7 +45,6 @@ def render(
     from ..progress import Stages
     from ..scene_views import SceneViews
     from ..seen_depths import seen_depths
-    from ..splat import render as draw
 
     file = read_camera_file(cameras)
     specs = [str(index) for index in range(len(file.views))] if views is None else view_specs(views)
@@ -49,7 +55,8 @@ def render(
     for spec in specs:  # what is no view is said before the work
         scene.resolve(spec, field="views")
     sides = None if size is None else parse_size(size)
-    colour = parse_background(background)
+    options = {"background": parse_background(background), "threads": threads}
+    effort = Effort(alpha_min, stop, sh_degree, samples)
     if not ply.is_file():
         raise PlyError(f"{ply} is not a file", field="SCENE.PLY")
     written = []
@@ -67,7 +74,7 @@ def render(
         output.mkdir(parents=True, exist_ok=True)
         with stages.stage("render", len(shots)) as step:
             for spec, camera in zip(specs, shots, strict=True):
-                drawn = draw(gaussians, camera, background=colour, threads=threads, **scene.near_plane)
+                drawn = draw(gaussians, camera, channel, effort, **options, **scene.near_plane)
                 picture = encode(drawn, channel)
                 path = output / f"view_{spec.replace(':', '_')}.png"
                 path.write_bytes(picture.data)

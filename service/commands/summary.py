@@ -34,7 +34,7 @@ def left_out_lines(document: Mapping[str, Any]) -> list[str]:
     for row in rows:
         change = f"at most {row['error']:.5f}" if row["error"] else "none"
         lines.append(f"{row['what']:{width}}  {row['count']:10,}  {row['of']:10,}  {change}")
-    if pruned["dropped"]:
+    if pruned.get("picture_seconds"):
         views, (before, after) = pruned["certified"], pruned["picture_seconds"]
         lines.append(
             f"proved for {views['inputs']} inputs, {views['between']} views between them and {views['asked']} asked "

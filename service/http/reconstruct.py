@@ -16,6 +16,7 @@ from ..ply import ply_bytes
 from ..revision import ALGORITHM_REVISION
 from ..scene_views import SceneViews
 from ..store import SceneStore
+from ..stride import STRIDES
 from . import problems
 from .bundle import zip_bundle
 from .responses import JSON, PLY, ZIP, accepted, json_response
@@ -50,6 +51,13 @@ _FORM = {
             "maximum": MAX_CERTIFY,
             "default": DEFAULT_CERTIFY,
             "description": "views between neighbouring inputs for which that is proved",
+        },
+        "min_opacity": {"type": "number", "minimum": 0, "maximum": 1, "default": 0, "description": "fainter ones go"},
+        "stride": {
+            "type": "integer",
+            "enum": list(STRIDES),
+            "default": 1,
+            "description": "pixels per Gaussian, each way",
         },
     },
 }
@@ -87,6 +95,7 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
 def _scene_id(model_sha256: str, upload: Upload) -> str:
     """Everything that the stored scene depends on, and nothing else: file names are the request's own."""
     budget = upload.budget
+    bounded = budget.max_error is not None or budget.min_opacity > 0
     return SceneStore.scene_id(
         model_sha256,
         [image.data for image in upload.pairing.images],
@@ -96,8 +105,10 @@ def _scene_id(model_sha256: str, upload: Upload) -> str:
             "far": upload.far,
             "trust_poses": upload.trust_poses,
             "max_error": budget.max_error,
-            "certify": budget.certify if budget.max_error is not None else None,
-            "views": sorted(set(budget.asked)) if budget.max_error is not None else None,
+            "certify": budget.certify if bounded else None,
+            "views": sorted(set(budget.asked)) if bounded else None,
+            "min_opacity": budget.min_opacity,
+            "stride": budget.stride,
             "algorithm_revision": ALGORITHM_REVISION,
         },
     )

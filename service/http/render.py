@@ -9,6 +9,7 @@ from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..camera_json import camera_from_json
+from ..effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort
 from ..errors import ViewError
 from ..framing import frame
 from ..picture import Channel, Format, Picture, check_format, encode, parse_background
@@ -34,6 +35,10 @@ class RenderQuery(BaseModel):
     height: int | None = Field(None, ge=1, le=65_535, description="px; another aspect crops about the middle")
     channel: Channel = Field("rgb", description="colour, opacity or z-depth")
     format: Format = Field("png", description="alpha and depth: png or webp; depth has 16 bits in png, 8 in webp")
+    alpha_min: float = Field(ALPHA_MIN, ge=1e-6, le=0.9, description="layers below this opacity are not drawn")
+    stop: float = Field(STOP, ge=0, le=0.9, description="what lies behind so little light is not drawn")
+    sh_degree: int = Field(3, ge=0, le=3, description="highest band of harmonics")
+    samples: int = Field(1, ge=1, le=MAX_SAMPLES, description="per side of a pixel")
     background: str = Field("black", max_length=50, description="rrggbb in hex, black, white or grey")
 
 
@@ -58,11 +63,12 @@ async def render(query: Annotated[RenderQuery, Query()], runtime: Annotated[Runt
         camera = camera_from_json(parse_json(query.camera, "camera"))
     else:
         camera = views.resolve(query.view if query.view is not None else "0")
-    camera = check_size(frame(camera, query.width, query.height), runtime.settings.max_render_pixels)
+    camera = check_size(frame(camera, query.width, query.height), runtime.settings.max_render_pixels, query.samples)
+    effort = Effort(query.alpha_min, query.stop, query.sh_degree, query.samples)
     check_format(camera.width, camera.height, query.channel, query.format)
 
     def work() -> tuple[Picture, str]:
-        drawn = draw(runtime, scene_id, camera, views, background)
+        drawn = draw(runtime, scene_id, camera, views, query.channel, effort, background)
         return encode(drawn, query.channel, query.format), json.dumps(plain(drawn.stats))
 
     async with runtime.gate.admitted():

@@ -22,13 +22,14 @@ from ..errors import (
     ViewCountError,
 )
 from ..settings import Settings
+from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
 from .limits import parse_json
 from .pairing import NamedImage, Pairing, PostedSizes, pair
 
 MAX_FRAMES = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
 MAX_PARTS = 64  # far above what a valid request has, so that one image too many is told from a flood
-FIELDS = ("images", "cameras", "near", "far", "views", "trust_poses", "max_error", "certify")
+FIELDS = ("images", "cameras", "near", "far", "views", "trust_poses", "max_error", "certify", "min_opacity", "stride")
 
 
 @dataclass(frozen=True)
@@ -94,10 +95,15 @@ def _budget(form: FormData) -> Budget:
     max_error, certify = _text(form, "max_error"), _text(form, "certify")
     if certify and not (certify.isascii() and certify.isdigit() and len(certify) < 9):
         raise InputError(f"{certify[:50]!r} is not a whole number", field="certify")
+    min_opacity, stride = _text(form, "min_opacity"), _text(form, "stride")
+    if stride not in ("", *map(str, STRIDES)):
+        raise InputError(f"{stride[:50]!r} is none of {STRIDES}", field="stride")
     return Budget(
         parse_max_error(max_error) if max_error else DEFAULT_MAX_ERROR,
         int(certify) if certify else DEFAULT_CERTIFY,
         _views(form),
+        _finite(min_opacity, "min_opacity", InputError) if min_opacity else 0.0,
+        int(stride) if stride else 1,
     )
 
 
@@ -154,12 +160,16 @@ def _number(form: FormData, name: str, otherwise: float | None) -> float | None:
     text = _text(form, name)
     if not text:
         return otherwise
+    return _finite(text, name, DepthRangeError)
+
+
+def _finite(text: str, name: str, refusal: type[InputError]) -> float:
     try:
         value = float(text)
     except ValueError as error:
-        raise DepthRangeError(f"{text[:100]!r} is not a number", field=name) from error
+        raise refusal(f"{text[:100]!r} is not a number", field=name) from error
     if not math.isfinite(value):
-        raise DepthRangeError(f"{value} is not finite", field=name)
+        raise refusal(f"{value} is not finite", field=name)
     return value
 
 

@@ -1,0 +1,38 @@
+"""A picture's effort: planes that nobody asked for are not drawn, and every setting is the splatter's own."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_pruning import cloud, view
+
+from gapmes.service.effort import ALPHA_MIN, STOP, Effort, draw
+from gapmes.service.errors import InputError
+from gapmes.service.splat import Definition, render, render_supersampled
+
+
+@pytest.mark.case("S2")
+@pytest.mark.parametrize(("channel", "planes"), [("rgb", ()), ("alpha", ("alpha",)), ("depth", ("alpha", "depth"))])
+def test_only_the_planes_of_the_channel_are_drawn_and_they_have_the_same_bits(channel, planes):
+    gaussians = cloud(200, 1, degree=2)
+    drawn, whole = draw(gaussians, view(), channel), render(gaussians, view())
+    assert drawn.rgb.tobytes() == whole.rgb.tobytes()
+    for name in ("alpha", "depth"):
+        expected = getattr(whole, name) if name in planes else np.empty((0, 0), np.float32)
+        assert getattr(drawn, name).tobytes() == expected.tobytes()
+
+
+def test_settings_are_those_of_the_splatter():
+    assert (Definition().alpha_min, Definition().stop) == (ALPHA_MIN, STOP)
+    gaussians = cloud(200, 1, degree=2)
+    rule = Definition(alpha_min=0.02, stop=0.1)
+    expected = render_supersampled(gaussians, view(), 2, definition=rule, sh_degree=1, near=0.5, outputs=())
+    drawn = draw(gaussians, view(), "rgb", Effort(0.02, 0.1, 1, 2), near=0.5)
+    assert drawn.rgb.tobytes() == expected.rgb.tobytes()
+    with pytest.raises(InputError, match="alpha_min"):
+        draw(gaussians, view(), "rgb", Effort(alpha_min=2.0))
+
+
+def test_the_bounds_are_where_the_page_says():
+    text = (Path(__file__).parents[2] / "docs" / "splatting.md").read_text(encoding="utf-8")
+    assert "\n## Knobs\n" in text

@@ -1,0 +1,90 @@
+"""One Gaussian per square of pixels, and leaving out the faint ones: which stay, how large, and what that changes."""
+
+import numpy as np
+import pytest
+from standin_model import EXTRA, HEIGHT, WIDTH
+
+from gapmes.service.budget import Budget
+from gapmes.service.errors import InputError
+from gapmes.service.left_out import leave_out
+from gapmes.service.reconstruct import Reconstructor
+from gapmes.service.scene_views import SceneViews
+from gapmes.service.splat import render
+from gapmes.service.stride import thinned
+
+
+def outputs(shape, extra=5, seed=0):
+    rng = np.random.default_rng(seed)
+    count = np.prod(shape) + extra
+    return {
+        "means": rng.random((count, 3), np.float32),
+        "scales": rng.random((count, 3), np.float32),
+        "harmonics": rng.random((count, 4, 3), np.float32),
+    }
+
+
+@pytest.mark.parametrize("stride", [2, 4])
+def test_the_middle_of_each_square_stays_larger_and_of_the_mean_colour(stride):
+    shape = views, height, width = 3, 8, 12
+    full = outputs(shape)
+    pixels = views * height * width
+    rows = np.delete(np.arange(pixels + 5), [0, 7, pixels + 1])  # some were masked before
+    thin, kept = thinned(full, rows, shape, stride)
+    expected = []
+    for view in range(views):
+        for y in range(stride // 2, height, stride):
+            for x in range(stride // 2, width, stride):
+                row = (view * height + y) * width + x
+                if row not in rows:
+                    continue
+                expected.append(row)
+                square = full["harmonics"][:pixels].reshape(views, height, width, 4, 3)[
+                    view, y - stride // 2 : y + stride // 2, x - stride // 2 : x + stride // 2
+                ]
+                np.testing.assert_allclose(thin["harmonics"][row], square.mean(axis=(0, 1)), atol=1e-6)
+                np.testing.assert_array_equal(thin["scales"][row], full["scales"][row] * stride)
+    behind = [pixels, pixels + 2, pixels + 3, pixels + 4]
+    assert kept.tolist() == expected + behind
+    np.testing.assert_array_equal(thin["scales"][behind], full["scales"][behind])
+    assert thin["means"] is full["means"]
+
+
+def test_a_stride_of_one_is_the_scene_itself():
+    full = outputs((2, 4, 4))
+    thin, rows = thinned(full, np.arange(37), (2, 4, 4), 1)
+    assert rows.tolist() == list(range(37))
+    assert all(thin[name] is full[name] for name in full)
+
+
+def test_a_reconstruction_with_a_stride(engine, plane_scene):
+    given = {"near": plane_scene.near, "far": plane_scene.far}
+    reconstructor, photos, cameras = Reconstructor(engine), plane_scene.images, plane_scene.cameras
+    whole = reconstructor.reconstruct(photos, cameras, budget=Budget(None), **given)
+    thin = reconstructor.reconstruct(photos, cameras, budget=Budget(None, stride=2), **given)
+    assert len(whole.gaussians) == 3 * (HEIGHT * WIDTH + EXTRA)
+    assert len(thin.gaussians) == 3 * (HEIGHT * WIDTH // 4 + EXTRA)
+
+
+@pytest.mark.parametrize("min_opacity", [0.05, 0.3, 0.95])
+def test_faint_gaussians_go_and_the_change_is_bounded(min_opacity):
+    from test_pruning import cloud, view
+
+    gaussians, cameras = cloud(300, 4, degree=1), [view(-0.1), view(0.1)]
+    scene = SceneViews(cameras)
+    lean, pictures, report = leave_out(
+        gaussians, np.ones(300, bool), scene, Budget(None, certify=2, min_opacity=min_opacity), 1
+    )
+    assert report["faint"] == int((gaussians.opacities < min_opacity).sum()) == 300 - len(lean)
+    assert report["certified"] == {"inputs": 2, "between": 2, "asked": 0}
+    assert (lean.opacities >= min_opacity).all()
+    for camera, picture in zip(cameras, pictures, strict=True):
+        before, after = render(gaussians, camera), render(lean, camera)
+        assert after.rgb.tobytes() == picture.rgb.tobytes()
+        assert np.abs(before.rgb - after.rgb).max() <= report["faint_bound"]
+    assert leave_out(gaussians, np.ones(300, bool), scene, Budget(None), 1)[2]["faint"] == 0
+
+
+@pytest.mark.parametrize(("options", "field"), [({"stride": 3}, "stride"), ({"min_opacity": 1.1}, "min_opacity")])
+def test_what_makes_no_sense_is_refused(options, field):
+    with pytest.raises(InputError, match=field):
+        Budget(**options)
