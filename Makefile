@@ -1,5 +1,6 @@
 # Commands from a bare checkout: `make demo` (runtime only, no torch), `make test` (everything) and `make evaluate`
-# (quality on held-out views, minutes; further options by ARGS, for example ARGS=--check). `make bench-splat` compares the
+# (quality on held-out views, minutes; further options by ARGS, for example ARGS=--check). `make report` measures error
+# against run time of every setting, and stability (ARGS=--quick). `make bench-splat` compares the
 # splatter with a plain renderer (ARGS=--quick), `make compare-viewer` its pictures with those of a viewer (needs npm and
 # Chromium).
 # All keep their environment in .venv and reuse it until pyproject.toml changes. pip's own settings apply, for example
@@ -7,7 +8,7 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-.PHONY: demo test evaluate bench-splat compare-viewer clean
+.PHONY: demo test evaluate report bench-splat compare-viewer clean
 
 demo: .venv/.runtime
 	$(BIN)/gapmes demo --output demo
@@ -19,6 +20,9 @@ test: .venv/.dev
 
 evaluate: .venv/.dev
 	$(BIN)/gapmes evaluate --twice --out evaluation $(ARGS)
+
+report: .venv/.dev
+	$(BIN)/gapmes-export --report report --stability report $(ARGS)
 
 bench-splat: .venv/.runtime
 	$(BIN)/python -m benchmarks.splat.run $(ARGS)
@@ -39,4 +43,4 @@ compare-viewer: .venv/.runtime
 	@touch .venv/.runtime $@
 
 clean:
-	rm -rf .venv demo evaluation build *.egg-info
+	rm -rf .venv demo evaluation report build *.egg-info

@@ -14,6 +14,7 @@ from gapmes.model.checkpoint import CheckpointError, load_checkpoint, shipped_ch
 from gapmes.model.config import PRESETS
 from gapmes.service.terminal import ProgressBars
 
+from .measurements import write_tables
 from .pipeline import Exported, ExportRejected, VerificationBroken, export_checkpoint
 from .tolerance import TOLERANCES
 from .variant import Variant
@@ -27,7 +28,7 @@ errors = Console(stderr=True)
 
 @app.command()
 def export(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Path of the .onnx file to write.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Path of the .onnx file to write.")] = None,
     preset: Annotated[str, typer.Option(help=f"One of {', '.join(PRESETS)}.")] = "tiny",
     checkpoint: Annotated[
         Path | None, typer.Option(help="A .safetensors checkpoint; the shipped one of the preset when left out.")
@@ -38,7 +39,16 @@ def export(
     keep_all: Annotated[
         bool, typer.Option("--keep-all", help="Run every expert on every patch and match every pair of views.")
     ] = False,
-    quick: Annotated[bool, typer.Option(help="Verify at two view counts instead of five.")] = False,
+    quick: Annotated[bool, typer.Option(help="Verify at two view counts instead of five; a short --report.")] = False,
+    report: Annotated[
+        Path | None, typer.Option(help="Export nothing: measure error against run time of every setting into a folder.")
+    ] = None,
+    stability: Annotated[
+        Path | None, typer.Option(help="Export nothing: write the table of stiff and extreme cases into a folder.")
+    ] = None,
+    scene: Annotated[
+        list[Path] | None, typer.Option(help="A folder for --report, beside the sample scene; repeat for several.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> None:
     """Export, verify against torch in a process of its own, and write OUT with its report beside it.
@@ -46,6 +56,11 @@ def export(
     Exit status: 0 accepted; 1 refused (checkpoint, size, disk); 2 wrong usage; 3 beyond tolerance, in which case the
     file is kept as NAME.rejected.onnx and OUT is left as it was.
     """
+    if report is not None or stability is not None:
+        write_tables(report, stability, scene or (), quick)
+        return
+    if out is None:
+        raise typer.BadParameter("is missing", param_hint="--out")
     height, width = _size(size)
     if preset not in PRESETS:
         raise typer.BadParameter(f"{preset!r} is unknown, choose one of {', '.join(PRESETS)}", param_hint="--preset")

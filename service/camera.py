@@ -18,6 +18,8 @@ F64 = NDArray[np.float64]
 # A rotation further than this from orthonormal moves a pixel by more than 0.1 px at f = 1000 px; below it the matrix
 # is projected onto SO(3), which is what rounding to six decimals in a text file needs.
 MAX_ORTHONORMALITY_ERROR = 1e-4
+MAX_SIDE = 2**31 - 1  # px, more than any file format holds
+MAX_OFFSET = 1e100  # caller's units: squares and cubes stay finite
 ROUNDING = 1e-14  # what float64 leaves of orthonormality (some 1e-15); such a matrix is kept to the bit
 
 
@@ -48,9 +50,9 @@ class Camera:
         field: str = "camera",
     ) -> Camera:
         """Check and build. Raises `CameraError`, `IntrinsicsError` or `PoseError` naming field, index and numbers."""
-        if int(width) != width or int(height) != height or width < 1 or height < 1:
+        if not (_whole(width) and _whole(height)):
             raise CameraError(
-                f"image size is {width} x {height}, need whole numbers of at least 1",
+                f"image size is {width} x {height}, need whole numbers from 1 to {MAX_SIDE}",
                 field=f"{field}.size",
                 index=index,
             )
@@ -133,7 +135,8 @@ class Camera:
         cam = (np.asarray(points, dtype=np.float64) - self.center) @ self.rotation
         z = cam[:, 2]
         safe = np.where(z > 0, z, np.nan)
-        pixels = np.stack([self.fx * cam[:, 0] / safe + self.cx, self.fy * cam[:, 1] / safe + self.cy], axis=1)
+        with np.errstate(over="ignore"):  # next to the camera's own plane a point is infinitely far off the picture
+            pixels = np.stack([self.fx * cam[:, 0] / safe + self.cx, self.fy * cam[:, 1] / safe + self.cy], axis=1)
         return pixels, z
 
 
@@ -167,9 +170,15 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
         raise PoseError(
             f"last row is {matrix[3].tolist()}, need [0, 0, 0, 1]", field=field, index=index, cure="is it transposed?"
         )
+    offset = float(np.abs(matrix[:3, 3]).max())
+    if offset > MAX_OFFSET:
+        raise PoseError(f"the camera is {offset:.3g} units away, need at most {MAX_OFFSET:g}", field=field, index=index)
     rotation = matrix[:3, :3]
+    largest = float(np.abs(rotation).max())
+    if largest > MAX_OFFSET:
+        raise PoseError(f"R has an entry of {largest:.3g}, need at most 1", field=field, index=index)
     drift = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    det = float(np.linalg.det(rotation))
+    det = float(rotation[0] @ np.cross(rotation[1], rotation[2]))  # np.linalg.det divides by pivots, which may be 0
     if det < 0:
         raise PoseError(
             f"det(R) = {det:.4g}, need +1",
@@ -194,6 +203,13 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
     pose[:3, :3] = rotation
     pose[:3, 3] = matrix[:3, 3]
     return pose
+
+
+def _whole(value: float) -> bool:
+    try:
+        return math.isfinite(value) and int(value) == value and 1 <= value <= MAX_SIDE
+    except OverflowError:  # a Python integer beyond float64
+        return False
 
 
 def _check_focal(value: float, size: float, name: str, field: str, index: int | None) -> None:

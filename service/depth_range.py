@@ -26,6 +26,8 @@ MIN_CONVERGENCE = math.radians(2.0)  # below this angle between optical axes, wh
 MAX_PARALLEL = math.radians(5.0)  # the widest angle between the axes of cameras that count as side by side
 MAX_MISS = 0.1  # of the depth: axes that pass each other farther off than this do not meet
 MIN_SHARE = 0.1  # of a view; what fewer than this share sees in two views cannot be matched
+MAX_DEPTH = 1e150  # caller's units: its square and its inverse are finite numbers
+MAX_RATIO = 1e30  # near is the network's unit, and it reckons in float32
 _SCAN = 24  # depths at which the overlap is looked at
 
 
@@ -71,6 +73,15 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
     if not near < far:
         cure = "they are swapped" if near > far else "the scene needs some depth"
         raise DepthRangeError(f"near = {near:g}, far = {far:g}, need near < far", field="near", cure=cure)
+    for name, value in (("near", near), ("far", far)):
+        if not 1 / MAX_DEPTH <= value <= MAX_DEPTH:
+            raise DepthRangeError(f"{name} = {value:g}, need {1 / MAX_DEPTH:g} to {MAX_DEPTH:g}", field=name)
+    if far / near > MAX_RATIO:
+        raise DepthRangeError(
+            f"far / near = {far / near:.3g}, need at most {MAX_RATIO:g}",
+            field="near",
+            cure="with more than some 1000 no depth candidate is left for the scene",
+        )
     return DepthRange(float(near), float(far), "given")
 
 

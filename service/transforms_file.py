@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from .camera import Camera
+from .camera import MAX_SIDE, Camera
 from .camera_fields import CameraFile, NamedView, SizeOf, image_name, list_of, number_of, opencv_pose, optional_number
 from .distortion import COEFFICIENTS, largest_shift
 from .errors import CameraError, IntrinsicsError
@@ -81,8 +81,9 @@ def _size(values: Mapping, name: str | None, size_of: SizeOf | None, index: int)
             number_of(values, "w", field="frames", index=index),
             number_of(values, "h", field="frames", index=index),
         )
-        if any(side != int(side) for side in size):
-            raise CameraError(f"w, h = {size[0]:g}, {size[1]:g}, need whole numbers", field="frames.w", index=index)
+        if any(side != int(side) or side > MAX_SIDE for side in size):
+            need = f"need whole numbers up to {MAX_SIDE}"
+            raise CameraError(f"w, h = {size[0]:g}, {size[1]:g}, {need}", field="frames.w", index=index)
         return int(size[0]), int(size[1])
     if size_of is None:
         raise CameraError("w and h are missing", field="frames.w", index=index, cure="add the image size in px")
@@ -97,7 +98,7 @@ def _focal(values: Mapping, axis: str, size: int, index: int) -> float:
     if name not in values:
         raise CameraError(f"neither fl_{axis} nor {name} is given", field=f"frames.fl_{axis}", index=index)
     angle = number_of(values, name, field="frames", index=index)
-    if not 0 < angle < math.pi:
+    if not 0 < angle < math.pi or math.tan(0.5 * angle) == 0:
         raise IntrinsicsError(
             f"{name} = {angle:g}, need between 0 and pi",
             field=f"frames.{name}",

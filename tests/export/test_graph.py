@@ -54,8 +54,10 @@ def test_no_path_of_the_exporting_machine_is_left_in_the_file(small_graph: onnx.
     assert b".py" not in text
 
 
+@pytest.mark.case("B1")
 @pytest.mark.parametrize("views", [2, 3, 4, 5, 6])
 def test_every_view_count_agrees_with_torch(small_graph: onnx.ModelProto, network: GaPMeS, views: int) -> None:
+    """Outputs of the whole graph are compared with float32 torch, not single stages with float64."""
     cases = [Case("random", "as trained", random_scene(views, SIZE, SIZE, seed=views))]
     (result,) = verify(small_graph, network, cases, TOLERANCES["fp32"])
     assert result.failures == []
@@ -63,6 +65,7 @@ def test_every_view_count_agrees_with_torch(small_graph: onnx.ModelProto, networ
     assert result.routes.patches == views * PATCHES
 
 
+@pytest.mark.case("B1", "R1")
 @pytest.mark.parametrize("gates", ["all tied", "one expert", "two experts"])
 def test_gate_settings_agree_with_torch(small_graph: onnx.ModelProto, network: GaPMeS, gates: str) -> None:
     before = {k: v.clone() for k, v in network.state_dict().items()}
@@ -73,6 +76,7 @@ def test_gate_settings_agree_with_torch(small_graph: onnx.ModelProto, network: G
     assert all(torch.equal(before[k], v) for k, v in network.state_dict().items())
 
 
+@pytest.mark.case("B1", "P2", "P8")
 def test_hostile_scenes_stay_finite_and_agree(small_graph: onnx.ModelProto, network: GaPMeS) -> None:
     scenes = hostile_scenes(2, SIZE, SIZE)
     cases = [
@@ -98,6 +102,7 @@ def expert_rows(model: onnx.ModelProto, inputs) -> list[int]:
     return [value.shape[0] for value in session.run(names, feed(inputs))]
 
 
+@pytest.mark.case("S2")
 @pytest.mark.parametrize("gates", ["as trained", "all tied", "one expert", "two experts"])
 def test_each_expert_runs_on_just_the_patches_that_chose_it(
     small_graph: onnx.ModelProto, network: GaPMeS, gates: str
@@ -115,12 +120,14 @@ def test_each_expert_runs_on_just_the_patches_that_chose_it(
         assert sorted(np.flatnonzero(chosen)) == [1, 5]
 
 
+@pytest.mark.case("S2")
 def test_left_out_patches_run_through_no_expert(small_graph: onnx.ModelProto) -> None:
     inputs = hostile_scenes(3, SIZE, SIZE)
     assert sum(expert_rows(small_graph, inputs["all masked"])) == 0
     assert sum(expert_rows(small_graph, inputs["half masked"])) == 3 * 2 * 3 * PATCHES // 2
 
 
+@pytest.mark.case("P9")
 def test_a_size_that_does_not_fit_is_refused(network: GaPMeS) -> None:
     with pytest.raises(ValueError, match="height is 100 px, need a multiple of 16"):
         export_graph(network, 100, 64)

@@ -20,6 +20,7 @@ def project(points: torch.Tensor, k: torch.Tensor, pose: torch.Tensor) -> tuple[
     return (image[:2] / image[2]).T, camera[2]
 
 
+@pytest.mark.case("P9")
 def test_placed_points_project_to_their_pixels() -> None:
     _, k, poses, _ = scene(1, 3)
     grid = pixel_grid(20, 30, torch.device("cpu"))
@@ -51,6 +52,7 @@ def test_footprint_is_the_side_of_a_pixel() -> None:
     assert float(footprint(torch.full((1, 1, 1, 1), 8.0), k, 64, 64)) == pytest.approx(8.0 / 32)
 
 
+@pytest.mark.case("A3")
 @pytest.mark.parametrize("degree", [1, 2, 3])
 @pytest.mark.parametrize("angle", [1e-6, 0.3, 3.141592])
 def test_rotated_harmonics_evaluate_like_the_unrotated_ones_at_turned_directions(degree: int, angle: float) -> None:
@@ -112,6 +114,7 @@ def test_camera_rotation_as_quaternion_matches_the_matrix() -> None:
     torch.testing.assert_close(quaternion_to_matrix(matrix_to_quaternion(rotations)), rotations, atol=1e-6, rtol=0)
 
 
+@pytest.mark.case("A1")
 @pytest.mark.parametrize("size", [0.0, 1e-45, 1e-30, 1e-6, 1.0, 1e19, 3e38])
 def test_head_quaternions_are_units_whatever_their_length(size: float) -> None:
     identity = torch.tensor([1.0, 0, 0, 0]).reshape(1, 4, 1, 1)

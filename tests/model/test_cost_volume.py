@@ -38,6 +38,7 @@ def direct_sweep(features: torch.Tensor, views: Views, planes: int) -> torch.Ten
     return volume
 
 
+@pytest.mark.case("P11")
 @pytest.mark.parametrize("views", [2, 3])
 def test_correlation_first_equals_direct_sampling(views: int) -> None:
     _, intrinsics, poses, near_far = scene(2, views)
@@ -48,6 +49,7 @@ def test_correlation_first_equals_direct_sampling(views: int) -> None:
     torch.testing.assert_close(volume, direct_sweep(features, cameras, 9), atol=3e-6, rtol=0)
 
 
+@pytest.mark.case("P11")
 def test_local_matching_at_the_planes_equals_the_sweep() -> None:
     _, intrinsics, poses, near_far = scene(1, 3)
     cameras = Views.make(intrinsics, poses, near_far)
@@ -64,6 +66,7 @@ def test_other_views_of_a_batch_stay_within_their_scene() -> None:
     assert other_views(values)[1].flatten().tolist() == [4, 5, 3, 5, 3, 4]
 
 
+@pytest.mark.case("P1")
 @pytest.mark.parametrize("depth", [1.6, 2.5, 5.0])
 def test_a_textured_wall_is_matched_at_its_depth(depth: float) -> None:
     """A fronto-parallel wall seen by two cameras side by side: the best plane is the nearest one (numerics P1)."""

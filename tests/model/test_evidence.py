@@ -62,6 +62,7 @@ def brute_force(a: np.ndarray, b: np.ndarray, shift: float) -> np.ndarray:
     return box(slope, GUIDE_RADIUS) * grey_a + box(mean_s - slope * mean_g, GUIDE_RADIUS)
 
 
+@pytest.mark.case("P11")
 def test_equals_brute_force_in_float64() -> None:
     baseline = 0.6
     images = torch.rand(2, 3, SIZE, SIZE, generator=torch.Generator().manual_seed(0))
@@ -76,6 +77,7 @@ def test_equals_brute_force_in_float64() -> None:
         np.testing.assert_allclose(got[1, plane], mirrored, atol=5e-6)
 
 
+@pytest.mark.case("P1")
 def test_a_textured_wall_scores_best_at_its_depth() -> None:
     """One wall at the fifth of nine planes: both pictures are cut from it, so that they differ by a whole shift."""
     inverse = 1 / FAR + 0.5 * (1 / NEAR - 1 / FAR)
@@ -89,6 +91,7 @@ def test_a_textured_wall_scores_best_at_its_depth() -> None:
     assert float(evidence[0, 4, :, shift + 5 :].min()) > 0.95
 
 
+@pytest.mark.case("P8")
 @pytest.mark.parametrize("grey", [0.0, 0.5, 1.0])
 def test_pictures_of_one_colour_say_nothing(grey: float) -> None:
     evidence = matching_evidence(torch.full((3, 3, SIZE, SIZE), grey), sideways(0.1, 3), PLANES)

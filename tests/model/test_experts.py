@@ -34,6 +34,7 @@ def logits_for(kind: str, patches: int) -> torch.Tensor:
     return logits
 
 
+@pytest.mark.case("R5", "S2")
 @pytest.mark.parametrize("kind", ["random", "tied", "two of six"])
 @pytest.mark.parametrize("patches", [1, 37])
 def test_sparse_equals_dense(kind: str, patches: int) -> None:
@@ -45,6 +46,7 @@ def test_sparse_equals_dense(kind: str, patches: int) -> None:
     torch.testing.assert_close(sparse, dense, atol=2e-6 * float(dense.abs().max()), rtol=0)
 
 
+@pytest.mark.case("R5")
 def test_permuting_patches_permutes_the_result() -> None:
     x = torch.randn(40, STREAMS * CHANNELS, 4, 4, generator=torch.Generator().manual_seed(2))
     logits, order = logits_for("random", 40), torch.randperm(40, generator=torch.Generator().manual_seed(3))
@@ -53,6 +55,7 @@ def test_permuting_patches_permutes_the_result() -> None:
     torch.testing.assert_close(permuted, straight[order], atol=2e-6 * float(straight.abs().max()), rtol=0)
 
 
+@pytest.mark.case("R5", "S2")
 def test_an_expert_runs_on_exactly_the_patches_that_chose_it() -> None:
     experts, counts = group(), {}
     for number, expert in enumerate(experts.experts):
@@ -69,6 +72,7 @@ def test_an_expert_runs_on_exactly_the_patches_that_chose_it() -> None:
     assert counts[0] == counts[2] == counts[5] == 0
 
 
+@pytest.mark.case("S2")
 def test_a_weight_of_exactly_zero_is_not_computed() -> None:
     experts, seen = group(), []
     for expert in experts.experts:

@@ -26,6 +26,7 @@ def axis_angle(axis: torch.Tensor, angle: float) -> torch.Tensor:
     return torch.matrix_exp(skew * angle)
 
 
+@pytest.mark.case("A4")
 @pytest.mark.parametrize("angle", [0.0, 1e-6, 0.5, math.pi / 2, math.pi - 1e-6, math.pi])
 def test_matrix_to_quaternion_and_back(angle: float) -> None:
     generator = torch.Generator().manual_seed(0)
@@ -67,6 +68,7 @@ def warp_case(translation: list[float]) -> tuple[torch.Tensor, ...]:
     return rays, inverse, source_k, motion
 
 
+@pytest.mark.case("P7")
 def test_warp_follows_a_point_through_both_lenses() -> None:
     rays, inverse, source_k, motion = warp_case([0.3, -0.1, 0.2])
     grid, inside = warp_positions(rays, inverse, source_k, motion)
@@ -81,6 +83,7 @@ def test_warp_follows_a_point_through_both_lenses() -> None:
     assert torch.equal(inside, (expected.abs() < 1).all(-1))
 
 
+@pytest.mark.case("P4")
 def test_points_behind_the_source_are_never_sampled() -> None:
     rays, inverse, source_k, motion = warp_case([0.0, 0.0, -3.0])
     grid, inside = warp_positions(rays, inverse, source_k, motion)

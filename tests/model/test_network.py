@@ -37,6 +37,7 @@ def test_one_gaussian_per_pixel_and_a_backing_layer(network: GaPMeS, views: int)
     assert float(prediction.depth.max()) <= far * 1.0001
 
 
+@pytest.mark.case("R5")
 def test_swapping_scenes_of_a_batch_swaps_the_results(network: GaPMeS) -> None:
     one = scene(2, 2, 64, seed=5)
     with torch.no_grad():
@@ -60,6 +61,7 @@ def test_evaluation_is_deterministic_and_draws_no_noise(network: GaPMeS) -> None
     assert torch.equal(first.routing.expert_index, second.routing.expert_index)
 
 
+@pytest.mark.case("S2")
 def test_left_out_patches_have_no_weight_and_opacity_exactly_zero(network: GaPMeS) -> None:
     images, k, poses, near_far = scene(1, 2, 64)
     mask = torch.ones(1, 2, 16, dtype=torch.bool)

@@ -15,12 +15,14 @@ def gates(experts: int = 6, k: int = 2, tau: float = 0.8) -> Gates:
     return Gates(48, experts, k, tau).eval()
 
 
+@pytest.mark.case("R1")
 @pytest.mark.parametrize("experts", [1, 2, 6, 64])
 def test_all_ties_take_the_lowest_indices(experts: int) -> None:
     for k in range(1, min(experts, 5) + 1):
         assert top_k_lowest_first(torch.zeros(3, experts), k).tolist() == [list(range(k))] * 3
 
 
+@pytest.mark.case("R1")
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.integers(-3, 3), min_size=4, max_size=8), st.integers(1, 4))
 def test_top_k_is_a_stable_sort(values: list[int], k: int) -> None:
@@ -28,6 +30,7 @@ def test_top_k_is_a_stable_sort(values: list[int], k: int) -> None:
     assert top_k_lowest_first(torch.tensor([values], dtype=torch.float32), k).tolist() == [expected]
 
 
+@pytest.mark.case("R4")
 @pytest.mark.parametrize("balance", [0.0, 0.3, 1.0])
 def test_hybrid_weights_sum_to_one_and_are_not_negative(balance: float) -> None:
     soft = torch.softmax(torch.randn(100, 4, generator=torch.Generator().manual_seed(0)), -1)
@@ -37,6 +40,7 @@ def test_hybrid_weights_sum_to_one_and_are_not_negative(balance: float) -> None:
     assert (weights >= 0).all()
 
 
+@pytest.mark.case("R4")
 def test_balance_is_between_the_hard_and_the_soft_choice() -> None:
     soft = torch.tensor([[0.2, 0.5, 0.3]])
     torch.testing.assert_close(hybrid_weights(soft, torch.tensor(1.0)), torch.tensor([[0.0, 1.0, 0.0]]))
@@ -50,6 +54,7 @@ def test_weights_of_the_gates_sum_to_one() -> None:
     torch.testing.assert_close(routing.task_weight.sum(-1), torch.ones(200), atol=3e-7, rtol=0)
 
 
+@pytest.mark.case("R3")
 @pytest.mark.parametrize("scale", [1e4, 1e30, 3e38])
 def test_huge_logits_give_finite_weights(scale: float) -> None:
     g = gates()
@@ -61,6 +66,7 @@ def test_huge_logits_give_finite_weights(scale: float) -> None:
     assert torch.isfinite(routing.expert_weight).all()
 
 
+@pytest.mark.case("R5")
 def test_permuting_patches_permutes_their_routes() -> None:
     x = torch.randn(64, 48, generator=torch.Generator().manual_seed(8))
     order = torch.randperm(64, generator=torch.Generator().manual_seed(9))
@@ -70,6 +76,7 @@ def test_permuting_patches_permutes_their_routes() -> None:
     torch.testing.assert_close(permuted.task_weight, straight.task_weight[order], atol=1e-6, rtol=0)
 
 
+@pytest.mark.case("R3")
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_logits_that_are_not_numbers_show_in_the_weights(value: float) -> None:
     """The engine refuses outputs that are not finite, so a broken gate must not come out as a plausible route."""
@@ -77,6 +84,9 @@ def test_logits_that_are_not_numbers_show_in_the_weights(value: float) -> None:
     with torch.no_grad():
         g.expert_gate.bias[1] = value
     assert not torch.isfinite(g(torch.zeros(1, 48)).expert_weight).all()
+    with torch.no_grad():
+        g.expert_gate.bias.fill_(-float("inf"))
+    assert not torch.isfinite(g(torch.zeros(1, 48)).expert_weight).any()
 
 
 def test_no_noise_in_evaluation_and_noise_in_training() -> None:

@@ -28,6 +28,7 @@ def test_our_file_reads_back_to_the_bit():
         np.testing.assert_array_equal(one.world_from_cam, two.world_from_cam)
 
 
+@pytest.mark.case("P5")
 def test_a_pose_that_was_checked_once_stays_to_the_bit():
     rng = np.random.default_rng(0)
     for _ in range(500):
@@ -83,6 +84,7 @@ def test_every_stated_convention_is_the_same_camera(axes, direction):
         np.testing.assert_allclose(camera.world_from_cam, pose(index), atol=1e-13)
 
 
+@pytest.mark.case("P5")
 @pytest.mark.parametrize(
     ("path", "value", "error", "match", "index"),
     [

@@ -143,6 +143,7 @@ def test_axes_that_meet_behind_do_not_count(flip):
     assert convergence_depths([camera.posed(camera.world_from_cam @ flip) for camera in arc([-0.2, 0.2])]) is None
 
 
+@pytest.mark.case("E19")
 def test_the_estimate_moves_with_the_world_and_its_unit():
     rotation = about_axis(np.array([0.6, 0.8, 0.0]), 1.0)
     for cameras in (arc([-0.2, 0.1, 0.3]), side_by_side(3)):
@@ -165,6 +166,7 @@ def test_a_given_range_is_taken_as_it_is():
     assert (given.near, given.far, given.source) == (0.5, 9.0, "given")
 
 
+@pytest.mark.case("P3")
 @pytest.mark.parametrize(
     ("near", "far", "match"),
     [
@@ -183,6 +185,7 @@ def test_what_is_no_range_is_refused(near, far, match):
         depth_range(side_by_side(), near, far)
 
 
+@pytest.mark.case("P2")
 @pytest.mark.parametrize("offset", [0.0, 1e6])
 def test_cameras_in_one_place_have_no_depth(offset):
     cameras = []
@@ -208,6 +211,7 @@ def test_shares_are_the_areas_of_shifted_squares():
     np.testing.assert_array_equal(shares[0, 0], 1.0)
 
 
+@pytest.mark.case("P10")
 def test_inverse_depth_steps():
     steps = inverse_depth_steps(0.5, 8, 16)
     assert (steps[0], steps[-1]) == (pytest.approx(0.5), pytest.approx(8))

@@ -126,6 +126,7 @@ def test_wrong_shapes_and_types_are_refused(engine):
     assert caught.value.field == "patch_mask"
 
 
+@pytest.mark.case("R3")
 def test_numbers_that_are_not_finite_are_named(engine):
     bad = inputs()
     bad["images"][1, 2, 5, 7] = np.nan

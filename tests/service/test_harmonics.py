@@ -53,6 +53,7 @@ def test_basis_is_orthonormal_on_the_sphere():
     np.testing.assert_allclose(basis.T @ (basis * area[:, None]), np.eye(25), atol=ATOL)
 
 
+@pytest.mark.case("A3")
 @pytest.mark.parametrize("angle", [0.0, 1e-8, 1e-6, 1e-3, 0.3, math.pi / 2, 2.0, math.pi - 1e-6, math.pi])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3, 4])
 def test_rotated_then_evaluated_is_evaluated_at_the_rotated_direction(degree, angle):
@@ -75,6 +76,7 @@ def test_rotations_form_a_group_of_orthogonal_matrices():
         np.testing.assert_allclose(one @ one.T, np.eye(len(one)), atol=ATOL)
 
 
+@pytest.mark.case("A3")
 def test_a_tiny_rotation_moves_the_coefficients_by_its_own_size():
     """The Euler-angle route loses all digits here; first order in the angle must survive."""
     generator = band_rotations(about_axis(np.array([0.0, 1.0, 0.0]), 1e-3), 4)

@@ -72,6 +72,7 @@ def test_the_pixel_limit_is_an_option():
         decode_image(data, index=0, max_pixels=9_999)
 
 
+@pytest.mark.case("P9")
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (31, 64), (64, 31)])
 def test_tiny_images_are_refused_with_the_minimum(width, height):
     with pytest.raises(ImageError, match=f"is {width} x {height} px, need at least 32 x 32") as caught:
@@ -200,6 +201,7 @@ SIZES = [
 ]
 
 
+@pytest.mark.case("P9")
 @pytest.mark.parametrize(("target", "source"), SIZES)
 def test_pixel_ray_pixel_through_crop_and_resize(target, source):
     """A point on a pixel's ray of the photograph lands where the crop put that pixel; off-centre, fx != fy."""
@@ -218,6 +220,7 @@ def test_pixel_ray_pixel_through_crop_and_resize(target, source):
     assert fitted.kept_share == pytest.approx(width * height / scale**2 / (columns * rows))
 
 
+@pytest.mark.case("P9")
 @pytest.mark.parametrize(("target", "source"), SIZES)
 def test_the_picture_moves_as_the_intrinsics_say(target, source):
     """Pixels that encode their own position: red the column, green the row. Away from the border, where the filter is

@@ -60,12 +60,14 @@ def test_swapped_cameras_of_two_photographs_are_noticed():
     assert "the cameras of the other photograph" in caught.value.cure
 
 
+@pytest.mark.case("P8")
 def test_unrelated_photographs_are_a_warning(plane_scene):
     others = [PlaneScene.make(np.random.default_rng(seed)).images[0] for seed in (1, 2, 3)]
     notices = check_photos(fitted(replace(plane_scene, images=tuple(others))), DEPTHS)
     assert [notice["code"] for notice in notices] in (["photos_hardly_match"], ["poses_doubtful"])
 
 
+@pytest.mark.case("P8")
 def test_photographs_without_texture_are_a_warning(plane_scene):
     flat = tuple(np.full_like(image, 90) for image in plane_scene.images)
     notices = check_photos(fitted(replace(plane_scene, images=flat)), DEPTHS)

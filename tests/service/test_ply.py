@@ -17,6 +17,7 @@ from gapmes.service.splat import render
 VIEW = Camera.make(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
 
 
+@pytest.mark.case("I1")
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("count", [0, 1, 200])
 def test_round_trip(count, degree):
@@ -30,6 +31,7 @@ def test_round_trip(count, degree):
     assert np.abs(after.rotations_wxyz - before.rotations_wxyz).max(initial=0) <= 1.2e-7
 
 
+@pytest.mark.case("I1")
 @pytest.mark.parametrize("seed", range(5))
 def test_the_image_survives_the_file(seed):
     """Measured 7e-7 over 40 scenes; on the edge of the alpha cut a flip may move a pixel by 1/255 of a colour of 3."""
@@ -75,6 +77,7 @@ def test_another_reader_finds_logit_log_and_channel_major(degree):
     assert all((table[name] == 0).all() for name in ("nx", "ny", "nz"))
 
 
+@pytest.mark.case("I1")
 @pytest.mark.parametrize("opacity", [0.0, 1e-38, 0.5, 1 - 2.0**-24, 1.0])
 @pytest.mark.parametrize("scale", [0.0, 1e-45, 1e-38, 1.0, 1e38, 3.4e38])
 def test_extreme_numbers_come_back(opacity, scale):
@@ -89,9 +92,11 @@ def test_extreme_numbers_come_back(opacity, scale):
     if scale == 0:
         assert after.scales.max() <= 1.0001e-12  # every scale is zero here: there is no median to go by
     elif scale > 1e-40:
-        assert np.abs(after.scales.astype(float) / before.scales - 1).max() <= 5e-6
+        # half a step of float32 at a logarithm of 87.5 is 3.8e-6
+        assert np.abs(after.scales.astype(float) / before.scales - 1).max() <= (5e-7 if scale == 1 else 4e-6)
 
 
+@pytest.mark.case("I1")
 def test_a_zero_scale_is_far_below_the_others():
     before = gaussians(9, 4, 0)
     before.scales[0] = 0.0
@@ -120,6 +125,7 @@ def shifted(count: int, offset: float) -> Gaussians:
     )  # fmt: skip
 
 
+@pytest.mark.case("E19", "I1")
 @pytest.mark.parametrize(("offset", "word"), [(0.0, b"float"), (1e3, b"float"), (1e6, b"double"), (1e9, b"double")])
 def test_positions_far_from_the_origin_are_stored_as_double(offset, word):
     before = shifted(200, offset)

@@ -38,6 +38,7 @@ def by_plyfile(*, text: bool, byte_order: str = "<", faces: bool = False) -> byt
     return stream.getvalue()
 
 
+@pytest.mark.case("I2")
 @pytest.mark.parametrize("faces", [False, True])
 @pytest.mark.parametrize(("text", "byte_order"), [(True, "="), (False, "<"), (False, ">")])
 def test_every_format_with_comments_and_other_elements(text, byte_order, faces):
@@ -47,6 +48,7 @@ def test_every_format_with_comments_and_other_elements(text, byte_order, faces):
     assert_same(read_ply(data.replace(b"element vertex", comments)), EXPECTED)
 
 
+@pytest.mark.case("I2")
 def test_other_property_order_extra_properties_and_types():
     table = dict(reversed(TABLE.items()))
     table["x"] = table["x"].astype(np.float64)
@@ -79,6 +81,7 @@ def test_no_normals_and_no_higher_harmonics():
     assert (result.harmonics == EXPECTED.harmonics[:, :1]).all()
 
 
+@pytest.mark.case("I2")
 def test_infinite_logits_and_logarithms_mean_zero_and_one():
     opacity = np.array([np.inf, -np.inf, 800, -800, 17, 0], np.float32)
     scale = np.array([-np.inf, -800, 0, 0, 0, 88.7], np.float32)
@@ -88,6 +91,7 @@ def test_infinite_logits_and_logarithms_mean_zero_and_one():
     assert np.isfinite(result.scales).all()
 
 
+@pytest.mark.case("A1", "I2")
 def test_unnormalised_and_zero_rotations():
     table = changed(**{f"rot_{k}": TABLE[f"rot_{k}"] * np.float32(k != 9) * 37 for k in range(4)})
     for k in range(4):
@@ -97,6 +101,7 @@ def test_unnormalised_and_zero_rotations():
     assert result.rotations_wxyz[2].tolist() == [1, 0, 0, 0]
 
 
+@pytest.mark.case("I2")
 @pytest.mark.parametrize("missing", ["x", "z", "f_dc_2", "opacity", "scale_2", "rot_3"])
 def test_a_missing_property_is_named(missing):
     with pytest.raises(PlyError, match=f"1 of 14 properties are missing: {missing}"):
@@ -108,17 +113,20 @@ def test_a_mesh_is_told_from_a_splat():
         read_ply(binary_file({axis: TABLE[axis] for axis in "xyz"}))
 
 
+@pytest.mark.case("I2")
 @pytest.mark.parametrize(("drop", "message"), [([8], "there are 8"), ([0, 1, 2], "there are 6")])
 def test_a_wrong_number_of_harmonics(drop, message):
     with pytest.raises(PlyError, match=message):
         read_ply(binary_file(changed(**{f"f_rest_{i}": None for i in drop})))
 
 
+@pytest.mark.case("I2")
 def test_a_gap_in_the_harmonics():
     with pytest.raises(PlyError, match="index 3 is missing"):
         read_ply(binary_file(changed(f_rest_3=None, f_rest_9=TABLE["f_rest_3"])))
 
 
+@pytest.mark.case("I2")
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -149,6 +157,7 @@ def test_a_double_that_does_not_fit_float32_is_refused():
         read_ply(binary_file(changed(f_dc_1=np.full(6, 1e300))))
 
 
+@pytest.mark.case("I2")
 @pytest.mark.parametrize("cut", [1, 90, 200])
 def test_a_truncated_body_says_how_much_is_there(cut):
     row = 4 * len(TABLE)
@@ -215,6 +224,7 @@ def test_a_bad_line_of_text_is_named(old, new, message):
     assert refusal.value.index == 3
 
 
+@pytest.mark.case("I2")
 @settings(deadline=None, max_examples=300)
 @given(st.data())
 def test_damaged_files_are_read_or_refused(data):

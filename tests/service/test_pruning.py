@@ -58,6 +58,7 @@ def cloud(count: int, seed: int, degree: int = 0, faint: float = 0.5) -> Gaussia
     return Gaussians.make(means, scales, rng.standard_normal((count, 4)), opacities, harmonics)
 
 
+@pytest.mark.case("S1", "S2")
 @settings(deadline=None, max_examples=200)
 @given(
     seed=st.integers(0, 2**32),
@@ -88,6 +89,7 @@ def test_no_certified_pixel_changes_by_more_than_bound_and_budget(seed, degree, 
     assert picture.alpha.tobytes() == again.alpha.tobytes()
 
 
+@pytest.mark.case("S1")
 @pytest.mark.parametrize("seed", range(4))
 def test_the_bound_holds_in_float64(seed):
     gaussians = cloud(200, seed)
@@ -112,6 +114,7 @@ def test_every_pixel_that_a_gaussian_marks_counts_as_reached(seed):
     assert not reaches(gaussians, camera, np.zeros((32, 40), bool), rule).any() or gaussians.means[0, 2] <= rule.near
 
 
+@pytest.mark.case("S1")
 @pytest.mark.parametrize("views", [(0, 1), (0, 4), (2, 5), (1, 3, 5)])
 @pytest.mark.parametrize("budget", [0.0, 1 / 255, 0.1])
 def test_no_certified_pixel_of_a_trained_scene_changes_by_more(trained_scenes, views, budget):
@@ -153,6 +156,7 @@ def test_a_budget_that_makes_no_sense_is_refused():
             prune(cloud(3, 0), [view()], budget)
 
 
+@pytest.mark.case("S1")
 def test_the_bound_on_twenty_thousand_rays():
     """The statement itself, on lists of layers in float64 without any picture: |C - C'| <= m R, and it is reached."""
     rng = np.random.default_rng(11)

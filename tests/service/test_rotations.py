@@ -23,6 +23,7 @@ def axes(seed=0, count=8):
     return [*np.eye(3), *(d / np.linalg.norm(d, axis=1, keepdims=True))]
 
 
+@pytest.mark.case("A4")
 @pytest.mark.parametrize("angle", ANGLES)
 def test_matrix_to_quaternion_and_back(angle):
     for axis in axes():

@@ -110,6 +110,7 @@ def test_only_what_the_mask_keeps_counts():
     assert whole["textureless_share"] == pytest.approx((48 - 24 - 3) / 48, abs=0.01)  # windows of 7 px within the grey
 
 
+@pytest.mark.case("P2")
 def test_parallax_is_a_shift_between_near_and_far():
     """A sideways step b shifts by f b (1/near - 1/far) px: 45 b here."""
     views = [FittedView(np.zeros((3, 48, 48), np.float32), None, camera(x), 1.0) for x in (0.0, 0.0, 0.0)]
@@ -123,6 +124,7 @@ def test_parallax_is_a_shift_between_near_and_far():
     assert not parallax(away, 0, DEPTHS).any()
 
 
+@pytest.mark.case("P1", "P3")
 def test_depth_steps_are_half_the_distance_of_candidates():
     candidates = 1 / np.linspace(1 / DEPTHS.near, 1 / DEPTHS.far, 65)
     steps = depth_steps(DEPTHS, Info)
@@ -135,6 +137,7 @@ def test_depth_steps_are_half_the_distance_of_candidates():
     assert depth_steps(DEPTHS, type("Other", (), {"config": {}}))["far"] is None
 
 
+@pytest.mark.case("P8")
 def test_a_uniform_object_on_a_mask_has_no_texture():
     mask = np.zeros((48, 48), bool)
     mask[20:30, 15:25] = True
@@ -184,6 +187,7 @@ def test_an_input_is_drawn_from_the_others_alone():
     assert alone[0]["holes"] == checked(gaussians, fitted)["input_views"][0]["holes"]
 
 
+@pytest.mark.case("R2")
 def test_routes_that_rounding_may_decide_are_counted_among_the_kept_patches():
     margin = np.array([[0.0, 1e-5, 2e-5, 1e-3], [0.5, 1e-6, 1.0, 1.0]], np.float32)
     everything = np.ones((2, 4), bool)

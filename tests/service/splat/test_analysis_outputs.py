@@ -32,6 +32,7 @@ def test_all_outputs_match_the_reference(rule, seed):
     assert abs(ours.stats["pairs"] - true.stats["pairs"]) < 2e-4 * true.stats["pairs"]
 
 
+@pytest.mark.case("S2")
 def test_what_is_asked_for_changes_no_other_plane():
     gaussians, view, subset = scene(300, 4), camera(70, 50), halves(300, 4)
     plain = render(gaussians, view)
@@ -46,6 +47,7 @@ def test_what_is_asked_for_changes_no_other_plane():
     assert bits(render(gaussians, view)) == bits(plain)  # the marks of a subset are gone
 
 
+@pytest.mark.case("E9")
 @pytest.mark.parametrize("rule", [Definition(), INRIA])
 def test_threads_and_batches_give_the_same_bits(rule):
     gaussians, view, subset = scene(300, 5), camera(100, 70), halves(300, 5)
@@ -58,6 +60,7 @@ def test_threads_and_batches_give_the_same_bits(rule):
         assert other.stats["pairs"] == one.stats["pairs"]
 
 
+@pytest.mark.case("S1")
 def test_shares_of_a_partition_add_up_to_the_opacity():
     gaussians, view = scene(400, 6), camera()
     subset = halves(400, 6)
@@ -68,6 +71,7 @@ def test_shares_of_a_partition_add_up_to_the_opacity():
     assert not nobody.removed.any()
 
 
+@pytest.mark.case("S1")
 @pytest.mark.parametrize("seed", range(6))
 def test_leaving_gaussians_out_moves_no_colour_by_more_than_their_mass(seed):
     """|C - C'| <= m R per channel, R the range of colours and background: the freed mass m reappears on what is kept.

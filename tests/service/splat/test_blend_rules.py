@@ -36,6 +36,7 @@ def test_every_knob_means_the_same_in_the_reference(name):
         assert result.on_edge < 0.02
 
 
+@pytest.mark.case("E5", "E6")
 def test_knobs_change_the_image_by_no_more_than_their_bounds():
     gaussians, view = scene(300, 3), camera()
     exact = render(gaussians, view, definition=Definition(stop=0.0))
@@ -48,6 +49,7 @@ def test_knobs_change_the_image_by_no_more_than_their_bounds():
     assert not np.array_equal(exclusive.rgb, inclusive.rgb)
 
 
+@pytest.mark.case("S2")
 def test_planes_that_are_not_asked_for_change_nothing_and_are_not_there():
     gaussians, view = scene(400, 4, 2), camera(100, 70)
     whole = render(gaussians, view)
@@ -76,6 +78,7 @@ def test_bytes_are_rounded_and_clipped_and_transparency_composites_to_the_same_p
         render(gaussians, view, outputs=()).rgba8()
 
 
+@pytest.mark.case("S2")
 def test_several_views_are_those_of_single_calls():
     gaussians = scene(200, 7, 1)
     views = [camera(), camera(30, 20), camera(focal=80.0)]
@@ -83,6 +86,7 @@ def test_several_views_are_those_of_single_calls():
         assert bits(image) == bits(render(gaussians, view))
 
 
+@pytest.mark.case("E10")
 @pytest.mark.parametrize("rule", [Definition(), Definition(inclusive_stop=False)])
 def test_batches_give_the_same_bits_for_both_stopping_rules(rule):
     gaussians, view = scene(300, 5), camera(70, 50)
@@ -90,6 +94,7 @@ def test_batches_give_the_same_bits_for_both_stopping_rules(rule):
     assert bits(render(gaussians, view, definition=split)) == bits(render(gaussians, view, definition=rule))
 
 
+@pytest.mark.case("E15", "S2")
 @settings(deadline=None, max_examples=100)
 @given(seed=st.integers(0, 2**32))
 def test_the_test_of_a_block_leaves_out_nothing_that_a_pixel_would_show(seed):

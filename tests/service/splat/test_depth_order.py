@@ -1,6 +1,7 @@
 """Front to back: sorted by depth, ties by content, the same sequence of contents for every input order."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from splat_cases import dots
@@ -10,6 +11,7 @@ from gapmes.service.splat.order import depth_order
 few = st.sampled_from([0.0, 1.0, 2.0])
 
 
+@pytest.mark.case("E7")
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.tuples(few, few, few, st.booleans(), few), max_size=30), st.integers(0, 1000))
 def test_order_depends_on_content_alone(rows, seed):
@@ -28,6 +30,7 @@ def test_order_depends_on_content_alone(rows, seed):
     assert keys == sorted(keys)
 
 
+@pytest.mark.case("E16")
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 2**32), st.sampled_from([1e-30, 1e-3, 1.0, 1e6]), st.sampled_from([1e-12, 1e-9, 1e-6, 1.0]))
 def test_order_is_that_of_the_float64_depths_however_close(seed, unit, spread):

@@ -38,6 +38,7 @@ class Guarded:
             assert (buffer[-GUARD:] == PATTERN).all()
 
 
+@pytest.mark.case("E11")
 @pytest.mark.parametrize("count", [1, BLOCK - 1, BLOCK, BLOCK + 1, 700])
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 37), (37, 1), (17, 33), (64, 64), (4096, 16)])
 @pytest.mark.parametrize("max_entries", [1 << 24, 40])
@@ -78,17 +79,20 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
             assert array.tobytes() == getattr(expected, name).tobytes(), name
 
 
+@pytest.mark.case("E11")
 def test_a_very_wide_picture_matches_the_reference():
     view = Camera(4096, 16, 900.0, 900.0, 2048.0, 8.0, np.eye(4))
     result = compare(scene(60, 4, 0, (0.02, 1.0)), view)
     assert result.smooth < 2e-6
 
 
+@pytest.mark.case("E9")
 def test_ten_repeats_give_the_same_bits():
     gaussians, view = scene(500, 5, 2), camera(120, 90)
     assert len({bits(render(gaussians, view, threads=1 + number % 3)) for number in range(10)}) == 1
 
 
+@pytest.mark.case("E12")
 def test_minus_zero_is_zero():
     """In every field: positions, scales, rotations, an opacity and all harmonics."""
     means = np.array([[0.0, 0.0, 2.0], [0.1, 0.0, 2.5], [0.0, 0.1, 3.0]])

@@ -31,6 +31,7 @@ def test_random_scenes_match_the_reference(seed, degree):
     assert result.on_edge < 5e-3
 
 
+@pytest.mark.case("E2")
 @pytest.mark.parametrize(
     ("scales", "near_far"), [((1e-10, 3.0), (0.3, 100.0)), ((1e-8, 3.0), (0.02, 1.0))], ids=["wide range", "needles"]
 )
@@ -40,19 +41,22 @@ def test_stiff_scenes_match_the_reference(scales, near_far):
     assert result.depth < DEPTH
 
 
-@pytest.mark.parametrize("sigma_px", [1.0, 30.0, 1e3, 1e4, 1e5, 1e8])
+@pytest.mark.case("E1")
+@pytest.mark.parametrize("sigma_px", [1.0, 30.0, 100.0, 1e3, 1e4, 1e5, 1e8])
 @pytest.mark.parametrize("thinness", [1.0, 1e4, 1e8])
 def test_one_needle_of_any_length(sigma_px, thinness):
     """Measured at most 2.1e-6 over 1,080 needles of 1 to 1e8 px; the bound leaves room for other compilers."""
-    view = camera(64, 64, 60.0)
     rng = np.random.default_rng(int(sigma_px + thinness) % 1000)
     for _ in range(4):
+        pose = np.eye(4)
+        pose[:3, :3] = rotation(rng)
+        view = camera(64, 64, 60.0, pose)
         z = rng.uniform(0.5, 5.0)
         sigma = sigma_px * z / view.fx
         # A centre off the middle by up to a sigma, but with the image inside the footprint.
         uv = rng.uniform(-0.4, 0.4, 2)
         needle = Gaussians.make(
-            [[*(uv * z), z]],
+            [pose[:3, :3] @ [*(uv * z), z]],
             [[sigma, sigma / thinness, sigma / thinness]],
             rng.standard_normal((1, 4)),
             [0.95],
@@ -86,6 +90,7 @@ def alpha_by_definition(gaussians: Gaussians, view: Camera, row: int, column: in
     return mp.mpf(float(gaussians.opacities[0])) * mp.exp(-(d.T * mp.inverse(sigma) * d)[0] / 2)
 
 
+@pytest.mark.case("E1")
 @pytest.mark.parametrize("sigma_px", [3.0, 1e4])
 def test_a_needle_in_sixty_digits(sigma_px):
     rng = np.random.default_rng(8)
@@ -107,6 +112,7 @@ def test_a_needle_in_sixty_digits(sigma_px):
         assert abs(ours.alpha[rows[at], columns[at]] - exact) < 5e-6
 
 
+@pytest.mark.case("E3")
 @pytest.mark.parametrize("scale", [0.0, 0.01, 0.1, 1.0])
 def test_on_axis_sphere_has_a_closed_form(scale):
     view = camera(33, 33, 40.0)
@@ -121,6 +127,7 @@ def test_on_axis_sphere_has_a_closed_form(scale):
     assert np.abs(image.depth - np.where(drawn, 2.0, 0.0)).max() < 2.0 * 2e-5
 
 
+@pytest.mark.case("E3")
 def test_edge_on_disk_has_a_closed_form():
     view = camera(33, 33, 40.0)
     half_turn = np.sqrt(0.5)
@@ -133,10 +140,14 @@ def test_edge_on_disk_has_a_closed_form():
     assert np.abs(render(disk, view).alpha - np.where(alpha >= 1 / 255, alpha, 0.0)).max() < 2e-6
 
 
+@pytest.mark.case("E5")
 @pytest.mark.parametrize("layers", [1, 10, 1000, 10_000])
 @pytest.mark.parametrize("opacity", [1e-6, 1e-3, 1 / 255, 0.1, 0.99])
 def test_many_layers_without_early_stop(layers, opacity):
-    """One rounding of the transmittance, 3e-8, per layer until it has decayed; below 1e-5 for all alphas >= 1/255."""
+    """One rounding of the transmittance, 3e-8, per layer until it has decayed; below 1e-5 for all alphas >= 1/255.
+
+    Fainter layers, which the default `alpha_min` leaves out, may add up to 3e-8 each: 3e-4 for 10,000 of them.
+    """
     z = np.linspace(1.0, 2.0, layers)
     means = np.stack([np.zeros(layers), np.zeros(layers), z], axis=1)
     colours = np.stack([np.linspace(0, 1, layers), np.linspace(1, 0, layers), np.ones(layers)], axis=1)
@@ -150,6 +161,7 @@ def test_many_layers_without_early_stop(layers, opacity):
     assert np.abs(image.rgb[2, 2] - weights @ colours).max() < tolerance
 
 
+@pytest.mark.case("E6")
 @pytest.mark.parametrize("opacity", [1.0, 1 - 2.0**-24])
 @pytest.mark.parametrize("layers", range(1, 21))
 def test_opaque_layers_stop_after_the_second(layers, opacity):
@@ -162,6 +174,7 @@ def test_opaque_layers_stop_after_the_second(layers, opacity):
     assert np.abs(image.rgb[2, 2] - expected).max() < 1e-6
 
 
+@pytest.mark.case("E8")
 def test_alphas_at_the_cut_flip_by_one_level_at_most():
     """Dots whose value one pixel away from their centre lies within 1e-6 of 1/255, both sides."""
     rng = np.random.default_rng(4)

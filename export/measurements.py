@@ -1,0 +1,42 @@
+"""`gapmes-export --report` and `--stability`: what is measured instead of exported."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import typer
+
+from gapmes.service.errors import InputError
+from gapmes.service.terminal import ProgressBars
+
+FAILED = 3
+
+
+def write_tables(report: Path | None, stability: Path | None, scenes: Sequence[Path], quick: bool) -> None:
+    """Run what has a folder. Exit status 1 for a folder that is no scene, 3 where a case is beyond its tolerance."""
+    from gapmes.service.shipped import sample_folder
+
+    from .evaluation.lpips import default_weights
+
+    failed = 0
+    with ProgressBars() as bars:
+        if stability is not None:
+            from .stability.table import stability_table
+
+            rows = stability_table(stability, bars)
+            failed = sum(not row.passed for row in rows)
+            bars.say(f"{len(rows)} cases, {failed} beyond tolerance: {stability / 'stability.md'}")
+        if report is not None:
+            from .tradeoff.run import report as measure
+
+            try:
+                found = measure([sample_folder(), *scenes], report, quick=quick, lpips=default_weights(), listener=bars)
+            except InputError as error:
+                bars.say(f"refused: {error}")
+                raise typer.Exit(1) from error
+            bars.say(
+                f"{len(found.rows)} settings in {found.seconds:.0f} s: {report / 'report.md'}, {report / 'pareto.png'}"
+            )
+    if failed:
+        raise typer.Exit(FAILED)

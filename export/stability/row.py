@@ -1,0 +1,51 @@
+"""A row of the stability table, and how two pictures are compared off the edges of the splatter's cuts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gapmes.service.camera import Camera
+from gapmes.service.gaussians import Gaussians
+from gapmes.service.splat import Definition, Render, render, render_reference
+
+EDGE = 1e-5  # of a cut: nearer pixels may fall on either side of it in another precision
+
+
+@dataclass(frozen=True)
+class Row:
+    """One case over its sweep; errors are in `unit`, `naive` is what plain float32 gives (None where there is none)."""
+
+    case: str
+    what: str
+    sweep: str
+    reference: str
+    unit: str
+    worst: float
+    tolerance: float
+    naive: float | None = None
+    naive_is: str = ""
+
+    @property
+    def passed(self) -> bool:
+        return bool(self.worst <= self.tolerance)
+
+
+def against_reference(gaussians: Gaussians, camera: Camera, rule: Definition | None = None) -> tuple[float, Render]:
+    """The largest error of colour and opacity off the edges of cuts, and the float64 picture."""
+    rule = rule or Definition()
+    ours, true = render(gaussians, camera, definition=rule), render_reference(gaussians, camera, definition=rule)
+    edge = edges(gaussians, camera, rule, true)
+    error = np.maximum(np.abs(ours.rgb - true.rgb).max(axis=2), np.abs(ours.alpha - true.alpha))
+    return float(error[~edge].max(initial=0.0)), true
+
+
+def edges(gaussians: Gaussians, camera: Camera, rule: Definition, true: Render) -> NDArray[np.bool_]:
+    """Pixels whose float64 picture changes when a cut moves by `EDGE` of itself."""
+    found = np.zeros(true.alpha.shape, bool)
+    for share in (1 - EDGE, 1 + EDGE):
+        for other in (replace(rule, alpha_min=rule.alpha_min * share), replace(rule, stop=rule.stop * share)):
+            found |= render_reference(gaussians, camera, definition=other).alpha != true.alpha
+    return found

@@ -1,0 +1,65 @@
+"""Run every case of the stability table and write it as JSON and Markdown."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from itertools import chain
+from pathlib import Path
+
+from gapmes.service.progress import Listener, Stages, silent
+
+from . import geometry, routing, splatter
+from .row import Row
+
+CASES = 25
+
+
+def stability_table(out: Path, listener: Listener = silent) -> list[Row]:
+    """Write `out`/stability.json and stability.md; returns the rows."""
+    out.mkdir(parents=True, exist_ok=True)
+    found: list[Row] = []
+    with Stages(listener).stage("stability", CASES) as done:
+        for row in all_rows():
+            found.append(row)
+            done(len(found))
+    body = {
+        "passed": all(row.passed for row in found),
+        "rows": [{**asdict(row), "passed": row.passed} for row in found],
+    }
+    (out / "stability.json").write_text(json.dumps(_finite(body), indent=2, allow_nan=False) + "\n")
+    (out / "stability.md").write_text(markdown(found))
+    return found
+
+
+def all_rows() -> Iterator[Row]:
+    """Case by case, as they are computed."""
+    return chain(splatter.rows(), routing.rows(), geometry.rows())
+
+
+def markdown(rows: list[Row]) -> str:
+    """A table; the naive column says what plain float32 gives in the same case."""
+    lines = [
+        "| case | what | sweep | right is | error | worst | allowed | plain float32 | which is |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        worst = f"{row.worst:.1e}" if row.passed else f"**{row.worst:.1e}**"
+        naive = "" if row.naive is None else "not finite" if row.naive == float("inf") else f"{row.naive:.1e}"
+        lines.append(
+            f"| {row.case} | {row.what} | {row.sweep} | {row.reference} | {row.unit} | {worst} | {row.tolerance:.1e} | "
+            f"{naive} | {row.naive_is} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _finite(value: object) -> object:
+    """JSON has no infinity: it is written as text."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float) and value in (float("inf"), float("-inf")):
+        return "not finite"
+    return value

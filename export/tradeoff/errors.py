@@ -1,0 +1,112 @@
+"""The errors of a row: pictures against another setting's, against held-out truth, and against float64."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gapmes.model.checkpoint import shipped_checkpoint
+from gapmes.service.camera import Camera
+from gapmes.service.contract import GAUSSIAN_OUTPUTS
+from gapmes.service.engine import Engine
+from gapmes.service.gaussians import Gaussians
+from gapmes.service.images import FittedView
+from gapmes.service.picture_error import psnr, ssim
+from gapmes.service.pruning import reaches
+from gapmes.service.splat import Definition, render, render_reference
+
+from ..cases import sample_scene
+from ..evaluation.lpips import Lpips
+from ..graph import SceneGraph
+from ..pictures import NEAR_SHARE
+from ..variant import load_variant
+from .files import ModelFile
+from .schema import ModelError, Rounding, SettingError
+
+Pictures = list[NDArray[np.float32]]  # (3, H, W) in [0, 1]
+EQUAL_DB = 200.0
+WINDOW = 48  # px of the picture that brute force draws
+
+
+def drawn(gaussians: Gaussians, cameras: Sequence[Camera], near: float) -> Pictures:
+    """As `gapmes render` draws them, clipped."""
+    return [
+        np.clip(render(gaussians, camera, near=near, outputs=()).rgb, 0, 1).transpose(2, 0, 1) for camera in cameras
+    ]
+
+
+def setting_error(pictures: Pictures, exact: Pictures) -> SettingError:
+    """Largest and mean change of a colour, and PSNR of all pictures together."""
+    differences = [np.abs(a.astype(np.float64) - b) for a, b in zip(pictures, exact, strict=True)]
+    squared = float(np.mean([np.square(d).mean() for d in differences]))
+    return SettingError(
+        largest=max(float(d.max()) for d in differences),
+        p99=float(np.quantile(np.concatenate([d.ravel() for d in differences]), 0.99)),
+        mean=float(np.mean([d.mean() for d in differences])),
+        psnr=EQUAL_DB if squared == 0 else min(EQUAL_DB, -10 * math.log10(squared)),
+    )
+
+
+def model_error(pictures: Pictures, truth: Sequence[FittedView], lpips: Lpips | None) -> ModelError:
+    """Means over all pictures, and the spread of their PSNR."""
+    values = [psnr(picture, view.image) for picture, view in zip(pictures, truth, strict=True)]
+    everywhere = np.ones(pictures[0].shape[1:], bool)
+    return ModelError(
+        psnr=float(np.mean(values)),
+        psnr_spread=float(np.std(values)),
+        ssim=float(
+            np.mean(
+                [ssim(a.astype(np.float64), b.image.astype(np.float64)) for a, b in zip(pictures, truth, strict=True)]
+            )
+        ),
+        lpips=None
+        if lpips is None
+        else float(np.mean([lpips.distance(a, b.image, everywhere) for a, b in zip(pictures, truth, strict=True)])),
+        pictures=len(values),
+    )
+
+
+def network_rounding(file: ModelFile, threads: int | None) -> Rounding:
+    """The file's pictures of the sample scene against those of the same network in float64, from half way between its
+    views."""
+    inputs = sample_scene(2, file.size, file.size)
+    engine = Engine(file.path, threads=threads)
+    values = engine.run(*(tensor.numpy() for tensor in inputs.tensors()))
+    graph = SceneGraph(load_variant(shipped_checkpoint("tiny"), file.variant).double()).eval()
+    torch.set_default_dtype(torch.float64)
+    try:
+        with torch.no_grad():
+            wide = [t.double() if t.is_floating_point() else t for t in inputs.tensors()]
+            exact = dict(zip(graph.output_names, (v.numpy() for v in graph(*wide)), strict=True))
+    finally:
+        torch.set_default_dtype(torch.float32)
+    k, pose = inputs.intrinsics[0].double().numpy(), inputs.world_from_cam[0].double().numpy().copy()
+    pose[:3, 3] = inputs.world_from_cam[:2, :3, 3].double().mean(0).numpy()
+    s = file.size
+    camera = Camera.make(s, s, k[0, 0] * s, k[1, 1] * s, k[0, 2] * s, k[1, 2] * s, pose)
+    near = NEAR_SHARE * float(inputs.near_far[0])
+    pictures = [
+        drawn(Gaussians.make(*(result[name] for name in GAUSSIAN_OUTPUTS)), [camera], near)[0]
+        for result in (values, exact)
+    ]
+    difference = np.abs(pictures[0].astype(np.float64) - pictures[1])
+    return _rounding(difference)
+
+
+def splatter_rounding(gaussians: Gaussians, camera: Camera, near: float) -> Rounding:
+    """The middle of a picture against brute force in float64, of all Gaussians that reach it."""
+    left, top = (camera.width - WINDOW) // 2, (camera.height - WINDOW) // 2
+    window = camera.cropped(left, top, WINDOW, WINDOW)
+    rule = Definition(near=near)
+    there = gaussians[reaches(gaussians, window, np.ones((WINDOW, WINDOW), bool), rule)]
+    true = render_reference(there, window, definition=rule)
+    return _rounding(np.abs(render(there, window, definition=rule).rgb - true.rgb))
+
+
+def _rounding(difference: NDArray[np.floating]) -> Rounding:
+    p99 = float(np.quantile(difference, 0.99))
+    return Rounding(largest=float(difference.max()), p99=p99, mean=float(difference.mean()))

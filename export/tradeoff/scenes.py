@@ -1,0 +1,64 @@
+"""The scenes of a report: inputs as the service is given them, and targets that are held out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gapmes.service.images import FittedView
+
+from ..evaluation.case import Case, photograph_case, suggested_views
+from .child import Given
+
+SIZE = 256  # px of the targets
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Two inputs and their targets; `more` is the same with further inputs, by their number."""
+
+    name: str
+    given: Given
+    targets: tuple[FittedView, ...]
+    more: dict[int, Given]
+
+
+def load_scene(folder: Path) -> Scene:
+    """The suggested two inputs and their targets; up to two further inputs where views are left over.
+
+    Raises `InputError` for what is no scene folder.
+    """
+    case = photograph_case(folder, 2, SIZE, SIZE)
+    return Scene(folder.name, _given(case), case.targets, _more(folder, case))
+
+
+def _given(case: Case) -> Given:
+    return Given(case.photos, case.cameras, case.near, case.far)
+
+
+def _more(folder: Path, case: Case) -> dict[int, Given]:
+    from gapmes.service.camera_file import load_scene_folder
+    from gapmes.service.images import decode_image, match_photo
+
+    context, targets = suggested_views(folder, 2)
+    scene = load_scene_folder(folder)
+    spare = [i for i in range(len(scene.file.views)) if i not in (*context, *targets)]
+    found = {}
+    for count in (3, 4):
+        extra = count - len(context)
+        if len(spare) < extra:
+            break
+        chosen = sorted([*context, *(spare[i] for i in np.linspace(0, len(spare) - 1, extra).round().astype(int))])
+        views = []
+        for index in chosen:
+            photo = decode_image(scene.image_paths[index].read_bytes(), index=index)
+            views.append(match_photo(photo, scene.file.views[index].camera, index=index))
+        found[count] = Given([p for p, _ in views], [c for _, c in views], case.near, case.far)
+    return found
+
+
+def names(scenes: Sequence[Scene]) -> list[str]:
+    return [scene.name for scene in scenes]

@@ -1,0 +1,132 @@
+"""The report of error against run time: its schema, its errors against closed forms, its knobs a user's own."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from gapmes.export.cli import app as export_app
+from gapmes.export.tradeoff import files, knobs, run
+from gapmes.export.tradeoff.child import Given, peak_mb, timed
+from gapmes.export.tradeoff.errors import model_error, setting_error, splatter_rounding
+from gapmes.export.tradeoff.machine import FLAGS, this_machine
+from gapmes.export.tradeoff.scenes import load_scene
+from gapmes.export.tradeoff.schema import Report
+from gapmes.service.budget import KEEP_ALL
+from gapmes.service.camera import Camera
+from gapmes.service.cli import app
+from gapmes.service.images import FittedView
+from gapmes.service.shipped import sample_folder
+from gapmes.service.splat import render
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Report, Path]:
+    """The short report with fewer repeats and settings, which is what takes its time."""
+    out = tmp_path_factory.mktemp("report")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "REPEATS", 1)
+        patch.setattr(knobs, "SCENE_SETTINGS", knobs.SCENE_SETTINGS[:3:2] + knobs.SCENE_SETTINGS[-1:])
+        patch.setattr(files, "quick_files", lambda _: [files.ModelFile("precision", "fp32", "", files.shipped_model())])
+        patch.setattr(run._Measure, "views", lambda *_: [])
+        return run.report([sample_folder()], out, quick=True), out
+
+
+def test_what_is_written_fits_the_schema(quick: tuple[Report, Path]) -> None:
+    report, out = quick
+    text = (out / "report.json").read_text()
+    assert Report.model_validate_json(text) == report
+    assert json.loads((out / "report.schema.json").read_text()) == Report.model_json_schema()
+    with pytest.raises(ValueError, match="extra"):
+        Report.model_validate({**json.loads(text), "more": 1})
+    assert (out / "pareto.png").stat().st_size > 10_000
+    table = (out / "report.md").read_text()
+    assert table.count("\n| ") >= len(report.rows)
+    assert report.machine.threads >= 1
+    assert set(report.machine.versions) >= {"python", "numpy", "onnxruntime"}
+
+
+def test_the_four_errors_stand_apart(quick: tuple[Report, Path]) -> None:
+    report, _ = quick
+    rows = {(row.knob, row.value): row for row in report.rows}
+    plain = rows["precision", "fp32"]
+    assert plain.setting is not None
+    assert plain.setting.largest == 0
+    assert plain.rounding is not None
+    assert 0 < plain.rounding.mean < 1e-4
+    assert plain.model is not None
+    assert plain.model.psnr > 24
+    assert plain.peak_mb is not None
+    assert 100 < plain.peak_mb < 2000
+    assert set(plain.timing.stages) >= {"network", "leave out", "check"}
+    assert report.splatter_rounding.p99 < 2e-6
+    for row in report.rows:
+        assert row.timing.seconds > 0
+        if row.bound is not None:
+            assert row.bound.actual <= row.bound.bound + 1e-6
+    strided = rows["pixel stride", "4"]
+    assert strided.bound is None
+    assert strided.megabytes is not None
+    assert strided.megabytes < 1
+    assert rows["early stop", "0"].setting.largest == 0
+
+
+def test_changes_have_closed_forms() -> None:
+    exact = [np.full((3, 4, 4), 0.5, np.float32)] * 2
+    other = [exact[0], exact[0] + np.float32(0.1)]
+    found = setting_error(other, exact)
+    assert found.largest == pytest.approx(0.1, abs=1e-7)
+    assert found.mean == pytest.approx(0.05, abs=1e-7)
+    assert found.psnr == pytest.approx(-10 * np.log10(0.005), abs=1e-4)
+    assert setting_error(exact, exact).psnr == 200
+    camera = Camera.make(16, 16, 16, 16, 8, 8, np.eye(4))
+    truth = [FittedView(np.full((3, 16, 16), 0.5, np.float32), None, camera, 1.0)] * 2
+    quality = model_error([truth[0].image + np.float32(d) for d in (0.1, 0.01)], truth, None)
+    assert quality.psnr == pytest.approx(30, abs=1e-3)
+    assert quality.psnr_spread == pytest.approx(10, abs=1e-3)
+    assert quality.lpips is None
+
+
+def test_a_child_loads_the_service_alone() -> None:
+    scene = load_scene(sample_folder())
+    assert sorted(scene.more) == [3, 4]
+    given = Given(scene.given.photos, scene.given.cameras, scene.given.near, scene.given.far)
+    found = timed(None, [given], KEEP_ALL, 1, 1)
+    assert found.seconds == pytest.approx(sum(found.stages.values()), rel=1e-6)
+    assert found.peak_mb < peak_mb()  # this process has torch in it
+    camera = scene.targets[0].camera
+    assert render(found.gaussians[0], camera).alpha.mean() > 0.9
+    assert splatter_rounding(found.gaussians[0], camera, 0.1).largest < 0.05  # a pixel on a cut may jump
+
+
+def test_every_knob_is_an_option_of_a_command() -> None:
+    """Each is what its row says: the commands know the options and the values make the same settings."""
+    shown = CliRunner(env={"COLUMNS": "200"})
+    help_of = {
+        "reconstruct": shown.invoke(app, ["reconstruct", "--help"]).output,
+        "render": shown.invoke(app, ["render", "--help"]).output,
+        "export": shown.invoke(export_app, ["--help"]).output,
+    }
+    for setting in knobs.SCENE_SETTINGS:
+        for word in shlex.split(setting.how):
+            assert not word.startswith("--") or word in help_of["reconstruct"], word
+    for picture in knobs.PICTURE_SETTINGS:
+        for word in shlex.split(picture.how):
+            assert not word.startswith("--") or word in help_of["render"], word
+    for option in ("--precision", "--top-k", "--keep-all", "--size", "--report", "--stability"):
+        assert option in help_of["export"]
+    assert sum(setting.default for setting in knobs.SCENE_SETTINGS) == 1
+    defaults = [setting.knob for setting in knobs.PICTURE_SETTINGS if setting.default]
+    assert defaults == ["alpha cut", "early stop", "samples", "harmonics"]
+
+
+def test_the_machine_is_named() -> None:
+    machine = this_machine(3)
+    assert machine.threads == 3
+    assert machine.cpu
+    assert set(machine.flags) <= set(FLAGS)
