@@ -56,7 +56,11 @@ def export(
     Exit status: 0 accepted; 1 refused (checkpoint, size, disk); 2 wrong usage; 3 beyond tolerance, in which case the
     file is kept as NAME.rejected.onnx and OUT is left as it was.
     """
+    if report is None and scene:
+        raise typer.BadParameter("goes with --report", param_hint="--scene")
     if report is not None or stability is not None:
+        if out is not None or top_k is not None or keep_all:
+            raise typer.BadParameter("nothing is exported with --report and --stability", param_hint="--out")
         write_tables(report, stability, scene or (), quick)
         return
     if out is None:

@@ -86,7 +86,7 @@ def export_checkpoint(
         licence=read_metadata(checkpoint).get("gapmes.licence", "not stated"),
         precision=precision,
     )
-    add_metadata(model, metadata)
+    add_metadata(model, metadata | ({"keep_all": "true"} if variant.keep_all else {}))
     candidate = out.with_name(f"{out.stem}.rejected.onnx")
     rejected_report = out.with_name(f"{out.stem}.rejected.report.json")
     write_model(model, candidate)

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from gapmes.model.backing import CELL, MARGIN
 from gapmes.model.config import PIXELS_PER_PATCH
-from gapmes.service.contract import AMBIGUOUS_MARGIN
 
+# A route may legitimately differ where the deciding logits are closer than float32 can tell apart, as a share of the
+# largest: some 300 roundings. The service tells ambiguous routes by a wider margin, which covers two runtimes.
+AMBIGUOUS_GAP = 2e-5
 Bools = NDArray[np.bool_]
 
 
@@ -28,7 +30,7 @@ def ambiguous(logits: NDArray, deciding: int) -> Bools:
     """(M,) patches where one of the first `deciding` gaps of sorted logits is within rounding of the largest one."""
     ordered = -np.sort(-logits, axis=-1)
     gaps = (ordered[:, :-1] - ordered[:, 1:])[:, :deciding].min(axis=-1, initial=np.inf)
-    return gaps <= AMBIGUOUS_MARGIN * np.abs(logits).max(-1)
+    return gaps <= AMBIGUOUS_GAP * np.abs(logits).max(-1)
 
 
 def flipped_patches(values: Mapping[str, NDArray], reference: Mapping[str, NDArray], kept: Bools) -> Bools:

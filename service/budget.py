@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from .errors import InputError
@@ -15,7 +16,7 @@ MAX_CERTIFY = 30
 @dataclass(frozen=True)
 class Budget:
     """What may be left out: `max_error` is a change of colour (None: nothing goes), `certify` how many views between
-    two neighbouring inputs it holds for, `asked` further views that it holds for (such as "orbit:20").
+    two neighbouring inputs it holds for, `asked` further views (such as "orbit:20"; kept sorted, once each).
 
     Raises `InputError` for numbers out of range.
     """
@@ -27,13 +28,14 @@ class Budget:
     stride: int = 1  # a Gaussian per so many pixels in both directions; another model, of which no bound is known
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "asked", tuple(sorted(set(self.asked))))
         if self.max_error is not None:
             checked_max_error(self.max_error)
         if isinstance(self.certify, bool) or not isinstance(self.certify, int) or not 0 <= self.certify <= MAX_CERTIFY:
             raise InputError(f"is {self.certify}, need a whole number from 0 to {MAX_CERTIFY}", field="certify")
-        if not 0 <= self.min_opacity <= 1:
+        if isinstance(self.min_opacity, bool) or not 0 <= self.min_opacity <= 1:
             raise InputError(f"is {self.min_opacity:g}, need 0 to 1", field="min_opacity")
-        if self.stride not in STRIDES:
+        if isinstance(self.stride, bool) or not isinstance(self.stride, int) or self.stride not in STRIDES:
             raise InputError(f"is {self.stride}, need one of {STRIDES}", field="stride")
 
 
@@ -54,10 +56,11 @@ def parse_max_error(text: str) -> float | None:
     if text.strip().lower() == "off":
         return None
     try:
-        above, _, below = text.partition("/")
-        value = float(above) / float(below or 1)
+        above, slash, below = text.partition("/")
+        divisor = float(below) if slash else 1.0
+        value = float(above) / divisor if math.isfinite(divisor) else math.nan
     except (ValueError, ZeroDivisionError) as error:
         raise InputError(
             f"{text[:50]!r} is not a budget", field="max_error", cure="give a change of colour such as 1/255, 0, or off"
         ) from error
-    return checked_max_error(value)
+    return checked_max_error(value + 0.0)  # -0 is 0

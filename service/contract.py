@@ -13,7 +13,8 @@ TASK_OUTPUTS = ("task_weight",)
 MARGIN_OUTPUTS = ("route_margin",)
 OPTIONAL_OUTPUTS = EXPERT_OUTPUTS + TASK_OUTPUTS + MARGIN_OUTPUTS
 
-# A route may differ between two runtimes where the margin is within their rounding of the logits.
-AMBIGUOUS_MARGIN = 2e-5
+# Where the margin is smaller, another runtime may route otherwise: onnxruntime's and torch's margins of the shipped
+# network differ by at most 2.9e-4 (by 9e-5 for 99 % of the patches) on the verification's scenes that have texture.
+AMBIGUOUS_MARGIN = 3e-4
 
 FORMAT = "1"  # gapmes.format: bumped when names or meanings change

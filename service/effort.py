@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from .camera import Camera
+from .errors import InputError
 from .gaussians import Gaussians
 from .picture import Channel
 
@@ -14,18 +15,28 @@ if TYPE_CHECKING:
 
 ALPHA_MIN, STOP = 1 / 255, 1e-4  # the splatter's own
 MAX_SAMPLES = 4  # per side of a pixel
+LIMITS = {"alpha_min": (1e-6, 0.9), "stop": (0.0, 0.9), "samples": (1, MAX_SAMPLES)}
 _PLANES: dict[Channel, tuple[str, ...]] = {"rgb": (), "alpha": ("alpha",), "depth": ("alpha", "depth")}
 
 
 @dataclass(frozen=True)
 class Effort:
     """`alpha_min`: a layer below this opacity is not drawn; `stop`: what lies behind so little light is not drawn;
-    `sh_degree`: highest band of harmonics, None for all; `samples` per side of a pixel."""
+    `sh_degree`: highest band of harmonics, None for all; `samples` per side of a pixel.
+
+    Raises `InputError` beyond `LIMITS`.
+    """
 
     alpha_min: float = ALPHA_MIN
     stop: float = STOP
     sh_degree: int | None = None
     samples: int = 1
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in LIMITS.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"is {value:g}, need {low:g} to {high:g}", field=name)
 
 
 def draw(
@@ -33,7 +44,7 @@ def draw(
 ) -> Render:
     """The planes that `channel` needs, and no others; `options` are further keywords of `render`.
 
-    Raises `InputError` for an effort that the splatter does not take.
+    Raises `InputError` as `render` does.
     """
     from .splat import Definition, render, render_supersampled
 

@@ -16,9 +16,10 @@ from .budget import Budget
 from .camera import Camera
 from .certified import certified_views
 from .gaussians import Gaussians, without_zero_bands
+from .masks import TRANSPARENT
 from .model_info import ModelInfo
 from .ply_write import ply_size
-from .pruning import prune, removal_bound
+from .pruning import largest_change, prune, removal_bound
 from .scene_views import SceneViews
 from .splat import Render, render
 
@@ -30,30 +31,37 @@ def leave_out(
     opacity), and what was done as plain JSON."""
     started = time.perf_counter()
     options: dict[str, Any] = {**scene.near_plane, "threads": threads}
-    cameras = scene.cameras
-    report: dict[str, Any] = {"max_error": budget.max_error, "certified": None, "elsewhere": "estimate"}
+    cameras, whole = scene.cameras, gaussians
     asked = [scene.resolve(spec, field="views") for spec in budget.asked]
     views = certified_views(cameras, budget.certify, asked)
-    if budget.max_error is not None or budget.min_opacity > 0:
-        between = len(views) - len(cameras) - len(asked)
-        report["certified"] = {"inputs": len(cameras), "between": between, "asked": len(asked)}
-    whole = gaussians
-    gaussians, may_go, faint, faint_bound = _without_faint(gaussians, may_go, views, budget.min_opacity, options)
+    faint = may_go & (gaussians.opacities < budget.min_opacity)
+    faint_bound = removal_bound(gaussians, faint, views, **options) if faint.any() else 0.0
+    if faint.any():
+        gaussians, may_go = gaussians[~faint], may_go[~faint]
     if budget.max_error is None:
         lean, unseen, bound, actual = gaussians, 0, 0.0, 0.0
-        pictures = [render(gaussians, camera, outputs=("alpha",), **options) for camera in cameras]
+        pictures = _drawn(lean, cameras, options)
     else:
-        found = prune(gaussians, views, budget.max_error, may_go=may_go, pictures=len(cameras), options=options)
+        found = prune(gaussians, views, budget.max_error, may_go=may_go, pictures=len(cameras), **options)
         lean = without_zero_bands(gaussians[found.keep] if found.dropped else gaussians)
         unseen, bound, actual, pictures = found.unseen, found.bound, found.actual, found.pictures
-    report |= {
+    if faint.any():
+        actual = largest_change(pictures, _drawn(whole, cameras, options))
+    between = len(views) - len(cameras) - len(asked)
+    bounded = budget.max_error is not None or budget.min_opacity > 0
+    report = {
+        "max_error": budget.max_error,
+        "min_opacity": budget.min_opacity,
+        "stride": budget.stride,
+        "certified": {"inputs": len(cameras), "between": between, "asked": len(asked)} if bounded else None,
+        "elsewhere": "estimate",
         "kept": len(lean),
-        "dropped": len(gaussians) - len(lean),
+        "dropped": len(whole) - len(lean),
         "unseen": unseen,
-        "bound": bound,
-        "actual": actual,
-        "faint": faint,
+        "faint": int(faint.sum()),
+        "bound": bound + faint_bound,
         "faint_bound": faint_bound,
+        "actual": actual,
         "bands": [whole.sh_degree, lean.sh_degree],
         "bytes_saved": 0 if lean is whole else ply_size(whole) - ply_size(lean),
         "seconds": round(time.perf_counter() - started, 6),
@@ -62,19 +70,8 @@ def leave_out(
     return lean, pictures, report
 
 
-def _without_faint(
-    gaussians: Gaussians,
-    may_go: NDArray[np.bool_],
-    views: Sequence[Camera],
-    min_opacity: float,
-    options: Mapping[str, Any],
-) -> tuple[Gaussians, NDArray[np.bool_], int, float]:
-    """The set without those fainter than `min_opacity`, `may_go` of it, how many went, and the most that this changes
-    a colour of `views`."""
-    faint = gaussians.opacities < min_opacity
-    if not faint.any():
-        return gaussians, may_go, 0, 0.0
-    return gaussians[~faint], may_go[~faint], int(faint.sum()), removal_bound(gaussians, faint, views, options)
+def _drawn(gaussians: Gaussians, cameras: Sequence[Camera], options: Mapping[str, Any]) -> list[Render]:
+    return [render(gaussians, camera, outputs=("alpha",), **options) for camera in cameras]
 
 
 def _seconds(gaussians: Gaussians, camera: Camera, options: Mapping[str, Any]) -> float:
@@ -94,26 +91,29 @@ def table(
     dropped: Mapping[str, int],
     pruned: Mapping[str, Any],
 ) -> list[dict[str, Any]]:
-    """Rows {what, count, of, error}; `error` is the largest change of a certified colour, 0 where nothing changes."""
+    """Rows {what, count, of, error}; `error` is the largest change of a certified colour, 0 where nothing changes, None
+    where it is not a change of the same scene."""
     rows: list[dict[str, Any]] = []
 
-    def row(what: str, count: int, of: int, error: float = 0.0) -> None:
+    def row(what: str, count: int, of: int, error: float | None = 0.0) -> None:
         if count:
             rows.append({"what": what, "count": int(count), "of": int(of), "error": error})
 
-    row("patches under a mask", int((~patch_mask).sum()), patch_mask.size)
+    row("patches under a mask", int((~patch_mask).sum()), patch_mask.size, None)
     experts = info.config.get("experts")
-    if "expert_weight" in outputs and isinstance(experts, int):
+    if "expert_weight" in outputs and isinstance(experts, int) and not info.keep_all:
         runs = int((outputs["expert_weight"] > 0).sum())
         row("runs of an expert on a patch", patch_mask.size * experts - runs, patch_mask.size * experts)
         idle = experts - len(np.unique(outputs["expert_index"][outputs["expert_weight"] > 0]))
         row("experts that no patch chose", idle, experts)
     total = len(outputs["opacities"])
     for reason, count in dropped.items():
-        row(f"Gaussians: {reason}", count, total)
-    if pruned["dropped"]:
-        row("Gaussians without weight in the certified views", pruned["unseen"], total)
-        row("Gaussians within the budget", pruned["dropped"] - pruned["unseen"], total, pruned["bound"])
+        row(f"Gaussians: {reason}", count, total, 0.0 if reason == TRANSPARENT else None)
+    lost = sum(dropped.values())
+    row("Gaussians between strides", total - lost - pruned["kept"] - pruned["dropped"], total, None)
     row("Gaussians below min_opacity", pruned["faint"], total, pruned["faint_bound"])
+    row("Gaussians without weight in the certified views", pruned["unseen"], total)
+    within = pruned["dropped"] - pruned["unseen"] - pruned["faint"]
+    row("Gaussians within the budget", within, total, pruned["bound"] - pruned["faint_bound"])
     row("bands of harmonics that are 0", pruned["bands"][0] - pruned["bands"][1], pruned["bands"][0])
     return rows

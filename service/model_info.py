@@ -30,6 +30,7 @@ class ModelInfo:
     licence: str
     precision: str  # fp32, int8, ...
     tolerance: dict[str, Any]  # measured at export, per output
+    keep_all: bool = False  # every expert runs on every patch, every pair of views is compared
 
     @property
     def patches(self) -> int:
@@ -63,6 +64,7 @@ def parse_model_info(metadata: Mapping[str, str], path: Path, file_sha256: str) 
             licence=value["licence"],
             precision=value["precision"],
             tolerance=json.loads(metadata.get("gapmes.tolerance", "{}")),
+            keep_all=metadata.get("gapmes.keep_all") == "true",
         )
     except ValueError as error:
         raise ModelError(f"{path} has malformed metadata: {error}", field="model") from error

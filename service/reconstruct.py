@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from .budget import Budget
 from .camera import Camera
-from .depth_range import depth_range
+from .depth_range import DepthRange, depth_range
 from .depth_sweep import narrowed
 from .document import scene_document
-from .engine import Engine
+from .engine import Arrays, Engine
 from .errors import CameraError, ViewCountError
 from .gaussians import Gaussians
 from .images import EncodedPhoto, FittedView, Photo, fit_view, match_photo
@@ -25,7 +25,8 @@ from .model_info import ModelInfo
 from .photo_checks import check_photos
 from .progress import Listener, Stages, silent
 from .scene_views import SceneViews
-from .self_check import ambiguous_routes, leave_one_out, self_check
+from .self_check import ambiguous_routes, drawn_again, from_others, self_check
+from .splat import render
 from .stride import thinned
 from .view_checks import Notice, check_count, check_views
 from .world_frame import WorldFrame
@@ -59,6 +60,7 @@ class Reconstructor:
         far: float | None = None,
         trust_poses: bool = False,
         budget: Budget = DEFAULT_BUDGET,
+        leave_one_out: bool = False,
         listener: Listener = silent,
     ) -> Scene:
         """2..6 photographs, uint8 (H, W, 3 or 4), `Photo` or `EncodedPhoto`, with one camera each -> `Scene`.
@@ -66,9 +68,10 @@ class Reconstructor:
         An `EncodedPhoto` is decoded in its turn and dropped once it is fitted: one at a time is in memory.
         `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
-        a warning. `budget` says what may be left out of the scene and for which views that is proved.
-        `listener` hears the stages cameras, images, network, gaussians, leave out, check. Raises `InputError` and
-        `ModelError`.
+        a warning. `budget` says what may be left out of the scene and for which views that is proved. `leave_one_out`
+        reconstructs without each photograph in turn as well, from three on, and compares it with what is foretold.
+        `listener` hears the stages cameras, images, network, gaussians, leave out, check, leave one out. Raises
+        `InputError` and `ModelError`.
         """
         stages = Stages(listener)
         info = self.engine.info
@@ -86,16 +89,9 @@ class Reconstructor:
                 done(index + 1)
             warnings += check_photos(views, depths, trust_poses=trust_poses)
             depths = narrowed(depths, views)
-        frame = WorldFrame.of(cameras, depths)
         masks = patch_mask(views, info.patch)
         with stages.stage("network"):
-            outputs = self.engine.run(
-                np.stack([view.image for view in views]),
-                np.stack([view.camera.normalized_intrinsics for view in views]).astype(np.float32),
-                frame.poses(cameras),
-                frame.near_far(depths),
-                masks,
-            )
+            outputs, frame = self._run(views, depths)
         with stages.stage("gaussians"):
             rows, dropped = kept_rows(outputs, views, frame)
             shape = len(views), info.height, info.width
@@ -109,11 +105,13 @@ class Reconstructor:
         with stages.stage("check"):
             check = {
                 **self_check(views, depths, info, drawn),
-                "leave_one_out": leave_one_out(
-                    gaussians, owner, views, threads=self.engine.threads, **scene.near_plane
-                ),
+                "from_others": from_others(gaussians, owner, views, threads=self.engine.threads, **scene.near_plane),
+                "leave_one_out": None,
                 "ambiguous_routes": ambiguous_routes(outputs, masks),
             }
+        if leave_one_out and len(views) > 2:
+            with stages.stage("leave one out", len(views)) as done:
+                check["leave_one_out"] = self._foretold(views, depths, scene, done)
         document = scene_document(
             info=info,
             threads=self.engine.threads,
@@ -130,6 +128,33 @@ class Reconstructor:
             timings=stages.timings,
         )
         return Scene(lean, cameras, view_cameras, document)
+
+    def _run(self, views: Sequence[FittedView], depths: DepthRange) -> tuple[Arrays, WorldFrame]:
+        """The network's outputs, and the frame that they are in."""
+        cameras = [view.camera for view in views]
+        frame = WorldFrame.of(cameras, depths)
+        outputs = self.engine.run(
+            np.stack([view.image for view in views]),
+            np.stack([camera.normalized_intrinsics for camera in cameras]).astype(np.float32),
+            frame.poses(cameras),
+            frame.near_far(depths),
+            patch_mask(views, self.engine.info.patch),
+        )
+        return outputs, frame
+
+    def _foretold(
+        self, views: Sequence[FittedView], depths: DepthRange, scene: SceneViews, done: Callable[[int], None]
+    ) -> list[dict[str, float | None]]:
+        """Each view drawn from a reconstruction of the others."""
+        rows = []
+        for index, view in enumerate(views):
+            others = [*views[:index], *views[index + 1 :]]
+            outputs, frame = self._run(others, depths)
+            gaussians = frame.to_world(outputs, kept_rows(outputs, others, frame)[0])
+            options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
+            rows.append(drawn_again(render(gaussians, view.camera, outputs=("alpha",), **options), view))
+            done(index + 1)
+        return rows
 
 
 def _as_cameras(cameras: Sequence[Camera], images: int) -> tuple[Camera, ...]:

@@ -63,14 +63,13 @@ def drawn_again(image: Render, view: FittedView, *, covered_only: bool = False) 
     return {name: None if math.isnan(value) else round(value, 6) for name, value in values.items()}
 
 
-def leave_one_out(
+def from_others(
     gaussians: Gaussians, owner: NDArray[np.integer], views: Sequence[FittedView], **options: Any
 ) -> list[dict[str, float | None]] | None:
     """Each input drawn from the Gaussians of the other inputs' pixels alone, where they cover it; None for two views.
 
     `owner` (N,) is the view whose pixel a Gaussian belongs to, len(views) for one that belongs to none; `options` are
-    keywords of `render`. The network has seen the input, so that this tells of agreement between the views, and is no
-    substitute for a photograph held back.
+    keywords of `render`. The network has seen the input, so that this tells of agreement between the views alone.
     """
     if len(views) < 3:
         return None

@@ -14,7 +14,8 @@ def thinned(
     outputs: Mapping[str, NDArray], rows: NDArray[np.intp], shape: tuple[int, int, int], stride: int
 ) -> tuple[dict[str, NDArray], NDArray[np.intp]]:
     """Outputs and rows (of those to keep) of a network for `shape` (V, H, W) with one Gaussian per square of `stride`
-    px: the one at its middle, as many times as large, with the mean colour of all. Those that belong to no pixel stay.
+    px: the one at its middle, as many times as large, with the mean colour of those of the square that are in `rows`.
+    A square whose middle is not in `rows` has none. Gaussians that belong to no pixel stay.
     """
     if stride == 1:
         return dict(outputs), rows
@@ -25,8 +26,12 @@ def thinned(
     chosen = rows[(rows >= pixels) | middle]
     inside = chosen[chosen < pixels]
     harmonics, scales = outputs["harmonics"].copy(), outputs["scales"].copy()
-    squares = harmonics[:pixels].reshape(views, height // stride, stride, width // stride, stride, -1, 3)
-    mean = squares.mean(axis=(2, 4))
-    harmonics[inside] = mean[inside // (width * height), inside // width % height // stride, inside % width // stride]
+    given = np.zeros(pixels, np.float32)
+    given[rows[rows < pixels]] = 1
+    squares = (views, height // stride, stride, width // stride, stride)
+    total = (harmonics[:pixels] * given[:, None, None]).reshape(*squares, -1, 3).sum(axis=(2, 4))
+    count = given.reshape(squares).sum(axis=(2, 4))
+    at = inside // (width * height), inside // width % height // stride, inside % width // stride
+    harmonics[inside] = total[at] / count[at][:, None, None]
     scales[inside] *= np.float32(stride)
     return {**outputs, "harmonics": harmonics, "scales": scales}, chosen

@@ -10,8 +10,8 @@ from mpmath import mp
 
 from gapmes.model.experts import ExpertGroup
 from gapmes.model.routing import Gates, Routing, decisiveness, hybrid_weights, top_k_lowest_first
-from gapmes.service.contract import AMBIGUOUS_MARGIN
 
+from ..routes import AMBIGUOUS_GAP
 from . import naive
 from .row import Row
 
@@ -49,7 +49,7 @@ def near_ties() -> Row:
         wide[:, 1] = wide[:, 0] + gap * np.abs(wide).max(axis=1)
         narrow = torch.from_numpy(wide.astype(np.float32))
         differs = (top_k_lowest_first(narrow, 2) != top_k_lowest_first(torch.from_numpy(wide), 2)).any(-1)
-        decided = decisiveness(narrow, 2) > AMBIGUOUS_MARGIN
+        decided = decisiveness(narrow, 2) > AMBIGUOUS_GAP
         missed, flips, total = missed + int((differs & decided).sum()), flips + int(differs.sum()), total + len(wide)
     return Row(
         "R2",

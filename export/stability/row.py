@@ -11,6 +11,7 @@ from gapmes.service.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, Render, render, render_reference
 
+MOST_EDGES = 0.05
 EDGE = 1e-5  # of a cut: nearer pixels may fall on either side of it in another precision
 
 
@@ -39,7 +40,9 @@ def against_reference(gaussians: Gaussians, camera: Camera, rule: Definition | N
     ours, true = render(gaussians, camera, definition=rule), render_reference(gaussians, camera, definition=rule)
     edge = edges(gaussians, camera, rule, true)
     error = np.maximum(np.abs(ours.rgb - true.rgb).max(axis=2), np.abs(ours.alpha - true.alpha))
-    return float(error[~edge].max(initial=0.0)), true
+    if edge.mean() > MOST_EDGES:
+        raise ValueError(f"{edge.mean():.0%} of the pixels lie on a cut, nothing is left to compare")
+    return float(error[~edge].max()), true
 
 
 def edges(gaussians: Gaussians, camera: Camera, rule: Definition, true: Render) -> NDArray[np.bool_]:

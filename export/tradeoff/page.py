@@ -8,7 +8,10 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 
+from .errors import EQUAL_DB
+from .knobs import BANDS
 from .schema import Report, Row
 
 TITLES = {
@@ -74,42 +77,60 @@ def _number(value: float | None, form: str) -> str:
 
 
 def pareto(report: Report) -> Figure:
-    """Held-out quality over time of the network; change over time of scenes and pictures, the fronts drawn through."""
-    figure = Figure(figsize=(13.5, 4.6), dpi=100, layout="constrained")
-    network, scene, picture = figure.subplots(1, 3)
+    """Held-out quality over time of the network, change over time of scenes, each with its front; and for pictures a
+    line per knob, since each has an exact value of its own. Harmonics are left out: they are not the scene's."""
+    figure = Figure(figsize=(13.5, 4.8), dpi=100, layout="constrained")
+    panels = figure.subplots(1, 3)
     rows = {group: [row for row in report.rows if row.group == group] for group in TITLES}
     quality = [(row, row.timing.seconds, row.model.psnr) for row in rows["network"] if row.model]
-    _scatter(network, quality, "seconds for a reconstruction", "PSNR on held-out views, dB")
+    _scatter(panels[0], quality, "seconds for a reconstruction", "PSNR on held-out views, dB")
+    _front(panels[0], [(x, y) for _, x, y in quality])
     kept = [(row, 1e3 * row.timing.seconds, row.setting.psnr) for row in rows["scene"] if row.setting]
-    _scatter(scene, kept, "ms for a picture of what is kept", "PSNR to the whole scene, dB")
+    top = _scatter(panels[1], kept, "ms for a picture of what is kept", "PSNR to the whole scene, dB")
+    _front(panels[1], [(x, min(y, top)) for _, x, y in kept])
     drawn = [(row, 1e3 * row.timing.seconds, row.setting.psnr) for row in rows["picture"] if row.setting]
-    _scatter(picture, drawn, "ms for a picture", "PSNR to the most exact value, dB")
-    for axes, title in zip((network, scene, picture), TITLES.values(), strict=True):
+    drawn = [point for point in drawn if point[0].knob != BANDS]
+    _scatter(panels[2], drawn, "ms for a picture", "PSNR to the knob's most exact value, dB", joined=True)
+    for axes, title in zip(panels, TITLES.values(), strict=True):
         axes.set_title(title, fontsize=10, loc="left")
     return figure
 
 
-def _scatter(axes: Axes, points: Sequence[tuple[Row, float, float]], across: str, up: str) -> None:
-    """Points labelled by value and coloured by knob; a line through those that none beats in both. What equals the
-    most exact setting lies at the top, beyond the finite values."""
-    finite = [value for _, _, value in points if value < 150]
-    top = max(finite, default=0.0) + 0.08 * (max(finite, default=1.0) - min(finite, default=0.0) + 1)
+def _scatter(
+    axes: Axes, points: Sequence[tuple[Row, float, float]], across: str, up: str, *, joined: bool = False
+) -> float:
+    """Points labelled by value and coloured by knob, on a logarithmic axis of time. What equals the most exact setting
+    has no finite PSNR and lies on a line of its own, whose height is returned."""
+    finite = [value for _, _, value in points if value < EQUAL_DB]
+    top = max(finite, default=0.0) + 0.1 * (max(finite, default=1.0) - min(finite, default=0.0) + 1)
     knobs = list(dict.fromkeys(row.knob for row, _, _ in points))
-    for knob, colour in zip(knobs, COLOURS * 3, strict=False):
+    axes.set_xscale("log")
+    for number, knob in enumerate(knobs):
         own = [(row, x, min(y, top)) for row, x, y in points if row.knob == knob]
-        axes.plot([x for _, x, _ in own], [y for _, _, y in own], "o", color=colour, label=knob, markersize=6)
+        style = "o-" if joined else "o"
+        colour = COLOURS[number % len(COLOURS)]
+        axes.plot([x for _, x, _ in own], [y for _, _, y in own], style, color=colour, label=knob, markersize=5)
         for row, x, y in own:
             weight = "bold" if row.default else "normal"
-            axes.annotate(row.value, (x, y), xytext=(5, 3), textcoords="offset points", fontsize=7, weight=weight)
-    shown = [(x, min(y, top)) for _, x, y in points]
-    front = sorted((x, y) for x, y in shown if not any(a <= x and b >= y and (a, b) != (x, y) for a, b in shown))
-    axes.step([x for x, _ in front], [y for _, y in front], where="post", color="#999999", zorder=0, linewidth=1)
+            side = ((6, 3), (-6, -9), (6, -9), (-6, 4))[number % 4]
+            axes.annotate(row.value, (x, y), xytext=side, textcoords="offset points", fontsize=7, color=colour,
+                          weight=weight, ha="left" if side[0] > 0 else "right")  # fmt: skip
     if len(finite) < len(points):
         axes.axhline(top, color="#cccccc", linestyle=":", zorder=0)
-        axes.annotate("equal to the bit or to 150 dB", (0.98, top), xycoords=("axes fraction", "data"), fontsize=7,
-                      ha="right", va="bottom", color="#777777")  # fmt: skip
+        axes.annotate("equal", (0.99, top), xycoords=("axes fraction", "data"), fontsize=7, ha="right", va="bottom",
+                      color="#777777")  # fmt: skip
     axes.set_xlabel(across, fontsize=9)
     axes.set_ylabel(up, fontsize=9)
-    axes.margins(x=0.12, y=0.1)
+    axes.margins(x=0.15, y=0.1)
     axes.tick_params(labelsize=8)
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_minor_formatter(ScalarFormatter())
+    axes.tick_params(axis="x", which="minor", labelsize=6)
     axes.legend(fontsize=7, frameon=False)
+    return top
+
+
+def _front(axes: Axes, points: Sequence[tuple[float, float]]) -> None:
+    """A line through the points that none beats in both."""
+    front = sorted(p for p in points if not any(a <= p[0] and b >= p[1] and (a, b) != p for a, b in points))
+    axes.step([x for x, _ in front], [y for _, y in front], where="post", color="#999999", zorder=0, linewidth=1)

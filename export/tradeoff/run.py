@@ -16,13 +16,13 @@ from gapmes.service.effort import draw
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.ply import ply_bytes
 from gapmes.service.progress import Listener, Stages, silent
-from gapmes.service.pruning import BAND_NORMS
+from gapmes.service.pruning import BAND_NORMS, colour_range
 from gapmes.service.scene_views import NEAR_PLANE_SHARE
 from gapmes.service.splat import warm_up
 
 from ..evaluation.lpips import Lpips
 from . import files, knobs
-from .child import Given, Timed, timed
+from .child import Timed, timed
 from .errors import drawn, model_error, network_rounding, setting_error, splatter_rounding
 from .files import ModelFile
 from .machine import this_machine
@@ -119,23 +119,24 @@ class _Measure:
         )  # fmt: skip
 
     def views(self, file: ModelFile) -> list[Row]:
-        """More photographs of the first scene, its own row for two included."""
-        rows, scene = [], self.scenes[0]
-        for count, given in {2: scene.given, **scene.more}.items():
-            run = self.whole if count == 2 else timed(file.path, [given], KEEP_ALL, REPEATS, self.threads)
-            pictures = drawn(run.gaussians[0], [view.camera for view in scene.targets], self.near(0))
-            quality = model_error(pictures, scene.targets, self.lpips)
-            how = f"{count} photographs, {scene.name} alone"
-            row = _row("network", "views", str(count), how, count == 2, _timing(run), run.peak_mb, model=quality)
-            rows.append(row)
+        """More photographs of every scene, with the same targets; only where all scenes have that many."""
+        rows = []
+        for count in (2, 3, 4):
+            if count > 2 and not all(count in scene.more for scene in self.scenes):
+                continue
+            given = self.given if count == 2 else [scene.more[count] for scene in self.scenes]
+            run = self.whole if count == 2 else timed(file.path, given, KEEP_ALL, REPEATS, self.threads)
+            quality = model_error(self._pictures(run.gaussians), self.truth, self.lpips)
+            how = f"gapmes reconstruct --views, {count} of them"
+            rows.append(_row("network", "views", str(count), how, count == 2, _timing(run), run.peak_mb, model=quality))
         return rows
 
     def scene(self, setting: knobs.SceneSetting) -> Row:
         """What is left out of a scene: time of a picture of what is left, size of the .ply, change, bound."""
-        run = timed(None, self.given, setting.budget, 1, self.threads)
+        run = timed(None, self.given, setting.budget, REPEATS, self.threads)
         pictures = self._pictures(run.gaussians)
         pruned = [document["pruning"] for document in run.documents]
-        bounds = [max(entry["bound"], entry["faint_bound"]) for entry in pruned]
+        bounds = [entry["bound"] for entry in pruned]
         worst = int(np.argmax(bounds))
         seconds = self._picture_seconds(lambda: draw(run.gaussians[0], self.camera, near=self.near(0)))
         stages = {"picture": seconds, "leaving out": float(run.stages["leave out"])}
@@ -158,17 +159,17 @@ class _Measure:
     def picture(self, setting: knobs.PictureSetting) -> Row:
         """A picture of the first scene at twice the network's size, against the most exact value of its knob."""
         gaussians, bound = self.whole.gaussians[0], None
-        if setting.knob == "harmonics":
+        if setting.knob == knobs.BANDS:
             gaussians = _with_bands(gaussians)
         shots = [
             np.clip(draw(gaussians, self.camera, "rgb", effort, near=self.near(0)).rgb, 0, 1).transpose(2, 0, 1)
             for effort in (setting.effort, knobs.EXACT[setting.knob])
         ]
         error = setting_error(shots[:1], shots[1:])
-        if setting.knob == "harmonics":
+        if setting.knob == knobs.BANDS:
             bound = Bound(bound=_bands_bound(gaussians, setting.effort.sh_degree or 0), actual=error.largest)
         if setting.knob == "early stop":
-            bound = Bound(bound=setting.effort.stop, actual=error.largest)
+            bound = Bound(bound=setting.effort.stop * colour_range(gaussians), actual=error.largest)
         seconds = self._picture_seconds(lambda: draw(gaussians, self.camera, "rgb", setting.effort, near=self.near(0)))
         return _row(
             "picture", setting.knob, setting.value, f"gapmes render {setting.how}", setting.default,
@@ -215,6 +216,3 @@ def _bands_bound(gaussians: Gaussians, degree: int) -> float:
         coefficients = gaussians.harmonics[:, band**2 : (band + 1) ** 2].astype(np.float64)
         total += BAND_NORMS[band - 1] * np.linalg.norm(coefficients, axis=1)
     return float(total.max(initial=0.0))
-
-
-__all__ = ["Given", "report"]

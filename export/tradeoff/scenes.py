@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,7 +57,3 @@ def _more(folder: Path, case: Case) -> dict[int, Given]:
             views.append(match_photo(photo, scene.file.views[index].camera, index=index))
         found[count] = Given([p for p, _ in views], [c for _, c in views], case.near, case.far)
     return found
-
-
-def names(scenes: Sequence[Scene]) -> list[str]:
-    return [scene.name for scene in scenes]

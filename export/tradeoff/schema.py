@@ -39,7 +39,7 @@ class ModelError(_Strict):
 
 
 class Bound(_Strict):
-    """Proved for the certified views, beside the largest change found there."""
+    """Proved (for a scene: for its certified views), beside the largest change found (for a scene: in its inputs)."""
 
     bound: float
     actual: float

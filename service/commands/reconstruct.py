@@ -33,6 +33,9 @@ def reconstruct(
     ] = DEFAULT_CERTIFY,
     min_opacity: Annotated[float, typer.Option(help="fainter Gaussians are left out, whatever that changes")] = 0.0,
     stride: Annotated[int, typer.Option(help="a Gaussian per so many pixels each way: 1, 2 or 4")] = 1,
+    leave_one_out: Annotated[
+        bool, typer.Option("--leave-one-out", help="also without each view in turn: how well is it foretold?")
+    ] = False,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
@@ -69,6 +72,7 @@ def reconstruct(
             far=folder.file.far if far is None else far,
             trust_poses=trust_poses,
             budget=budget,
+            leave_one_out=leave_one_out,
             listener=bars,
         )
         with stages.stage("write .ply"):

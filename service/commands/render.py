@@ -46,6 +46,7 @@ def render(
     from ..scene_views import SceneViews
     from ..seen_depths import seen_depths
 
+    effort = Effort(alpha_min, stop, sh_degree, samples)
     file = read_camera_file(cameras)
     specs = [str(index) for index in range(len(file.views))] if views is None else view_specs(views)
     in_file = file.near is not None and file.far is not None
@@ -56,7 +57,6 @@ def render(
         scene.resolve(spec, field="views")
     sides = None if size is None else parse_size(size)
     options = {"background": parse_background(background), "threads": threads}
-    effort = Effort(alpha_min, stop, sh_degree, samples)
     if not ply.is_file():
         raise PlyError(f"{ply} is not a file", field="SCENE.PLY")
     written = []

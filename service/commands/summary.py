@@ -13,10 +13,11 @@ def check_line(check: Mapping[str, Any]) -> str:
     for name, share in (("textureless", "textureless_share"), ("without parallax", "no_parallax_share")):
         if check[share] is not None:
             parts.append(f"{100 * check[share]:.1f} % {name}")
-    if check.get("leave_one_out"):
-        others = [row["psnr"] for row in check["leave_one_out"]]
-        shown = ", ".join("no pixel" if value is None else f"{value:.1f}" for value in others)
-        parts.append(f"drawn from the other views: {shown} dB")
+    for name, words in (("from_others", "drawn from the other views"), ("leave_one_out", "foretold by the others")):
+        if check.get(name):
+            values = [row["psnr"] for row in check[name]]
+            shown = ", ".join("no pixel" if value is None else f"{value:.1f}" for value in values)
+            parts.append(f"{words}: {shown} dB")
     if check.get("ambiguous_routes"):
         parts.append(f"{100 * check['ambiguous_routes']:.2f} % ambiguous routes")
     if check["depth_step"]["middle"] is not None:
@@ -32,13 +33,13 @@ def left_out_lines(document: Mapping[str, Any]) -> list[str]:
     width = max(len(row["what"]) for row in rows)
     lines = [f"{'left out':{width}}       count          of  change of colour"]
     for row in rows:
-        change = f"at most {row['error']:.5f}" if row["error"] else "none"
+        change = f"at most {row['error']:.5f}" if row["error"] else "not compared" if row["error"] is None else "none"
         lines.append(f"{row['what']:{width}}  {row['count']:10,}  {row['of']:10,}  {change}")
-    if pruned.get("picture_seconds"):
+    if pruned.get("picture_seconds") and pruned["certified"]:
         views, (before, after) = pruned["certified"], pruned["picture_seconds"]
         lines.append(
             f"proved for {views['inputs']} inputs, {views['between']} views between them and {views['asked']} asked "
-            f"for, {pruned['actual']:.5f} found; elsewhere an estimate"
+            f"for, {pruned['actual']:.5f} found in the inputs; elsewhere an estimate"
         )
         lines.append(
             f"saved {pruned['bytes_saved'] / 1e3:,.0f} kB of .ply; a picture takes {1e3 * after:.1f} ms, all of it "

@@ -52,6 +52,7 @@ _FORM = {
             "default": DEFAULT_CERTIFY,
             "description": "views between neighbouring inputs for which that is proved",
         },
+        "leave_one_out": {"type": "boolean", "description": "reconstruct without each photograph in turn as well"},
         "min_opacity": {"type": "number", "minimum": 0, "maximum": 1, "default": 0, "description": "fainter ones go"},
         "stride": {
             "type": "integer",
@@ -106,9 +107,10 @@ def _scene_id(model_sha256: str, upload: Upload) -> str:
             "trust_poses": upload.trust_poses,
             "max_error": budget.max_error,
             "certify": budget.certify if bounded else None,
-            "views": sorted(set(budget.asked)) if bounded else None,
+            "views": budget.asked if bounded else None,
             "min_opacity": budget.min_opacity,
             "stride": budget.stride,
+            "leave_one_out": upload.leave_one_out,
             "algorithm_revision": ALGORITHM_REVISION,
         },
     )
@@ -122,7 +124,13 @@ def _compute(runtime: Runtime, scene_id: str, upload: Upload) -> None:
     check_total(encoded, max_pixels=limits.max_image_pixels, max_total=limits.max_request_pixels)
     photos = [EncodedPhoto(data, limits.max_image_pixels) for data in encoded]
     scene = runtime.reconstructor.reconstruct(
-        photos, pairing.cameras, near=upload.near, far=upload.far, trust_poses=upload.trust_poses, budget=upload.budget
+        photos,
+        pairing.cameras,
+        near=upload.near,
+        far=upload.far,
+        trust_poses=upload.trust_poses,
+        budget=upload.budget,
+        leave_one_out=upload.leave_one_out,
     )
     document = {
         "id": scene_id,

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..camera_json import camera_from_json
-from ..effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort
+from ..effort import ALPHA_MIN, LIMITS, MAX_SAMPLES, STOP, Effort
 from ..errors import ViewError
 from ..framing import frame
 from ..picture import Channel, Format, Picture, check_format, encode, parse_background
@@ -35,8 +35,13 @@ class RenderQuery(BaseModel):
     height: int | None = Field(None, ge=1, le=65_535, description="px; another aspect crops about the middle")
     channel: Channel = Field("rgb", description="colour, opacity or z-depth")
     format: Format = Field("png", description="alpha and depth: png or webp; depth has 16 bits in png, 8 in webp")
-    alpha_min: float = Field(ALPHA_MIN, ge=1e-6, le=0.9, description="layers below this opacity are not drawn")
-    stop: float = Field(STOP, ge=0, le=0.9, description="what lies behind so little light is not drawn")
+    alpha_min: float = Field(
+        ALPHA_MIN,
+        ge=LIMITS["alpha_min"][0],
+        le=LIMITS["alpha_min"][1],
+        description="layers below this opacity are not drawn",
+    )
+    stop: float = Field(STOP, ge=0, le=LIMITS["stop"][1], description="what lies behind so little light is not drawn")
     sh_degree: int = Field(3, ge=0, le=3, description="highest band of harmonics")
     samples: int = Field(1, ge=1, le=MAX_SAMPLES, description="per side of a pixel")
     background: str = Field("black", max_length=50, description="rrggbb in hex, black, white or grey")

@@ -29,7 +29,19 @@ from .pairing import NamedImage, Pairing, PostedSizes, pair
 
 MAX_FRAMES = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
 MAX_PARTS = 64  # far above what a valid request has, so that one image too many is told from a flood
-FIELDS = ("images", "cameras", "near", "far", "views", "trust_poses", "max_error", "certify", "min_opacity", "stride")
+FIELDS = (
+    "images",
+    "cameras",
+    "near",
+    "far",
+    "views",
+    "trust_poses",
+    "max_error",
+    "certify",
+    "min_opacity",
+    "stride",
+    "leave_one_out",
+)
 
 
 @dataclass(frozen=True)
@@ -40,12 +52,9 @@ class Upload:
     near: float | None
     far: float | None
     trust_poses: bool
-    budget: Budget  # its `asked` are the views to draw
-
-    @property
-    def views(self) -> tuple[str, ...]:
-        """To be drawn, such as "1.5"."""
-        return self.budget.asked
+    leave_one_out: bool
+    budget: Budget
+    views: tuple[str, ...]  # to be drawn, such as "1.5"
 
 
 async def read_upload(request: Request, settings: Settings) -> Upload:
@@ -88,7 +97,9 @@ async def _parse(form: FormData, settings: Settings) -> Upload:
     sizes = PostedSizes(images, settings.max_image_pixels)
     cameras, pairing = await anyio.to_thread.run_sync(lambda: _paired(document, images, sizes))
     near, far = (_number(form, name, given) for name, given in (("near", cameras.near), ("far", cameras.far)))
-    return Upload(pairing, near, far, _flag(form, "trust_poses"), _budget(form))
+    return Upload(
+        pairing, near, far, _flag(form, "trust_poses"), _flag(form, "leave_one_out"), _budget(form), _views(form)
+    )
 
 
 def _budget(form: FormData) -> Budget:

@@ -53,11 +53,6 @@ class Definition:
     max_entries: int = 1 << 24
     """(tile, Gaussian) pairs held at a time, 4 bytes each; more are drawn in several batches, same image to the bit."""
 
-    @property
-    def stop_share(self) -> float:
-        """The most that the early stop takes from a pixel: its light when it ends, as a share of all."""
-        return self.stop if self.inclusive_stop else min(1.0, self.stop / max(1.0 - self.alpha_max, 1e-30))
-
     def __post_init__(self) -> None:
         for name in ("dilation", "alpha_min", "alpha_max", "stop", "near", "far", "fov_margin"):
             if not math.isfinite(getattr(self, name)):

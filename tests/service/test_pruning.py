@@ -1,5 +1,6 @@
 """Leaving Gaussians out: the proved bound against what is drawn, in float64 as well, and the exact case."""
 
+import math
 from functools import cache
 
 import numpy as np
@@ -15,7 +16,7 @@ from gapmes.service.certified import certified_views
 from gapmes.service.errors import InputError
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import decode_image
-from gapmes.service.pruning import colour_range, prune, reaches
+from gapmes.service.pruning import colour_range, prune, reaches, removal_bound
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.shipped import sample_folder
 from gapmes.service.splat import INRIA, Definition, render, render_reference
@@ -64,14 +65,14 @@ def cloud(count: int, seed: int, degree: int = 0, faint: float = 0.5) -> Gaussia
     seed=st.integers(0, 2**32),
     degree=st.integers(0, 3),
     budget=st.sampled_from([0.0, 1 / 255, 0.05, 0.2, 1.0]),
-    rule=st.sampled_from([Definition(), INRIA, Definition(stop=1e-3), Definition(stop=0.05, inclusive_stop=False)]),
+    rule=st.sampled_from([Definition(), Definition(stop=1e-3), Definition(stop=0.05), Definition(alpha_min=0.02)]),
 )
 def test_no_certified_pixel_changes_by_more_than_bound_and_budget(seed, degree, budget, rule):
     """Over any background in [0, 1], at every pixel of every certified view."""
     rng = np.random.default_rng(seed)
     gaussians = cloud(int(rng.integers(1, 250)), seed, degree, rng.random())
     views = [view(turn) for turn in rng.uniform(-0.3, 0.3, int(rng.integers(1, 4)))]
-    result = prune(gaussians, views, budget, worth=0, pictures=len(views), options={"definition": rule})
+    result = prune(gaussians, views, budget, worth=0, pictures=len(views), definition=rule)
     assert result.bound <= budget
     assert result.actual <= result.bound
     kept = gaussians[result.keep]
@@ -120,7 +121,7 @@ def test_every_pixel_that_a_gaussian_marks_counts_as_reached(seed):
 def test_no_certified_pixel_of_a_trained_scene_changes_by_more(trained_scenes, views, budget):
     scene, near = trained_scenes(views)
     certified = certified_views(scene.view_cameras, 2)
-    result = prune(scene.gaussians, certified, budget, worth=0, pictures=len(views), options={"near": near})
+    result = prune(scene.gaussians, certified, budget, worth=0, pictures=len(views), near=near)
     assert result.dropped > 0
     assert result.actual <= result.bound <= budget
     kept = scene.gaussians[result.keep]
@@ -148,6 +149,54 @@ def test_the_range_of_colours_covers_every_direction():
         for turn in rng.uniform(-0.3, 0.3, 5):
             assert render(gaussians, view(turn)).rgb.max() <= extent
     assert colour_range(gaussians[:0]) == 1.0
+
+
+def test_footprints_that_rounding_alone_lets_through_count_too():
+    """Huge, and as faint as can be drawn: float32 draws them some hundred pixels from where the cut ends exactly."""
+    rng = np.random.default_rng(0)
+    count, faintest = 60, np.float32(1 / 255)
+    at = (10.0 - 50.0) / 40.0 * 2.0  # 10 px left of the picture
+    means = np.column_stack([np.full(count, at), rng.uniform(-0.5, 0.5, count), 2 + 0.001 * np.arange(count)])
+    camera = Camera.make(40, 40, 40.0, 40.0, 20.0, 20.0, np.eye(4))
+    for scale in (1e3, 1e4):
+        scene = Gaussians.make(
+            means, np.full((count, 3), scale), np.tile([1.0, 0, 0, 0], (count, 1)), np.full(count, faintest),
+            rng.uniform(-1.7, 1.7, (count, 1, 3)),
+        )  # fmt: skip
+        result = prune(scene, [camera], 0.1, worth=0, pictures=1)
+        before, after = (render(some, camera).rgb for some in (scene, scene[result.keep]))
+        assert np.abs(before - after).max() <= result.bound
+
+
+def test_the_budget_is_met_to_the_last_bit():
+    """Sums of float32 weights that come as near to the budget as can be."""
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        scene = cloud(60, int(rng.integers(2**31)), faint=0.9)
+        first = prune(scene, [view()], 0.3, worth=0)
+        for budget in (first.bound, np.nextafter(first.bound, 0), np.nextafter(first.bound, 1)):
+            assert prune(scene, [view()], float(budget), worth=0).bound <= budget
+
+
+def test_an_exclusive_stop_is_refused():
+    """There a Gaussian without weight may end a pixel."""
+    for rule in (INRIA, Definition(inclusive_stop=False)):
+        with pytest.raises(InputError, match="exclusive stop"):
+            prune(cloud(3, 0), [view()], 0.1, definition=rule)
+        with pytest.raises(InputError, match="exclusive stop"):
+            removal_bound(cloud(3, 0), np.ones(3, bool), [view()], definition=rule)
+
+
+def test_where_nothing_is_left_to_go_after_the_second_look_all_stays():
+    """Two hundred faint layers in one place: each alone could go, together they cannot."""
+    layers = 200
+    means = np.column_stack([np.zeros((layers, 2)), 2 + 0.001 * np.arange(layers)])
+    scene = Gaussians.make(
+        means, np.full((layers, 3), 0.1), np.tile([1.0, 0, 0, 0], (layers, 1)), np.full(layers, 0.0045),
+        np.zeros((layers, 1, 3)),
+    )  # fmt: skip
+    result = prune(scene, [view()], 0.05)
+    assert (result.dropped, result.bound, result.actual) == (0, 0.0, 0.0)
 
 
 def test_a_budget_that_makes_no_sense_is_refused():
@@ -221,6 +270,7 @@ def test_certified_views_are_inputs_then_the_path_then_what_was_asked():
     for value in (-1, 31, 1.5, True):
         with pytest.raises(InputError, match="certify"):
             Budget(certify=value)
+    assert Budget(asked=("1", "0.5", "1")).asked == ("0.5", "1")
 
 
 def test_budgets_as_text():
@@ -228,6 +278,7 @@ def test_budgets_as_text():
     assert parse_max_error(" 2e-3 ") == 0.002
     assert parse_max_error("0") == 0
     assert parse_max_error("Off") is KEEP_ALL.max_error is None
-    for text in ("", "1/0", "nan", "inf", "none", "2", "-1/255", "1e999999999999"):
+    assert math.copysign(1, parse_max_error("-0")) == 1
+    for text in ("", "1/", "1/0", "1/1e400", "nan", "inf", "none", "2", "-1/255", "1e999999999999"):
         with pytest.raises(InputError, match="max_error"):
             parse_max_error(text)

@@ -19,8 +19,10 @@ from gapmes.service.errors import (
 )
 from gapmes.service.harmonics import evaluate_basis
 from gapmes.service.images import Photo, fit_view
+from gapmes.service.picture_error import psnr
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.rotations import about_axis, matrix_from_quaternion
+from gapmes.service.splat import render
 
 # The network's frame is float32 with near = 1: positions up to `far / near` units carry 24 bits.
 RTOL_F32 = 2e-6  # of the depth; worst 3e-7 over the cases below
@@ -229,3 +231,22 @@ def test_near_and_far_beyond_float32_units(reconstructor, plane_scene):
     result = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far, budget=KEEP_ALL)
     assert np.isfinite(result.gaussians.means).all()
     assert isinstance(result.cameras[0], Camera)
+
+
+def test_each_photograph_is_foretold_by_the_others(reconstructor, plane_scene):
+    """What is told is the picture of a reconstruction without it; two photographs foretell none."""
+    given = {"near": 2.0, "far": 8.0, "budget": KEEP_ALL}
+    whole = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, leave_one_out=True, **given)
+    rows = whole.document["check"]["leave_one_out"]
+    assert list(whole.document["timings"])[-1] == "leave one out"
+    for index in range(3):
+        rest = [i for i in range(3) if i != index]
+        other = reconstructor.reconstruct(
+            [plane_scene.images[i] for i in rest], [plane_scene.cameras[i] for i in rest], leave_one_out=True, **given
+        )
+        assert other.document["check"]["leave_one_out"] is None
+        image = render(other.gaussians, whole.view_cameras[index], near=0.2)
+        view = fit_view(Photo(plane_scene.images[index]), plane_scene.cameras[index], HEIGHT, WIDTH)
+        expected = psnr(np.clip(image.rgb, 0, 1).transpose(2, 0, 1), view.image)
+        assert rows[index]["psnr"] == pytest.approx(expected, abs=1e-5)  # written with six decimals
+        assert rows[index]["holes"] == pytest.approx((image.alpha < 0.5).mean(), abs=1e-6)

@@ -11,11 +11,11 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from small_networks import scene, tiny
 
+from gapmes.export.routes import AMBIGUOUS_GAP
 from gapmes.model.config import preset
 from gapmes.model.experts import ExpertGroup
 from gapmes.model.heads import Heads
 from gapmes.model.routing import Gates, Routing, hybrid_weights, top_k_lowest_first
-from gapmes.service.contract import AMBIGUOUS_MARGIN
 
 EXPERTS, K = 6, 2
 
@@ -87,10 +87,10 @@ def test_near_ties_route_as_in_float64_or_are_told_apart_as_ambiguous() -> None:
         routing = gates_of(weight, torch.zeros(EXPERTS))(query)
         exact = torch.from_numpy(np.argsort(-logits.numpy(), axis=1, kind="stable")[:, :K].copy())
         ordered = logits.sort(dim=1, descending=True).values
-        decided = (ordered[:, :K] - ordered[:, 1 : K + 1]).amin(1) > AMBIGUOUS_MARGIN * logits.abs().amax(1)
+        decided = (ordered[:, :K] - ordered[:, 1 : K + 1]).amin(1) > AMBIGUOUS_GAP * logits.abs().amax(1)
         same = (routing.expert_index == exact).all(1)
         assert same[decided].all()
-        told = routing.margin <= AMBIGUOUS_MARGIN * 1.1  # the margin itself is rounded to about 1e-7
+        told = routing.margin <= AMBIGUOUS_GAP * 1.1  # the margin itself is rounded to about 1e-7
         assert told[~decided].all()
         assert told[~same].all()
         flipped, ambiguous, total = flipped + int((~same).sum()), ambiguous + int(told.sum()), total + len(same)

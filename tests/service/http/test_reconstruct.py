@@ -216,7 +216,10 @@ def test_a_budget_belongs_to_the_scene(client: TestClient) -> None:
     exact = post(client, max_error="0", certify="2", views="orbit:10").json()
     assert exact["pruning"]["certified"] == {"inputs": 2, "between": 2, "asked": 1}
     assert exact["pruning"]["bound"] == 0
-    assert len({scene["id"] for scene in (default, whole, exact)}) == 3
+    other = [post(client, **{name: value}).json()["id"] for name, value in (("stride", "2"), ("min_opacity", "0.1"))]
+    assert len({default["id"], whole["id"], exact["id"], *other}) == 5
+    swapped = [post(client, views=views).json()["id"] for views in ("0.5,1", "1,0.5,1")]
+    assert swapped[0] == swapped[1]
 
 
 @pytest.mark.parametrize(
@@ -228,6 +231,9 @@ def test_a_budget_belongs_to_the_scene(client: TestClient) -> None:
         ({"certify": "-1"}, "certify"),
         ({"certify": "31"}, "certify"),
         ({"certify": "1.5"}, "certify"),
+        ({"stride": "3"}, "stride"),
+        ({"min_opacity": "-1"}, "min_opacity"),
+        ({"min_opacity": "nan"}, "min_opacity"),
     ],
 )
 def test_a_budget_that_makes_no_sense_is_refused(client: TestClient, fields: dict[str, str], field: str) -> None:
