@@ -75,13 +75,9 @@ def _drawn(gaussians: Gaussians, cameras: Sequence[Camera], options: Mapping[str
 
 
 def _seconds(gaussians: Gaussians, camera: Camera, options: Mapping[str, Any]) -> float:
-    """One picture, the quicker of two: the first may prepare the set."""
-    times = []
-    for _ in range(2):
-        start = time.perf_counter()
-        render(gaussians, camera, outputs=(), **options)
-        times.append(time.perf_counter() - start)
-    return round(min(times), 6)
+    """One picture, without what is done once for a set."""
+    stages = render(gaussians, camera, outputs=(), **options).stats["seconds"]
+    return round(sum(seconds for name, seconds in stages.items() if name != "prepare"), 6)
 
 
 def table(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import onnx
 
+from gapmes.model.checkpoint import WEIGHTS_LICENCE, file_sha256, shipped_checkpoint
 from gapmes.service.shipped import shipped_model
 
 from ..metadata import add_metadata, write_model
@@ -36,7 +37,7 @@ class ModelFile:
 def quick_files(folder: Path) -> list[ModelFile]:
     """The shipped file and its int8 form, which takes seconds."""
     target = folder / "int8.onnx"
-    if not target.is_file():
+    if not _is_of_shipped_weights(target):
         model = quantised(onnx.load(shipped_model()))
         add_metadata(model, {"precision": "int8"})
         write_model(model, target)
@@ -53,7 +54,7 @@ def all_files(folder: Path) -> list[ModelFile]:
         ModelFile("skipping", "nothing", "gapmes-export --keep-all", folder / "all.onnx", Variant(keep_all=True)),
         ModelFile("input size", "128", "gapmes-export --size 128x128", folder / "size128.onnx", size=128),
     ]
-    waiting = [file for file in more if not file.path.is_file()]
+    waiting = [file for file in more if not _is_of_shipped_weights(file.path)]
     running: list[subprocess.Popen[bytes]] = []
     for file in waiting:
         if len(running) == 2:
@@ -66,6 +67,14 @@ def all_files(folder: Path) -> list[ModelFile]:
     return quick_files(folder) + more
 
 
+def _is_of_shipped_weights(path: Path) -> bool:
+    """Whether an earlier report left this file, and the shipped network is still the same."""
+    if not path.is_file():
+        return False
+    weights = {entry.key: entry.value for entry in onnx.load(path).metadata_props}.get("gapmes.weights_sha256")
+    return weights == file_sha256(shipped_checkpoint("tiny"))
+
+
 def _finish(process: subprocess.Popen[bytes]) -> None:
     if process.wait() != 0:
         raise RuntimeError(f"an export of the report ended with {process.returncode}")
@@ -73,8 +82,6 @@ def _finish(process: subprocess.Popen[bytes]) -> None:
 
 def export_variant(path: str, size: int, top_k: int, keep_all: bool) -> None:
     """Export the shipped checkpoint without verifying it: for measuring, not for serving."""
-    from gapmes.model.checkpoint import WEIGHTS_LICENCE, file_sha256, shipped_checkpoint
-
     from ..build import export_graph
     from ..metadata import contract_metadata
     from ..variant import load_variant
@@ -90,5 +97,5 @@ def export_variant(path: str, size: int, top_k: int, keep_all: bool) -> None:
         licence=WEIGHTS_LICENCE,
         precision="fp32",
     )
-    add_metadata(model, metadata)
+    add_metadata(model, metadata | ({"keep_all": "true"} if keep_all else {}))
     write_model(model, Path(path))
