@@ -5,16 +5,19 @@ from __future__ import annotations
 import multiprocessing
 import resource
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gapmes.service.budget import Budget
 from gapmes.service.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import Photo
+
+if TYPE_CHECKING:
+    from gapmes.service.reconstruct import Reconstructor
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +32,8 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class Timed:
-    """Reconstructions of several scenes; times are medians over repeats of the first, in seconds."""
+    """Reconstructions of several scenes; times are medians over repeats of the first, in seconds: of the stages, and
+    their sum."""
 
     gaussians: list[Gaussians]
     documents: list[dict[str, Any]]
@@ -48,24 +52,40 @@ def peak_mb() -> float:
 
 
 def timed(model: Path | None, given: Sequence[Given], budget: Budget, repeats: int, threads: int | None) -> Timed:
-    """In a new process, which has loaded nothing but the service."""
+    """In new processes, which have loaded nothing but the service: one is timed with the first scene alone, so that its
+    memory is that of serving it, the other reconstructs them all."""
+    times, peak = _in_child(_measured, model, given[0], budget, repeats, threads)
+    scenes = _in_child(_reconstructed, model, given, budget, threads)
+    return Timed([s for s, _ in scenes], [d for _, d in scenes], times, sum(times.values()), peak)
+
+
+def _in_child(work: Callable[..., Any], *arguments: object) -> Any:
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(_timed, model, given, budget, repeats, threads).result()
+        return pool.submit(work, *arguments).result()
 
 
-def _timed(model: Path | None, given: Sequence[Given], budget: Budget, repeats: int, threads: int | None) -> Timed:
+def _measured(
+    model: Path | None, scene: Given, budget: Budget, repeats: int, threads: int | None
+) -> tuple[dict[str, float], float]:
+    """Medians of the stages, and the peak memory."""
     from gapmes.service.reconstruct import Reconstructor
 
     reconstructor = Reconstructor(model, threads=threads)
+    measured = [_once(reconstructor, scene, budget)[1]["timings"] for _ in range(repeats + 1)][1:]
+    return {name: statistics.median(row[name] for row in measured) for name in measured[0]}, peak_mb()
 
-    def once(scene: Given) -> Any:
-        return reconstructor.reconstruct(
-            list(scene.photos), scene.cameras, near=scene.near, far=scene.far, trust_poses=True, budget=budget
-        )
 
-    measured = [once(given[0]).document["timings"] for _ in range(repeats + 1)][1:]
-    peak = peak_mb()
-    scenes = [once(scene) for scene in given]
-    stages = {name: statistics.median(row[name] for row in measured) for name in measured[0]}
-    whole = statistics.median(sum(row.values()) for row in measured)
-    return Timed([s.gaussians for s in scenes], [s.document for s in scenes], stages, whole, peak)
+def _reconstructed(
+    model: Path | None, given: Sequence[Given], budget: Budget, threads: int | None
+) -> list[tuple[Gaussians, dict[str, Any]]]:
+    from gapmes.service.reconstruct import Reconstructor
+
+    reconstructor = Reconstructor(model, threads=threads)
+    return [_once(reconstructor, scene, budget) for scene in given]
+
+
+def _once(reconstructor: Reconstructor, scene: Given, budget: Budget) -> tuple[Gaussians, dict[str, Any]]:
+    found = reconstructor.reconstruct(
+        list(scene.photos), scene.cameras, near=scene.near, far=scene.far, trust_poses=True, budget=budget
+    )
+    return found.gaussians, found.document
