@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,10 @@ from gapmes.export.tradeoff.errors import model_error, setting_error, splatter_r
 from gapmes.export.tradeoff.machine import FLAGS, this_machine
 from gapmes.export.tradeoff.scenes import load_scene
 from gapmes.export.tradeoff.schema import Report
-from gapmes.service.budget import KEEP_ALL
+from gapmes.service.budget import KEEP_ALL, Budget, parse_max_error
 from gapmes.service.camera import Camera
 from gapmes.service.cli import app
+from gapmes.service.effort import Effort
 from gapmes.service.images import FittedView
 from gapmes.service.shipped import sample_folder
 from gapmes.service.splat import render
@@ -112,17 +114,29 @@ def test_every_knob_is_an_option_of_a_command() -> None:
         "render": shown.invoke(app, ["render", "--help"]).output,
         "export": shown.invoke(export_app, ["--help"]).output,
     }
+    of_scene = {"--max-error": ("max_error", parse_max_error), "--min-opacity": ("min_opacity", float)}
+    of_scene["--stride"] = ("stride", int)
     for setting in knobs.SCENE_SETTINGS:
-        for word in shlex.split(setting.how):
-            assert not word.startswith("--") or word in help_of["reconstruct"], word
+        words = shlex.split(setting.how)
+        given = {}
+        for option, value in zip(words[::2], words[1::2], strict=True):
+            assert option in help_of["reconstruct"]
+            name, parse = of_scene[option]
+            given[name] = parse(value)
+        assert Budget(**given) == setting.budget
+    of_picture = {"--alpha-min": "alpha_min", "--stop": "stop", "--sh-degree": "sh_degree", "--samples": "samples"}
     for picture in knobs.PICTURE_SETTINGS:
-        for word in shlex.split(picture.how):
-            assert not word.startswith("--") or word in help_of["render"], word
+        option, value = shlex.split(picture.how)
+        assert option in help_of["render"]
+        found, plain = asdict(picture.effort), asdict(Effort())
+        assert found.pop(of_picture[option]) == pytest.approx(float(value), rel=1e-5)  # six digits are shown
+        del plain[of_picture[option]]
+        assert found == plain
     for option in ("--precision", "--top-k", "--keep-all", "--size", "--report", "--stability"):
         assert option in help_of["export"]
     assert sum(setting.default for setting in knobs.SCENE_SETTINGS) == 1
     defaults = [setting.knob for setting in knobs.PICTURE_SETTINGS if setting.default]
-    assert defaults == ["alpha cut", "early stop", "samples", "harmonics"]
+    assert defaults == ["alpha cut", "early stop", "samples", knobs.BANDS]
 
 
 def test_the_machine_is_named() -> None:
