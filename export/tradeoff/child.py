@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import multiprocessing
+import pickle
 import resource
 import statistics
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +20,9 @@ from gapmes.service.images import Photo
 
 if TYPE_CHECKING:
     from gapmes.service.reconstruct import Reconstructor
+
+
+CHILD = "import sys; from gapmes.export.tradeoff.child import answer; answer(*sys.argv[1:])"
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +65,18 @@ def timed(model: Path | None, given: Sequence[Given], budget: Budget, repeats: i
 
 
 def _in_child(work: Callable[..., Any], *arguments: object) -> Any:
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(work, *arguments).result()
+    """Not by `multiprocessing`, whose children import the program that started them, and with it torch."""
+    with tempfile.TemporaryDirectory() as folder:
+        asked, told = Path(folder, "asked"), Path(folder, "told")
+        asked.write_bytes(pickle.dumps((work, arguments)))
+        subprocess.run([sys.executable, "-c", CHILD, str(asked), str(told)], check=True)
+        return pickle.loads(told.read_bytes())
+
+
+def answer(asked: str, told: str) -> None:
+    """What a child does."""
+    work, arguments = pickle.loads(Path(asked).read_bytes())
+    Path(told).write_bytes(pickle.dumps(work(*arguments)))
 
 
 def _measured(

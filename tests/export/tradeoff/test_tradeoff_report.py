@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from gapmes.export.cli import app as export_app
 from gapmes.export.tradeoff import files, knobs, run
-from gapmes.export.tradeoff.child import Given, peak_mb, timed
+from gapmes.export.tradeoff.child import Given, _in_child, peak_mb, timed
 from gapmes.export.tradeoff.errors import model_error, setting_error, splatter_rounding
 from gapmes.export.tradeoff.machine import FLAGS, this_machine
 from gapmes.export.tradeoff.scenes import load_scene
@@ -101,6 +101,7 @@ def test_a_child_loads_the_service_alone() -> None:
     found = timed(None, [given], KEEP_ALL, 1, 1)
     assert found.seconds == pytest.approx(sum(found.stages.values()), rel=1e-6)
     assert found.peak_mb < peak_mb()  # this process has torch in it
+    assert "torch" not in _in_child(eval, "sorted(__import__('sys').modules)")
     camera = scene.targets[0].camera
     assert render(found.gaussians[0], camera).alpha.mean() > 0.9
     assert splatter_rounding(found.gaussians[0], camera, 0.1).largest < 0.05  # a pixel on a cut may jump
