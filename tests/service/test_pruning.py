@@ -152,7 +152,7 @@ def test_the_range_of_colours_covers_every_direction():
 
 
 def test_footprints_that_rounding_alone_lets_through_count_too():
-    """Huge, and as faint as can be drawn: float32 draws them some hundred pixels from where the cut ends exactly."""
+    """Huge, and as faint as can be drawn: float32 draws them beyond where the cut ends exactly."""
     rng = np.random.default_rng(0)
     count, faintest = 60, np.float32(1 / 255)
     at = (10.0 - 50.0) / 40.0 * 2.0  # 10 px left of the picture

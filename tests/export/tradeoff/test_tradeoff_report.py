@@ -104,7 +104,7 @@ def test_a_child_loads_the_service_alone() -> None:
     assert "torch" not in _in_child(eval, "sorted(__import__('sys').modules)")
     camera = scene.targets[0].camera
     assert render(found.gaussians[0], camera).alpha.mean() > 0.9
-    assert splatter_rounding(found.gaussians[0], camera, 0.1).largest < 0.05  # a pixel on a cut may jump
+    assert splatter_rounding(found.gaussians[0], camera, 0.1).largest < 2 / 255  # a pixel on a cut may jump by a layer
 
 
 def test_every_knob_is_an_option_of_a_command() -> None:
