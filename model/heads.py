@@ -31,7 +31,7 @@ class HeadOutputs:
 def unit_quaternions(raw: Tensor, identity: Tensor) -> Tensor:
     """(n, 4, H, W) of unit length; all zeros become the identity.
 
-    Dividing by the largest component first keeps the squares away from underflow and overflow (numerics A1).
+    Dividing by the largest component first keeps the squares away from underflow and overflow.
     """
     largest = raw.abs().amax(1, keepdim=True)
     scaled = raw / torch.where(largest > 0, largest, torch.ones_like(largest))

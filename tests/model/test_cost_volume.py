@@ -69,7 +69,7 @@ def test_other_views_of_a_batch_stay_within_their_scene() -> None:
 @pytest.mark.case("P1")
 @pytest.mark.parametrize("depth", [1.6, 2.5, 5.0])
 def test_a_textured_wall_is_matched_at_its_depth(depth: float) -> None:
-    """A fronto-parallel wall seen by two cameras side by side: the best plane is the nearest one (numerics P1)."""
+    """A fronto-parallel wall seen by two cameras side by side: the best plane is the nearest one."""
     size, planes, baseline, focal = 64, 33, 0.5, 1.0
     texture = F.interpolate(
         torch.rand(1, 1, 32, 32, generator=torch.Generator().manual_seed(3)), size=(384, 384), mode="bicubic"
