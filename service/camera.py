@@ -11,16 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import CameraError, IntrinsicsError, PoseError
+from .errors import CameraError, IntrinsicsError
+from .pose import Pose, checked_pose, rigid_inverse
 
 F64 = NDArray[np.float64]
 
-# A rotation further than this from orthonormal moves a pixel by more than 0.1 px at f = 1000 px; below it the matrix
-# is projected onto SO(3), which is what rounding to six decimals in a text file needs.
-MAX_ORTHONORMALITY_ERROR = 1e-4
 MAX_SIDE = 2**31 - 1  # px, more than any file format holds
-MAX_OFFSET = 1e100  # caller's units: squares and cubes stay finite
-ROUNDING = 1e-14  # what float64 leaves of orthonormality (some 1e-15); such a matrix is kept to the bit
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +30,7 @@ class Camera:
     cx: float  # px
     cy: float  # px
     world_from_cam: F64  # (4, 4), rotation | centre, caller's units
+    drift: float = 0.0  # max |R^T R - I| of the pose as it was given, before it was projected onto SO(3)
 
     @classmethod
     def make(
@@ -49,7 +46,10 @@ class Camera:
         index: int | None = None,
         field: str = "camera",
     ) -> Camera:
-        """Check and build. Raises `CameraError`, `IntrinsicsError` or `PoseError` naming field, index and numbers."""
+        """Check and build; `world_from_cam` is a matrix, or a `Pose` that was checked already.
+
+        Raises `CameraError`, `IntrinsicsError` or `PoseError` naming field, index and numbers.
+        """
         if not (_whole(width) and _whole(height)):
             raise CameraError(
                 f"image size is {width} x {height}, need whole numbers from 1 to {MAX_SIDE}",
@@ -70,8 +70,10 @@ class Camera:
                     index=index,
                     cure="principal point is in pixels from the upper left corner",
                 )
-        pose = checked_pose(world_from_cam, field=f"{field}.c2w", index=index)
-        return cls(int(width), int(height), float(fx), float(fy), float(cx), float(cy), pose)
+        if not isinstance(world_from_cam, Pose):
+            world_from_cam = checked_pose(world_from_cam, field=f"{field}.c2w", index=index)
+        pose = world_from_cam
+        return cls(int(width), int(height), float(fx), float(fy), float(cx), float(cy), pose.matrix, pose.drift)
 
     @property
     def rotation(self) -> F64:
@@ -138,71 +140,6 @@ class Camera:
         with np.errstate(over="ignore"):  # next to the camera's own plane a point is infinitely far off the picture
             pixels = np.stack([self.fx * cam[:, 0] / safe + self.cx, self.fy * cam[:, 1] / safe + self.cy], axis=1)
         return pixels, z
-
-
-def rigid_inverse(matrix: F64) -> F64:
-    """(4, 4) inverse of a rigid motion, exact to rounding: [R^T | -R^T t]."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = matrix[:3, :3].T
-    inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
-    return inverse
-
-
-def checked_pose(value: object, *, field: str = "c2w", index: int | None = None) -> F64:
-    """Parse a (4, 4) or (3, 4) rigid motion; a drift below 1e-4 is projected onto SO(3), more is refused.
-
-    A rotation that is one to rounding stays as it is, so that a pose that was checked once is never changed again.
-    """
-    try:
-        matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise PoseError(
-            "is not a matrix of numbers", field=field, index=index, cure="give 4 rows of 4 numbers"
-        ) from error
-    if matrix.shape == (3, 4):
-        matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
-    if matrix.shape != (4, 4):
-        raise PoseError(f"shape is {matrix.shape}, need (4, 4)", field=field, index=index)
-    bad = int((~np.isfinite(matrix)).sum())
-    if bad:
-        raise PoseError(f"{bad} of 16 numbers are NaN or infinite", field=field, index=index)
-    if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6):
-        raise PoseError(
-            f"last row is {matrix[3].tolist()}, need [0, 0, 0, 1]", field=field, index=index, cure="is it transposed?"
-        )
-    offset = float(np.abs(matrix[:3, 3]).max())
-    if offset > MAX_OFFSET:
-        raise PoseError(f"the camera is {offset:.3g} units away, need at most {MAX_OFFSET:g}", field=field, index=index)
-    rotation = matrix[:3, :3]
-    largest = float(np.abs(rotation).max())
-    if largest > MAX_OFFSET:
-        raise PoseError(f"R has an entry of {largest:.3g}, need at most 1", field=field, index=index)
-    drift = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    det = float(rotation[0] @ np.cross(rotation[1], rotation[2]))  # np.linalg.det divides by pivots, which may be 0
-    if det < 0:
-        raise PoseError(
-            f"det(R) = {det:.4g}, need +1",
-            field=field,
-            index=index,
-            cure="one axis is mirrored; is the source left-handed?",
-        )
-    if drift > MAX_ORTHONORMALITY_ERROR:
-        scale = abs(det) ** (1 / 3)
-        uniform = scale > 0 and np.abs(rotation.T @ rotation / scale**2 - np.eye(3)).max() < 1e-3
-        cure = f"R carries a scale of {scale:.6g}; divide it out" if uniform else "R is sheared or not a rotation"
-        raise PoseError(
-            f"max |R^T R - I| = {drift:.3g}, need at most {MAX_ORTHONORMALITY_ERROR:g} (det {det:.4g})",
-            field=field,
-            index=index,
-            cure=cure,
-        )
-    if drift > ROUNDING:
-        u, _, vt = np.linalg.svd(rotation)
-        rotation = u @ vt
-    pose = np.eye(4)
-    pose[:3, :3] = rotation
-    pose[:3, 3] = matrix[:3, 3]
-    return pose
 
 
 def _whole(value: float) -> bool:

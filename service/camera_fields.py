@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import Camera, checked_pose, rigid_inverse
+from .camera import Camera
 from .errors import CameraError
+from .pose import Pose, checked_pose, rigid_inverse
 
 F64 = NDArray[np.float64]
 
@@ -81,9 +82,9 @@ def list_of(obj: Mapping, name: str) -> Sequence[Mapping]:
     return entries
 
 
-def opencv_pose(matrix: object, *, axes: str, pose: str, field: str, index: int | None = None) -> F64:
-    """(4, 4) world_from_cam in OpenCV axes; `axes` (opencv | opengl) and `pose` (c2w | w2c) say what `matrix` is."""
-    world_from_cam = checked_pose(matrix, field=field, index=index)
+def opencv_pose(matrix: object, *, axes: str, pose: str, field: str, index: int | None = None) -> Pose:
+    """world_from_cam in OpenCV axes; `axes` (opencv | opengl) and `pose` (c2w | w2c) say what `matrix` is."""
+    world_from_cam, drift = checked_pose(matrix, field=field, index=index)
     if pose == "w2c":
         world_from_cam = rigid_inverse(world_from_cam)
-    return world_from_cam @ OPENCV_FROM_OPENGL if axes == "opengl" else world_from_cam
+    return Pose(world_from_cam @ OPENCV_FROM_OPENGL if axes == "opengl" else world_from_cam, drift)

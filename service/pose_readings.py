@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .camera import Camera, rigid_inverse
+from .camera import Camera
 from .camera_fields import OPENCV_FROM_OPENGL
+from .pose import rigid_inverse
 
 
 @dataclass(frozen=True)

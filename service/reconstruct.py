@@ -17,18 +17,20 @@ from .depth_sweep import narrowed
 from .document import scene_document
 from .engine import Arrays, Engine
 from .errors import CameraError, ViewCountError
+from .foretold import DEFAULT_OTHERS, checked_others, nearest_others
 from .gaussians import Gaussians
 from .images import EncodedPhoto, FittedView, Photo, fit_view, match_photo
 from .left_out import leave_out, table
 from .masks import check_kept, kept_rows, patch_mask
 from .model_info import ModelInfo
 from .photo_checks import check_photos
+from .pose_notices import pose_notices
 from .progress import Listener, Stages, silent
 from .scene_views import SceneViews
 from .self_check import ambiguous_routes, drawn_again, from_others, self_check
 from .splat import render
 from .stride import thinned
-from .view_checks import Notice, check_count, check_views
+from .view_checks import MIN_VIEWS, Notice, check_count, check_views
 from .world_frame import WorldFrame
 
 DEFAULT_BUDGET = Budget()
@@ -60,7 +62,7 @@ class Reconstructor:
         far: float | None = None,
         trust_poses: bool = False,
         budget: Budget = DEFAULT_BUDGET,
-        leave_one_out: bool = False,
+        leave_one_out: int = DEFAULT_OTHERS,
         listener: Listener = silent,
     ) -> Scene:
         """2..6 photographs, uint8 (H, W, 3 or 4), `Photo` or `EncodedPhoto`, with one camera each -> `Scene`.
@@ -68,18 +70,21 @@ class Reconstructor:
         An `EncodedPhoto` is decoded in its turn and dropped once it is fitted: one at a time is in memory.
         `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
-        a warning. `budget` says what may be left out of the scene and for which views that is proved. `leave_one_out`
-        reconstructs without each photograph in turn as well, from three on, and compares it with what is foretold.
-        `listener` hears the stages cameras, images, network, gaussians, leave out, check, leave one out. Raises
+        a warning. `budget` says what may be left out of the scene and for which views that is proved. With three
+        photographs or more each is also compared with its picture from a reconstruction of the `leave_one_out` others
+        that are nearest to it (2 or more; all others where there are fewer; 0: not done). `listener` hears the stages
+        cameras, images, network, gaussians, leave out, check, leave one out. Raises
         `InputError` and `ModelError`.
         """
         stages = Stages(listener)
         info = self.engine.info
         warnings: list[Notice] = []
+        checked_others(leave_one_out)
         with stages.stage("cameras"):
             cameras = _as_cameras(cameras, len(images))
             depths = depth_range(cameras, near, far)
             warnings += check_views(cameras, depths, trust_poses=trust_poses)
+            warnings += pose_notices(cameras, depths.near)
         with stages.stage("images", len(images) + 1) as done:
             views: list[FittedView] = []
             for index, (image, camera) in enumerate(zip(images, cameras, strict=True)):
@@ -109,9 +114,9 @@ class Reconstructor:
                 "leave_one_out": None,
                 "ambiguous_routes": ambiguous_routes(outputs, masks),
             }
-        if leave_one_out and len(views) > 2:
+        if leave_one_out and len(views) > MIN_VIEWS:
             with stages.stage("leave one out", len(views)) as done:
-                check["leave_one_out"] = self._foretold(views, depths, scene, done)
+                check["leave_one_out"] = self._foretold(views, depths, scene, leave_one_out, done)
         document = scene_document(
             info=info,
             threads=self.engine.threads,
@@ -143,16 +148,23 @@ class Reconstructor:
         return outputs, frame
 
     def _foretold(
-        self, views: Sequence[FittedView], depths: DepthRange, scene: SceneViews, done: Callable[[int], None]
-    ) -> list[dict[str, float | None]]:
-        """Each view drawn from a reconstruction of the others."""
+        self,
+        views: Sequence[FittedView],
+        depths: DepthRange,
+        scene: SceneViews,
+        count: int,
+        done: Callable[[int], None],
+    ) -> list[dict[str, Any]]:
+        """Each view drawn from a reconstruction of the `count` nearest others."""
         rows = []
         for index, view in enumerate(views):
-            others = [*views[:index], *views[index + 1 :]]
+            chosen = nearest_others(scene.cameras, index, count)
+            others = [views[other] for other in chosen]
             outputs, frame = self._run(others, depths)
             gaussians = frame.to_world(outputs, kept_rows(outputs, others, frame)[0])
             options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
-            rows.append(drawn_again(render(gaussians, view.camera, outputs=("alpha",), **options), view))
+            image = render(gaussians, view.camera, outputs=("alpha",), **options)
+            rows.append({"from": chosen, **drawn_again(image, view)})
             done(index + 1)
         return rows
 

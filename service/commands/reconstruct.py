@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from ..budget import DEFAULT_CERTIFY
+from ..foretold import DEFAULT_OTHERS
 from ..terminal import ProgressBars
 from .selection import view_indices
 from .summary import check_line, left_out_lines
@@ -34,8 +35,8 @@ def reconstruct(
     min_opacity: Annotated[float, typer.Option(help="fainter Gaussians are left out, whatever that changes")] = 0.0,
     stride: Annotated[int, typer.Option(help="a Gaussian per so many pixels each way: 1, 2 or 4")] = 1,
     leave_one_out: Annotated[
-        bool, typer.Option("--leave-one-out", help="also without each view in turn: how well is it foretold?")
-    ] = False,
+        int, typer.Option(help="of three views or more, how many others foretell each (2 to 5); 0: not done")
+    ] = DEFAULT_OTHERS,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, Request, Response
 
 from ..budget import DEFAULT_CERTIFY, MAX_CERTIFY
 from ..camera_file import camera_document
+from ..foretold import DEFAULT_OTHERS
 from ..image_files import check_total
 from ..images import EncodedPhoto
 from ..ply import ply_bytes
@@ -17,6 +18,7 @@ from ..revision import ALGORITHM_REVISION
 from ..scene_views import SceneViews
 from ..store import SceneStore
 from ..stride import STRIDES
+from ..view_checks import MAX_VIEWS, MIN_VIEWS
 from . import problems
 from .bundle import zip_bundle
 from .responses import JSON, PLY, ZIP, accepted, json_response
@@ -52,7 +54,12 @@ _FORM = {
             "default": DEFAULT_CERTIFY,
             "description": "views between neighbouring inputs for which that is proved",
         },
-        "leave_one_out": {"type": "boolean", "description": "reconstruct without each photograph in turn as well"},
+        "leave_one_out": {
+            "type": "integer",
+            "enum": [0, *range(MIN_VIEWS, MAX_VIEWS)],
+            "default": DEFAULT_OTHERS,
+            "description": "of three photographs or more, how many others foretell each; 0: none are foretold",
+        },
         "min_opacity": {"type": "number", "minimum": 0, "maximum": 1, "default": 0, "description": "fainter ones go"},
         "stride": {
             "type": "integer",
@@ -100,7 +107,7 @@ def _scene_id(model_sha256: str, upload: Upload) -> str:
     return SceneStore.scene_id(
         model_sha256,
         [image.data for image in upload.pairing.images],
-        [camera_document(camera) for camera in upload.pairing.cameras],
+        [{**camera_document(camera), "drift": camera.drift} for camera in upload.pairing.cameras],
         {
             "near": upload.near,
             "far": upload.far,
@@ -110,7 +117,9 @@ def _scene_id(model_sha256: str, upload: Upload) -> str:
             "views": budget.asked if bounded else None,
             "min_opacity": budget.min_opacity,
             "stride": budget.stride,
-            "leave_one_out": upload.leave_one_out,
+            "leave_one_out": min(upload.leave_one_out, len(upload.pairing.images) - 1)
+            if len(upload.pairing.images) > MIN_VIEWS
+            else 0,
             "algorithm_revision": ALGORITHM_REVISION,
         },
     )

@@ -21,6 +21,7 @@ from ..errors import (
     UploadTooLarge,
     ViewCountError,
 )
+from ..foretold import DEFAULT_OTHERS, checked_others
 from ..settings import Settings
 from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
@@ -52,7 +53,7 @@ class Upload:
     near: float | None
     far: float | None
     trust_poses: bool
-    leave_one_out: bool
+    leave_one_out: int
     budget: Budget
     views: tuple[str, ...]  # to be drawn, such as "1.5"
 
@@ -98,20 +99,24 @@ async def _parse(form: FormData, settings: Settings) -> Upload:
     cameras, pairing = await anyio.to_thread.run_sync(lambda: _paired(document, images, sizes))
     near, far = (_number(form, name, given) for name, given in (("near", cameras.near), ("far", cameras.far)))
     return Upload(
-        pairing, near, far, _flag(form, "trust_poses"), _flag(form, "leave_one_out"), _budget(form), _views(form)
+        pairing,
+        near,
+        far,
+        _flag(form, "trust_poses"),
+        checked_others(_whole(form, "leave_one_out", DEFAULT_OTHERS)),
+        _budget(form),
+        _views(form),
     )
 
 
 def _budget(form: FormData) -> Budget:
-    max_error, certify = _text(form, "max_error"), _text(form, "certify")
-    if certify and not (certify.isascii() and certify.isdigit() and len(certify) < 9):
-        raise InputError(f"{certify[:50]!r} is not a whole number", field="certify")
+    max_error = _text(form, "max_error")
     min_opacity, stride = _text(form, "min_opacity"), _text(form, "stride")
     if stride not in ("", *map(str, STRIDES)):
         raise InputError(f"{stride[:50]!r} is none of {STRIDES}", field="stride")
     return Budget(
         parse_max_error(max_error) if max_error else DEFAULT_MAX_ERROR,
-        int(certify) if certify else DEFAULT_CERTIFY,
+        _whole(form, "certify", DEFAULT_CERTIFY),
         _views(form),
         _finite(min_opacity, "min_opacity", InputError) if min_opacity else 0.0,
         int(stride) if stride else 1,
@@ -172,6 +177,13 @@ def _number(form: FormData, name: str, otherwise: float | None) -> float | None:
     if not text:
         return otherwise
     return _finite(text, name, DepthRangeError)
+
+
+def _whole(form: FormData, name: str, otherwise: int) -> int:
+    text = _text(form, name)
+    if text and not (text.isascii() and text.isdigit() and len(text) < 9):
+        raise InputError(f"{text[:50]!r} is not a whole number", field=name)
+    return int(text) if text else otherwise
 
 
 def _finite(text: str, name: str, refusal: type[InputError]) -> float:

@@ -8,10 +8,11 @@ import pytest
 from camera_documents import FLIP, broken, our_file, pose, transforms
 from PIL import Image
 
-from gapmes.service.camera import Camera, rigid_inverse
+from gapmes.service.camera import Camera
 from gapmes.service.camera_file import camera_document, load_scene_folder, parse_camera_file, read_camera_file
 from gapmes.service.camera_json import camera_from_json
 from gapmes.service.errors import CameraError, ImageError, ImageUnreadable, IntrinsicsError, PoseError
+from gapmes.service.pose import rigid_inverse
 from gapmes.service.rotations import about_axis
 
 

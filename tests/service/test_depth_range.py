@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gapmes.service.camera import Camera, rigid_inverse
+from gapmes.service.camera import Camera
 from gapmes.service.depth_range import (
     DepthRange,
     convergence_depths,
@@ -15,6 +15,7 @@ from gapmes.service.depth_range import (
 )
 from gapmes.service.errors import BaselineError, DepthRangeError, OverlapError
 from gapmes.service.overlap import best_partner_shares, inverse_depth_steps, shared_shares
+from gapmes.service.pose import rigid_inverse
 from gapmes.service.rotations import about_axis
 from gapmes.service.view_checks import check_views
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from plane_scene import DEPTH, PlaneScene
 
-from gapmes.service.camera import rigid_inverse
 from gapmes.service.coarse_views import coarse_view, warp_to
 from gapmes.service.depth_range import DepthRange
 from gapmes.service.errors import ContradictionError
 from gapmes.service.images import Photo, fit_view
 from gapmes.service.photo_checks import check_photos, consistency
+from gapmes.service.pose import rigid_inverse
 from gapmes.service.rotations import about_axis
 from gapmes.service.window_match import RADIUS, match_score, window_mean
 

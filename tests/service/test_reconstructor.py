@@ -126,7 +126,8 @@ def test_document_is_plain_json_and_complete(scene, plane_scene, engine):
     assert len(document["check"]["input_views"]) == len(plane_scene.cameras)
     assert document["check"]["no_parallax_share"] < 0.02  # corners that no other view has in its picture
     assert document["check"]["textureless_share"] < 0.05
-    assert list(document["timings"]) == ["cameras", "images", "network", "gaussians", "leave out", "check"]
+    stages = ["cameras", "images", "network", "gaussians", "leave out", "check", "leave one out"]
+    assert list(document["timings"]) == stages
     assert document["routing"]["patches_per_expert"] == {"0": 0, "1": 36, "2": 0, "3": 0, "4": 36}
     assert sum(document["routing"]["mean_task_weight"].values()) == pytest.approx(1)
     assert document["crop"][0]["kept_share"] == 1.0
@@ -234,19 +235,23 @@ def test_near_and_far_beyond_float32_units(reconstructor, plane_scene):
 
 
 def test_each_photograph_is_foretold_by_the_others(reconstructor, plane_scene):
-    """What is told is the picture of a reconstruction without it; two photographs foretell none."""
+    """What is told is the picture of a reconstruction without it, unless that is not wanted; two foretell none."""
     given = {"near": 2.0, "far": 8.0, "budget": KEEP_ALL}
-    whole = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, leave_one_out=True, **given)
+    whole = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, **given)
     rows = whole.document["check"]["leave_one_out"]
     assert list(whole.document["timings"])[-1] == "leave one out"
     for index in range(3):
         rest = [i for i in range(3) if i != index]
         other = reconstructor.reconstruct(
-            [plane_scene.images[i] for i in rest], [plane_scene.cameras[i] for i in rest], leave_one_out=True, **given
+            [plane_scene.images[i] for i in rest], [plane_scene.cameras[i] for i in rest], **given
         )
         assert other.document["check"]["leave_one_out"] is None
         image = render(other.gaussians, whole.view_cameras[index], near=0.2)
         view = fit_view(Photo(plane_scene.images[index]), plane_scene.cameras[index], HEIGHT, WIDTH)
         expected = psnr(np.clip(image.rgb, 0, 1).transpose(2, 0, 1), view.image)
+        assert rows[index]["from"] == rest
         assert rows[index]["psnr"] == pytest.approx(expected, abs=1e-5)  # written with six decimals
         assert rows[index]["holes"] == pytest.approx((image.alpha < 0.5).mean(), abs=1e-6)
+    without = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, leave_one_out=0, **given)
+    assert without.document["check"]["leave_one_out"] is None
+    assert "leave one out" not in without.document["timings"]

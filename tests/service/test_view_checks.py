@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from gapmes.service.camera import Camera, rigid_inverse
+from gapmes.service.camera import Camera
 from gapmes.service.depth_range import DepthRange, depth_range
 from gapmes.service.errors import BaselineError, IntrinsicsError, OverlapError, ViewCountError
+from gapmes.service.pose import rigid_inverse
 from gapmes.service.pose_readings import other_readings
 from gapmes.service.rotations import about_axis
 from gapmes.service.view_checks import check_count, check_views

@@ -14,10 +14,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gapmes.service.camera import Camera, checked_pose, rigid_inverse
+from gapmes.service.camera import Camera
 from gapmes.service.camera_file import camera_document, parse_camera_file
 from gapmes.service.depth_range import DepthRange, depth_range
 from gapmes.service.errors import CameraError, InputError
+from gapmes.service.pose import checked_pose, rigid_inverse
 from gapmes.service.view_checks import check_views
 from gapmes.service.world_frame import WorldFrame
 
@@ -96,7 +97,7 @@ def test_a_pose_of_any_numbers_is_a_rigid_motion_or_refused_by_name(changes, row
     for row, column, value in changes:
         matrix[row, column] = value
     with named_or_finite("views.c2w"):
-        pose = checked_pose(matrix[:rows], field="views.c2w", index=1)
+        pose = checked_pose(matrix[:rows], field="views.c2w", index=1).matrix
         assert np.isfinite(pose).all()
         assert np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max() < 1e-13
         assert (pose[:3, 3] == matrix[:3, 3]).all()

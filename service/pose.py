@@ -1,0 +1,91 @@
+"""Rigid motions: parsing a pose matrix, projecting what rounding did to its rotation away, and inverting it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import PoseError
+
+F64 = NDArray[np.float64]
+
+# A rotation further than this from orthonormal moves a pixel by more than 0.1 px at f = 1000 px; below it the matrix
+# is projected onto SO(3), which is what rounding to six decimals in a text file needs.
+MAX_ORTHONORMALITY_ERROR = 1e-4
+MAX_OFFSET = 1e100  # caller's units: squares and cubes stay finite
+ROUNDING = 1e-14  # what float64 leaves of orthonormality (some 1e-15); such a matrix is kept to the bit
+
+
+class Pose(NamedTuple):
+    """A checked rigid motion and what was mended of it."""
+
+    matrix: F64  # (4, 4)
+    drift: float  # max |R^T R - I| as given; 0 where that is rounding and the matrix is kept to the bit
+
+
+def rigid_inverse(matrix: F64) -> F64:
+    """(4, 4) inverse of a rigid motion, exact to rounding: [R^T | -R^T t]."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = matrix[:3, :3].T
+    inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
+    return inverse
+
+
+def checked_pose(value: object, *, field: str = "c2w", index: int | None = None) -> Pose:
+    """Parse a (4, 4) or (3, 4) rigid motion; a drift below 1e-4 is projected onto SO(3), more is refused.
+
+    A rotation that is one to rounding stays as it is, so that a pose that was checked once is never changed again.
+    """
+    try:
+        matrix = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise PoseError(
+            "is not a matrix of numbers", field=field, index=index, cure="give 4 rows of 4 numbers"
+        ) from error
+    if matrix.shape == (3, 4):
+        matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
+    if matrix.shape != (4, 4):
+        raise PoseError(f"shape is {matrix.shape}, need (4, 4)", field=field, index=index)
+    bad = int((~np.isfinite(matrix)).sum())
+    if bad:
+        raise PoseError(f"{bad} of 16 numbers are NaN or infinite", field=field, index=index)
+    if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6):
+        raise PoseError(
+            f"last row is {matrix[3].tolist()}, need [0, 0, 0, 1]", field=field, index=index, cure="is it transposed?"
+        )
+    offset = float(np.abs(matrix[:3, 3]).max())
+    if offset > MAX_OFFSET:
+        raise PoseError(f"the camera is {offset:.3g} units away, need at most {MAX_OFFSET:g}", field=field, index=index)
+    rotation = matrix[:3, :3]
+    largest = float(np.abs(rotation).max())
+    if largest > MAX_OFFSET:
+        raise PoseError(f"R has an entry of {largest:.3g}, need at most 1", field=field, index=index)
+    drift = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    det = float(rotation[0] @ np.cross(rotation[1], rotation[2]))  # np.linalg.det divides by pivots, which may be 0
+    if det < 0:
+        raise PoseError(
+            f"det(R) = {det:.4g}, need +1",
+            field=field,
+            index=index,
+            cure="one axis is mirrored; is the source left-handed?",
+        )
+    if drift > MAX_ORTHONORMALITY_ERROR:
+        scale = abs(det) ** (1 / 3)
+        uniform = scale > 0 and np.abs(rotation.T @ rotation / scale**2 - np.eye(3)).max() < 1e-3
+        cure = f"R carries a scale of {scale:.6g}; divide it out" if uniform else "R is sheared or not a rotation"
+        raise PoseError(
+            f"max |R^T R - I| = {drift:.3g}, need at most {MAX_ORTHONORMALITY_ERROR:g} (det {det:.4g})",
+            field=field,
+            index=index,
+            cure=cure,
+        )
+    pose = np.eye(4)
+    pose[:3, 3] = matrix[:3, 3]
+    if drift <= ROUNDING:
+        pose[:3, :3] = rotation
+        return Pose(pose, 0.0)
+    u, _, vt = np.linalg.svd(rotation)
+    pose[:3, :3] = u @ vt
+    return Pose(pose, drift)
