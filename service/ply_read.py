@@ -1,11 +1,12 @@
 """Read a 3DGS .ply of any writer: ASCII or binary of either byte order, any property order, other elements around it.
 
-The rows that are read become `Gaussians`: exp of the scales, logistic function of the opacity. Nothing is repaired or
-dropped; what cannot be read rightly is refused with the property, the row and both numbers.
+The rows that are read become `Gaussians`: exp of the scales, logistic function of the opacity. What cannot be read
+rightly is refused with the property, the row and both numbers, or dropped and counted where the caller asks for that.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import BinaryIO
@@ -27,11 +28,40 @@ REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1) for degrees 0 to 3
 LOG_SCALE_MAX = float(np.log(np.finfo(np.float32).max))
 
 
-def read_ply(source: str | PathLike[str] | bytes | bytearray | memoryview | BinaryIO) -> Gaussians:
+Source = str | PathLike[str] | bytes | bytearray | memoryview | BinaryIO
+
+
+@dataclass(frozen=True, eq=False)
+class PlyReading:
+    """What a file held, and what could not be taken as it was."""
+
+    gaussians: Gaussians
+    rows: int  # in the file
+    invalid: dict[str, int]  # property: rows that were dropped because of it; a row counts under each of its properties
+    zero_rotations: int  # all-zero quaternions, which became the identity
+
+    def notes(self) -> list[str]:
+        """A sentence for each thing that was not taken as it was."""
+        notes = []
+        if self.invalid:
+            listed = ", ".join(f"{name} ({count})" for name, count in self.invalid.items())
+            notes.append(f"{self.rows - len(self.gaussians)} of {self.rows} Gaussians dropped, invalid in {listed}")
+        if self.zero_rotations:
+            notes.append(f"{self.zero_rotations} of {self.rows} rotations are zero and were taken as no rotation")
+        return notes
+
+
+def read_ply(source: Source) -> Gaussians:
+    """The Gaussians of a path, the bytes of a file or an open binary file, as `inspect_ply` reads them."""
+    return inspect_ply(source).gaussians
+
+
+def inspect_ply(source: Source, *, drop_invalid: bool = False) -> PlyReading:
     """Read a path, the bytes of a file or an open binary file.
 
     A logit opacity of +-inf is 1 or 0 and a log scale of -inf is 0, as writers without a clamp mean them; every other
-    number must be finite. Raises `PlyError` that says what is wrong where.
+    number must be finite and within float32. With `drop_invalid` rows where one is not are dropped and counted. Raises
+    `PlyError` that says what is wrong where.
     """
     if isinstance(source, str | PathLike):
         data = Path(source).read_bytes()
@@ -40,22 +70,34 @@ def read_ply(source: str | PathLike[str] | bytes | bytearray | memoryview | Bina
     header = parse_header(data)
     rest = _checked_properties(header)
     columns = vertex_columns(data, header)
-    _require_finite(columns)
-    scales = np.stack([columns[f"scale_{axis}"] for axis in range(3)], axis=1)
-    _require_range(scales, "scale", LOG_SCALE_MAX)
-    harmonics = np.empty((header.vertex.count, 1 + rest // 3, 3))
+    rows = header.vertex.count
+    keep, invalid = np.ones(rows, np.bool_), {}
+    for name in (*REQUIRED, *(f"f_rest_{i}" for i in range(rest))):
+        column = columns[name]
+        ok, need = _valid(name, column)
+        if not drop_invalid:
+            _require(ok, column, name, need)
+        elif not ok.all():
+            keep &= ok
+            invalid[name] = int((~ok).sum())
+    if invalid:
+        columns = {name: column[keep] for name, column in columns.items()}
+    count = int(keep.sum())
+    harmonics = np.empty((count, 1 + rest // 3, 3))
     for channel in range(3):
         harmonics[:, 0, channel] = columns[f"f_dc_{channel}"]
         for k in range(rest // 3):
             harmonics[:, 1 + k, channel] = columns[f"f_rest_{channel * (rest // 3) + k}"]
     logit = np.clip(columns["opacity"], -700.0, 700.0)  # beyond it exp leaves float64 and the value is 0 or 1 anyway
-    return Gaussians.make(
+    rotations = np.stack([columns[f"rot_{part}"] for part in range(4)], axis=1).astype(np.float32)
+    gaussians = Gaussians.make(
         means=np.stack([columns[axis] for axis in "xyz"], axis=1),
-        scales=np.exp(scales),
-        rotations_wxyz=np.stack([columns[f"rot_{part}"] for part in range(4)], axis=1),
+        scales=np.exp(np.stack([columns[f"scale_{axis}"] for axis in range(3)], axis=1)),
+        rotations_wxyz=rotations,
         opacities=1.0 / (1.0 + np.exp(-logit)),
         harmonics=harmonics,
     )
+    return PlyReading(gaussians, rows, invalid, int((~rotations.any(axis=1)).sum()))
 
 
 def _checked_properties(header: Header) -> int:
@@ -77,21 +119,15 @@ def _checked_properties(header: Header) -> int:
     return rest
 
 
-def _require_finite(columns: dict[str, F64]) -> None:
-    for name, column in columns.items():
-        ok = np.isfinite(column)
-        if name == "opacity":
-            ok = ~np.isnan(column)
-        elif name.startswith("scale_"):
-            ok |= np.isneginf(column)
-        if name not in ("x", "y", "z"):  # those stay float64
-            ok &= ~np.isfinite(column) | (np.abs(column) <= np.finfo(np.float32).max)
-        _require(ok, column, name, "a finite number")
-
-
-def _require_range(columns: F64, name: str, high: float) -> None:
-    for i, column in enumerate(columns.T):
-        _require(column <= high, column, f"{name}_{i}", f"at most {high:.4g}, the logarithm of the largest float32")
+def _valid(name: str, column: F64) -> tuple[NDArray[np.bool_], str]:
+    """Which values of a property can be read rightly, and what they need."""
+    if name == "opacity":
+        return ~np.isnan(column), "a number"
+    if name.startswith("scale_"):
+        return column <= LOG_SCALE_MAX, f"at most {LOG_SCALE_MAX:.4g}, the logarithm of the largest float32"
+    if name in ("x", "y", "z"):  # those stay float64
+        return np.isfinite(column), "a finite number"
+    return np.abs(column) <= np.finfo(np.float32).max, "a finite number within float32"
 
 
 def _require(ok: NDArray[np.bool_], column: F64, name: str, need: str) -> None:

@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 
 from .camera import Camera
 
-TOLD_DRIFT = (
-    1e-6  # max |R^T R - I|; what is less is float32 or six decimals, and moves a pixel by 1e-3 px at f = 1000 px
-)
+TOLD_MOVE = 0.01  # px; float32 and six decimals move less, and no match is as fine
 TOLD_PX = 0.1  # of precision; the network finds matches to about that
 
 
 def pose_notices(cameras: Sequence[Camera], near: float) -> list[dict[str, Any]]:
     """Warnings with code, field, index and message; `near` is the nearest depth in the cameras' units."""
-    notices = [_projected(camera, index) for index, camera in enumerate(cameras) if camera.drift > TOLD_DRIFT]
+    notices = [_projected(camera, index) for index, camera in enumerate(cameras) if _moved(camera) >= TOLD_MOVE]
     centers = np.stack([camera.center for camera in cameras])
     shift = float32_shift(centers, max(max(camera.fx, camera.fy) for camera in cameras), near)
     if shift > TOLD_PX:
@@ -44,12 +42,15 @@ def float32_shift(positions: NDArray[np.floating], focal: float, depth: float) -
     return float(np.spacing(np.abs(narrow).max())) / 2 * focal / depth
 
 
+def _moved(camera: Camera) -> float:
+    """Px by which projecting the pose moves the principal ray at most, each way. With R = Q S, Q the nearest rotation,
+    S is I + (R^T R - I) / 2 to first order: components of its third column's change are at most half the drift."""
+    return camera.drift / 2 * max(camera.fx, camera.fy)
+
+
 def _projected(camera: Camera, index: int) -> dict[str, Any]:
-    # With R = Q S, Q the nearest rotation, S is I + (R^T R - I) / 2 to first order: the third column's change, which is
-    # that of the ray through the principal point, has components of at most half the drift.
-    moved = camera.drift / 2 * max(camera.fx, camera.fy)
     message = (
         f"max |R^T R - I| = {camera.drift:.3g}: the pose was projected onto the nearest rotation, which moves the "
-        f"principal ray by up to {moved:.2g} px each way"
+        f"principal ray by up to {_moved(camera):.2g} px each way"
     )
     return {"code": "pose_projected", "field": "cameras.c2w", "index": index, "message": message}

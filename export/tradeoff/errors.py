@@ -16,7 +16,7 @@ from gapmes.service.engine import Engine
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import FittedView
 from gapmes.service.picture_error import psnr, ssim
-from gapmes.service.pruning import reaches
+from gapmes.service.pruning import ROUNDING, colour_range, reaches
 from gapmes.service.splat import Definition, render, render_reference
 
 from ..cases import sample_scene
@@ -25,7 +25,7 @@ from ..graph import SceneGraph
 from ..pictures import NEAR_SHARE
 from ..variant import load_variant
 from .files import ModelFile
-from .schema import ModelError, Rounding, SettingError
+from .schema import Bound, ModelError, Rounding, SettingError
 
 Pictures = list[NDArray[np.float32]]  # (3, H, W) in [0, 1]
 EQUAL_DB = 200.0
@@ -99,12 +99,31 @@ def network_rounding(file: ModelFile, threads: int | None) -> Rounding:
 
 def splatter_rounding(gaussians: Gaussians, camera: Camera, near: float) -> Rounding:
     """The middle of a picture against brute force in float64, of all Gaussians that reach it."""
-    left, top = (camera.width - WINDOW) // 2, (camera.height - WINDOW) // 2
-    window = camera.cropped(left, top, WINDOW, WINDOW)
+    window = _middle(camera)
     rule = Definition(near=near)
     there = gaussians[reaches(gaussians, window, np.ones((WINDOW, WINDOW), bool), rule)]
     true = render_reference(there, window, definition=rule)
     return _rounding(np.abs(render(there, window, definition=rule).rgb - true.rgb))
+
+
+def alpha_cut_bound(gaussians: Gaussians, camera: Camera, near: float, exact: float, cut: float) -> Bound:
+    """What leaving out layers fainter than `cut` changes at most in the middle of a picture that leaves out those below
+    `exact`: the range of colours times the weight of the layers between both and both early stops, as in `pruning.py`;
+    beside it the largest change there."""
+    window = _middle(camera)
+    rules = [Definition(near=near, alpha_min=least) for least in (exact, cut)]
+    there = gaussians[reaches(gaussians, window, np.ones((WINDOW, WINDOW), bool), rules[0])]
+    pictures = [render(there, window, definition=rule, outputs=()).rgb for rule in rules]
+    missed = render_reference(there, window, definition=rules[0], faint=cut).removed
+    return Bound(
+        bound=colour_range(there) * (float(missed.max()) + 2 * rules[0].stop + ROUNDING),
+        actual=float(np.abs(pictures[0].astype(np.float64) - pictures[1]).max()),
+    )
+
+
+def _middle(camera: Camera) -> Camera:
+    left, top = (camera.width - WINDOW) // 2, (camera.height - WINDOW) // 2
+    return camera.cropped(left, top, WINDOW, WINDOW)
 
 
 def _rounding(difference: NDArray[np.floating]) -> Rounding:

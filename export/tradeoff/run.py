@@ -23,7 +23,7 @@ from gapmes.service.splat import warm_up
 from ..evaluation.lpips import Lpips
 from . import files, knobs
 from .child import Timed, timed
-from .errors import drawn, model_error, network_rounding, setting_error, splatter_rounding
+from .errors import alpha_cut_bound, drawn, model_error, network_rounding, setting_error, splatter_rounding
 from .files import ModelFile
 from .machine import this_machine
 from .page import write
@@ -168,6 +168,9 @@ class _Measure:
         error = setting_error(shots[:1], shots[1:])
         if setting.knob == knobs.BANDS:
             bound = Bound(bound=_bands_bound(gaussians, setting.effort.sh_degree or 0), actual=error.largest)
+        if setting.knob == "alpha cut":
+            exact = knobs.EXACT[setting.knob].alpha_min
+            bound = alpha_cut_bound(gaussians, self.camera, self.near(0), exact, setting.effort.alpha_min)
         if setting.knob == "early stop":
             bound = Bound(bound=setting.effort.stop * colour_range(gaussians), actual=error.largest)
         seconds = self._picture_seconds(lambda: draw(gaussians, self.camera, "rgb", setting.effort, near=self.near(0)))

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from ..effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort, draw
 from ..terminal import ProgressBars
 from .selection import view_specs
+
+if TYPE_CHECKING:
+    from ..camera import Camera
+    from ..gaussians import Gaussians
 
 
 def render(
@@ -29,6 +34,9 @@ def render(
         int | None, typer.Option(min=0, max=3, help="highest band of harmonics [default: all]")
     ] = None,
     samples: Annotated[int, typer.Option(min=1, max=MAX_SAMPLES, help="per side of a pixel")] = 1,
+    drop_invalid: Annotated[
+        bool, typer.Option("--drop-invalid", help="leave out and count Gaussians with NaN or infinite numbers")
+    ] = False,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
 ) -> None:
@@ -41,7 +49,7 @@ def render(
     from ..errors import PlyError
     from ..framing import frame, parse_size, square
     from ..picture import encode, parse_background
-    from ..ply import read_ply
+    from ..ply import inspect_ply
     from ..progress import Stages
     from ..scene_views import SceneViews
     from ..seen_depths import seen_depths
@@ -63,7 +71,8 @@ def render(
     with ProgressBars() as bars:
         stages = Stages(bars)
         with stages.stage("read .ply"):
-            gaussians = read_ply(ply)
+            reading = inspect_ply(ply, drop_invalid=drop_invalid)
+            gaussians = reading.gaussians
         if not in_file:
             scene = SceneViews(file.cameras, *(seen_depths(gaussians, file.cameras) or (None, None)))
         shots = [scene.resolve(spec, field="views") for spec in specs]
@@ -83,7 +92,24 @@ def render(
                     entry["depth_range"] = picture.depth_range
                 written.append(entry)
                 step(len(written))
+    warnings = [*reading.notes(), *_precision(gaussians, shots, scene.near)]
     bars.say(f"{len(written)} pictures in {output}")
+    for warning in warnings:
+        bars.say(f"warning: {warning}")
     if as_json:
-        document = {"gaussians": len(gaussians), "views": written, "timings": stages.timings}
+        document = {"gaussians": len(gaussians), "views": written, "warnings": warnings, "timings": stages.timings}
         sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")
+
+
+def _precision(gaussians: Gaussians, shots: Sequence[Camera], near: float | None) -> list[str]:
+    """A sentence where positions are float32 numbers so far from the origin that it shows."""
+    from ..pose_notices import TOLD_PX, float32_shift
+
+    focal = max(max(camera.fx, camera.fy) for camera in shots)
+    shift = 0.0 if near is None else float32_shift(gaussians.means, focal, near)
+    if shift <= TOLD_PX:
+        return []
+    return [
+        f"positions are float32 numbers far from the origin: the precision of the input is {shift:.2g} px at "
+        f"z-depth {near:.4g}"
+    ]

@@ -50,8 +50,12 @@ def render_reference(
     definition: Definition | None = None,
     compatibility: str | None = None,
     subset: NDArray[np.bool_] | None = None,
+    faint: float = 0.0,
 ) -> Render:
-    """The image that `render` approximates with all outputs, in float64; takes N x H x W steps."""
+    """The image that `render` approximates with all outputs, in float64; takes N x H x W steps.
+
+    `removed` has the weights of every Gaussian of `subset` (N,), and of every layer whose alpha is below `faint`.
+    """
     rule, degree = checked_definition(definition, near, compatibility), checked_degree(sh_degree, gaussians)
     offset = gaussians.means - camera.center
     x, y, z = (offset @ camera.rotation).T
@@ -87,7 +91,7 @@ def render_reference(
         colour += weight[..., None] * np.maximum(0.5 + basis @ gaussians.harmonics[i, : len(basis)], 0.0)
         median[added & (light > 0.5) & (light - weight <= 0.5)] = z[i]
         peaks[i], pairs = weight.max(initial=0.0), pairs + int(added.sum())
-        removed += weight * chosen[i]
+        removed += weight * (chosen[i] | (alpha < faint))
         depth, mass, light = depth + weight * z[i], mass + weight, light - weight
     depth = np.divide(depth, mass, out=np.zeros_like(depth), where=mass > 0)
     colour += light[..., None] * checked_background(background)

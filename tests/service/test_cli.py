@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from ply_cases import binary_file, columns, gaussians
 
 from gapmes.service import Gaussians, cli, read_ply, write_ply
+from gapmes.service.ply import ply_bytes
 
 
 @pytest.fixture
@@ -258,3 +260,25 @@ def test_serve_refuses_before_it_listens(monkeypatch: pytest.MonkeyPatch, capfd:
 def test_help(command: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(command, "--help") == 0
     assert "Usage" in capfd.readouterr().out
+
+
+@pytest.mark.case("A1", "E12", "E19")
+def test_render_tells_what_it_did_not_take_as_it_was(
+    scene_dir: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A Gaussian that is no number is refused or dropped, a zero rotation counted, float32 far off told."""
+    table = columns(ply_bytes(gaussians(20, degree=0)))
+    table = {name: column.copy() for name, column in table.items()} | {"x": (table["x"] + 1e7).astype(np.float32)}
+    table["scale_1"][3] = np.nan
+    for part in range(4):
+        table[f"rot_{part}"][5] = 0
+    ply = tmp_path / "foreign.ply"
+    ply.write_bytes(binary_file(table))
+    arguments = ("render", ply, "--cameras", scene_dir / "cameras.json", "-o", tmp_path / "v", "--views", "0", "--json")
+    assert run(*arguments) == 1
+    assert json.loads(capfd.readouterr().out)["error"]["field"] == "vertex.scale_1"
+    assert run(*arguments, "--drop-invalid") == 0
+    dropped, zero, precision = json.loads(capfd.readouterr().out)["warnings"]
+    assert dropped == "1 of 20 Gaussians dropped, invalid in scale_1 (1)"
+    assert zero == "1 of 20 rotations are zero and were taken as no rotation"
+    assert precision.startswith("positions are float32 numbers far from the origin")

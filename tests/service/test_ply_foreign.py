@@ -11,7 +11,7 @@ from ply_cases import assert_same, binary_file, columns, gaussians
 from plyfile import PlyData, PlyElement
 
 from gapmes.service.errors import PlyError
-from gapmes.service.ply import ply_bytes, read_ply
+from gapmes.service.ply import inspect_ply, ply_bytes, read_ply
 
 OURS = ply_bytes(gaussians(6, 1, 1))
 TABLE = columns(OURS)
@@ -99,6 +99,11 @@ def test_unnormalised_and_zero_rotations():
     result = read_ply(binary_file(table))
     assert np.abs(result.rotations_wxyz[0] - EXPECTED.rotations_wxyz[0]).max() < 2e-7
     assert result.rotations_wxyz[2].tolist() == [1, 0, 0, 0]
+    reading = inspect_ply(binary_file(table))
+    assert (reading.zero_rotations, reading.invalid) == (1, {})
+    [note] = reading.notes()
+    assert note.startswith(f"1 of {len(EXPECTED)} rotations are zero")
+    assert inspect_ply(binary_file(TABLE)).notes() == []
 
 
 @pytest.mark.case("I2")

@@ -71,6 +71,8 @@ def test_the_four_errors_stand_apart(quick: tuple[Report, Path]) -> None:
         assert row.timing.seconds > 0
         if row.bound is not None:
             assert row.bound.actual <= row.bound.bound + 1e-6
+        bounded = row.knob in ("alpha cut", "early stop") or "harmonics" in row.knob
+        assert row.group != "picture" or (row.bound is not None) == bounded
     strided = rows["pixel stride", "4"]
     assert strided.bound is None
     assert strided.megabytes is not None

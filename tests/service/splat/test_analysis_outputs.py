@@ -116,3 +116,20 @@ def test_a_subset_goes_with_its_output():
         render(gaussians, view, outputs=("removed",), subset=np.ones(9, bool))
     with pytest.raises(InputError, match="int64"):
         render(gaussians, view, outputs=("removed",), subset=np.arange(10))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_faint_layers_are_removed_mass_of_the_reference(seed):
+    """Their weights are those that a cut between the two definitions takes away, where it takes one layer at most."""
+    gaussians, view = scene(count=3, seed=seed), camera()
+    fine, coarse = Definition(alpha_min=1e-6, stop=0.0), Definition(alpha_min=0.05, stop=0.0)
+    whole = render_reference(gaussians, view, definition=fine, faint=0.05)
+    cut = render_reference(gaussians, view, definition=coarse)
+    some = (whole.removed > 0) & (whole.removed < 0.05)
+    assert some.any()
+    lost = whole.alpha - cut.alpha  # with one layer less what lies behind it gains light, so that less is lost
+    assert (lost[some] > 0).all()
+    assert (lost <= whole.removed + 1e-12).all()
+    assert (whole.removed[whole.alpha == cut.alpha] == 0).all()
+    both = render_reference(gaussians, view, definition=fine, faint=2.0)
+    assert both.removed == pytest.approx(both.alpha, abs=1e-12)
