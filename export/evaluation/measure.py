@@ -104,7 +104,7 @@ def measure(
 
 def _reconstruct(case: Case, model: Model) -> _Reconstruction:
     scene = Reconstructor(model.engine).reconstruct(
-        case.photos, case.cameras, near=case.near, far=case.far, trust_poses=True
+        case.photos, case.cameras, near=case.near, far=case.far, trust_poses=True, leave_one_out=0
     )
     near, far = scene.document["near"], scene.document["far"]
     outputs = model.engine.last

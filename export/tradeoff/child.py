@@ -101,6 +101,12 @@ def _reconstructed(
 
 def _once(reconstructor: Reconstructor, scene: Given, budget: Budget) -> tuple[Gaussians, dict[str, Any]]:
     found = reconstructor.reconstruct(
-        list(scene.photos), scene.cameras, near=scene.near, far=scene.far, trust_poses=True, budget=budget
+        list(scene.photos),
+        scene.cameras,
+        near=scene.near,
+        far=scene.far,
+        trust_poses=True,
+        budget=budget,
+        leave_one_out=0,
     )
     return found.gaussians, found.document
