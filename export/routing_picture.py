@@ -93,7 +93,9 @@ def route(folder: Path, views: list[str], model: Path | None = None, listener: L
         raise ModelError("has neither experts nor a task gate: there are no routes to show", field="model")
     photos = [EncodedPhoto(path.read_bytes()) for path in scene.image_paths]
     near, far = scene.file.near, scene.file.far
-    Reconstructor(engine).reconstruct(photos, scene.file.cameras, near=near, far=far, listener=listener)
+    Reconstructor(engine).reconstruct(
+        photos, scene.file.cameras, near=near, far=far, leave_one_out=0, listener=listener
+    )
     return Routed(
         engine.images,
         scene.indices,

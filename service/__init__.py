@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .camera import Camera as Camera
     from .gaussians import Gaussians as Gaussians
+    from .ply import inspect_ply as inspect_ply
     from .ply import read_ply as read_ply
     from .ply import write_ply as write_ply
     from .reconstruct import Reconstructor as Reconstructor
@@ -22,6 +23,7 @@ _HOME = {
     "Reconstructor": "reconstruct",
     "Render": "splat",
     "Scene": "reconstruct",
+    "inspect_ply": "ply",
     "read_ply": "ply",
     "render": "splat",
     "render_reference": "splat",
@@ -34,6 +36,7 @@ __all__ = [
     "Reconstructor",
     "Render",
     "Scene",
+    "inspect_ply",
     "read_ply",
     "render",
     "render_reference",

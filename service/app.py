@@ -7,11 +7,17 @@ from contextlib import asynccontextmanager
 from importlib.metadata import version
 
 from fastapi import FastAPI
+from starlette.middleware.cors import CORSMiddleware
 
-from .http import health, page, problems, reconstruct, render, scenes
+from .http import health, jobs, metrics, page, problems, reconstruct, render, scenes
+from .http.access import KeyNeeded
 from .http.limits import BodyLimit
+from .http.observe import Observed
 from .http.runtime import Runtime
 from .settings import Settings
+
+# What scripts of other origins may read of an answer, where they may call at all.
+EXPOSED = ["ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID", "X-Gapmes-Scene", "X-Gapmes-Stats"]
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
@@ -34,7 +40,16 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.runtime = runtime
     problems.install(app)
-    for module in (health, page, reconstruct, render, scenes):
+    for module in (health, metrics, page, reconstruct, jobs, render, scenes):
         app.include_router(module.router)
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
+    key = settings.key()
+    if key is not None:
+        app.add_middleware(KeyNeeded, key=key)
+    origins = [origin.strip() for origin in settings.cors_origins.split(",") if origin.strip()]
+    if origins:  # asked before the key: a browser's question brings none
+        app.add_middleware(
+            CORSMiddleware, allow_origins=origins, allow_methods=["*"], allow_headers=["*"], expose_headers=EXPOSED
+        )
+    app.add_middleware(Observed)
     return app

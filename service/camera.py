@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import CameraError, IntrinsicsError
-from .pose import Pose, checked_pose, rigid_inverse
+from .pose import AS_IT_IS, Given, Pose, checked_pose, rigid_inverse
 
 F64 = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ class Camera:
     cx: float  # px
     cy: float  # px
     world_from_cam: F64  # (4, 4), rotation | centre, caller's units
-    drift: float = 0.0  # max |R^T R - I| of the pose as it was given, before it was projected onto SO(3)
+    given: Given = AS_IT_IS  # what the pose was like when it came
 
     @classmethod
     def make(
@@ -73,7 +73,7 @@ class Camera:
         if not isinstance(world_from_cam, Pose):
             world_from_cam = checked_pose(world_from_cam, field=f"{field}.c2w", index=index)
         pose = world_from_cam
-        return cls(int(width), int(height), float(fx), float(fy), float(cx), float(cy), pose.matrix, pose.drift)
+        return cls(int(width), int(height), float(fx), float(fy), float(cx), float(cy), pose.matrix, pose.given)
 
     @property
     def rotation(self) -> F64:
@@ -119,7 +119,7 @@ class Camera:
 
     def posed(self, world_from_cam: F64) -> Camera:
         """The same lens at another pose."""
-        return replace(self, world_from_cam=world_from_cam)
+        return replace(self, world_from_cam=world_from_cam, given=AS_IT_IS)
 
     def rays(self, pixels: F64) -> F64:
         """World directions (N, 3) of pixel positions (N, 2); length such that the camera-frame z is 1."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .camera import Camera
 from .errors import CameraError
-from .pose import Pose, checked_pose, rigid_inverse
+from .pose import Pose, checked_pose, inverted_pose
 
 F64 = NDArray[np.float64]
 
@@ -84,7 +84,6 @@ def list_of(obj: Mapping, name: str) -> Sequence[Mapping]:
 
 def opencv_pose(matrix: object, *, axes: str, pose: str, field: str, index: int | None = None) -> Pose:
     """world_from_cam in OpenCV axes; `axes` (opencv | opengl) and `pose` (c2w | w2c) say what `matrix` is."""
-    world_from_cam, drift = checked_pose(matrix, field=field, index=index)
-    if pose == "w2c":
-        world_from_cam = rigid_inverse(world_from_cam)
-    return Pose(world_from_cam @ OPENCV_FROM_OPENGL if axes == "opengl" else world_from_cam, drift)
+    parse = inverted_pose if pose == "w2c" else checked_pose
+    world_from_cam, given = parse(matrix, field=field, index=index)
+    return Pose(world_from_cam @ OPENCV_FROM_OPENGL if axes == "opengl" else world_from_cam, given)

@@ -22,9 +22,13 @@ GapmesError                     500 internal_error
 ├── UploadTooLarge              413 upload_too_large
 ├── UploadTimeout               408 upload_timeout
 ├── SceneNotFound               404 scene_not_found
+├── JobNotFound                 404 job_not_found
+├── Unauthorized                401 unauthorized
 ├── ModelError                  500 model_invalid
 ├── ServiceBusy                 503 service_busy
 │   └── ModelNotReady           503 model_not_ready
+├── DeadlineExceeded            504 deadline_exceeded
+├── JobCancelled                409 job_cancelled
 └── StorageFull                 507 storage_full
 """
 
@@ -148,6 +152,16 @@ class SceneNotFound(GapmesError):
     code = "scene_not_found"
 
 
+class JobNotFound(GapmesError):
+    status = 404
+    code = "job_not_found"
+
+
+class Unauthorized(GapmesError):
+    status = 401
+    code = "unauthorized"
+
+
 class ModelError(GapmesError):
     code = "model_invalid"
 
@@ -159,6 +173,16 @@ class ServiceBusy(GapmesError):
 
 class ModelNotReady(ServiceBusy):
     code = "model_not_ready"
+
+
+class DeadlineExceeded(GapmesError):
+    status = 504
+    code = "deadline_exceeded"
+
+
+class JobCancelled(GapmesError):
+    status = 409
+    code = "job_cancelled"
 
 
 class StorageFull(GapmesError):

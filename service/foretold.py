@@ -10,13 +10,13 @@ from .camera import Camera
 from .errors import InputError
 from .view_checks import MAX_VIEWS, MIN_VIEWS
 
-# Of three photographs the two others foretell each; more of them cost as many runs of two views, whatever their number.
+# Of three photographs both others; of more, two as well, so that each costs no more than a run with two views.
 DEFAULT_OTHERS = 2
 
 
 def checked_others(count: int) -> int:
     """Raises `InputError` unless it is 0 (nothing is foretold) or so many views can foretell another one."""
-    if isinstance(count, bool) or count not in (0, *range(MIN_VIEWS, MAX_VIEWS)):
+    if isinstance(count, bool) or not isinstance(count, int) or count not in (0, *range(MIN_VIEWS, MAX_VIEWS)):
         raise InputError(
             f"is {count}, need {MIN_VIEWS} to {MAX_VIEWS - 1} views that foretell another, or 0 for none",
             field="leave_one_out",

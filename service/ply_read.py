@@ -25,7 +25,7 @@ REQUIRED = (
     "rot_0", "rot_1", "rot_2", "rot_3",
 )  # fmt: skip
 REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1) for degrees 0 to 3
-LOG_SCALE_MAX = float(np.log(np.finfo(np.float32).max))
+LARGEST = float(np.finfo(np.float32).max)
 
 
 Source = str | PathLike[str] | bytes | bytearray | memoryview | BinaryIO
@@ -47,7 +47,9 @@ class PlyReading:
             listed = ", ".join(f"{name} ({count})" for name, count in self.invalid.items())
             notes.append(f"{self.rows - len(self.gaussians)} of {self.rows} Gaussians dropped, invalid in {listed}")
         if self.zero_rotations:
-            notes.append(f"{self.zero_rotations} of {self.rows} rotations are zero and were taken as no rotation")
+            notes.append(
+                f"{self.zero_rotations} of {len(self.gaussians)} rotations are zero and were taken as no rotation"
+            )
         return notes
 
 
@@ -124,10 +126,11 @@ def _valid(name: str, column: F64) -> tuple[NDArray[np.bool_], str]:
     if name == "opacity":
         return ~np.isnan(column), "a number"
     if name.startswith("scale_"):
-        return column <= LOG_SCALE_MAX, f"at most {LOG_SCALE_MAX:.4g}, the logarithm of the largest float32"
+        with np.errstate(over="ignore"):
+            return np.exp(column) <= LARGEST, f"at most {np.log(LARGEST):.4g}, the logarithm of the largest float32"
     if name in ("x", "y", "z"):  # those stay float64
         return np.isfinite(column), "a finite number"
-    return np.abs(column) <= np.finfo(np.float32).max, "a finite number within float32"
+    return np.abs(column) <= LARGEST, "a finite number within float32"
 
 
 def _require(ok: NDArray[np.bool_], column: F64, name: str, need: str) -> None:
@@ -140,4 +143,5 @@ def _require(ok: NDArray[np.bool_], column: F64, name: str, need: str) -> None:
         field=f"vertex.{name}",
         index=int(bad[0]),
         count=len(bad),
+        cure="inspect_ply(drop_invalid=True), or --drop-invalid of gapmes render, leaves such rows out",
     )

@@ -8,21 +8,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import PoseError
+from .float32 import half_step
 
 F64 = NDArray[np.float64]
 
-# A rotation further than this from orthonormal moves a pixel by more than 0.1 px at f = 1000 px; below it the matrix
-# is projected onto SO(3), which is what rounding to six decimals in a text file needs.
+# At this distance from orthonormal the projection onto SO(3) moves the principal ray by 0.05 px each way at f = 1000
+# px; rounding to six decimals in a text file stays far below.
 MAX_ORTHONORMALITY_ERROR = 1e-4
 MAX_OFFSET = 1e100  # caller's units: squares and cubes stay finite
 ROUNDING = 1e-14  # what float64 leaves of orthonormality (some 1e-15); such a matrix is kept to the bit
 
 
+class Given(NamedTuple):
+    """What a camera's pose was like when it came."""
+
+    drift: float = 0.0  # max |R^T R - I| of camera to world; 0 where that is rounding and R is kept to the bit
+    shift: float = 0.0  # how far the projection onto SO(3) moved the camera, units; not 0 for world to camera alone
+    step: float = 0.0  # half a float32 step of its translation, see `float32.py`
+
+
+AS_IT_IS = Given()
+
+
 class Pose(NamedTuple):
-    """A checked rigid motion and what was mended of it."""
+    """A checked rigid motion."""
 
     matrix: F64  # (4, 4)
-    drift: float  # max |R^T R - I| as given; 0 where that is rounding and the matrix is kept to the bit
+    given: Given
 
 
 def rigid_inverse(matrix: F64) -> F64:
@@ -50,7 +62,8 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
         raise PoseError(f"shape is {matrix.shape}, need (4, 4)", field=field, index=index)
     bad = int((~np.isfinite(matrix)).sum())
     if bad:
-        raise PoseError(f"{bad} of 16 numbers are NaN or infinite", field=field, index=index)
+        cure = "was the pose of this view found at all? leave it out"
+        raise PoseError(f"{bad} of 16 numbers are NaN or infinite", field=field, index=index, cure=cure)
     if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6):
         raise PoseError(
             f"last row is {matrix[3].tolist()}, need [0, 0, 0, 1]", field=field, index=index, cure="is it transposed?"
@@ -81,11 +94,26 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
             index=index,
             cure=cure,
         )
-    pose = np.eye(4)
+    pose, step = np.eye(4), half_step(matrix[:3, 3])
     pose[:3, 3] = matrix[:3, 3]
     if drift <= ROUNDING:
         pose[:3, :3] = rotation
-        return Pose(pose, 0.0)
+        return Pose(pose, Given(step=step))
     u, _, vt = np.linalg.svd(rotation)
     pose[:3, :3] = u @ vt
-    return Pose(pose, drift)
+    return Pose(pose, Given(drift, 0.0, step))
+
+
+def inverted_pose(value: object, *, field: str = "c2w", index: int | None = None) -> Pose:
+    """The inverse of a motion as `checked_pose` parses it: what is given is world to camera, R x + t.
+
+    The camera is where R x + t = 0; with R projected it is -R^T t, which is another place far from the origin.
+    """
+    (matrix, given) = checked_pose(value, field=field, index=index)
+    inverse = rigid_inverse(matrix)
+    if given.drift == 0:
+        return Pose(inverse, given)
+    rotation, offset = np.array(value, dtype=np.float64)[:3, :3], matrix[:3, 3]
+    drift = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    shift = float(np.linalg.norm(inverse[:3, 3] + np.linalg.solve(rotation, offset)))
+    return Pose(inverse, Given(drift, shift, given.step))

@@ -8,6 +8,8 @@ from typing import Any
 
 from .errors import GapmesError
 
+_OURS = "this is a fault of the service; its log has the details"
+
 
 def problem(
     status: int,
@@ -45,6 +47,15 @@ def of_error(error: GapmesError) -> dict[str, Any]:
         cure=error.cure,
         extra=error.extra,
     )
+
+
+def public(error: BaseException) -> dict[str, Any]:
+    """What a caller may know of an error: all of a refusal, but of a fault of ours only that it is one."""
+    if isinstance(error, GapmesError) and error.status != 500:
+        return of_error(error)
+    code = error.code if isinstance(error, GapmesError) else "internal_error"
+    unexpected = "" if isinstance(error, GapmesError) else "an unexpected "
+    return problem(500, code, f"the service failed with {unexpected}{type(error).__name__}", cure=_OURS)
 
 
 def plain(value: Any) -> Any:

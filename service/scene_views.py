@@ -55,5 +55,5 @@ class SceneViews:
 
 def _stored(entry: Mapping[str, Any]) -> Camera:
     """A camera of a scene document. It was checked when it was given; a crop of it may have any principal point."""
-    lens = {name: float(entry[name]) for name in ("fx", "fy", "cx", "cy")}
-    return Camera(entry["width"], entry["height"], world_from_cam=np.array(entry["c2w"], dtype=np.float64), **lens)
+    fx, fy, cx, cy = (float(entry[name]) for name in ("fx", "fy", "cx", "cy"))
+    return Camera(entry["width"], entry["height"], fx, fy, cx, cy, np.array(entry["c2w"], dtype=np.float64))

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from .errors import InputError
 
 
 def default_store() -> Path:
@@ -30,10 +33,39 @@ class Settings(BaseSettings):
         le=1024,
         description="CPU threads for network and splatter; empty means every core the process may use",
     )
-    concurrency: int = Field(1, ge=1, le=64, description="reconstructions and renders that run at the same time")
+    workers: int = Field(1, ge=1, le=256, description="processes that share the port and the store")
+    concurrency: int = Field(1, ge=1, le=64, description="reconstructions that a process computes at the same time")
     max_waiting: int = Field(
-        16, ge=0, le=10_000, description="requests that may wait for their turn on the CPU; one more gets 503"
+        16, ge=0, le=10_000, description="reconstructions of the whole store that may wait; one more gets 503"
     )
+    reconstruct_seconds: float = Field(
+        600.0, gt=0, description="time that a reconstruction may take once it runs, else it fails with 504"
+    )
+    wait_seconds: float = Field(
+        900.0, gt=0, description="time that `POST /reconstruct` waits for its scene, else 504; a job has no such limit"
+    )
+    job_keep_seconds: float = Field(86_400.0, ge=0, description="time after which a job that ended is forgotten")
+    heartbeat_seconds: float = Field(15.0, gt=0, description="time between two signs of life on a stream of events")
+    render_concurrency: int = Field(1, ge=1, le=64, description="pictures that a process draws at the same time")
+    render_waiting: int = Field(
+        32, ge=0, le=10_000, description="pictures that may wait in a process; one more gets 503"
+    )
+    render_seconds: float = Field(30.0, gt=0, description="time that a picture may wait for its turn, else 503")
+    drain_seconds: float = Field(
+        20.0, ge=0, description="time that requests and jobs have to end after SIGTERM; longer ones are left to others"
+    )
+    api_key: SecretStr | None = Field(
+        None, description="key that requests must bring as `Authorization: Bearer`; empty means that none is needed"
+    )
+    api_key_file: Path | None = Field(None, description="file with that key, such as a mounted secret")
+    cors_origins: str = Field(
+        "", description="origins, comma separated, whose pages may call the service; empty means none, `*` all"
+    )
+    log: Literal["text", "json"] = Field("text", description="form of the log on stderr, a line per event")
+    store_bytes: int | None = Field(
+        None, ge=1, description="size of the store beyond which the scenes go that were read longest ago"
+    )
+    store_days: float | None = Field(None, gt=0, description="days after which a scene goes that nobody has read")
     max_uploads: int = Field(
         8, ge=1, le=10_000, description="request bodies that are received at the same time; one more gets 503"
     )
@@ -48,3 +80,15 @@ class Settings(BaseSettings):
     )
     max_render_pixels: int = Field(8_000_000, ge=1, description="largest picture that `GET /render` draws, in pixels")
     cache_bytes: int = Field(512 * 2**20, ge=0, description="memory that keeps read scenes between renders, in bytes")
+
+    def key(self) -> str | None:
+        """The API key, from its file where one is named. Raises `InputError` where it cannot be read or is empty."""
+        if self.api_key_file is None:
+            return self.api_key.get_secret_value() if self.api_key is not None else None
+        try:
+            key = self.api_key_file.read_text(encoding="utf-8").strip()
+        except OSError as error:
+            raise InputError(f"cannot be read: {error.strerror}", field="GAPMES_API_KEY_FILE") from error
+        if not key:
+            raise InputError("the file is empty", field="GAPMES_API_KEY_FILE", cure="write the key into it")
+        return key

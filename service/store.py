@@ -1,52 +1,60 @@
-"""Scenes on disk: content-addressed folders that appear whole or not at all, with a cache of decoded Gaussians."""
+"""The scenes of a service: content-addressed folders, an index over them, limits with eviction, a cache in memory."""
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
-import os
-import re
-import shutil
-import tempfile
 import threading
 import time
-import uuid
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+from .database import Database
 from .errors import SceneNotFound, StorageFull
 from .file_lock import exclusive_if_free, shared
 from .gaussians import Gaussians
 from .gaussians_cache import GaussiansCache
 from .ply import read_ply
+from .scene_files import SceneFiles, is_id
+from .scene_index import Indexed, SceneIndex
 
 CACHE_BYTES = 512 * 2**20
-_ID = re.compile(r"[0-9a-f]{32}")
-_TEMPORARY = ".incoming-"
+PAGE = 100
+DAY_NS = 86_400 * 10**9
 _LOCK = ".lock"
-_PLY = "scene.ply"
-_DOCUMENT = "scene.json"
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_THERE = (errno.ENOTEMPTY, errno.EEXIST)
+_INDEX = "index.sqlite"
 
 
 class SceneStore:
     """One folder per scene under `root`; safe for several threads and for several processes on one file system."""
 
-    def __init__(self, root: str | Path, *, cache_bytes: int = CACHE_BYTES) -> None:
-        """Make `root` if needed and remove what an interrupted `put` left there, unless somebody is writing now."""
+    def __init__(
+        self,
+        root: str | Path,
+        *,
+        cache_bytes: int = CACHE_BYTES,
+        max_bytes: int | None = None,
+        max_days: float | None = None,
+    ) -> None:
+        """Make `root` if needed, list what it holds, and remove what a crash left there unless somebody writes.
+
+        Beyond `max_bytes` the scenes go that were read longest ago; those that nobody has read for `max_days` go too.
+        """
         self.root = Path(root)
         self.root.mkdir(parents=True, exist_ok=True)
+        self.max_bytes, self.max_days = max_bytes, max_days
+        self.database = Database(self.root / _INDEX)
+        self._files = SceneFiles(self.root)
+        self._index = SceneIndex(self.database)
         self._cache = GaussiansCache(cache_bytes)
         self._clock = threading.Lock()
         self._last = 0
         with exclusive_if_free(self.root / _LOCK) as free:
             if free:
-                for leftover in self.root.glob(f"{_TEMPORARY}*"):
-                    shutil.rmtree(leftover, ignore_errors=True)
+                self._files.sweep()
+                self._agree()
 
     @staticmethod
     def scene_id(model_sha256: str, images: Sequence[bytes], cameras_json: object, options: Mapping[str, Any]) -> str:
@@ -62,94 +70,109 @@ class SceneStore:
     def put(self, scene_id: str, ply: bytes, document: Mapping[str, Any]) -> None:
         """Store a scene: whole or nothing. A scene that is already there stays as it is.
 
-        Raises `StorageFull` when the disk is, with nothing left behind.
+        Raises `StorageFull` when the disk is, or when `max_bytes` is reached and all that is there is being read.
         """
-        target = self._folder(scene_id)
-        if target.is_dir():
+        if self._files.folder(scene_id).is_dir():
             return
-        with shared(self.root / _LOCK), self._incoming() as folder:
-            _write(folder / _PLY, ply)
-            _write(folder / _DOCUMENT, json.dumps(document, allow_nan=False).encode())
-            now = self._tick()
-            os.utime(folder / _DOCUMENT, ns=(now, now))  # the order of `list`; a file system's own clock is coarser
-            try:
-                folder.rename(target)
-            except OSError as error:
-                if error.errno not in _THERE:
-                    raise
-            else:
-                _sync_folder(self.root)
+        with shared(self.root / _LOCK):
+            self._make_room(len(ply))
+            created_ns = self._tick()
+            if self._files.write(scene_id, ply, document, created_ns):
+                self._index.add([self._row(scene_id, document)])
 
     def exists(self, scene_id: str) -> bool:
         """Whether the scene is there; False for what is no id at all."""
-        return _ID.fullmatch(scene_id) is not None and (self.root / scene_id).is_dir()
+        return is_id(scene_id) and (self.root / scene_id).is_dir()
 
     def document(self, scene_id: str) -> dict[str, Any]:
         """The scene's document. Raises `SceneNotFound`."""
-        try:
-            return json.loads((self._folder(scene_id) / _DOCUMENT).read_bytes())
-        except FileNotFoundError as error:
-            raise _unknown(scene_id) from error
+        return self._files.document(scene_id)
 
-    def ply_path(self, scene_id: str) -> Path:
-        """The scene's .ply file. Raises `SceneNotFound`."""
-        path = self._folder(scene_id) / _PLY
-        if not path.is_file():
-            raise _unknown(scene_id)
-        return path
+    def reading(self, scene_id: str) -> AbstractContextManager[Path]:
+        """The scene's .ply file, which is not evicted during the block. Raises `SceneNotFound`."""
+        self._index.used(scene_id)
+        return self._files.reading(scene_id)
+
+    def ply(self, scene_id: str) -> bytes:
+        """The .ply file. Raises `SceneNotFound`."""
+        with self.reading(scene_id) as path:
+            return path.read_bytes()
 
     def gaussians(self, scene_id: str) -> Gaussians:
         """The scene's Gaussians, from memory where they were used lately. Raises `SceneNotFound`."""
-        path = self.ply_path(scene_id)
-        try:
+        with self.reading(scene_id) as path:
             return self._cache.get(scene_id, lambda: read_ply(path))
-        except FileNotFoundError as error:  # deleted between the two lines
-            raise _unknown(scene_id) from error
 
-    def list(self) -> list[dict[str, Any]]:
-        """All documents, newest first; scenes of the same instant by id."""
-        documents = []
-        for scene_id in self._ids():
-            try:
-                documents.append(self.document(scene_id))
-            except SceneNotFound:  # deleted by somebody else meanwhile
-                continue
-        return documents
+    def page(self, limit: int, after: tuple[int, str] | None = None) -> Sequence[Indexed]:
+        """Scenes, newest first, those of the same instant by id; behind `after` (created_ns, id)."""
+        return self._index.page(limit, after)
+
+    def totals(self) -> tuple[int, int]:
+        """How many scenes, and their bytes."""
+        return self._index.totals()
 
     def newest(self) -> str:
         """Id of the scene that was stored last. Raises `SceneNotFound` where there is none."""
-        ids = self._ids()
-        if not ids:
-            raise SceneNotFound("the store holds no scene", field="scene", cure="POST /reconstruct makes one")
-        return ids[0]
+        for row in self._index.page(PAGE):
+            if self.exists(row.id):  # a crash while it was removed may have left it listed
+                return row.id
+        raise SceneNotFound("the store holds no scene", field="scene", cure="POST /reconstruct makes one")
+
+    def writable(self) -> bool:
+        """Whether a file can be made and removed."""
+        return self._files.writable()
 
     def delete(self, scene_id: str) -> None:
         """Remove a scene. Raises `SceneNotFound`."""
-        folder = self._folder(scene_id)
         with shared(self.root / _LOCK):
-            trash = self.root / f"{_TEMPORARY}{scene_id}-{uuid.uuid4().hex}"
-            try:
-                folder.rename(trash)  # gone at once for every reader, even if removing takes long
-            except FileNotFoundError as error:
-                raise _unknown(scene_id) from error
-            shutil.rmtree(trash, ignore_errors=True)
+            self._files.remove(scene_id)
+            self._index.remove([scene_id])
         self._cache.drop(scene_id)
 
-    def _folder(self, scene_id: str) -> Path:
-        """The folder of a well-formed id; nothing else ever becomes part of a path."""
-        if _ID.fullmatch(scene_id) is None:
-            raise _unknown(scene_id)
-        return self.root / scene_id
+    def evict_old(self) -> int:
+        """Remove what nobody has read for `max_days` and nobody is reading now; returns how many."""
+        if self.max_days is None:
+            return 0
+        before = time.time_ns() - int(self.max_days * DAY_NS)
+        with shared(self.root / _LOCK):
+            return sum(self._evict(row) for row in self._index.longest_unused(before))
 
-    def _ids(self) -> Sequence[str]:
-        stamped = []
-        for entry in os.scandir(self.root):
-            if _ID.fullmatch(entry.name) is not None:
-                try:
-                    stamped.append((-os.stat(Path(entry.path, _DOCUMENT)).st_mtime_ns, entry.name))
-                except FileNotFoundError:  # deleted by somebody else meanwhile
-                    continue
-        return [scene_id for _, scene_id in sorted(stamped)]
+    def _make_room(self, more: int) -> None:
+        if self.max_bytes is None:
+            return
+        count, held = self._index.totals()
+        if held + more <= self.max_bytes:
+            return
+        for row in self._index.longest_unused():
+            if self._evict(row):
+                held -= row.bytes
+            if held + more <= self.max_bytes:
+                return
+        raise StorageFull(
+            f"{count} scenes have {held} bytes, one of {more} bytes would pass the limit of {self.max_bytes}",
+            field="store",
+            cure="raise GAPMES_STORE_BYTES, or try again when fewer scenes are being read",
+        )
+
+    def _evict(self, row: Indexed) -> bool:
+        try:
+            if not self._files.remove(row.id, unless_read=True):
+                return False
+        except SceneNotFound:  # somebody else was faster
+            pass
+        self._index.remove([row.id])
+        self._cache.drop(row.id)
+        return True
+
+    def _agree(self) -> None:
+        """List the folders that are not listed, and no others."""
+        there, listed = self._files.ids(), self._index.ids()
+        self._index.remove(listed - there)
+        self._index.add([self._row(scene_id, self._files.document(scene_id)) for scene_id in there - listed])
+
+    def _row(self, scene_id: str, document: Mapping[str, Any]) -> Indexed:
+        size, created_ns = self._files.size(scene_id)
+        return Indexed(scene_id, created_ns, max(created_ns, time.time_ns()), size, _summary(scene_id, document))
 
     def _tick(self) -> int:
         """Nanoseconds since 1970, never twice the same in this process."""
@@ -157,25 +180,14 @@ class SceneStore:
             self._last = max(time.time_ns(), self._last + 1)
             return self._last
 
-    @contextmanager
-    def _incoming(self) -> Iterator[Path]:
-        """A temporary folder beside the scenes; gone afterwards unless it was renamed."""
-        folder: Path | None = None
-        try:
-            folder = Path(tempfile.mkdtemp(prefix=_TEMPORARY, dir=self.root))
-            folder.chmod(0o755)  # other processes of the service may run as somebody else
-            yield folder
-        except OSError as error:
-            if error.errno in _FULL:
-                raise StorageFull(
-                    f"no space for the scene: {error.strerror}",
-                    field="store",
-                    cure="delete scenes, or give it more room",
-                ) from error
-            raise
-        finally:
-            if folder is not None:
-                shutil.rmtree(folder, ignore_errors=True)
+
+def _summary(scene_id: str, document: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "id": scene_id,
+        "created": document.get("created"),
+        "gaussians": document.get("gaussians", {}).get("count"),
+        "views": len(document.get("view_cameras", ())),
+    }
 
 
 def _canonical(value: object) -> bytes:
@@ -191,23 +203,3 @@ def _plain(value: object) -> object:
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) <= 2**53:
         return float(value)
     return value
-
-
-def _write(path: Path, data: bytes) -> None:
-    with path.open("xb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync_folder(path: Path) -> None:
-    """Make a rename survive a power cut."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _unknown(scene_id: str) -> SceneNotFound:
-    return SceneNotFound(f"no scene {scene_id[:64]!r}", field="scene", cure="GET /scenes lists what there is")

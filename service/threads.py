@@ -1,10 +1,59 @@
-"""How many threads this process may use."""
+"""How many threads this process may use: its CPUs, or its container's share of their time where that is less."""
 
 from __future__ import annotations
 
+import math
 import os
+from pathlib import Path
+
+PROCESS, MOUNT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 
 
-def available_threads() -> int:
-    """How many CPUs this process may run on; all of the machine's where the system does not say."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def available_threads(process: Path = PROCESS, mount: Path = MOUNT) -> int:
+    """The CPUs that this process may run on (all of the machine's where the system does not say), or the limit of its
+    control group, rounded up, where that is less."""
+    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    limit = cpu_limit(process, mount)
+    return cpus if limit is None else max(1, min(cpus, math.ceil(limit)))
+
+
+def cpu_limit(process: Path = PROCESS, mount: Path = MOUNT) -> float | None:
+    """CPUs that the control group of this process (version 2 or 1) or one above it grants; None without a limit.
+
+    Inside a container its own group is the root of `mount`, whatever `process` says of the way there.
+    """
+    try:
+        lines = process.read_text().splitlines()
+    except OSError:
+        return None
+    limits = []
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if not controllers:
+            limits += [_version_2(folder) for folder in _upwards(mount, path)]
+        elif "cpu" in controllers.split(","):
+            for name in (controllers, "cpu"):
+                limits += [_version_1(folder) for folder in _upwards(mount / name, path)]
+    return min((limit for limit in limits if limit is not None), default=None)
+
+
+def _upwards(root: Path, path: str) -> list[Path]:
+    """The group's folder and those above it."""
+    parts = [part for part in path.split("/") if part and part != ".."]
+    return [root.joinpath(*parts[:length]) for length in range(len(parts), -1, -1)]
+
+
+def _version_2(folder: Path) -> float | None:
+    try:
+        quota, period = (folder / "cpu.max").read_text().split()
+    except (OSError, ValueError):
+        return None
+    return None if quota == "max" else int(quota) / int(period)
+
+
+def _version_1(folder: Path) -> float | None:
+    try:
+        quota, period = (int((folder / f"cpu.cfs_{name}_us").read_text()) for name in ("quota", "period"))
+    except (OSError, ValueError):
+        return None
+    return None if quota <= 0 else quota / period

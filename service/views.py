@@ -55,7 +55,7 @@ def between(start: Camera, end: Camera, fraction: float) -> Camera:
     pose[:3, :3] = slerp(start.rotation, end.rotation, fraction)
     pose[:3, 3] = start.center + fraction * (end.center - start.center)
     lens = {name: (1 - fraction) * getattr(start, name) + fraction * getattr(end, name) for name in _LENS}
-    return replace(start, world_from_cam=pose, **lens)
+    return replace(start.posed(pose), **lens)
 
 
 def mean_camera(cameras: Sequence[Camera]) -> Camera:

@@ -16,7 +16,7 @@ from gapmes.service.engine import Engine
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import FittedView
 from gapmes.service.picture_error import psnr, ssim
-from gapmes.service.pruning import ROUNDING, colour_range, reaches
+from gapmes.service.pruning import colour_range, reaches
 from gapmes.service.splat import Definition, render, render_reference
 
 from ..cases import sample_scene
@@ -30,6 +30,7 @@ from .schema import Bound, ModelError, Rounding, SettingError
 Pictures = list[NDArray[np.float32]]  # (3, H, W) in [0, 1]
 EQUAL_DB = 200.0
 WINDOW = 48  # px of the picture that brute force draws
+CUT_WINDOW = 64  # the same, where what is beyond it has the shape of the whole picture: up to 541 px wide
 
 
 def drawn(gaussians: Gaussians, cameras: Sequence[Camera], near: float) -> Pictures:
@@ -99,7 +100,7 @@ def network_rounding(file: ModelFile, threads: int | None) -> Rounding:
 
 def splatter_rounding(gaussians: Gaussians, camera: Camera, near: float) -> Rounding:
     """The middle of a picture against brute force in float64, of all Gaussians that reach it."""
-    window = _middle(camera)
+    window = _middle(camera, WINDOW)
     rule = Definition(near=near)
     there = gaussians[reaches(gaussians, window, np.ones((WINDOW, WINDOW), bool), rule)]
     true = render_reference(there, window, definition=rule)
@@ -107,23 +108,22 @@ def splatter_rounding(gaussians: Gaussians, camera: Camera, near: float) -> Roun
 
 
 def alpha_cut_bound(gaussians: Gaussians, camera: Camera, near: float, exact: float, cut: float) -> Bound:
-    """What leaving out layers fainter than `cut` changes at most in the middle of a picture that leaves out those below
-    `exact`: the range of colours times the weight of the layers between both and both early stops, as in `pruning.py`;
-    beside it the largest change there."""
-    window = _middle(camera)
-    rules = [Definition(near=near, alpha_min=least) for least in (exact, cut)]
-    there = gaussians[reaches(gaussians, window, np.ones((WINDOW, WINDOW), bool), rules[0])]
-    pictures = [render(there, window, definition=rule, outputs=()).rgb for rule in rules]
-    missed = render_reference(there, window, definition=rules[0], faint=cut).removed
-    return Bound(
-        bound=colour_range(there) * (float(missed.max()) + 2 * rules[0].stop + ROUNDING),
-        actual=float(np.abs(pictures[0].astype(np.float64) - pictures[1]).max()),
-    )
+    """What leaving out layers fainter than `cut` changes at most, in the middle of a square picture that leaves out
+    those below `exact`: the range of colours times the weight of the layers between both and both early stops, as in
+    `pruning.py`; beside it the largest change there. All in float64."""
+    window = _middle(camera, CUT_WINDOW)
+    # splats beyond the picture's edge keep the shape that they have in the whole picture
+    margin = ((1 + Definition().fov_margin) * camera.width - CUT_WINDOW) / CUT_WINDOW
+    exactly, coarsely = (Definition(near=near, alpha_min=least, fov_margin=margin) for least in (exact, cut))
+    there = gaussians[reaches(gaussians, window, np.ones((CUT_WINDOW, CUT_WINDOW), bool), exactly)]
+    whole = render_reference(there, window, definition=exactly, faint=cut)
+    changed = np.abs(whole.rgb - render_reference(there, window, definition=coarsely).rgb)
+    most = colour_range(there) * (float(whole.removed.max()) + 2 * exactly.stop)
+    return Bound(bound=most, actual=float(changed.max()))
 
 
-def _middle(camera: Camera) -> Camera:
-    left, top = (camera.width - WINDOW) // 2, (camera.height - WINDOW) // 2
-    return camera.cropped(left, top, WINDOW, WINDOW)
+def _middle(camera: Camera, side: int) -> Camera:
+    return camera.cropped((camera.width - side) // 2, (camera.height - side) // 2, side, side)
 
 
 def _rounding(difference: NDArray[np.floating]) -> Rounding:

@@ -127,7 +127,7 @@ class _Measure:
             given = self.given if count == 2 else [scene.more[count] for scene in self.scenes]
             run = self.whole if count == 2 else timed(file.path, given, KEEP_ALL, REPEATS, self.threads)
             quality = model_error(self._pictures(run.gaussians), self.truth, self.lpips)
-            how = f"gapmes reconstruct --views, {count} of them"
+            how = f"gapmes reconstruct --views, {count} of them" + (" --leave-one-out 0" if count > 2 else "")
             rows.append(_row("network", "views", str(count), how, count == 2, _timing(run), run.peak_mb, model=quality))
         return rows
 

@@ -39,7 +39,8 @@ class ModelError(_Strict):
 
 
 class Bound(_Strict):
-    """Proved (for a scene: for its certified views), beside the largest change found (for a scene: in its inputs)."""
+    """Proved (scenes: for the certified views; the alpha cut: for the middle of the picture), beside the largest change
+    found (scenes: in the inputs; the alpha cut: in the same pixels)."""
 
     bound: float
     actual: float

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from ..budget import DEFAULT_CERTIFY
-from ..foretold import DEFAULT_OTHERS
+from ..foretold import DEFAULT_OTHERS, checked_others
 from ..terminal import ProgressBars
 from .selection import view_indices
 from .summary import check_line, left_out_lines
@@ -53,6 +53,7 @@ def reconstruct(
 
     if not output.parent.is_dir():  # said before the work, not after it
         raise InputError(f"{output.parent} is not a folder", field="output")
+    checked_others(leave_one_out)
     budget = Budget(parse_max_error(max_error), certify, min_opacity=min_opacity, stride=stride)
     folder = load_scene_folder(scene_dir, None if views is None else partial(view_indices, views))
     with ProgressBars() as bars:

@@ -35,7 +35,8 @@ def render(
     ] = None,
     samples: Annotated[int, typer.Option(min=1, max=MAX_SAMPLES, help="per side of a pixel")] = 1,
     drop_invalid: Annotated[
-        bool, typer.Option("--drop-invalid", help="leave out and count Gaussians with NaN or infinite numbers")
+        bool,
+        typer.Option("--drop-invalid", help="leave out and count Gaussians that cannot be read: NaN, beyond float32"),
     ] = False,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
@@ -103,13 +104,14 @@ def render(
 
 def _precision(gaussians: Gaussians, shots: Sequence[Camera], near: float | None) -> list[str]:
     """A sentence where positions are float32 numbers so far from the origin that it shows."""
-    from ..pose_notices import TOLD_PX, float32_shift
+    from ..float32 import half_step, largest_shift
+    from ..pose_notices import TOLD_PX
 
     focal = max(max(camera.fx, camera.fy) for camera in shots)
-    shift = 0.0 if near is None else float32_shift(gaussians.means, focal, near)
+    shift = 0.0 if near is None else largest_shift(half_step(gaussians.means), focal, near)
     if shift <= TOLD_PX:
         return []
     return [
-        f"positions are float32 numbers far from the origin: the precision of the input is {shift:.2g} px at "
-        f"z-depth {near:.4g}"
+        f"positions are float32 numbers far from the origin: if they were rounded to it, the precision of the input is "
+        f"{shift:.2g} px at z-depth {near:.4g}"
     ]

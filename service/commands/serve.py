@@ -1,13 +1,20 @@
-"""`gapmes serve`: the HTTP service in this process."""
+"""`gapmes serve`: the HTTP service, in this process or in several that share its port and store."""
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
+import tempfile
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..errors import InputError, ModelError
+
+if TYPE_CHECKING:
+    pass
 
 
 def serve(
@@ -17,22 +24,46 @@ def serve(
     ] = None,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: GAPMES_MODEL or the packaged one]")] = None,
     store: Annotated[Path | None, typer.Option(help="folder of the scenes [default: GAPMES_STORE]")] = None,
-    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
+    threads: Annotated[
+        int | None, typer.Option(min=1, max=1024, help="CPU threads of each process [default: all]")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=256, help="processes [default: GAPMES_WORKERS or 1]")
+    ] = None,
 ) -> None:
     """Start the service; /readyz answers 200 once the model is loaded and the kernels are warm."""
     import uvicorn
     from pydantic import ValidationError
 
-    from ..app import create_app
     from ..settings import Settings
 
-    given: dict[str, Any] = {"host": host, "port": port, "model": model, "store": store, "threads": threads}
+    given: dict[str, Any] = {
+        "host": host, "port": port, "model": model, "store": store, "threads": threads, "workers": workers,
+    }  # fmt: skip
+    given = {name: value for name, value in given.items() if value is not None}
     try:
-        settings = Settings(**{name: value for name, value in given.items() if value is not None})
+        settings = Settings(**given)
     except ValidationError as error:
         first = error.errors()[0]
         name = f"GAPMES_{'_'.join(map(str, first['loc'])).upper()}"
         raise InputError(f"{first['msg']}, got {first['input']!r}", field=name, cure="see docs/settings.md") from error
     if settings.model is not None and not settings.model.is_file():
         raise ModelError(f"{settings.model} is not a file", field="model", cure="give an .onnx of gapmes-export")
-    uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
+    settings.key()  # said before the work
+    os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in given.items()}  # what the workers read
+    options: dict[str, Any] = {
+        "factory": True,
+        "host": settings.host,
+        "port": settings.port,
+        "log_config": None,
+        "access_log": False,
+        "server_header": False,
+        "timeout_graceful_shutdown": max(1, round(settings.drain_seconds)),
+    }
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # the server raises it once more when it has ended in order
+    if settings.workers == 1:
+        uvicorn.run("gapmes.service.serving:app", **options)
+        return
+    with tempfile.TemporaryDirectory(prefix="gapmes-metrics-") as folder:
+        os.environ["PROMETHEUS_MULTIPROC_DIR"] = folder
+        uvicorn.run("gapmes.service.serving:app", workers=settings.workers, **options)

@@ -13,7 +13,7 @@ def check_line(check: Mapping[str, Any]) -> str:
     for name, share in (("textureless", "textureless_share"), ("without parallax", "no_parallax_share")):
         if check[share] is not None:
             parts.append(f"{100 * check[share]:.1f} % {name}")
-    for name, words in (("from_others", "drawn from the other views"), ("leave_one_out", "foretold by the others")):
+    for name, words in (("from_others", "drawn from the other views"), ("leave_one_out", "foretold by others")):
         if check.get(name):
             values = [row["psnr"] for row in check[name]]
             shown = ", ".join("no pixel" if value is None else f"{value:.1f}" for value in values)

@@ -22,8 +22,7 @@ def zip_bundle(runtime: Runtime, document: Mapping[str, Any], views: Sequence[st
     scene_id = document["id"]
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as bundle:
-        ply = runtime.store.ply_path(scene_id).read_bytes()
-        bundle.writestr(_entry("scene.ply"), ply, zipfile.ZIP_DEFLATED, 1)
+        bundle.writestr(_entry("scene.ply"), runtime.store.ply(scene_id), zipfile.ZIP_DEFLATED, 1)
         bundle.writestr(_entry("scene.json"), json.dumps(document, indent=1), zipfile.ZIP_DEFLATED, 6)
         scene_views = SceneViews.of_document(document)
         for spec in dict.fromkeys(views):

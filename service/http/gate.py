@@ -1,71 +1,80 @@
-"""The gates: so many uploads at once, so many jobs on the CPU, so many waiting for it, one computation per scene."""
+"""The gates: so many uploads at once, so many pictures at a time, so many waiting, no work for a client that left."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from typing import TypeVar
 
-import anyio
 import anyio.to_thread
+from starlette.requests import ClientDisconnect
 
 from ..errors import ServiceBusy
 
 T = TypeVar("T")
+Gone = Callable[[], Awaitable[bool]]  # whether the client has gone away
+
+GLANCE_S = 0.1  # between two looks whether it has
 
 
 class Places:
     """A bounded number of requests that may do something at the same time; one more raises `ServiceBusy`."""
 
     def __init__(self, most: int, doing: str) -> None:
-        self._taken = 0
-        self._most = most
+        self.taken = 0
+        self.most = most
         self._doing = doing
 
     def check(self) -> None:
         """Raise `ServiceBusy` when no place is free."""
-        if self._taken >= self._most:
-            raise ServiceBusy(
-                f"{self._taken} requests are {self._doing}, the limit is {self._most}", cure="retry later"
-            )
+        if self.taken >= self.most:
+            raise ServiceBusy(f"{self.taken} requests are {self._doing}, the limit is {self.most}", cure="retry later")
 
     @asynccontextmanager
     async def place(self) -> AsyncIterator[None]:
         """Hold a place for the length of the block."""
         self.check()
-        self._taken += 1
+        self.taken += 1
         try:
             yield
         finally:
-            self._taken -= 1
+            self.taken -= 1
 
 
-class Gate:
-    """Runs functions on worker threads; beyond `slots` running and `waiting` queued it raises `ServiceBusy`."""
+class Lane:
+    """Runs functions on worker threads, `slots` at a time in the order of arrival; `waiting` more may queue."""
 
-    def __init__(self, slots: int, waiting: int) -> None:
-        self._limiter = anyio.CapacityLimiter(slots)
-        self.places = Places(slots + waiting, "running or waiting")
-        self._locks: dict[str, tuple[asyncio.Lock, list[None]]] = {}
+    def __init__(self, slots: int, waiting: int, patience_s: float, doing: str) -> None:
+        self._turns = asyncio.Semaphore(slots)
+        self._patience_s = patience_s
+        self.places = Places(slots + waiting, doing)
+        self.waited_s = 0.0
 
-    def admitted(self) -> AbstractAsyncContextManager[None]:
-        """Hold a place in the queue for the length of the block."""
-        return self.places.place()
+    async def run(self, function: Callable[[], T], gone: Gone) -> T:
+        """Wait for a turn, then run, so that the event loop keeps answering.
 
-    @asynccontextmanager
-    async def alone(self, key: str) -> AsyncIterator[None]:
-        """Only one task at a time is inside the block with the same key; the lock goes when nobody wants it."""
-        lock, holders = self._locks.setdefault(key, (asyncio.Lock(), []))
-        holders.append(None)
-        try:
-            async with lock:
-                yield
-        finally:
-            holders.pop()
-            if not holders:
-                del self._locks[key]
+        Raises `ServiceBusy` where the lane is full or the wait too long, and `ClientDisconnect` where nobody waits.
+        """
+        async with self.places.place():
+            await self._turn(gone)
+            try:
+                return await anyio.to_thread.run_sync(function)
+            finally:
+                self._turns.release()
 
-    async def run(self, function: Callable[[], T]) -> T:
-        """Run on a worker thread when a slot is free, so that the event loop keeps answering."""
-        return await anyio.to_thread.run_sync(function, limiter=self._limiter)
+    async def _turn(self, gone: Gone) -> None:
+        start = time.monotonic()
+        while True:
+            try:
+                async with asyncio.timeout(GLANCE_S):
+                    await self._turns.acquire()
+            except TimeoutError:
+                pass
+            else:
+                return
+            if await gone():
+                raise ClientDisconnect
+            if time.monotonic() - start > self._patience_s:
+                raise ServiceBusy(f"no turn within {self._patience_s:g} s", cure="retry later")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
+import anyio.to_thread
 from fastapi import APIRouter, Depends, Response
 
-from ..errors import ModelNotReady
+from ..errors import ModelNotReady, StorageFull
 from . import problems
 from .responses import json_response
 from .runtime import Runtime, runtime_of
@@ -20,13 +21,16 @@ async def healthz() -> dict[str, str]:
     return {"status": "ok"}
 
 
-@router.get("/readyz", responses={503: problems.DESCRIPTION})
+@router.get("/readyz", responses={503: problems.DESCRIPTION, 507: problems.DESCRIPTION})
 async def readyz(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
-    """200 with what was loaded and how long it took; 503 before that, with the stage or the reason of a failure."""
+    """200 with what was loaded and how long it took; 503 before that, with the stage or the reason of a failure, and
+    507 while the store cannot be written."""
     try:
         model: dict[str, Any] = runtime.model_summary()
     except ModelNotReady as error:
         state = "starting" if runtime.failure is None else "failed"
         error.extra |= {"state": state, "stage": runtime.stage, "timings": runtime.timings}
         raise
+    if not await anyio.to_thread.run_sync(runtime.store.writable):
+        raise StorageFull("the store cannot be written", field="store", cure="is its disk full, or read-only?")
     return json_response({"status": "ready", "model": model, "timings": runtime.timings})

@@ -13,8 +13,8 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from ..errors import GapmesError, ServiceBusy
-from ..problem_document import of_error, problem
+from ..errors import GapmesError
+from ..problem_document import problem, public
 
 MEDIA_TYPE = "application/problem+json"
 RETRY_AFTER_S = 2  # a reconstruction with the small networks takes about this long
@@ -25,14 +25,13 @@ FRAMEWORK_CODES = {404: "route_not_found", 405: "method_not_allowed"}
 # What a route declares in its `responses` for OpenAPI.
 DESCRIPTION = {"description": "problem document (RFC 9457)", "content": {MEDIA_TYPE: {}}}
 
-_OURS = "this is a fault of the service; its log has the details"
-
 _log = logging.getLogger("gapmes")
 
 
 def response(document: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> Response:
     body = json.dumps(document, allow_nan=False)  # ASCII, so that no lone surrogate in a file name can break it
-    return Response(body, status_code=int(document["status"]), media_type=MEDIA_TYPE, headers=dict(headers or {}))
+    headers = {"X-Gapmes-Problem": document["code"], **(headers or {})}
+    return Response(body, status_code=int(document["status"]), media_type=MEDIA_TYPE, headers=headers)
 
 
 def install(app: FastAPI) -> None:
@@ -47,9 +46,12 @@ def install(app: FastAPI) -> None:
 async def _own(request: Request, error: GapmesError) -> Response:
     if error.status == 500:  # a fault of ours: what it says of paths and libraries is for the log
         _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
-        return response(problem(500, error.code, f"the service failed with {type(error).__name__}", cure=_OURS))
-    headers = {"Retry-After": str(RETRY_AFTER_S)} if isinstance(error, ServiceBusy) else {}
-    return response(of_error(error), headers)
+    return of_document(public(error))
+
+
+def of_document(document: Mapping[str, Any]) -> Response:
+    """The answer that a problem document is, with the headers that belong to its status."""
+    return response(document, {"Retry-After": str(RETRY_AFTER_S)} if document["status"] == 503 else None)
 
 
 async def _validation(_: Request, error: RequestValidationError) -> Response:
@@ -81,6 +83,6 @@ async def _gone(_: Request, __: ClientDisconnect) -> Response:
 
 async def _unexpected(request: Request, error: Exception) -> Response:
     """A fault of ours: the log gets the traceback, the caller no internals."""
-    _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
-    detail = f"the service failed with an unexpected {type(error).__name__}"
-    return response(problem(500, "internal_error", detail, cure=_OURS))
+    request_id = getattr(request.state, "request_id", None)  # this is further out than what knows it otherwise
+    _log.error("%s %s failed", request.method, request.url.path, exc_info=error, extra={"request_id": request_id})
+    return response(public(error), {} if request_id is None else {"X-Request-ID": request_id})

@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from typing import Annotated
+import time
+from importlib.metadata import version
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..camera_json import camera_from_json
 from ..effort import ALPHA_MIN, LIMITS, MAX_SAMPLES, STOP, Effort
 from ..errors import ViewError
 from ..framing import frame
+from ..metrics import STAGES
 from ..picture import Channel, Format, Picture, check_format, encode, parse_background
 from ..problem_document import plain
 from ..scene_views import SceneViews
 from . import problems
 from .drawing import check_size, draw
+from .files import etag_of, matches, not_modified
 from .limits import parse_json
+from .responses import server_timing
 from .runtime import Runtime, runtime_of
 
 router = APIRouter(tags=["views"])
+
+KEPT = "private, max-age=3600"  # for a scene that is named; another release may draw it otherwise
 
 
 class RenderQuery(BaseModel):
@@ -52,11 +60,14 @@ class RenderQuery(BaseModel):
     response_class=Response,
     responses={
         200: {"content": {"image/png": {}, "image/webp": {}, "image/jpeg": {}}},
+        304: {"description": "`If-None-Match` has the picture's tag"},
         "4XX": problems.DESCRIPTION,
         "5XX": problems.DESCRIPTION,
     },
 )
-async def render(query: Annotated[RenderQuery, Query()], runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
+async def render(
+    request: Request, query: Annotated[RenderQuery, Query()], runtime: Annotated[Runtime, Depends(runtime_of)]
+) -> Response:
     """Draw a scene on the CPU; headers say which scene it was and what the splatter left out."""
     if query.view is not None and query.camera is not None:
         raise ViewError("view and camera are both given, need one", field="camera")
@@ -72,13 +83,32 @@ async def render(query: Annotated[RenderQuery, Query()], runtime: Annotated[Runt
     effort = Effort(query.alpha_min, query.stop, query.sh_degree, query.samples)
     check_format(camera.width, camera.height, query.channel, query.format)
 
-    def work() -> tuple[Picture, str]:
-        drawn = draw(runtime, scene_id, camera, views, query.channel, effort, background)
-        return encode(drawn, query.channel, query.format), json.dumps(plain(drawn.stats))
+    etag = _etag(runtime, scene_id, query)
+    cache = {"ETag": etag, "Cache-Control": KEPT if query.scene is not None else "no-cache"}
+    if matches(request, etag):
+        return not_modified(etag, cache)
 
-    async with runtime.gate.admitted():
-        picture, stats = await runtime.gate.run(work)
-    headers = {"X-Gapmes-Scene": scene_id, "X-Gapmes-Stats": stats, "Cache-Control": "no-cache"}
+    def work() -> tuple[Picture, dict[str, Any], float]:
+        drawn = draw(runtime, scene_id, camera, views, query.channel, effort, background)
+        start = time.perf_counter()
+        return encode(drawn, query.channel, query.format), plain(drawn.stats), time.perf_counter() - start
+
+    start = time.perf_counter()
+    picture, stats, encoding = await runtime.pictures.run(work, request.is_disconnected)
+    total = time.perf_counter() - start
+    drawing = sum(stats["seconds"].values())
+    for stage, seconds in (("draw", drawing), ("encode", encoding)):
+        STAGES.labels(stage).observe(seconds)
+    timing = server_timing({"wait": max(total - drawing - encoding, 0.0), "draw": drawing, "encode": encoding})
+    headers = {"X-Gapmes-Scene": scene_id, "X-Gapmes-Stats": json.dumps(stats), "Server-Timing": timing, **cache}
     if picture.depth_range is not None:
         headers["X-Gapmes-Depth-Min"], headers["X-Gapmes-Depth-Max"] = map(repr, picture.depth_range)
     return Response(picture.data, media_type=picture.media_type, headers=headers)
+
+
+def _etag(runtime: Runtime, scene_id: str, query: RenderQuery) -> str:
+    """The picture depends on the scene's file, on what is asked, and on the splatter of this release."""
+    with runtime.store.reading(scene_id) as path:
+        scene = etag_of(path)
+    parts = [scene, version("gapmes"), query.model_dump_json(exclude={"scene"})]
+    return f'"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}"'

@@ -21,6 +21,12 @@ def json_response(content: Any, status: int = 200, headers: Mapping[str, str] | 
     return Response(body, status_code=status, media_type=JSON, headers=dict(headers or {}))
 
 
+def server_timing(seconds: Mapping[str, float]) -> str:
+    """The header of that name: stages with their milliseconds."""
+    names = {name.replace(" ", "-"): 1000 * value for name, value in seconds.items()}
+    return ", ".join(f"{name};dur={value:.1f}" for name, value in names.items())
+
+
 def accepted(header: str | None) -> str:
     """The offered media type that the Accept header weighs highest; the first offered one wins ties.
 

@@ -1,12 +1,15 @@
-"""What one running service holds: settings, store, the gate to the CPU, and the model once it is loaded and warm."""
+"""What one running service holds: settings, store, desk, lanes, and the model once it is loaded and warm."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import signal
+import threading
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import anyio
@@ -14,14 +17,16 @@ import anyio.to_thread
 from fastapi import Request
 
 from ..errors import ModelNotReady
+from ..jobs.desk import Desk
 from ..settings import Settings
 from ..store import SceneStore
-from .gate import Gate, Places
+from .gate import Lane, Places
 
 if TYPE_CHECKING:
     from ..reconstruct import Reconstructor
 
 _log = logging.getLogger("gapmes")
+TIDY_S = 60.0  # between two looks for scenes that are too old
 
 
 class Runtime:
@@ -29,10 +34,19 @@ class Runtime:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self.store = SceneStore(settings.store, cache_bytes=settings.cache_bytes)
-        self.gate = Gate(settings.concurrency, settings.max_waiting)
+        self.store = SceneStore(
+            settings.store,
+            cache_bytes=settings.cache_bytes,
+            max_bytes=settings.store_bytes,
+            max_days=settings.store_days,
+        )
+        self.desk = Desk(self.store, settings)
+        self.pictures = Lane(
+            settings.render_concurrency, settings.render_waiting, settings.render_seconds, "drawing or waiting to"
+        )
         self.uploads = Places(settings.max_uploads, "sending their photographs")
         self.stage = "start"
+        self.stopping = False  # after SIGTERM: streams end, so that the server can
         self.timings: dict[str, float] = {}
         self._loading: asyncio.Task[None] | None = None
         self._reconstructor: Reconstructor | None = None
@@ -42,10 +56,46 @@ class Runtime:
         """Load in the background for as long as the block lasts; a failure is logged and kept for /readyz."""
         self._loading = asyncio.create_task(anyio.to_thread.run_sync(self._load, abandon_on_cancel=True))
         self._loading.add_done_callback(_log_failure)
+        tidying = asyncio.create_task(self._tidy())
+        try:
+            with self._told_to_stop():
+                yield
+        finally:
+            self.stopping = True
+            self._loading.cancel()
+            tidying.cancel()
+            await anyio.to_thread.run_sync(self.desk.close, self.settings.drain_seconds)
+
+    @contextmanager
+    def _told_to_stop(self) -> Iterator[None]:
+        """Hear the signals that the server hears too, before it waits for streams that would never end."""
+        if threading.current_thread() is not threading.main_thread():  # a server in a test has no signals
+            yield
+            return
+        before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+
+        def heard(number: int, frame: FrameType | None) -> None:
+            self.stopping = True
+            handler = before[signal.Signals(number)]
+            if callable(handler):
+                handler(number, frame)
+
+        for number in before:
+            signal.signal(number, heard)
         try:
             yield
         finally:
-            self._loading.cancel()
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    async def _tidy(self) -> None:
+        """Evict what nobody reads, now and then."""
+        while self.settings.store_days is not None:
+            try:
+                await anyio.to_thread.run_sync(self.store.evict_old)
+            except Exception:
+                _log.exception("old scenes cannot be evicted")
+            await asyncio.sleep(TIDY_S)
 
     def _load(self) -> None:
         """Import the heavy libraries, load the model, compile or load the kernels."""
@@ -58,6 +108,7 @@ class Runtime:
             warm_up()
         self.stage = "ready"
         self._reconstructor = reconstructor
+        self.desk.open(reconstructor)
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Depends, Response
-from fastapi.responses import FileResponse
+from fastapi import APIRouter, Depends, Query, Request, Response
 
+from ..errors import InputError
+from ..scene_files import is_id
 from . import problems
+from .files import SceneFile, etag_of, matches, not_modified
 from .responses import PLY, json_response
 from .runtime import Runtime, runtime_of
 
@@ -21,15 +23,26 @@ Held = Annotated[Runtime, Depends(runtime_of)]
 
 
 @router.get("/scenes")
-def list_scenes(runtime: Held) -> Response:
-    """Every scene, newest first, with its links."""
-    return json_response({"scenes": [_summary(document) for document in runtime.store.list()]})
+def list_scenes(
+    runtime: Held,
+    limit: Annotated[int, Query(ge=1, le=1000, description="how many at most")] = 100,
+    after: Annotated[str | None, Query(max_length=60, description="`next` of the page before")] = None,
+) -> Response:
+    """Scenes, newest first, with their links; `next` names where the following page begins, null on the last."""
+    rows = runtime.store.page(limit + 1, None if after is None else _place(after))
+    scenes = [{**row.summary, "links": links(row.id, row.summary["views"])} for row in rows[:limit]]
+    more = f"{rows[limit - 1].created_ns}-{rows[limit - 1].id}" if len(rows) > limit else None
+    return json_response({"scenes": scenes, "next": more})
 
 
-@router.get("/scenes/{scene_id:path}.ply", response_class=FileResponse)
-def scene_ply(scene_id: str, runtime: Held) -> Response:
-    """The .ply, as every 3DGS viewer reads it."""
-    return FileResponse(runtime.store.ply_path(scene_id), media_type=PLY, filename=f"{scene_id}.ply")
+@router.get("/scenes/{scene_id:path}.ply", response_class=Response, responses={200: {"content": {PLY: {}}}})
+def scene_ply(request: Request, scene_id: str, runtime: Held) -> Response:
+    """The .ply, as every 3DGS viewer reads it; whole, by ranges, or 304 where `If-None-Match` has its tag."""
+    with runtime.store.reading(scene_id) as path:
+        etag = etag_of(path)
+    if matches(request, etag):
+        return not_modified(etag)
+    return SceneFile(runtime.store, scene_id, etag)
 
 
 @router.get("/scenes/{scene_id:path}")
@@ -48,24 +61,26 @@ def delete_scene(scene_id: str, runtime: Held) -> Response:
 def with_links(document: Mapping[str, Any], views: Sequence[str] = ()) -> dict[str, Any]:
     """The document with where it, its .ply and its views are; `views` are further renders that were asked for."""
     scene_id = document["id"]
-    links = {
+    found = links(scene_id, len(document["view_cameras"]))
+    if views:
+        found["renders"] = [_render_link(scene_id, spec) for spec in views]
+    return {**document, "links": found}
+
+
+def links(scene_id: str, views: int) -> dict[str, Any]:
+    """Where a scene is, and its .ply, and the pictures from its views."""
+    return {
         "self": f"/scenes/{scene_id}",
         "ply": f"/scenes/{scene_id}.ply",
-        "views": [_render_link(scene_id, str(index)) for index in range(len(document["view_cameras"]))],
+        "views": [_render_link(scene_id, str(index)) for index in range(views)],
     }
-    if views:
-        links["renders"] = [_render_link(scene_id, spec) for spec in views]
-    return {**document, "links": links}
 
 
-def _summary(document: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "id": document["id"],
-        "created": document["created"],
-        "gaussians": document["gaussians"]["count"],
-        "views": len(document["view_cameras"]),
-        "links": with_links(document)["links"],
-    }
+def _place(text: str) -> tuple[int, str]:
+    instant, _, scene_id = text.partition("-")
+    if not (instant.isascii() and instant.isdigit() and len(instant) < 20 and is_id(scene_id)):
+        raise InputError(f"{text!r} is no place in the list", field="after", cure="take `next` of the page before")
+    return int(instant), scene_id
 
 
 def _render_link(scene_id: str, view: str) -> str:

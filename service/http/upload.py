@@ -22,6 +22,7 @@ from ..errors import (
     ViewCountError,
 )
 from ..foretold import DEFAULT_OTHERS, checked_others
+from ..jobs.work import Work
 from ..settings import Settings
 from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
@@ -50,11 +51,7 @@ class Upload:
     """What was posted: the images still encoded, each with its camera."""
 
     pairing: Pairing
-    near: float | None
-    far: float | None
-    trust_poses: bool
-    leave_one_out: int
-    budget: Budget
+    work: Work
     views: tuple[str, ...]  # to be drawn, such as "1.5"
 
 
@@ -98,15 +95,16 @@ async def _parse(form: FormData, settings: Settings) -> Upload:
     sizes = PostedSizes(images, settings.max_image_pixels)
     cameras, pairing = await anyio.to_thread.run_sync(lambda: _paired(document, images, sizes))
     near, far = (_number(form, name, given) for name, given in (("near", cameras.near), ("far", cameras.far)))
-    return Upload(
-        pairing,
-        near,
-        far,
-        _flag(form, "trust_poses"),
-        checked_others(_whole(form, "leave_one_out", DEFAULT_OTHERS)),
-        _budget(form),
-        _views(form),
+    work = Work(
+        images=tuple(image.data for image in pairing.images),
+        cameras=pairing.cameras,
+        near=near,
+        far=far,
+        trust_poses=_flag(form, "trust_poses"),
+        leave_one_out=checked_others(_whole(form, "leave_one_out", DEFAULT_OTHERS)),
+        budget=_budget(form),
     )
+    return Upload(pairing, work, _views(form))
 
 
 def _budget(form: FormData) -> Budget:

@@ -120,6 +120,8 @@ def test_colours_of_experts_differ() -> None:
 
 
 def test_the_shipped_network_is_drawn_from_a_scene(tmp_path: Path) -> None:
+    three = rp.route(sample_folder(), ["1", "3", "5"])
+    assert len(three.photos) == len(three.expert_index) == 3
     case = rp.route(sample_folder(), ["5", "1"])
     assert case.views == (5, 1)
     with Image.open(sample_folder() / "images" / "005.png") as image:

@@ -29,9 +29,11 @@ SIZE, PATCHES = 64, 16
 SAME = 1e-3  # of a tensor's largest value: what two runs in float32 differ by at most, and other tensors by far more
 # Tensors of a stage's result that the graph holds too; the experts' numbers are compared by themselves.
 COMPARED = {"trunk": 2, "semantic": 1, "mono": 1, "depth": 7, "mixture": 6, "heads": 6}
+# Arguments of a stage that cut the graph; what does not comes from the contract's inputs, such as masks of ones.
+CUT = {"trunk": 1, "semantic": 1, "mono": 1, "depth": 6, "mixture": 4, "heads": 5}
 # Of the largest value of each of a stage's tensors, for the worse of both runtimes. Measured at most 4.4e-6, but
 # 4.5e-5 in the matching, whose scores are multiplied before a softmax.
-LIMITS = {"trunk": 1e-5, "semantic": 1e-5, "mono": 1e-5, "depth": 1e-4, "mixture": 1e-5, "heads": 1e-5}
+LIMITS = {"trunk": 1e-5, "semantic": 1e-5, "mono": 1e-5, "depth": 2e-4, "mixture": 1e-5, "heads": 1e-5}
 
 
 def tensors(value: object) -> list[torch.Tensor]:
@@ -130,7 +132,7 @@ def part_of(model: onnx.ModelProto, run: dict[str, np.ndarray], given: list[str]
 
 @pytest.mark.case("B1")
 @pytest.mark.parametrize("views", [2, 4])
-def test_every_stage_is_as_near_to_float64_in_onnxruntime_as_in_torch(
+def test_every_stage_is_near_to_float64_in_both_runtimes(
     small_graph: onnx.ModelProto, network: GaPMeS, views: int
 ) -> None:
     inputs = random_scene(views, SIZE, SIZE, seed=views)
@@ -156,6 +158,7 @@ def test_every_stage_is_as_near_to_float64_in_onnxruntime_as_in_torch(
         part = part_of(small_graph, run, list(given), wanted)
         by_graph = dict(zip(wanted, session_of(part).run(wanted, {**feed, **given}), strict=True))
         assert len(places) >= COMPARED[stage]
+        assert sum(bool(names_of(one, run)) for one in tensors(narrow[stage][0])) >= CUT[stage]
         for place, name in places.items():
             true = truth[place].numpy()
             found = (np.abs(one - true).max() / np.abs(true).max() for one in (by_graph[name], by_torch[place].numpy()))

@@ -33,7 +33,7 @@ def test_numbers_that_leave_one_of_some_set_out(count):
     assert checked_others(count) == count
 
 
-@pytest.mark.parametrize("count", [1, 6, -1, True])
+@pytest.mark.parametrize("count", [1, 6, -1, True, 2.0])
 def test_other_numbers_are_refused(count):
     with pytest.raises(InputError, match="need 2 to 5 views"):
         checked_others(count)

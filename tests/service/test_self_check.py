@@ -166,7 +166,7 @@ def test_the_line_of_the_command_names_what_is_known():
     check["from_others"] = [{"psnr": 20.04}, {"psnr": None}]
     check["leave_one_out"] = [{"psnr": 18.0}, {"psnr": 19.0}]
     check["ambiguous_routes"] = 0.0125
-    foretold = "drawn from the other views: 20.0, no pixel dB; foretold by the others: 18.0, 19.0 dB"
+    foretold = "drawn from the other views: 20.0, no pixel dB; foretold by others: 18.0, 19.0 dB"
     assert f"{foretold}; 1.25 % ambiguous routes; " in check_line(check) + "; "
 
 

@@ -39,14 +39,14 @@ def store(tmp_path):
 
 
 def names(root: Path) -> set[str]:
-    return {path.name for path in root.iterdir()} - {".lock"}
+    return {path.name for path in root.iterdir() if not path.name.startswith(("index.sqlite", ".lock"))}
 
 
 def test_what_is_put_can_be_read(store):
     document = {"id": A, "count": 5, "text": "ä \ud800"}  # the last one is what UTF-8 cannot hold
     store.put(A, PLY, document)
     assert store.document(A) == document
-    assert store.ply_path(A).read_bytes() == PLY
+    assert store.ply(A) == PLY
     np.testing.assert_allclose(store.gaussians(A).means, gaussians().means, rtol=1e-6)
     assert store.exists(A)
     assert not store.exists(B)
@@ -57,7 +57,7 @@ def test_the_first_put_wins(store):
     store.put(A, PLY, {"n": 1})
     store.put(A, b"other", {"n": 2})
     assert store.document(A) == {"n": 1}
-    assert store.ply_path(A).read_bytes() == PLY
+    assert store.ply(A) == PLY
     assert names(store.root) == {A}
 
 
@@ -78,7 +78,7 @@ def test_many_threads_put_one_scene(store):
     for thread in threads:
         thread.join()
     assert failures == []
-    assert store.ply_path(A).read_bytes() == PLY + bytes([store.document(A)["n"]])
+    assert store.ply(A) == PLY + bytes([store.document(A)["n"]])
     assert names(store.root) == {A}
 
 
@@ -92,7 +92,7 @@ def test_a_full_disk_leaves_nothing_behind(store, monkeypatch, number, file):
         if len(calls) == file:
             raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(store_module.os, "fsync", full)
+    monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(StorageFull, match=r"no space for the scene") as caught:
         store.put(A, PLY, {})
     assert caught.value.status == 507
@@ -146,7 +146,7 @@ BAD_IDS = [
 @pytest.mark.parametrize("scene_id", BAD_IDS)
 def test_what_is_no_id_never_becomes_a_path(store, scene_id):
     (store.root.parent / "scene.json").write_text("{}")
-    for call in (store.document, store.ply_path, store.gaussians, store.delete, lambda i: store.put(i, PLY, {})):
+    for call in (store.document, store.ply, store.gaussians, store.delete, lambda i: store.put(i, PLY, {})):
         with pytest.raises(SceneNotFound) as caught:
             call(scene_id)
         assert caught.value.status == 404
@@ -155,7 +155,7 @@ def test_what_is_no_id_never_becomes_a_path(store, scene_id):
 
 
 def test_unknown_ids_are_not_found(store):
-    for call in (store.document, store.ply_path, store.gaussians, store.delete):
+    for call in (store.document, store.ply, store.gaussians, store.delete):
         with pytest.raises(SceneNotFound, match=A):
             call(A)
 
@@ -165,13 +165,18 @@ def test_newest_first_and_stable(store):
         store.newest()
     for scene_id in (B, A, C):  # put faster than a file system's clock ticks
         store.put(scene_id, PLY, {"id": scene_id})
-    assert [document["id"] for document in store.list()] == [C, A, B]
+    assert [row.id for row in store.page(10)] == [C, A, B]
     assert store.newest() == C
     store.put(B, PLY, {})  # already there: it does not become newer
     assert SceneStore(store.root).newest() == C
     for scene_id in (A, B):
         os.utime(store.root / scene_id / "scene.json", ns=(10**18, 10**18))
-    assert [document["id"] for document in store.list()] == [C, A, B]  # same instant: by id
+    (store.root / "index.sqlite").unlink()  # listed anew from the folders
+    anew = SceneStore(store.root)
+    assert [row.id for row in anew.page(10)] == [C, A, B]  # same instant: by id
+    first = anew.page(1)[0]
+    assert [row.id for row in anew.page(1, (first.created_ns, first.id))] == [A]
+    assert [row.id for row in anew.page(9, (10**18, A))] == [B]
 
 
 def test_delete_forgets_everywhere(store):
@@ -179,7 +184,7 @@ def test_delete_forgets_everywhere(store):
     store.gaussians(A)
     store.delete(A)
     assert not store.exists(A)
-    assert store.list() == []
+    assert list(store.page(10)) == []
     with pytest.raises(SceneNotFound):
         store.gaussians(A)
     store.put(A, PLY, {"again": True})

@@ -53,6 +53,7 @@ def post(
     *,
     names: list[str] | None = None,
     accept: str | None = None,
+    prefer: str | None = None,
     **fields: str,
 ) -> Any:
     """POST /reconstruct; `cameras` may be an object, or text that is sent as it is."""
@@ -64,12 +65,18 @@ def post(
     if text:
         parts.append(("cameras", ("cameras.json", text.encode(), "application/json")))
     parts += [(name, (None, value)) for name, value in fields.items()]
-    return client.post("/reconstruct", files=parts, headers={} if accept is None else {"Accept": accept})
+    headers = {name: value for name, value in (("Accept", accept), ("Prefer", prefer)) if value is not None}
+    return client.post("/reconstruct", files=parts, headers=headers)
 
 
 def stored(settings: Settings) -> dict[str, int]:
-    """Every file and folder under the store, with its size: what must not change when a request is refused."""
-    return {str(path.relative_to(settings.store)): path.stat().st_size for path in sorted(settings.store.rglob("*"))}
+    """Every file and folder under the store but its index, with its size: what must not change when a request is
+    refused. Inputs of jobs are gone a moment after their end."""
+    deadline = time.monotonic() + 10
+    while any((settings.store / ".jobs").iterdir()) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    paths = (path for path in sorted(settings.store.rglob("*")) if not path.name.startswith("index.sqlite"))
+    return {str(path.relative_to(settings.store)): path.stat().st_size for path in paths}
 
 
 def assert_problem(answer: Any, status: int, code: str, field: str | None = None, index: int | None = None) -> dict:

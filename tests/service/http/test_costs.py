@@ -68,8 +68,7 @@ def test_parsing_and_hashing_leave_the_event_loop_alone(client: TestClient, monk
 
 def test_a_full_queue_answers_before_the_body_is_read(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
     request = post(client).request
-    gate = client.app.state.runtime.gate
-    monkeypatch.setattr(gate.places, "_taken", gate.places._most)
+    monkeypatch.setattr(client.app.state.runtime.desk.table, "_most", 0)
     sent: list[dict[str, Any]] = []
 
     async def receive() -> dict[str, Any]:
@@ -106,7 +105,7 @@ def test_stalled_uploads_expire_and_keep_nobody_from_the_cpu(settings: Settings,
             await client.app(scope, receive, send)
 
         waiting = client.portal.start_task_soon(stalled)
-        while client.app.state.runtime.uploads._taken == 0:
+        while client.app.state.runtime.uploads.taken == 0:
             time.sleep(0.01)
         assert client.get("/render?view=0").status_code == 200
         assert_problem(post(client), 503, "service_busy")

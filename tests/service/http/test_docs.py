@@ -28,13 +28,13 @@ def test_every_code_is_documented() -> None:
     classes = [value for value in vars(errors).values() if isinstance(value, type)]
     expected = {value.code: value.status for value in classes if issubclass(value, errors.GapmesError)}
     expected |= {code: status for status, code in FRAMEWORK_CODES.items()}
-    expected |= {"parameter_invalid": 422, "client_disconnected": 400}
+    expected |= {"parameter_invalid": 422, "client_disconnected": 400, "job_abandoned": 500}
     assert documented_codes() == expected
 
 
 def test_every_route_and_parameter_is_documented(client: TestClient) -> None:
     for path, methods in client.get("/openapi.json").json()["paths"].items():
-        shown = path.replace("{scene_id}", "{id}")
+        shown = re.sub(r"\{(scene|job)_id\}", "{id}", path)
         for method in methods:
             assert re.search(rf"`{method.upper()} {re.escape(shown)}`", TEXT), (method, path)
     for name in (*RenderQuery.model_fields, *FIELDS):

@@ -1,62 +1,75 @@
-"""The service's own small parts by themselves: the gate, Accept, JSON parsing, problem documents."""
+"""The service's own small parts by themselves: the lane, Accept, JSON parsing, problem documents."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import time
 
 import numpy as np
 import pytest
+from starlette.requests import ClientDisconnect
 
 from gapmes.service.errors import InputError, MalformedRequest, NotAcceptable, ServiceBusy
-from gapmes.service.http.gate import Gate
+from gapmes.service.http.gate import Lane
 from gapmes.service.http.limits import parse_json
 from gapmes.service.http.responses import JSON, PLY, ZIP, accepted
 from gapmes.service.problem_document import of_error
 
 
-def test_gate_admits_as_many_as_it_says() -> None:
+async def here() -> bool:
+    return False
+
+
+async def gone() -> bool:
+    return True
+
+
+def held(lane: Lane, seconds: float) -> asyncio.Task[None]:
+    return asyncio.create_task(lane.run(lambda: time.sleep(seconds), here))
+
+
+def test_a_lane_takes_as_many_as_it_says() -> None:
     async def scenario() -> None:
-        gate = Gate(slots=1, waiting=1)
-        async with gate.admitted(), gate.admitted():
-            with pytest.raises(ServiceBusy):
-                async with gate.admitted():
-                    pass
-        async with gate.admitted():
-            pass
+        lane = Lane(1, 1, 9.0, "drawing")
+        tasks = [held(lane, 0.05), held(lane, 0.05)]
+        await asyncio.sleep(0)
+        with pytest.raises(ServiceBusy, match="2 requests are drawing, the limit is 2"):
+            await lane.run(lambda: None, here)
+        await asyncio.gather(*tasks)
+        assert await lane.run(lambda: 7, here) == 7
 
     asyncio.run(scenario())
 
 
-def test_gate_lets_one_in_per_key_and_forgets_the_key() -> None:
-    inside: list[str] = []
-
-    async def task(gate: Gate, key: str) -> None:
-        async with gate.alone(key):
-            assert key not in inside
-            inside.append(key)
-            await asyncio.sleep(0.001)
-            inside.remove(key)
-
+def test_a_lane_survives_a_failure_inside() -> None:
     async def scenario() -> None:
-        gate = Gate(slots=4, waiting=4)
-        await asyncio.gather(*(task(gate, key) for key in "aabbabba"))
-        assert not gate._locks
-
-    asyncio.run(scenario())
-
-
-def test_gate_survives_a_failure_inside() -> None:
-    async def scenario() -> None:
-        gate = Gate(slots=1, waiting=0)
+        lane = Lane(1, 0, 9.0, "drawing")
         for _ in range(3):
             with pytest.raises(ZeroDivisionError):
-                async with gate.admitted(), gate.alone("a"):
-                    await gate.run(lambda: 1 / 0)
-        assert not gate._locks
-        assert await gate.run(lambda: 7) == 7
+                await lane.run(lambda: 1 / 0, here)
+        assert await lane.run(lambda: 7, here) == 7
 
     asyncio.run(scenario())
+
+
+def test_nothing_is_drawn_for_a_client_that_left_or_waited_too_long() -> None:
+    """The one that is drawing goes on; neither takes its place for good."""
+    drawn: list[str] = []
+
+    async def scenario() -> None:
+        lane = Lane(1, 5, 0.2, "drawing")
+        task = held(lane, 0.6)
+        await asyncio.sleep(0.01)
+        with pytest.raises(ClientDisconnect):
+            await lane.run(lambda: drawn.append("left"), gone)
+        with pytest.raises(ServiceBusy, match=r"no turn within 0\.2 s"):
+            await lane.run(lambda: drawn.append("late"), here)
+        await task
+        await lane.run(lambda: drawn.append("next"), here)
+
+    asyncio.run(scenario())
+    assert drawn == ["next"]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from PIL import Image
 from starlette.testclient import TestClient
 
 from gapmes.service import read_ply
-from gapmes.service.http import reconstruct as route
+from gapmes.service.jobs import work
 from gapmes.service.settings import Settings
 
 
@@ -126,7 +126,7 @@ def test_cameras_as_a_text_field(client: TestClient) -> None:
 
 def test_another_algorithm_is_another_scene(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
     first = post(client)
-    monkeypatch.setattr(route, "ALGORITHM_REVISION", route.ALGORITHM_REVISION + 1)
+    monkeypatch.setattr(work, "ALGORITHM_REVISION", work.ALGORITHM_REVISION + 1)
     second = post(client)
     assert second.status_code == 201
     assert second.json()["id"] != first.json()["id"]

@@ -33,7 +33,7 @@ def test_not_ready_before_the_model_is_loaded(settings: Settings, tmp_path: Path
     for answer in (idle.get("/render"), post(idle)):
         assert_problem(answer, 503, "model_not_ready")
         assert int(answer.headers["retry-after"]) > 0
-    assert idle.get("/scenes").json() == {"scenes": []}
+    assert idle.get("/scenes").json() == {"scenes": [], "next": None}
 
 
 @pytest.mark.parametrize("content", [None, b"no model"])
@@ -143,15 +143,22 @@ def test_a_model_that_fails_tells_the_log_and_not_the_client(
 
 
 def test_a_full_queue_refuses_with_retry_after(settings: Settings, tmp_path: Path) -> None:
-    full = create_app(settings.model_copy(update={"store": tmp_path, "max_waiting": 0}))
+    full = create_app(settings.model_copy(update={"store": tmp_path, "max_waiting": 0, "render_waiting": 0}))
     with TestClient(full, raise_server_exceptions=False) as client:
         wait_until_ready(client)
-        full.state.runtime.gate.places._taken = 1
-        answer = post(client)
-        assert_problem(answer, 503, "service_busy")
-        assert int(answer.headers["retry-after"]) > 0
-        full.state.runtime.gate.places._taken = 0
+        runtime = full.state.runtime
         assert post(client).status_code == 201
+        for held, name, ask in (
+            (runtime.desk.table, "_most", lambda: post(client, [photograph(5), photograph(6)])),
+            (runtime.pictures.places, "most", lambda: client.get("/render?view=0")),
+        ):
+            before = getattr(held, name)
+            setattr(held, name, 0)
+            answer = ask()
+            assert_problem(answer, 503, "service_busy")
+            assert int(answer.headers["retry-after"]) > 0
+            setattr(held, name, before)
+            assert ask().status_code in (200, 201)
 
 
 def test_openapi_lists_the_routes(client: TestClient) -> None:

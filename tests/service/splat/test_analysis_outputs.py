@@ -120,7 +120,7 @@ def test_a_subset_goes_with_its_output():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_faint_layers_are_removed_mass_of_the_reference(seed):
-    """Their weights are those that a cut between the two definitions takes away, where it takes one layer at most."""
+    """What a cut between the two definitions takes away is at most the weights of those layers."""
     gaussians, view = scene(count=3, seed=seed), camera()
     fine, coarse = Definition(alpha_min=1e-6, stop=0.0), Definition(alpha_min=0.05, stop=0.0)
     whole = render_reference(gaussians, view, definition=fine, faint=0.05)

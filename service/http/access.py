@@ -1,0 +1,40 @@
+"""Who may ask: a key that every request brings, where the service has one. Probes and the page itself need none."""
+
+from __future__ import annotations
+
+import hmac
+
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from ..errors import Unauthorized
+from ..problem_document import of_error
+from . import problems
+
+OPEN = ("/healthz", "/readyz", "/")  # and the page's files, which hold no data
+OPEN_BELOW = "/static/"
+SCHEME = "bearer "
+
+
+class KeyNeeded:
+    """ASGI middleware: 401 without the key, as `Authorization: Bearer KEY` or `X-API-Key: KEY`."""
+
+    def __init__(self, app: ASGIApp, key: str) -> None:
+        self._app, self._key = app, key.encode()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http" or _open(scope["path"]) or self._brought(Headers(scope=scope)):
+            await self._app(scope, receive, send)
+            return
+        error = Unauthorized("this service needs a key", field="Authorization", cure="Authorization: Bearer KEY")
+        headers = {"WWW-Authenticate": 'Bearer realm="gapmes"'}
+        await problems.response(of_error(error), headers)(scope, receive, send)
+
+    def _brought(self, headers: Headers) -> bool:
+        given = headers.get("authorization", "")
+        key = given[len(SCHEME) :] if given.lower().startswith(SCHEME) else headers.get("x-api-key", "")
+        return hmac.compare_digest(key.encode("utf-8", "surrogateescape"), self._key)
+
+
+def _open(path: str) -> bool:
+    return path in OPEN or path.startswith(OPEN_BELOW)

@@ -1,0 +1,52 @@
+"""The form of `POST /reconstruct` as a schema: its parts, their types, defaults and limits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..budget import DEFAULT_CERTIFY, MAX_CERTIFY
+from ..foretold import DEFAULT_OTHERS
+from ..stride import STRIDES
+from ..view_checks import MAX_VIEWS, MIN_VIEWS
+
+FORM: dict[str, Any] = {
+    "type": "object",
+    "required": ["images", "cameras"],
+    "properties": {
+        "images": {"type": "array", "items": {"type": "string", "format": "binary"}, "minItems": 2, "maxItems": 6},
+        "cameras": {"type": "string", "description": "cameras.json or transforms.json, as a field or as a file part"},
+        "near": {"type": "number", "exclusiveMinimum": 0, "description": "nearest depth, in the cameras' units"},
+        "far": {"type": "number", "exclusiveMinimum": 0, "description": "farthest depth, in the cameras' units"},
+        "views": {"type": "string", "description": "views to render, comma separated: 0, 1.5, orbit:30"},
+        "trust_poses": {
+            "type": "boolean",
+            "description": "warn only, where photographs or overlap speak against the poses",
+        },
+        "max_error": {
+            "type": "string",
+            "default": "1/255",
+            "description": "change of colour up to which Gaussians are left out, proved for the inputs, the views"
+            " between them and `views`: a number, a fraction, or off",
+        },
+        "certify": {
+            "type": "integer",
+            "minimum": 0,
+            "maximum": MAX_CERTIFY,
+            "default": DEFAULT_CERTIFY,
+            "description": "views between neighbouring inputs for which that is proved",
+        },
+        "leave_one_out": {
+            "type": "integer",
+            "enum": [0, *range(MIN_VIEWS, MAX_VIEWS)],
+            "default": DEFAULT_OTHERS,
+            "description": "of three photographs or more, how many others foretell each; 0: none are foretold",
+        },
+        "min_opacity": {"type": "number", "minimum": 0, "maximum": 1, "default": 0, "description": "fainter ones go"},
+        "stride": {
+            "type": "integer",
+            "enum": list(STRIDES),
+            "default": 1,
+            "description": "pixels per Gaussian, each way",
+        },
+    },
+}

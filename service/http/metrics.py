@@ -1,0 +1,48 @@
+"""Numbers about the service for Prometheus, summed over the processes that share a port."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated
+
+from fastapi import APIRouter, Depends, Response
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
+from prometheus_client.metrics_core import GaugeMetricFamily, Metric
+from prometheus_client.multiprocess import MultiProcessCollector
+from prometheus_client.registry import Collector
+
+from ..metrics import OWN, SHARED
+from .runtime import Runtime, runtime_of
+
+if TYPE_CHECKING:
+    from ..jobs.table import JobTable
+    from ..store import SceneStore
+
+router = APIRouter(tags=["operations"])
+
+
+class _Now(Collector):
+    """What the store's database knows at this moment."""
+
+    def __init__(self, store: SceneStore, table: JobTable) -> None:
+        self._store, self._table = store, table
+
+    def collect(self) -> Iterator[Metric]:
+        active = GaugeMetricFamily("gapmes_jobs_active", "Jobs that are queued or running", labels=["state"])
+        for state, count in self._table.counts().items():
+            active.add_metric([state], count)
+        yield active
+        count, size = self._store.totals()
+        yield GaugeMetricFamily("gapmes_scenes", "Scenes in the store", value=count)
+        yield GaugeMetricFamily("gapmes_scenes_bytes", "Their size", value=size)
+
+
+@router.get("/metrics", response_class=Response, responses={200: {"content": {CONTENT_TYPE_LATEST: {}}}})
+def metrics(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
+    """In the text format of Prometheus."""
+    registry = CollectorRegistry()
+    if SHARED:
+        MultiProcessCollector(registry)
+    own = b"" if SHARED else generate_latest(OWN)
+    registry.register(_Now(runtime.store, runtime.desk.table))
+    return Response(own + generate_latest(registry), media_type=CONTENT_TYPE_LATEST)

@@ -1,0 +1,70 @@
+"""Around every request: an id, a line in the log, counts and times, and headers that say nothing of the host."""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+import uuid
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from ..logs import REQUEST_ID
+from ..metrics import REJECTED, REQUESTS, SECONDS
+
+HEADER = "X-Request-ID"
+QUIET = ("/healthz", "/readyz", "/metrics")  # asked for every few seconds: counted, not logged
+_ID = re.compile(r"[\w.:-]{1,64}", re.ASCII)
+_log = logging.getLogger("gapmes.access")
+
+
+class Observed:
+    """ASGI middleware; a request keeps the id that it brings, if it is one."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        brought = Headers(scope=scope).get(HEADER, "")
+        request_id = brought if _ID.fullmatch(brought) else uuid.uuid4().hex
+        token = REQUEST_ID.set(request_id)
+        scope.setdefault("state", {})["request_id"] = request_id
+        start, status, sent = time.perf_counter(), 0, 0
+
+        async def watched(message: Message) -> None:
+            nonlocal status, sent
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                headers = MutableHeaders(scope=message)
+                headers[HEADER] = request_id
+                headers.setdefault("X-Content-Type-Options", "nosniff")
+                code = headers.get("X-Gapmes-Problem")
+                if code is not None:
+                    REJECTED.labels(code).inc()
+            elif message["type"] == "http.response.body":
+                sent += len(message.get("body", b""))
+            await send(message)
+
+        try:
+            await self._app(scope, receive, watched)
+        except Exception:
+            status = 500  # answered further out
+            raise
+        finally:
+            seconds = time.perf_counter() - start
+            route = getattr(scope.get("route"), "path", "none")
+            REQUESTS.labels(scope["method"], route, status).inc()
+            SECONDS.labels(route).observe(seconds)
+            if scope["path"] not in QUIET:
+                _log.info(
+                    "%s %s %d",
+                    scope["method"],
+                    scope["path"],
+                    status,
+                    extra={"seconds": round(seconds, 4), "bytes": sent, "route": route},
+                )
+            REQUEST_ID.reset(token)

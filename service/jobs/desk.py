@@ -1,0 +1,92 @@
+"""Where reconstructions are asked for: each scene is computed once, however many ask for it at once."""
+
+from __future__ import annotations
+
+import uuid
+from typing import TYPE_CHECKING
+
+from .. import metrics
+from ..progress import Listener, Stage
+from ..store import SceneStore
+from .leases import Lease
+from .runner import Runner
+from .spool import Spool
+from .table import Job, JobTable
+from .work import Work, compute
+
+if TYPE_CHECKING:
+    from ..reconstruct import Reconstructor
+    from ..settings import Settings
+
+LEASES, SPOOL = ".processes", ".jobs"  # folders beside the scenes
+
+
+class Desk:
+    """Jobs of one store; its runner computes them once there is a model."""
+
+    def __init__(self, store: SceneStore, settings: Settings) -> None:
+        self._store, self._settings = store, settings
+        self.table = JobTable(
+            store.database, most=settings.concurrency + settings.max_waiting, keep_s=settings.job_keep_seconds
+        )
+        self._spool = Spool(store.root / SPOOL)
+        self._lease: Lease | None = None
+        self._runner: Runner | None = None
+
+    def open(self, reconstructor: Reconstructor) -> None:
+        """Begin to compute, what an earlier process left first."""
+        settings, store = self._settings, self._store
+
+        def scene(work: Work, scene_id: str, listener: Listener) -> None:
+            if store.exists(scene_id):  # it was finished just before its process ended
+                return
+
+            def hear(stage: Stage) -> None:
+                metrics.stage_ended(stage)
+                listener(stage)
+
+            metrics.reconstructed(compute(work, scene_id, reconstructor, store, settings, hear))
+
+        self._lease = Lease(store.root / LEASES)
+        self._runner = Runner(
+            self.table,
+            self._spool,
+            self._lease,
+            scene,
+            slots=settings.concurrency,
+            limit_s=settings.reconstruct_seconds,
+        )
+        self._spool.sweep(self.table.unfinished())
+        self._runner.recover()
+        self._runner.start()
+
+    def close(self, patience_s: float) -> None:
+        """End after what is being computed; what takes longer is left to another process."""
+        if self._runner is not None and self._lease is not None:
+            self._runner.stop(patience_s)
+            self._lease.release()
+
+    def submit(self, work: Work, scene_id: str, *, kept: bool) -> tuple[Job, bool]:
+        """The job of a scene, and whether it is new: the one that is active, another, or one that is done where the
+        scene is stored.
+
+        `kept`: it goes on when nobody waits; else the caller must `leave` it, or wait for its end. Raises
+        `ServiceBusy` and `StorageFull`.
+        """
+        if kept and self._store.exists(scene_id):
+            return self.table.already_done(scene_id), True
+        there = self.table.join(scene_id, kept=kept)
+        if there is not None:
+            return there, False
+        self.table.check_room()
+        job_id = uuid.uuid4().hex
+        self._spool.put(job_id, work)
+        job = None
+        try:
+            job = self.table.submit(job_id, scene_id, kept=kept)
+        finally:
+            if job is None or job.id != job_id:  # refused, or somebody else was faster
+                self._spool.drop(job_id)
+        if self._runner is not None:
+            self._runner.notify()
+        return job, job.id == job_id

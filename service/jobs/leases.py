@@ -1,0 +1,46 @@
+"""Who is alive: each process holds a lock on a file of its own, which its end releases whatever that end is."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import uuid
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class Lease:
+    """This process among those that share a store."""
+
+    def __init__(self, folder: Path) -> None:
+        """Take a name of one's own in `folder`."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        self.name = uuid.uuid4().hex
+        self._handle = os.open(folder / self.name, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+        fcntl.flock(self._handle, fcntl.LOCK_EX)
+
+    def release(self) -> None:
+        """Be gone for the others."""
+        (self._folder / self.name).unlink(missing_ok=True)
+        os.close(self._handle)
+
+    def gone(self, names: Iterable[str]) -> set[str]:
+        """Those of `names` that no living process has."""
+        return {name for name in set(names) if name != self.name and not self._alive(name)}
+
+    def _alive(self, name: str) -> bool:
+        path = self._folder / name
+        try:
+            handle = os.open(path, os.O_RDWR)
+        except FileNotFoundError:
+            return False
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        else:
+            path.unlink(missing_ok=True)
+            return False
+        finally:
+            os.close(handle)

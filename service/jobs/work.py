@@ -1,0 +1,103 @@
+"""What one reconstruction is asked to do, independent of who asked: photographs, cameras, options; and doing it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..budget import Budget
+from ..camera import Camera
+from ..camera_file import camera_document
+from ..image_files import check_total
+from ..images import EncodedPhoto
+from ..ply import ply_bytes
+from ..pose import Given
+from ..progress import Listener
+from ..revision import ALGORITHM_REVISION
+from ..store import SceneStore
+from ..view_checks import MIN_VIEWS
+
+if TYPE_CHECKING:
+    from ..reconstruct import Reconstructor
+    from ..settings import Settings
+
+
+@dataclass(frozen=True)
+class Work:
+    """The inputs of a scene; two with the same `scene_id` give the same scene."""
+
+    images: tuple[bytes, ...]  # encoded, as they were sent
+    cameras: tuple[Camera, ...]
+    near: float | None
+    far: float | None
+    trust_poses: bool
+    leave_one_out: int
+    budget: Budget
+
+    def scene_id(self, model_sha256: str) -> str:
+        """Everything that the stored scene depends on, and nothing else: file names are the request's own."""
+        budget = self.budget
+        bounded = budget.max_error is not None or budget.min_opacity > 0
+        options = {
+            "near": self.near,
+            "far": self.far,
+            "trust_poses": self.trust_poses,
+            "max_error": budget.max_error,
+            "certify": budget.certify if bounded else None,
+            "views": budget.asked if bounded else None,
+            "min_opacity": budget.min_opacity,
+            "stride": budget.stride,
+            "leave_one_out": min(self.leave_one_out, len(self.images) - 1) if len(self.images) > MIN_VIEWS else 0,
+            "algorithm_revision": ALGORITHM_REVISION,
+        }
+        return SceneStore.scene_id(
+            model_sha256, self.images, [_camera_entry(camera) for camera in self.cameras], options
+        )
+
+    def document(self) -> dict[str, Any]:
+        """All but the images as plain JSON; `of_document` reads it back to the bit."""
+        rest = {name: getattr(self, name) for name in ("near", "far", "trust_poses", "leave_one_out")}
+        return {"cameras": [_camera_entry(camera) for camera in self.cameras], "budget": asdict(self.budget), **rest}
+
+    @classmethod
+    def of_document(cls, document: Mapping[str, Any], images: Sequence[bytes]) -> Work:
+        """What `document` wrote, with its images."""
+        budget = {**document["budget"], "asked": tuple(document["budget"]["asked"])}
+        cameras = tuple(_camera_of(entry) for entry in document["cameras"])
+        rest = {name: value for name, value in document.items() if name not in ("cameras", "budget")}
+        return cls(images=tuple(images), cameras=cameras, budget=Budget(**budget), **rest)
+
+
+def compute(
+    work: Work, scene_id: str, reconstructor: Reconstructor, store: SceneStore, settings: Settings, listener: Listener
+) -> dict[str, Any]:
+    """Decode, reconstruct and store; the store keeps the whole scene or nothing. Returns its document."""
+    check_total(work.images, max_pixels=settings.max_image_pixels, max_total=settings.max_request_pixels)
+    scene = reconstructor.reconstruct(
+        [EncodedPhoto(data, settings.max_image_pixels) for data in work.images],
+        work.cameras,
+        near=work.near,
+        far=work.far,
+        trust_poses=work.trust_poses,
+        budget=work.budget,
+        leave_one_out=work.leave_one_out,
+        listener=listener,
+    )
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    document = {"id": scene_id, "created": created, **scene.document}
+    store.put(scene_id, ply_bytes(scene.gaussians), document)
+    return document
+
+
+def _camera_entry(camera: Camera) -> dict[str, Any]:
+    return {**camera_document(camera), "given": list(camera.given)}
+
+
+def _camera_of(entry: Mapping[str, Any]) -> Camera:
+    """It was checked when it came."""
+    rest = {name: value for name, value in entry.items() if name not in ("c2w", "given")}
+    return Camera(world_from_cam=np.array(entry["c2w"], dtype=np.float64), given=Given(*entry["given"]), **rest)

@@ -1,0 +1,142 @@
+"""One scene's folder: its .ply and its document, written whole or not at all, and locked while they are read."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import re
+import shutil
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from .disk import full_is_refused, sync_folder, write_file
+from .errors import SceneNotFound
+
+PLY = "scene.ply"
+DOCUMENT = "scene.json"
+TEMPORARY = ".incoming-"  # what is being written, and what is being removed
+_ID = re.compile(r"[0-9a-f]{32}")
+
+
+def is_id(text: str) -> bool:
+    """Whether it is 32 hex digits: nothing else ever becomes part of a path."""
+    return _ID.fullmatch(text) is not None
+
+
+class SceneFiles:
+    """The folders under `root`, one per scene."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def folder(self, scene_id: str) -> Path:
+        """Of a well-formed id. Raises `SceneNotFound`."""
+        if not is_id(scene_id):
+            raise unknown(scene_id)
+        return self.root / scene_id
+
+    def write(self, scene_id: str, ply: bytes, document: Mapping[str, Any], created_ns: int) -> bool:
+        """Store a scene; False where it was there already. Raises `StorageFull`, with nothing left behind."""
+        target, incoming = self.folder(scene_id), self._temporary(scene_id)
+        with full_is_refused("the scene"):
+            try:
+                incoming.mkdir(mode=0o755)
+                write_file(incoming / PLY, ply)
+                write_file(incoming / DOCUMENT, json.dumps(document, allow_nan=False).encode())
+                os.utime(incoming / DOCUMENT, ns=(created_ns, created_ns))
+                try:
+                    incoming.rename(target)
+                except OSError:
+                    if target.is_dir():
+                        return False
+                    raise
+                sync_folder(self.root)
+            finally:
+                shutil.rmtree(incoming, ignore_errors=True)
+        return True
+
+    def document(self, scene_id: str) -> dict[str, Any]:
+        """The scene's document. Raises `SceneNotFound`."""
+        try:
+            return json.loads((self.folder(scene_id) / DOCUMENT).read_bytes())
+        except FileNotFoundError as error:
+            raise unknown(scene_id) from error
+
+    def size(self, scene_id: str) -> tuple[int, int]:
+        """Bytes, and nanoseconds since 1970 of its making. Raises `FileNotFoundError`."""
+        folder = self.folder(scene_id)
+        document = (folder / DOCUMENT).stat()
+        return (folder / PLY).stat().st_size + document.st_size, document.st_mtime_ns
+
+    @contextmanager
+    def reading(self, scene_id: str) -> Iterator[Path]:
+        """The .ply, which nobody evicts during the block. Raises `SceneNotFound`."""
+        path = self.folder(scene_id) / PLY
+        try:
+            handle = os.open(path, os.O_RDONLY)
+        except FileNotFoundError as error:
+            raise unknown(scene_id) from error
+        try:
+            fcntl.flock(handle, fcntl.LOCK_SH)
+            if not path.is_file():  # taken between the two lines
+                raise unknown(scene_id)
+            yield path
+        finally:
+            os.close(handle)
+
+    def remove(self, scene_id: str, *, unless_read: bool = False) -> bool:
+        """Remove a scene, gone at once for every reader; False where `unless_read` and somebody reads it.
+
+        Raises `SceneNotFound`.
+        """
+        folder, trash = self.folder(scene_id), self._temporary(scene_id)
+        try:
+            handle = os.open(folder / PLY, os.O_RDONLY)
+        except FileNotFoundError as error:
+            raise unknown(scene_id) from error
+        try:
+            if unless_read:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            folder.rename(trash)
+        except BlockingIOError:
+            return False
+        except FileNotFoundError as error:
+            raise unknown(scene_id) from error
+        finally:
+            os.close(handle)
+        shutil.rmtree(trash, ignore_errors=True)
+        return True
+
+    def ids(self) -> set[str]:
+        """Of every folder that is there."""
+        return {entry.name for entry in os.scandir(self.root) if is_id(entry.name)}
+
+    def writable(self) -> bool:
+        """Whether a file of a page can be made here."""
+        probe = self.root / f"{TEMPORARY}{uuid.uuid4().hex}"
+        try:
+            probe.write_bytes(bytes(4096))
+        except OSError:
+            return False
+        finally:
+            probe.unlink(missing_ok=True)
+        return True
+
+    def sweep(self) -> None:
+        """Remove what an interrupted `write` or `remove` left; only while nobody is at it."""
+        for leftover in self.root.glob(f"{TEMPORARY}*"):
+            if leftover.is_dir():
+                shutil.rmtree(leftover, ignore_errors=True)
+            else:
+                leftover.unlink(missing_ok=True)
+
+    def _temporary(self, scene_id: str) -> Path:
+        return self.root / f"{TEMPORARY}{scene_id}-{uuid.uuid4().hex}"
+
+
+def unknown(scene_id: str) -> SceneNotFound:
+    return SceneNotFound(f"no scene {scene_id[:64]!r}", field="scene", cure="GET /scenes lists what there is")

@@ -1,0 +1,78 @@
+"""What the store's database knows of its scenes: order, size, last use and a summary, without opening their folders."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .database import Database
+
+TOUCH_NS = 60 * 10**9  # last use is known to a minute, so that reading a scene seldom writes
+
+
+@dataclass(frozen=True)
+class Indexed:
+    """A scene's row; times are nanoseconds since 1970."""
+
+    id: str
+    created_ns: int
+    used_ns: int
+    bytes: int
+    summary: dict[str, Any]
+
+
+class SceneIndex:
+    """The table `scenes`; the folders are the truth, and `sync` makes the table agree with them."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add(self, scenes: Iterable[Indexed]) -> None:
+        """List scenes; those that are listed stay as they are."""
+        rows = [(s.id, s.created_ns, s.used_ns, s.bytes, json.dumps(s.summary)) for s in scenes]
+        with self._database.write() as connection:
+            connection.executemany("INSERT OR IGNORE INTO scenes VALUES (?, ?, ?, ?, ?)", rows)
+
+    def remove(self, ids: Iterable[str]) -> None:
+        """Forget scenes."""
+        with self._database.write() as connection:
+            connection.executemany("DELETE FROM scenes WHERE id = ?", [(scene_id,) for scene_id in ids])
+
+    def used(self, scene_id: str) -> None:
+        """Note that a scene was read now."""
+        now = time.time_ns()
+        stale = self._database.rows("SELECT 1 FROM scenes WHERE id = ? AND used_ns < ?", [scene_id, now - TOUCH_NS])
+        if stale:
+            with self._database.write() as connection:
+                connection.execute("UPDATE scenes SET used_ns = ? WHERE id = ?", [now, scene_id])
+
+    def ids(self) -> set[str]:
+        """All of them."""
+        return {row["id"] for row in self._database.rows("SELECT id FROM scenes")}
+
+    def page(self, limit: int, after: tuple[int, str] | None = None) -> Sequence[Indexed]:
+        """Newest first, scenes of the same instant by id; those behind `after` (created_ns, id)."""
+        where, values = "", []
+        if after is not None:
+            where, values = "WHERE created_ns < ? OR (created_ns = ? AND id > ?)", [after[0], after[0], after[1]]
+        return self._rows(f"SELECT * FROM scenes {where} ORDER BY created_ns DESC, id LIMIT ?", [*values, limit])
+
+    def longest_unused(self, before_ns: int | None = None) -> Sequence[Indexed]:
+        """By last use, oldest first; with `before_ns` those alone whose last use is older."""
+        where, values = ("", []) if before_ns is None else ("WHERE used_ns < ?", [before_ns])
+        return self._rows(f"SELECT * FROM scenes {where} ORDER BY used_ns, id", values)
+
+    def totals(self) -> tuple[int, int]:
+        """How many scenes, and their bytes."""
+        row = self._database.rows("SELECT count(*) AS n, coalesce(sum(bytes), 0) AS bytes FROM scenes")[0]
+        return row["n"], row["bytes"]
+
+    def _rows(self, statement: str, values: Sequence[Any]) -> Sequence[Indexed]:
+        return [_indexed(dict(row)) for row in self._database.rows(statement, values)]
+
+
+def _indexed(row: Mapping[str, Any]) -> Indexed:
+    return Indexed(**{**row, "summary": json.loads(row["summary"])})
