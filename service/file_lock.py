@@ -21,6 +21,17 @@ def shared(path: Path) -> Iterator[None]:
 
 
 @contextmanager
+def exclusive(path: Path) -> Iterator[None]:
+    """Hold the lock alone; waits until nobody else has it."""
+    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
 def exclusive_if_free(path: Path) -> Iterator[bool]:
     """Hold the lock alone, if nobody has it: yields whether it was free, and never waits."""
     handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)

@@ -13,7 +13,7 @@ from typing import Any
 
 from .database import Database
 from .errors import SceneNotFound, StorageFull
-from .file_lock import exclusive_if_free, shared
+from .file_lock import exclusive, exclusive_if_free, shared
 from .gaussians import Gaussians
 from .gaussians_cache import GaussiansCache
 from .ply import read_ply
@@ -24,6 +24,7 @@ CACHE_BYTES = 512 * 2**20
 PAGE = 100
 DAY_NS = 86_400 * 10**9
 _LOCK = ".lock"
+_WRITING = ".writing"
 _INDEX = "index.sqlite"
 
 
@@ -74,7 +75,7 @@ class SceneStore:
         """
         if self._files.folder(scene_id).is_dir():
             return
-        with shared(self.root / _LOCK):
+        with shared(self.root / _LOCK), exclusive(self.root / _WRITING):  # one at a time, so that limits hold
             self._make_room(len(ply))
             created_ns = self._tick()
             if self._files.write(scene_id, ply, document, created_ns):

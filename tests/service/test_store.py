@@ -39,7 +39,7 @@ def store(tmp_path):
 
 
 def names(root: Path) -> set[str]:
-    return {path.name for path in root.iterdir() if not path.name.startswith(("index.sqlite", ".lock"))}
+    return {path.name for path in root.iterdir() if not path.name.startswith(("index.sqlite", ".lock", ".writing"))}
 
 
 def test_what_is_put_can_be_read(store):

@@ -1,0 +1,127 @@
+"""`gapmes serve` as processes: it ends in order when told to, and a worker that is killed loses nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+from http_requests import photograph, post
+
+
+@contextmanager
+def serving(store: Path, model: Path, log: Path, *more: str, **environment: str) -> Iterator[tuple[httpx.Client, Any]]:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+    command = [sys.executable, "-m", "gapmes.service.cli", "serve", "--port", str(port), "--threads", "1", *more]
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            [*command, "--store", str(store), "--model", str(model)],
+            stdout=output,
+            stderr=output,
+            env=os.environ | environment,
+        )
+    try:
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60) as client:
+            until(lambda: answers(client), 120)
+            yield client, process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def answers(client: httpx.Client) -> bool:
+    try:
+        return client.get("/readyz").status_code == 200
+    except httpx.TransportError:
+        return False
+
+
+def until(reached: Any, seconds: float = 30.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not reached():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def workers(process: subprocess.Popen[bytes]) -> list[int]:
+    """Processes that answer, not the one that watches them nor the interpreter's own helper."""
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return [int(pid) for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+
+def test_it_ends_in_order_with_what_it_has_begun(tmp_path: Path, standin_model: Path) -> None:
+    """SIGTERM while a scene is being asked for and a stream is open: the scene is answered, the stream ends, exit 0."""
+    with serving(tmp_path / "scenes", standin_model, tmp_path / "log", GAPMES_LOG="json") as (client, process):
+        found: list[Any] = []
+        job = post(client, prefer="respond-async").json()
+        until(lambda: client.get(job["links"]["self"]).json()["state"] == "done")
+        streams = httpx.Client(base_url=client.base_url, timeout=60)
+        big = [photograph(k, 1600, 1200) for k in (1, 2, 3)]
+        work = threading.Thread(target=lambda: found.append(post(client, big, cameras_of(3, 1600, 1200))))
+        work.start()
+        until(lambda: "running" in metrics(streams))
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(60) == 0
+        work.join()
+        assert found[0].status_code == 201
+    log = (tmp_path / "log").read_text()
+    assert "Traceback" not in log
+    assert '"message": "POST /reconstruct 201"' in log
+
+
+def cameras_of(count: int, width: int, height: int) -> dict[str, Any]:
+    from http_requests import camera_object
+
+    cameras = camera_object(count, width=width, height=height)
+    for view in cameras["views"]:
+        view["fx"] = view["fy"] = 0.9 * width
+    return cameras
+
+
+def metrics(client: httpx.Client) -> str:
+    text = client.get("/metrics").text
+    return "running" if 'gapmes_jobs_active{state="running"} 1.0' in text else ""
+
+
+def test_workers_share_a_store_and_one_that_is_killed_is_replaced(tmp_path: Path, standin_model: Path) -> None:
+    """Whatever a client was told is there stays there; what it was not told may be asked for again."""
+    with serving(tmp_path / "scenes", standin_model, tmp_path / "log", "--workers", "2") as (client, process):
+        until(lambda: len(workers(process)) == 2)
+        acknowledged: dict[str, bytes] = {}
+        jobs = [
+            post(client, [photograph(k), photograph(k + 1)], prefer="respond-async").json() for k in range(0, 12, 2)
+        ]
+        for victim in workers(process)[:1]:
+            os.kill(victim, signal.SIGKILL)
+        for k in range(20, 30, 2):
+            for _ in range(20):
+                try:
+                    answer = post(client, [photograph(k), photograph(k + 1)], accept="application/octet-stream")
+                    break
+                except httpx.TransportError:  # it was the victim's to answer
+                    time.sleep(0.1)
+            assert answer.status_code in (200, 201), answer.text
+            acknowledged[answer.headers["location"]] = answer.content
+        until(lambda: all(client.get(job["links"]["self"]).json()["state"] == "done" for job in jobs), 60)
+        for location, body in acknowledged.items():
+            assert client.get(location + ".ply").content == body
+        until(lambda: len(workers(process)) == 2)
+        total = sum(
+            float(line.split()[-1])
+            for line in client.get("/metrics").text.splitlines()
+            if line.startswith("gapmes_scenes ")
+        )
+        assert total == len(acknowledged) + len(jobs)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(60) == 0

@@ -1,0 +1,240 @@
+"""Jobs in the database: one active job per scene, claimed once, ended once, whoever asks and whatever dies."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gapmes.service.database import Database
+from gapmes.service.errors import GapmesError, JobNotFound, ServiceBusy
+from gapmes.service.jobs.table import ACTIVE, ENDED, JobTable
+
+A, B = "a" * 32, "b" * 32
+WHY = {"code": "job_abandoned", "status": 500}
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> JobTable:
+    return JobTable(Database(tmp_path / "index.sqlite"), most=5, keep_s=100.0)
+
+
+def states(table: JobTable, job_id: str) -> list[str]:
+    return [event.data["state"] for event in table.events(job_id) if event.name == "state"]
+
+
+def test_from_queued_to_done(table: JobTable) -> None:
+    job = table.submit("1", A, kept=True)
+    assert (job.id, job.state, job.kept, job.waiting) == ("1", "queued", True, 0)
+    assert table.submit("2", B, kept=True).id == "2"
+    assert table.ahead(table.get("2")) == 1
+    claimed = table.claim("me")
+    assert claimed is not None
+    assert (claimed.id, claimed.state, claimed.owner, claimed.attempts) == ("1", "running", "me", 1)
+    assert table.stage("1", {"stage": "network", "done": 0, "total": 1})
+    table.end("1", "done")
+    table.end("1", "failed", WHY)  # one that ended stays as it is
+    ended = table.get("1")
+    assert ended.over
+    assert ended.problem is None
+    assert states(table, "1") == ["queued", "running", "done"]
+    assert [event.seq for event in table.events("1")] == [1, 2, 3, 4]
+    assert [event.seq for event in table.events("1", 2)] == [3, 4]
+    assert table.claim("me").id == "2"
+    assert table.claim("me") is None
+
+
+def test_a_scene_has_one_active_job(table: JobTable) -> None:
+    first = table.submit("1", A, kept=False)
+    again = table.submit("2", A, kept=True)
+    assert again.id == first.id == "1"
+    assert (again.kept, again.waiting) == (True, 1)
+    assert table.join(A, kept=False).waiting == 2
+    assert table.join(B, kept=False) is None
+    table.claim("me")
+    table.end("1", "done")
+    assert table.submit("3", A, kept=False).id == "3"
+
+
+def test_no_more_than_so_many(table: JobTable) -> None:
+    for number in range(5):
+        table.submit(str(number), f"{number:032x}", kept=True)
+    with pytest.raises(ServiceBusy, match="5 reconstructions are running or waiting, the limit is 5"):
+        table.submit("5", A, kept=True)
+    with pytest.raises(ServiceBusy):
+        table.check_room()
+    assert table.submit("6", f"{0:032x}", kept=True).id == "0"  # joining needs no room
+    table.cancel("0")
+    table.check_room()
+
+
+def test_a_job_goes_when_nobody_wants_it(table: JobTable) -> None:
+    table.submit("1", A, kept=False)
+    table.join(A, kept=False)
+    table.leave("1")
+    assert table.get("1").state == "queued"
+    table.leave("1")
+    assert table.get("1").state == "cancelled"
+    table.submit("2", A, kept=True)
+    table.join(A, kept=False)
+    assert table.cancel("2").state == "queued"  # somebody waits for it
+    table.leave("2")
+    assert table.get("2").state == "cancelled"
+    assert table.cancel("2").state == "cancelled"
+
+
+def test_a_running_job_ends_after_its_stage_unless_somebody_wants_it_again(table: JobTable) -> None:
+    table.submit("1", A, kept=True)
+    table.claim("me")
+    assert table.cancel("1").state == "running"
+    assert not table.stage("1", {"stage": "x"})
+    table.end_cancelled("1")
+    assert table.get("1").state == "cancelled"
+    table.submit("2", A, kept=True)
+    table.claim("me")
+    table.cancel("2")
+    assert table.submit("3", A, kept=True).id == "2"
+    assert table.stage("2", {"stage": "x"})
+    table.end_cancelled("2")  # it had heard of the cancel before
+    assert table.get("2").state == "queued"
+    assert table.claim("me").attempts == 1
+
+
+def test_jobs_of_the_dead_are_tried_once_more(table: JobTable) -> None:
+    table.submit("1", A, kept=True)
+    for attempt in (1, 2):
+        assert table.claim("dead").attempts == attempt
+        table.recover(set(), WHY)
+        assert table.get("1").state == "running"
+        assert table.owners() == {"dead"}
+        table.recover({"dead"}, WHY)
+        assert table.get("1").state == ("queued" if attempt == 1 else "failed")
+    assert table.get("1").problem == WHY
+    assert states(table, "1") == ["queued", "running", "queued", "running", "failed"]
+    table.submit("2", B, kept=True)
+    table.claim("dead")
+    table.cancel("2")
+    table.recover({"dead"}, WHY)
+    assert table.get("2").state == "cancelled"
+
+
+def test_what_is_given_back_does_not_count(table: JobTable) -> None:
+    table.submit("1", A, kept=True)
+    for _ in range(4):
+        assert table.claim("me").attempts == 1
+        table.give_back("1")
+
+
+def test_ended_jobs_are_forgotten(tmp_path: Path) -> None:
+    table = JobTable(Database(tmp_path / "index.sqlite"), most=5, keep_s=0.05)
+    table.submit("1", A, kept=True)
+    table.cancel("1")
+    time.sleep(0.1)
+    table.submit("2", B, kept=True)
+    table.claim("me")
+    table.end("2", "done")
+    with pytest.raises(JobNotFound, match="'1'"):
+        table.get("1")
+    assert table.events("1") == []
+    assert table.get("2").state == "done"
+
+
+def test_unknown_jobs(table: JobTable) -> None:
+    for call in (table.get, table.cancel):
+        with pytest.raises(JobNotFound) as caught:
+            call("x" * 500)
+        assert len(str(caught.value)) < 200
+
+
+def test_a_scene_that_is_stored_is_a_job_that_is_done(table: JobTable) -> None:
+    job = table.already_done(A)
+    assert (job.state, job.started) == ("done", None)
+    assert states(table, job.id) == ["done"]
+
+
+def test_many_claim_and_each_job_is_had_once(tmp_path: Path) -> None:
+    """From threads with connections of their own, as processes have them."""
+    table = JobTable(Database(tmp_path / "index.sqlite"), most=100, keep_s=100.0)
+    for number in range(60):
+        table.submit(str(number), f"{number:032x}", kept=True)
+    had: list[str] = []
+
+    def work(owner: str) -> None:
+        while (job := table.claim(owner)) is not None:
+            had.append(job.id)
+            table.stage(job.id, {"stage": "x"})
+            table.end(job.id, "done")
+
+    threads = [threading.Thread(target=work, args=(str(k),)) for k in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(had, key=int) == [str(number) for number in range(60)]
+    assert table.counts() == {"queued": 0, "running": 0}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_whatever_happens_a_job_ends_once_and_tells_it_in_order(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    table = JobTable(Database(tmp_path / "index.sqlite"), most=4, keep_s=1e6)
+    known: set[str] = set()
+    for step in range(300):
+        scene, kept = f"{rng.integers(3):032x}", bool(rng.integers(2))
+        some = str(rng.choice(sorted(known))) if known else None
+        match rng.integers(7):
+            case 0 | 1:
+                try:
+                    known.add(table.submit(str(step), scene, kept=kept).id)
+                except ServiceBusy:
+                    assert sum(table.counts().values()) >= 4
+            case 2:
+                table.claim(str(rng.integers(3)))
+            case 3 if some:
+                table.leave(some)
+            case 4 if some:
+                table.cancel(some)
+            case 5:
+                table.recover({str(rng.integers(3))}, WHY)
+            case 6 if some and table.get(some).state == "running":
+                if table.stage(some, {"stage": "x"}):
+                    table.end(some, "done")
+                else:
+                    table.end_cancelled(some)
+    for job in (table.get(job_id) for job_id in known):
+        events = table.events(job.id)
+        assert [event.seq for event in events] == list(range(1, len(events) + 1))
+        told = states(table, job.id)
+        assert told[0] == "queued"
+        assert all(state in ACTIVE for state in told[:-1])
+        assert told[-1] == job.state
+        assert (job.ended is not None) == (job.state in ENDED)
+        assert job.attempts <= 2
+    active = [table.active(f"{k:032x}") for k in range(3)]
+    assert len(table.unfinished()) == sum(job is not None for job in active)
+
+
+def test_a_file_of_another_version_is_refused(tmp_path: Path) -> None:
+    with Database(tmp_path / "index.sqlite").write() as connection:
+        connection.execute("PRAGMA user_version = 99")
+    with pytest.raises(GapmesError, match="version 99, this service reads version 1"):
+        Database(tmp_path / "index.sqlite")
+
+
+def test_a_failed_transaction_leaves_nothing(tmp_path: Path) -> None:
+    database = Database(tmp_path / "index.sqlite")
+
+    def broken() -> None:
+        with database.write() as connection:
+            connection.execute("INSERT INTO scenes VALUES ('x', 1, 1, 1, '{}')")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        broken()
+    assert database.rows("SELECT * FROM scenes") == []
+    with database.write() as connection:
+        connection.execute("INSERT INTO scenes VALUES ('x', 1, 1, 1, '{}')")
+    assert len(database.rows("SELECT * FROM scenes")) == 1

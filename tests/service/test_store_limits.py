@@ -1,0 +1,170 @@
+"""The store's limits: what goes when there is too much or it is too old, and what never does."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from gapmes.service.errors import SceneNotFound, StorageFull
+from gapmes.service.scene_index import TOUCH_NS
+from gapmes.service.store import DAY_NS, SceneStore
+
+IDS = [f"{number:032x}" for number in range(9)]
+PLY = b"x" * 1000
+DOCUMENT = {"text": "y" * 50}
+ONE = len(PLY) + len('{"text": "') + 50 + len('"}')
+
+
+def filled(root: Path, count: int, **limits: float) -> SceneStore:
+    store = SceneStore(root, **limits)
+    for scene_id in IDS[:count]:
+        store.put(scene_id, PLY, DOCUMENT)
+    return store
+
+
+def aged(store: SceneStore, scene_id: str, days: float) -> None:
+    with store.database.write() as connection:
+        connection.execute(
+            "UPDATE scenes SET used_ns = ? WHERE id = ?", [time.time_ns() - int(days * DAY_NS), scene_id]
+        )
+
+
+def listed(store: SceneStore) -> set[str]:
+    found = {row.id for row in store.page(100)}
+    assert found == {path.name for path in store.root.iterdir() if len(path.name) == 32}
+    return found
+
+
+def test_totals_are_those_of_the_files(tmp_path: Path) -> None:
+    assert filled(tmp_path, 3).totals() == (3, 3 * ONE)
+
+
+def test_what_was_read_longest_ago_goes_first(tmp_path: Path) -> None:
+    store = filled(tmp_path, 4, max_bytes=4 * ONE)
+    for age, scene_id in enumerate(IDS[:4]):
+        aged(store, scene_id, 10 - age)
+    store.ply(IDS[0])  # read now
+    store.put(IDS[4], PLY, DOCUMENT)
+    assert listed(store) == {IDS[0], IDS[2], IDS[3], IDS[4]}
+    store.put(IDS[5], PLY * 2, DOCUMENT)
+    assert listed(store) == {IDS[0], IDS[4], IDS[5]}
+    assert store.totals()[1] <= 4 * ONE
+
+
+def test_what_is_being_read_never_goes(tmp_path: Path) -> None:
+    store = filled(tmp_path, 2, max_bytes=2 * ONE)
+    aged(store, IDS[0], 5)
+    other = SceneStore(tmp_path, max_bytes=2 * ONE)  # as another process
+    with store.reading(IDS[0]) as path:
+        other.put(IDS[2], PLY, DOCUMENT)
+        assert path.read_bytes() == PLY
+        assert listed(other) == {IDS[0], IDS[2]}
+        with store.reading(IDS[2]), pytest.raises(StorageFull, match="2 scenes have") as caught:
+            other.put(IDS[3], PLY, DOCUMENT)
+        assert caught.value.status == 507
+        assert listed(other) == {IDS[0], IDS[2]}
+    other.put(IDS[3], PLY, DOCUMENT)
+    assert listed(other) == {IDS[2], IDS[3]}
+
+
+def test_a_scene_beyond_the_limit_is_refused_and_takes_the_others_along(tmp_path: Path) -> None:
+    store = filled(tmp_path, 2, max_bytes=2 * ONE)
+    with pytest.raises(StorageFull, match="would pass the limit"):
+        store.put(IDS[5], PLY * 10, DOCUMENT)
+    assert not store.exists(IDS[5])
+
+
+def test_what_nobody_reads_for_days_goes(tmp_path: Path) -> None:
+    store = filled(tmp_path, 3, max_days=2.0)
+    assert store.evict_old() == 0
+    for scene_id in IDS[:2]:
+        aged(store, scene_id, 2.5)
+    with store.reading(IDS[1]):
+        assert store.evict_old() == 1
+    assert listed(store) == {IDS[1], IDS[2]}
+    assert store.evict_old() == 0  # reading it made it young
+    assert filled(tmp_path, 3).evict_old() == 0  # without a limit
+
+
+def test_reading_is_noted_to_a_minute(tmp_path: Path) -> None:
+    store = filled(tmp_path, 1)
+    before = store.page(1)[0].used_ns
+    store.ply(IDS[0])
+    assert store.page(1)[0].used_ns == before
+    aged(store, IDS[0], 1.5 * TOUCH_NS / DAY_NS)
+    store.ply(IDS[0])
+    assert store.page(1)[0].used_ns > before
+
+
+def test_the_index_follows_the_folders(tmp_path: Path) -> None:
+    store = filled(tmp_path, 3)
+    store.put(IDS[8], PLY, {"created": "then", "gaussians": {"count": 7}, "view_cameras": [1, 2]})
+    for scene_id in IDS[:2]:
+        for file in (tmp_path / scene_id).iterdir():
+            file.unlink()
+        (tmp_path / scene_id).rmdir()
+    (tmp_path / "index.sqlite").unlink()
+    again = SceneStore(tmp_path)
+    assert listed(again) == {IDS[2], IDS[8]}
+    assert again.page(1)[0].summary == {"id": IDS[8], "created": "then", "gaussians": 7, "views": 2}
+    assert again.totals() == (2, again.totals()[1])
+
+
+def test_a_scene_that_is_listed_but_gone_is_not_the_newest(tmp_path: Path) -> None:
+    store = filled(tmp_path, 2)
+    (tmp_path / IDS[1]).rename(tmp_path.parent / "taken")
+    assert store.newest() == IDS[0]
+    (tmp_path / IDS[0]).rename(tmp_path.parent / "too")
+    with pytest.raises(SceneNotFound):
+        store.newest()
+
+
+def test_a_limit_holds_while_many_write_and_read(tmp_path: Path) -> None:
+    """Four writers of different scenes and a reader; nothing half is ever seen."""
+    store, failures = SceneStore(tmp_path, max_bytes=3 * ONE), []
+
+    def write(number: int) -> None:
+        for step in range(25):
+            scene_id = f"{number:016x}{step:016x}"
+            try:
+                store.put(scene_id, PLY, DOCUMENT)
+                assert store.ply(scene_id) == PLY
+            except (SceneNotFound, StorageFull):  # another writer's scene took its place, or all are being read
+                continue
+            except Exception as error:
+                failures.append(error)
+
+    threads = [threading.Thread(target=write, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failures == []
+    assert 1 <= len(listed(store)) <= 3
+
+
+def test_a_store_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = filled(tmp_path, 1)
+    assert store.writable()
+
+    def full(*_: object) -> int:
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    assert not store.writable()
+    assert listed(store) == {IDS[0]}
+
+
+def test_a_delete_does_not_wait_for_a_reader(tmp_path: Path) -> None:
+    store = filled(tmp_path, 1)
+    handle = os.open(tmp_path / IDS[0] / "scene.ply", os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_SH)
+    store.delete(IDS[0])
+    assert os.read(handle, 10) == PLY[:10]
+    os.close(handle)
+    assert listed(store) == set()
