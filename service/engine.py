@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from .errors import ModelError
 from .model_info import ModelInfo, parse_model_info
+from .prepared_model import prepared
 from .shipped import shipped_model
 from .threads import available_threads
 
@@ -24,9 +25,12 @@ Arrays = dict[str, NDArray]
 class Engine:
     """A loaded model; `run` may be called from several threads at once."""
 
-    def __init__(self, model: str | Path | None = None, *, threads: int | None = None) -> None:
+    def __init__(
+        self, model: str | Path | None = None, *, threads: int | None = None, prepare: Path | None = None
+    ) -> None:
         """Load `model` (default: the one in the package) for `threads` threads (default: the CPUs of this process).
 
+        `prepare` is a folder for the optimised model, whose weights all processes share; without it each has its own.
         Raises `ModelError` where the file is missing, is no ONNX file, or is not a gapmes model of this format.
         """
         import onnxruntime as ort
@@ -39,6 +43,23 @@ class Engine:
         self.threads = threads if threads is not None else available_threads()
         if self.threads < 1:
             raise ModelError(f"threads = {self.threads}, need at least 1", field="threads")
+        optimised = None
+        if prepare is not None:
+            optimised = prepared(path, file_sha256, prepare, self._options)
+        options = self._options()
+        if optimised is not None:
+            options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
+        damaged = (*self._failures, native.InvalidProtobuf, native.InvalidGraph, native.NotImplemented, native.NoModel)
+        try:
+            self._session = ort.InferenceSession(str(optimised or path), options, providers=["CPUExecutionProvider"])
+        except damaged as error:
+            raise ModelError(f"{path} cannot be loaded by onnxruntime: {error}", field="model") from error
+        self.info = parse_model_info(self._session.get_modelmeta().custom_metadata_map, path, file_sha256)
+        self.outputs = _checked_signature(self._session, path)
+
+    def _options(self) -> Any:
+        import onnxruntime as ort
+
         options = ort.SessionOptions()
         options.intra_op_num_threads = self.threads
         options.inter_op_num_threads = 1
@@ -48,13 +69,7 @@ class Engine:
         options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
         options.use_deterministic_compute = True
         options.log_severity_level = 3
-        damaged = (*self._failures, native.InvalidProtobuf, native.InvalidGraph, native.NotImplemented, native.NoModel)
-        try:
-            self._session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        except damaged as error:
-            raise ModelError(f"{path} cannot be loaded by onnxruntime: {error}", field="model") from error
-        self.info = parse_model_info(self._session.get_modelmeta().custom_metadata_map, path, file_sha256)
-        self.outputs = _checked_signature(self._session, path)
+        return options
 
     def run(
         self,

@@ -49,9 +49,12 @@ class Scene:
 class Reconstructor:
     """Holds the loaded network; `reconstruct` may be called any number of times, also from several threads."""
 
-    def __init__(self, model: str | Path | Engine | None = None, *, threads: int | None = None) -> None:
-        """`model`: an ONNX file, an engine, or None for the one in the package. Raises `ModelError`."""
-        self.engine = model if isinstance(model, Engine) else Engine(model, threads=threads)
+    def __init__(
+        self, model: str | Path | Engine | None = None, *, threads: int | None = None, prepare: Path | None = None
+    ) -> None:
+        """`model`: an ONNX file, an engine, or None for the one in the package; `prepare` as for `Engine`. Raises
+        `ModelError`."""
+        self.engine = model if isinstance(model, Engine) else Engine(model, threads=threads, prepare=prepare)
 
     def reconstruct(
         self,

@@ -50,6 +50,8 @@ def serve(
     if settings.model is not None and not settings.model.is_file():
         raise ModelError(f"{settings.model} is not a file", field="model", cure="give an .onnx of gapmes-export")
     settings.key()  # said before the work
+    if os.environ.get("TMPDIR"):  # where large uploads lie for a moment; an empty volume has no such folder yet
+        Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
     os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in given.items()}  # what the workers read
     options: dict[str, Any] = {
         "factory": True,

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ..reconstruct import Reconstructor
 
 _log = logging.getLogger("gapmes")
+MODELS = ".models"  # beside the scenes: the one folder that is surely writable, and shared by all processes
 TIDY_S = 60.0  # between two looks for scenes that are too old
 
 
@@ -103,7 +104,9 @@ class Runtime:
             from ..reconstruct import Reconstructor
             from ..splat import warm_up
         with self._timed("model"):
-            reconstructor = Reconstructor(self.settings.model, threads=self.settings.threads)
+            reconstructor = Reconstructor(
+                self.settings.model, threads=self.settings.threads, prepare=self.settings.store / MODELS
+            )
         with self._timed("kernels"):
             warm_up()
         self.stage = "ready"

@@ -1,0 +1,69 @@
+# Sourced by docker/check: an engine where there is none. Sets DOCKER_HOST, DOCKER_CONFIG, PATH and BASE; `skip` ends the check.
+#
+# Without a registry to pull from, Debian's packages give both the engine (unpacked, not installed) and a stand-in base image:
+# a minimal Debian with its own Python 3.11. That tests the Dockerfile and the service; the official base image it does not.
+
+own_engine() {
+  [ "$(id -u)" = 0 ] || skip "no engine answers, and starting one needs root"
+  command -v apt-get >/dev/null || skip "no engine answers, and this is no Debian to take one from"
+  local sources
+  eval "$(apt-config shell PARTS Dir::Etc::sourceparts/d)"
+  sources=$(ls "${PARTS}"debian.sources 2>/dev/null) || skip "no list of Debian's sources"
+  mount -t tmpfs -o size=8g none "$W/ram" || skip "no memory file system may be mounted"
+  step "tools" quiet apt-get update || skip "Debian's packages cannot be had"
+  quiet apt-get install -y --no-install-recommends mmdebstrap runc iptables || skip "Debian's packages cannot be had"
+  unpack_engine "$sources" || skip "the engine's packages cannot be had"
+  export PATH="$W/bin:$W/engine/usr/bin:$W/engine/usr/sbin:$PATH" DOCKER_HOST="unix://$W/docker.sock" DOCKER_CONFIG="$W/config"
+  setsid dockerd -H "$DOCKER_HOST" --data-root "$W/ram/data" --exec-root "$W/exec" --pidfile "$W/dockerd.pid" \
+    --storage-driver=overlay2 --iptables=false --ip6tables=false --ip-forward=false >"$W/dockerd.log" 2>&1 &
+  for _ in $(seq 60); do docker info >/dev/null 2>&1 && break; sleep 0.5; done
+  docker info >/dev/null 2>&1 || skip "the engine does not start: $(tail -1 "$W/dockerd.log")"
+  base_image "$sources" || skip "the base image cannot be made"
+}
+
+# The engine of the next release needs nothing newer than this one's C library, but for runc, which is taken from here.
+unpack_engine() {
+  local options=(-qq -o "Dir::Etc::sourcelist=$W/apt/next.sources" -o Dir::Etc::sourceparts=-
+    -o "Dir::State::lists=$W/apt/lists" -o "Dir::Cache::archives=$W/apt/archives")
+  mkdir -p "$W"/apt/{lists,archives}/partial "$W"/{packages,engine,bin,config}
+  awk 'BEGIN { RS = ""; ORS = "\n\n" } !/-security/ { sub(/Suites:[^\n]*/, "Suites: trixie"); print }' "$1" >"$W/apt/next.sources"
+  quiet apt-get "${options[@]}" update || return 1
+  (cd "$W/packages" && quiet apt-get "${options[@]}" download \
+    {docker.io,docker-cli,docker-compose,docker-buildx,containerd,tini}/trixie) || return 1
+  for package in "$W"/packages/*.deb; do dpkg-deb -x "$package" "$W/engine" || return 1; done
+  ln -sf "$W/engine/usr/libexec/docker/cli-plugins" "$W/config/cli-plugins"
+  ln -sf "$(command -v runc)" "$W/bin/runc"
+  ln -sf "$W/engine/usr/bin/tini-static" "$W/bin/docker-init"
+}
+
+base_image() {
+  cat >"$W/hook.sh" <<'HOOK'
+#!/bin/sh
+set -eu
+cd "$1"
+rm -f usr/lib/python3.11/EXTERNALLY-MANAGED etc/resolv.conf etc/hostname etc/apt/apt.conf.d/99mmdebstrap etc/apt/sources.list.d/*
+for name in python3.11 python3 python; do ln -s ../../bin/python3.11 usr/local/bin/$name; done
+: >etc/apt/sources.list
+HOOK
+  chmod +x "$W/hook.sh"
+  TMPDIR="$W/ram" quiet mmdebstrap --mode=root --variant=minbase --components=main --dpkgopt=force-unsafe-io \
+    --aptopt='Acquire::Check-Valid-Until "false"' --aptopt='Acquire::Check-Date "false"' \
+    --aptopt='APT::Install-Recommends "false"' --dpkgopt='path-exclude=/usr/share/man/*' \
+    --dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/locale/*' \
+    --include=ca-certificates,python3.11,python3.11-venv,nginx-light --customize-hook="$W/hook.sh" \
+    bookworm "$W/ram/base.tar" "$1" || return 1
+  BASE=gapmes-check/base:local
+  docker import -c 'ENV PATH=/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin' -c 'ENV LANG=C.UTF-8' "$W/ram/base.tar" "$BASE" >/dev/null
+  export NGINX_IMAGE=$BASE
+  rm "$W/ram/base.tar"
+}
+
+stop_engine() {
+  [ -s "$W/dockerd.pid" ] || return 0
+  local pid
+  pid=$(cat "$W/dockerd.pid")
+  kill -TERM "$pid"
+  for _ in $(seq 80); do kill -0 "$pid" 2>/dev/null || break; sleep 0.25; done
+  umount "$W/exec/netns/default" 2>/dev/null
+  ip link del docker0 2>/dev/null
+}
