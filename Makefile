@@ -2,13 +2,14 @@
 # (quality on held-out views, minutes; further options by ARGS, for example ARGS=--check). `make report` measures error
 # against run time of every setting, and stability (ARGS=--quick). `make bench-splat` compares the
 # splatter with a plain renderer (ARGS=--quick), `make compare-viewer` its pictures with those of a viewer (needs npm and
-# Chromium).
+# Chromium). `make load` asks a service for pictures while it reconstructs (ARGS="--minutes 10"). `make image` builds the
+# container image, `make image-check` builds one and uses it as production would, `make lock` pins anew what goes into it.
 # All keep their environment in .venv and reuse it until pyproject.toml changes. pip's own settings apply, for example
 # PIP_EXTRA_INDEX_URL for an index that has the CPU build of torch.
 
 PYTHON ?= python3
 BIN := .venv/bin
-.PHONY: demo test evaluate report bench-splat compare-viewer clean
+.PHONY: demo test evaluate report bench-splat compare-viewer load image image-check lock clean
 
 demo: .venv/.runtime
 	$(BIN)/gapmes demo --output demo
@@ -29,6 +30,19 @@ bench-splat: .venv/.runtime
 
 compare-viewer: .venv/.runtime
 	$(BIN)/python -m benchmarks.viewer.compare $(ARGS)
+
+load: .venv/.runtime
+	$(BIN)/python -m benchmarks.load.run $(ARGS)
+
+image:
+	docker build -f docker/Dockerfile -t gapmes-service .
+
+image-check:
+	docker/check
+
+lock: .venv/.dev
+	$(BIN)/python -m pip install --quiet uv
+	docker/lock $(BIN)/uv
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "gapmes needs Python 3.11 or newer; set PYTHON=")'

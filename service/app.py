@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
+from typing import Any
 
 from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
 from starlette.middleware.cors import CORSMiddleware
 
 from .http import health, jobs, metrics, page, problems, reconstruct, render, scenes
@@ -14,6 +16,7 @@ from .http.access import KeyNeeded
 from .http.limits import BodyLimit
 from .http.observe import Observed
 from .http.runtime import Runtime
+from .http.schemas import Problem
 from .settings import Settings
 
 # What scripts of other origins may read of an answer, where they may call at all.
@@ -37,8 +40,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         lifespan=lifespan,
         docs_url=None,  # the stock pages load scripts from other hosts; /openapi.json has the same content
         redoc_url=None,
+        responses=problems.RESPONSES,
     )
     app.state.runtime = runtime
+    app.openapi = lambda: _schema(app)  # type: ignore[method-assign]
     problems.install(app)
     for module in (health, metrics, page, reconstruct, jobs, render, scenes):
         app.include_router(module.router)
@@ -53,3 +58,13 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         )
     app.add_middleware(Observed)
     return app
+
+
+def _schema(app: FastAPI) -> dict[str, Any]:
+    """The open API, with the one form that all errors have."""
+    if app.openapi_schema is None:
+        schema = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+        problem = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
+        schema.setdefault("components", {}).setdefault("schemas", {})["Problem"] = problem
+        app.openapi_schema = schema
+    return app.openapi_schema

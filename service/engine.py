@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from .errors import ModelError
 from .model_info import ModelInfo, parse_model_info
-from .prepared_model import prepared
+from .prepared_model import forget, prepared
 from .shipped import shipped_model
 from .threads import available_threads
 
@@ -43,15 +43,18 @@ class Engine:
         self.threads = threads if threads is not None else available_threads()
         if self.threads < 1:
             raise ModelError(f"threads = {self.threads}, need at least 1", field="threads")
-        optimised = None
-        if prepare is not None:
-            optimised = prepared(path, file_sha256, prepare, self._options)
-        options = self._options()
-        if optimised is not None:
-            options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         damaged = (*self._failures, native.InvalidProtobuf, native.InvalidGraph, native.NotImplemented, native.NoModel)
+        self._session: Any = None
+        if prepare is not None and (optimised := prepared(path, file_sha256, prepare, self._options)) is not None:
+            options = self._options()
+            options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
+            try:
+                self._session = ort.InferenceSession(str(optimised), options, providers=["CPUExecutionProvider"])
+            except damaged:
+                forget(optimised)
         try:
-            self._session = ort.InferenceSession(str(optimised or path), options, providers=["CPUExecutionProvider"])
+            if self._session is None:
+                self._session = ort.InferenceSession(str(path), self._options(), providers=["CPUExecutionProvider"])
         except damaged as error:
             raise ModelError(f"{path} cannot be loaded by onnxruntime: {error}", field="model") from error
         self.info = parse_model_info(self._session.get_modelmeta().custom_metadata_map, path, file_sha256)

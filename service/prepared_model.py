@@ -41,6 +41,12 @@ def prepared(path: Path, file_sha256: str, folder: Path, options: Callable[[], A
     return target / MODEL
 
 
+def forget(optimised: Path) -> None:
+    """Remove a file that turned out to be damaged."""
+    _log.warning("the optimised model is damaged, and made again at the next start")
+    shutil.rmtree(optimised.parent, ignore_errors=True)
+
+
 def _make(path: Path, target: Path, options: Any) -> None:
     import onnxruntime as ort
 

@@ -8,20 +8,20 @@ import anyio.to_thread
 from fastapi import APIRouter, Depends, Response
 
 from ..errors import ModelNotReady, StorageFull
-from . import problems
 from .responses import json_response
 from .runtime import Runtime, runtime_of
+from .schemas import Alive, Ready
 
 router = APIRouter(tags=["operations"])
 
 
-@router.get("/healthz")
+@router.get("/healthz", response_model=Alive)
 async def healthz() -> dict[str, str]:
     """200 as long as the event loop answers."""
     return {"status": "ok"}
 
 
-@router.get("/readyz", responses={503: problems.DESCRIPTION, 507: problems.DESCRIPTION})
+@router.get("/readyz", response_model=Ready)
 async def readyz(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
     """200 with what was loaded and how long it took; 503 before that, with the stage or the reason of a failure, and
     507 while the store cannot be written."""

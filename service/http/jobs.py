@@ -15,11 +15,11 @@ from fastapi.responses import StreamingResponse
 from ..errors import JobCancelled
 from ..jobs.table import Event, Job
 from ..problem_document import of_error
-from . import problems
 from .responses import json_response
 from .runtime import Runtime, runtime_of
+from .schemas import Job as JobSchema
 
-router = APIRouter(tags=["jobs"], responses={404: problems.DESCRIPTION})
+router = APIRouter(tags=["jobs"])
 
 Held = Annotated[Runtime, Depends(runtime_of)]
 
@@ -66,7 +66,7 @@ async def job_events(
     )
 
 
-@router.get("/jobs/{job_id:path}")
+@router.get("/jobs/{job_id:path}", response_model=JobSchema)
 def get_job(job_id: str, runtime: Held) -> Response:
     """State, how many are ahead, the stage that it is in, and the scene or the reason once it ended."""
     job = runtime.desk.table.get(job_id)
@@ -74,7 +74,7 @@ def get_job(job_id: str, runtime: Held) -> Response:
     return json_response(job_document(runtime, job), headers=headers)
 
 
-@router.delete("/jobs/{job_id:path}", responses={200: {"description": "the job as it is then"}})
+@router.delete("/jobs/{job_id:path}", response_model=JobSchema)
 def cancel_job(job_id: str, runtime: Held) -> Response:
     """End a job: at once while it is queued, after its stage while it runs. One that ended stays as it is. Whoever
     waits for the same scene without a job keeps it going."""

@@ -22,8 +22,12 @@ RETRY_AFTER_S = 2  # a reconstruction with the small networks takes about this l
 # Codes of the errors that the framework raises itself; any other status becomes `http_<status>`.
 FRAMEWORK_CODES = {404: "route_not_found", 405: "method_not_allowed"}
 
-# What a route declares in its `responses` for OpenAPI.
-DESCRIPTION = {"description": "problem document (RFC 9457)", "content": {MEDIA_TYPE: {}}}
+# What every route declares in its `responses` for the open API.
+_DESCRIPTION: dict[str, Any] = {
+    "description": "problem document (RFC 9457)",
+    "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+}
+RESPONSES: dict[int | str, dict[str, Any]] = {"4XX": _DESCRIPTION, "5XX": _DESCRIPTION}
 
 _log = logging.getLogger("gapmes")
 

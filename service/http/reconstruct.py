@@ -15,6 +15,7 @@ from .jobs import accepted_job, wanted_async, why_not
 from .responses import JSON, PLY, ZIP, accepted, json_response, server_timing
 from .runtime import Runtime, runtime_of
 from .scenes import with_links
+from .schemas import Job, SceneDocument
 from .upload import Upload, read_upload
 from .waiting import ended
 
@@ -25,11 +26,13 @@ router = APIRouter(tags=["reconstruction"])
     "/reconstruct",
     status_code=201,
     responses={
-        200: {"description": "the same photographs, cameras, options and weights are in the store already"},
-        201: {"description": "the scene", "content": {JSON: {}, PLY: {}, ZIP: {}}},
-        202: {"description": "a job, where the request prefers respond-async", "content": {JSON: {}}},
-        "4XX": problems.DESCRIPTION,
-        "5XX": problems.DESCRIPTION,
+        200: {
+            "model": SceneDocument,
+            "description": "the same photographs, cameras, options and weights are in the store already",
+            "content": {PLY: {}, ZIP: {}},
+        },
+        201: {"model": SceneDocument, "description": "the scene", "content": {PLY: {}, ZIP: {}}},
+        202: {"model": Job, "description": "a job, where the request prefers respond-async"},
     },
     openapi_extra={"requestBody": {"required": True, "content": {"multipart/form-data": {"schema": FORM}}}},
 )

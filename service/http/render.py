@@ -19,7 +19,6 @@ from ..metrics import STAGES
 from ..picture import Channel, Format, Picture, check_format, encode, parse_background
 from ..problem_document import plain
 from ..scene_views import SceneViews
-from . import problems
 from .drawing import check_size, draw
 from .files import etag_of, matches, not_modified
 from .limits import parse_json
@@ -61,8 +60,6 @@ class RenderQuery(BaseModel):
     responses={
         200: {"content": {"image/png": {}, "image/webp": {}, "image/jpeg": {}}},
         304: {"description": "`If-None-Match` has the picture's tag"},
-        "4XX": problems.DESCRIPTION,
-        "5XX": problems.DESCRIPTION,
     },
 )
 async def render(

@@ -10,19 +10,19 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 
 from ..errors import InputError
 from ..scene_files import is_id
-from . import problems
 from .files import SceneFile, etag_of, matches, not_modified
 from .responses import PLY, json_response
 from .runtime import Runtime, runtime_of
+from .schemas import SceneDocument, SceneList
 
-router = APIRouter(tags=["scenes"], responses={404: problems.DESCRIPTION})
+router = APIRouter(tags=["scenes"])
 
 Held = Annotated[Runtime, Depends(runtime_of)]
 
 # Ids are matched as paths: a slash in one, encoded or not, is an unknown scene and not another route.
 
 
-@router.get("/scenes")
+@router.get("/scenes", response_model=SceneList)
 def list_scenes(
     runtime: Held,
     limit: Annotated[int, Query(ge=1, le=1000, description="how many at most")] = 100,
@@ -35,7 +35,16 @@ def list_scenes(
     return json_response({"scenes": scenes, "next": more})
 
 
-@router.get("/scenes/{scene_id:path}.ply", response_class=Response, responses={200: {"content": {PLY: {}}}})
+@router.get(
+    "/scenes/{scene_id:path}.ply",
+    response_class=Response,
+    responses={
+        200: {"description": "the file", "content": {PLY: {}}},
+        206: {"description": "the part of it that `Range` asks for", "content": {PLY: {}}},
+        304: {"description": "`If-None-Match` has its tag"},
+        416: {"description": "`Range` lies beyond its end", "content": {"text/plain": {}}},
+    },
+)
 def scene_ply(request: Request, scene_id: str, runtime: Held) -> Response:
     """The .ply, as every 3DGS viewer reads it; whole, by ranges, or 304 where `If-None-Match` has its tag."""
     with runtime.store.reading(scene_id) as path:
@@ -45,7 +54,7 @@ def scene_ply(request: Request, scene_id: str, runtime: Held) -> Response:
     return SceneFile(runtime.store, scene_id, etag)
 
 
-@router.get("/scenes/{scene_id:path}")
+@router.get("/scenes/{scene_id:path}", response_model=SceneDocument)
 def scene_document(scene_id: str, runtime: Held) -> Response:
     """The scene document: model, cameras, depths, counts, warnings, timings, links."""
     return json_response(with_links(runtime.store.document(scene_id)))

@@ -280,5 +280,5 @@ def test_render_tells_what_it_did_not_take_as_it_was(
     assert run(*arguments, "--drop-invalid") == 0
     dropped, zero, precision = json.loads(capfd.readouterr().out)["warnings"]
     assert dropped == "1 of 20 Gaussians dropped, invalid in scale_1 (1)"
-    assert zero == "1 of 20 rotations are zero and were taken as no rotation"
+    assert zero == "1 of 19 rotations are zero and were taken as no rotation"
     assert precision.startswith("positions are float32 numbers far from the origin")

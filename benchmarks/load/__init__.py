@@ -1,0 +1,1 @@
+"""A service of one's own under load: how quick it stays, and what it loses when its processes are killed."""

@@ -1,0 +1,122 @@
+"""Processes killed at random under load: `python -m benchmarks.load.faults [--seconds 60] [--workers 2]`.
+
+Clients ask for scenes and jobs while a worker is killed now and then. Afterwards every scene that a client was told of
+must be there, whole and as it was told, and every job that was accepted must have ended. Exit code 1 where one is not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import random
+import signal
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import httpx
+
+from gapmes.service.ply import read_ply
+
+from .requests import Asker
+from .service import Service, running
+
+
+class Promises:
+    """What clients were told."""
+
+    def __init__(self) -> None:
+        self.scenes: dict[str, str] = {}  # location: sha256 of the .ply
+        self.jobs: list[str] = []
+        self.broken = 0  # connections that ended without an answer
+        self.refused = 0
+
+    def ask(self, service: Service, seed: int, until: float) -> None:
+        """Alternate between a scene that is waited for and a job that is not."""
+        asker, turn = Asker(service.address, seed), 0
+        while time.monotonic() < until:
+            turn += 1
+            try:
+                if turn % 2:
+                    answer = asker.scene(Accept="application/octet-stream")
+                    if answer.status_code in (200, 201):
+                        self.scenes[answer.headers["location"]] = hashlib.sha256(answer.content).hexdigest()
+                        continue
+                else:
+                    answer = asker.scene(Prefer="respond-async")
+                    if answer.status_code == 202:
+                        self.jobs.append(answer.headers["location"])
+                        continue
+                self.refused += 1
+                time.sleep(0.3)
+            except httpx.TransportError:
+                self.broken += 1
+                time.sleep(0.3)
+
+
+def kill_now_and_then(service: Service, until: float, seed: int) -> int:
+    """One worker at a time, after 1 to 6 seconds each; returns how many."""
+    chance, killed = random.Random(seed), 0
+    while True:
+        time.sleep(chance.uniform(1, 6))
+        if time.monotonic() > until:
+            return killed
+        os.kill(chance.choice(service.workers()), signal.SIGKILL)
+        killed += 1
+
+
+def kept(service: Service, promises: Promises) -> list[str]:
+    """What was promised and is not so."""
+    wrong = []
+    with httpx.Client(base_url=service.address, timeout=60) as client:
+        for location, digest in promises.scenes.items():
+            answer = client.get(location + ".ply")
+            if answer.status_code != 200 or hashlib.sha256(answer.content).hexdigest() != digest:
+                wrong.append(f"{location}: {answer.status_code}")
+        deadline = time.monotonic() + 600
+        for location in promises.jobs:
+            while (job := client.get(location).json())["state"] in ("queued", "running"):
+                if time.monotonic() > deadline:
+                    break
+                time.sleep(0.2)
+            if job["state"] == "done":
+                if len(read_ply(client.get(job["links"]["scene"] + ".ply").content)) == 0:
+                    wrong.append(f"{location}: an empty scene")
+            elif job["state"] != "failed" or job["problem"]["code"] != "job_abandoned":
+                wrong.append(f"{location}: {job}")
+    for folder in service.store.iterdir():
+        if len(folder.name) == 32 and {path.name for path in folder.iterdir()} != {"scene.ply", "scene.json"}:
+            wrong.append(f"{folder.name} is half a scene")
+    return wrong
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    options = ["--workers", str(given.workers), "--threads", "1"]
+    with tempfile.TemporaryDirectory() as folder, running(Path(folder), options) as service:
+        promises, until = Promises(), time.monotonic() + given.seconds
+        clients = [threading.Thread(target=promises.ask, args=(service, seed, until)) for seed in range(3)]
+        for client in clients:
+            client.start()
+        killed = kill_now_and_then(service, until, given.seed)
+        for client in clients:
+            client.join()
+        print(
+            f"{killed} processes killed; {len(promises.scenes)} scenes and {len(promises.jobs)} jobs acknowledged, "
+            f"{promises.broken} connections broken, {promises.refused} requests refused",
+            flush=True,
+        )
+        wrong = kept(service, promises)
+    for line in wrong:
+        print("BROKEN PROMISE", line)
+    raise SystemExit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()

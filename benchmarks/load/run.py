@@ -1,0 +1,102 @@
+"""Pictures while scenes are reconstructed: `python -m benchmarks.load.run [--minutes 1] [--workers 1]`, or `make load`.
+
+Prints pictures per second with the middle, the 95th and the 99th percentile of their times, first alone and then while
+one client after the other asks for scenes; what was refused; and the memory of the service, so that growth would show.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+from .requests import Asker
+from .service import Service, running
+
+
+class Load:
+    """What several clients were answered; times are kept by kind."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, list[float]] = {"picture": [], "scene": []}
+        self.refused: Counter[str] = Counter()
+        self._lock = threading.Lock()
+
+    def note(self, kind: str, answer, seconds: float) -> None:
+        with self._lock:
+            if answer.status_code < 400:
+                self.seconds[kind].append(seconds)
+            else:
+                self.refused[f"{kind}: {answer.json().get('code')}"] += 1
+
+    def clients(self, service: Service, scenes: list[str], pictures: int, reconstructions: int, seconds: float) -> None:
+        """So many clients of each kind at once, for so long."""
+        until = time.monotonic() + seconds
+
+        def ask(kind: str, seed: int) -> None:
+            asker = Asker(service.address, seed)
+            while time.monotonic() < until:
+                start = time.perf_counter()
+                answer = asker.picture(scenes) if kind == "picture" else asker.scene()
+                self.note(kind, answer, time.perf_counter() - start)
+                if answer.status_code >= 400:
+                    time.sleep(0.2)
+
+        kinds = ["picture"] * pictures + ["scene"] * reconstructions
+        threads = [threading.Thread(target=ask, args=(kind, seed)) for seed, kind in enumerate(kinds)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+    def line(self, kind: str, wall: float) -> str:
+        times = sorted(self.seconds[kind])
+        if len(times) < 2:
+            return f"{kind:8} {len(times)}"
+        cuts = statistics.quantiles(times, n=100)
+        shown = ", ".join(f"p{p} {1000 * cuts[p - 1]:.0f} ms" for p in (50, 95, 99))
+        return f"{kind:8} {len(times) / wall:6.1f} per second, {shown}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=1.0, help="of the load with reconstructions")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--pictures", type=int, default=4, help="clients that ask for pictures")
+    parser.add_argument("--scenes", type=int, default=2, help="clients that ask for scenes")
+    given = parser.parse_args()
+    options = ["--workers", str(given.workers)]
+    with tempfile.TemporaryDirectory() as folder, running(Path(folder), options) as service:
+        asker = Asker(service.address, 1000)
+        scenes = [asker.scene().json()["id"] for _ in range(3)]
+        for _ in range(10):
+            asker.picture(scenes)
+        print(f"{len(service.workers())} processes, {given.pictures} clients for pictures", flush=True)
+        alone = Load()
+        alone.clients(service, scenes, given.pictures, 0, 15.0)
+        print("alone:  ", alone.line("picture", 15.0), flush=True)
+        load, wall, first = Load(), 0.0, service.memory_mb()
+        rounds = max(2, round(6 * given.minutes))
+        for _ in range(rounds):
+            seconds = 60 * given.minutes / rounds
+            load.clients(service, scenes, given.pictures, given.scenes, seconds)
+            wall += seconds
+            resident, private, together = service.memory_mb()
+            print(
+                f"{wall:5.0f} s  resident {resident:5.0f} MB, private {private:5.0f} MB, shared once {together:5.0f} MB",
+                flush=True,
+            )
+        print(f"while {given.scenes} clients ask for scenes:")
+        for kind in ("picture", "scene"):
+            print("        ", load.line(kind, wall))
+        print("refused: ", dict(load.refused) or "nothing")
+        last = service.memory_mb()
+        print(f"resident at first {first[0]:.0f} MB, at last {last[0]:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

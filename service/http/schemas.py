@@ -1,0 +1,142 @@
+"""What the JSON answers look like, for the open API: the routes write them, the tests hold them against these."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+_SCENE = "3f0c1e5a9b7d42868a1f0e2d4c6b8a90"
+_JOB = "9d1e6c2b4f8a40d7b3e59c0a7f1d2e64"
+
+
+def _with(example: dict[str, Any], *, more: bool = False) -> ConfigDict:
+    """`more`: members beside those that are listed."""
+    return ConfigDict(json_schema_extra={"examples": [example]}, extra="allow" if more else "ignore")
+
+
+class Problem(BaseModel):
+    """An error (RFC 9457); `code` is stable, absent members are left out, some errors have more."""
+
+    model_config = _with(
+        {
+            "type": "urn:gapmes:problem:pose_not_rotation", "title": "Pose not rotation", "status": 422,
+            "detail": "det(R) = -1, need +1", "code": "pose_not_rotation", "field": "views.c2w", "index": 1,
+            "cure": "one axis is mirrored; is the source left-handed?",
+        },
+        more=True,
+    )  # fmt: skip
+    type: str
+    title: str
+    status: int = Field(ge=400, le=599)
+    detail: str
+    code: str
+    field: str = Field("", description="the part, parameter or member that it is about")
+    index: int = Field(0, ge=0, description="which image or view, counted from 0")
+    cure: str = Field("", description="what to do about it")
+
+
+class SceneLinks(BaseModel):
+    """Where a scene's parts are."""
+
+    self: str
+    ply: str
+    views: list[str] = Field(description="pictures from the inputs' cameras")
+    renders: list[str] = Field([], description="those that were asked for with `views`")
+
+
+class SceneSummary(BaseModel):
+    """A line of the list."""
+
+    id: str
+    created: str | None
+    gaussians: int | None
+    views: int
+    links: SceneLinks
+
+
+class SceneList(BaseModel):
+    """Newest first."""
+
+    model_config = _with({"scenes": [], "next": None})
+    scenes: list[SceneSummary]
+    next: str | None = Field(description="`after` of the following page")
+
+
+class SceneDocument(BaseModel):
+    """What was computed, from what, how long it took, how far to trust it; docs/http.md has all members."""
+
+    model_config = _with(
+        {
+            "id": _SCENE, "created": "2026-01-31T12:00:00+00:00", "model": {"preset": "tiny"}, "near": 1.0, "far": 10.0,
+            "cameras": [], "view_cameras": [], "gaussians": {"count": 131072, "sh_degree": 0}, "warnings": [],
+            "check": {}, "timings": {"network": 0.6},
+            "links": {"self": f"/scenes/{_SCENE}", "ply": f"/scenes/{_SCENE}.ply", "views": []},
+        },
+        more=True,
+    )  # fmt: skip
+    id: str
+    created: str
+    model: dict[str, Any]
+    near: float
+    far: float
+    cameras: list[dict[str, Any]]
+    view_cameras: list[dict[str, Any]]
+    gaussians: dict[str, Any]
+    warnings: list[dict[str, Any]]
+    check: dict[str, Any]
+    timings: dict[str, float]
+    links: SceneLinks
+
+
+class Step(BaseModel):
+    """A step of the work."""
+
+    stage: str
+    done: int
+    total: int
+    seconds: float = Field(0.0, description="where the stage has ended")
+
+
+class JobLinks(BaseModel):
+    """Where to follow a job."""
+
+    self: str
+    events: str
+    scene: str = Field("", description="where it is done")
+
+
+class Job(BaseModel):
+    """A reconstruction that is, was or will be computed."""
+
+    model_config = _with(
+        {
+            "id": _JOB, "state": "queued", "created": "2026-01-31T12:00:00.000+00:00", "started": None, "ended": None,
+            "attempts": 0, "ahead": 2, "stage": None,
+            "links": {"self": f"/jobs/{_JOB}", "events": f"/jobs/{_JOB}/events"},
+        }
+    )  # fmt: skip
+    id: str
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    created: str
+    started: str | None
+    ended: str | None
+    attempts: int = Field(ge=0)
+    ahead: int = Field(ge=0, description="jobs that run or wait before it")
+    stage: Step | None = Field(description="where it is, while it runs")
+    problem: Problem | None = Field(None, description="why it failed or was cancelled")
+    links: JobLinks
+
+
+class Alive(BaseModel):
+    """The process answers."""
+
+    status: Literal["ok"]
+
+
+class Ready(BaseModel):
+    """What was loaded, and how long that took."""
+
+    status: Literal["ready"]
+    model: dict[str, Any]
+    timings: dict[str, float]

@@ -1,0 +1,83 @@
+"""The optimised model: the same bits, made once, and never in the way where it cannot be made or read."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gapmes.service import prepared_model
+from gapmes.service.engine import Engine
+from gapmes.service.errors import ModelError
+from gapmes.service.shipped import sample_folder, shipped_model
+
+
+def outputs(engine: Engine, views: int = 2) -> dict[str, np.ndarray]:
+    rng, info = np.random.default_rng(0), engine.info
+    poses = np.tile(np.eye(4, dtype=np.float32), (views, 1, 1))
+    poses[:, 0, 3] = 0.1 * np.arange(views)
+    lens = np.tile(np.array([[0.9, 0, 0.5], [0, 0.9, 0.5], [0, 0, 1]], np.float32), (views, 1, 1))
+    images = rng.random((views, 3, info.height, info.width), np.float32)
+    return engine.run(images, lens, poses, np.array([1, 20], np.float32), np.ones((views, info.patches), bool))
+
+
+def mapped(path: Path) -> bool:
+    """Whether this process has the file in its memory as a file."""
+    return str(path) in Path("/proc/self/maps").read_text()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_same_bits_and_the_weights_as_a_file(tmp_path: Path, threads: int) -> None:
+    plain = Engine(threads=threads)
+    for _ in range(2):
+        engine = Engine(threads=threads, prepare=tmp_path)
+        [folder] = [path for path in tmp_path.iterdir() if path.is_dir()]
+        assert engine.info == plain.info
+        assert mapped(folder / prepared_model.WEIGHTS)
+        for name, value in outputs(engine).items():
+            assert value.tobytes() == outputs(plain)[name].tobytes(), name
+    assert (folder / prepared_model.WEIGHTS).stat().st_size > 1_000_000
+    assert folder.stat().st_mode & 0o077 == 0
+
+
+def test_it_is_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Engine(prepare=tmp_path)
+    monkeypatch.setattr(prepared_model, "_make", None)
+    Engine(prepare=tmp_path)
+
+
+def test_another_version_or_file_has_one_of_its_own() -> None:
+    keys = {prepared_model._key(sha, version) for sha in ("a", "b") for version in ("1", "2")}
+    assert len(keys) == 4
+
+
+def test_a_folder_that_cannot_be_written_is_done_without(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "file").write_text("no folder")
+    engine = Engine(prepare=tmp_path / "file")
+    assert engine.info == Engine().info
+    assert "loaded as it is" in caplog.text
+
+
+@pytest.mark.parametrize("damage", [b"", b"nonsense"])
+def test_a_damaged_file_is_done_without_and_made_again(
+    tmp_path: Path, damage: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    Engine(prepare=tmp_path)
+    [folder] = [path for path in tmp_path.iterdir() if path.is_dir()]
+    (folder / prepared_model.MODEL).write_bytes(damage)
+    with caplog.at_level(logging.WARNING):
+        assert Engine(prepare=tmp_path).info == Engine().info
+    assert "damaged" in caplog.text
+    assert not folder.exists()
+    again = Engine(prepare=tmp_path)
+    assert mapped(folder / prepared_model.WEIGHTS)
+    assert again.info == Engine().info
+
+
+def test_what_is_no_model_is_refused_as_ever(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="cannot be loaded"):
+        Engine(sample_folder() / "cameras.json", prepare=tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [".lock"]
+    assert shipped_model().is_file()
