@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import AsyncIterator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from fastapi import Request
 
 from ..errors import ModelNotReady
 from ..jobs.desk import Desk
+from ..priority import give_way
 from ..settings import Settings
 from ..store import SceneStore
 from .gate import Lane, Places
@@ -49,13 +51,14 @@ class Runtime:
         self.stage = "start"
         self.stopping = False  # after SIGTERM: streams end, so that the server can
         self.timings: dict[str, float] = {}
-        self._loading: asyncio.Task[None] | None = None
+        self._loading: asyncio.Future[None] | None = None
         self._reconstructor: Reconstructor | None = None
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Load in the background for as long as the block lasts; a failure is logged and kept for /readyz."""
-        self._loading = asyncio.create_task(anyio.to_thread.run_sync(self._load, abandon_on_cancel=True))
+        loader = ThreadPoolExecutor(1, "load", give_way)  # the network's threads have the priority of who makes them
+        self._loading = asyncio.ensure_future(asyncio.get_running_loop().run_in_executor(loader, self._load))
         self._loading.add_done_callback(_log_failure)
         tidying = asyncio.create_task(self._tidy())
         try:
@@ -64,6 +67,7 @@ class Runtime:
         finally:
             self.stopping = True
             self._loading.cancel()
+            loader.shutdown(wait=False, cancel_futures=True)
             tidying.cancel()
             await anyio.to_thread.run_sync(self.desk.close, self.settings.drain_seconds)
 
@@ -151,7 +155,7 @@ class Runtime:
         }
 
 
-def _log_failure(task: asyncio.Task[None]) -> None:
+def _log_failure(task: asyncio.Future[None]) -> None:
     if not task.cancelled() and task.exception() is not None:
         _log.error("the service cannot become ready", exc_info=task.exception())
 

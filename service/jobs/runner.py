@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from ..errors import DeadlineExceeded, GapmesError, JobCancelled
 from ..metrics import JOBS
+from ..priority import give_way
 from ..problem_document import problem, public
 from ..progress import Listener, Stage
 from .leases import Lease
@@ -76,6 +77,7 @@ class Runner:
             self._table.recover(gone, why)
 
     def _loop(self) -> None:
+        give_way()
         while not self._stopping:
             try:
                 job = self._next()

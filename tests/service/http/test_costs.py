@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from http_requests import assert_problem, camera_object, photograph, post, wait_until_ready
+from http_requests import assert_problem, camera_object, photograph, post, stored, wait_until_ready
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
@@ -130,3 +132,29 @@ def test_a_charset_that_decodes_nothing(client: TestClient) -> None:
     kind = request.headers["content-type"].replace("form-data;", "form-data; charset=undefined;")
     answer = client.post("/reconstruct", content=request.read(), headers={"content-type": kind})
     assert_problem(answer, 400, "malformed_request", "body")
+
+
+@pytest.mark.parametrize("file", ["scene.ply", "scene.json", "1", "work.json"])
+def test_a_full_disk_is_507_and_nothing_is_broken(
+    settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
+) -> None:
+    """Whichever file has no room: what is there is served, nothing half is left, and later it works."""
+    own = settings.model_copy(update={"store": tmp_path})
+    with TestClient(create_app(own), raise_server_exceptions=False) as client:
+        wait_until_ready(client)
+        there = post(client).json()
+        before = stored(own)
+        original = Path.open
+
+        def full(path: Path, mode: str = "r", *arguments: Any, **options: Any) -> Any:
+            if path.name == file and ("w" in mode or "x" in mode):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return original(path, mode, *arguments, **options)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "open", full)
+            assert_problem(post(client, [photograph(60), photograph(61)]), 507, "storage_full", "store")
+            assert client.get("/render", params={"scene": there["id"]}).status_code == 200
+            assert client.get(there["links"]["ply"]).status_code == 200
+        assert stored(own) == before
+        assert post(client, [photograph(60), photograph(61)]).status_code == 201

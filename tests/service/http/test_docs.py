@@ -69,3 +69,12 @@ def assert_same_keys(example: Any, real: Any, path: str) -> None:
 def test_a_document_with_other_keys_is_noticed() -> None:
     with pytest.raises(AssertionError, match=r"\.crop\[0\]"):
         assert_same_keys({"crop": [{"kept_share": 1, "scale": 2}]}, {"crop": [{"kept_share": 1}]}, "")
+
+
+def test_every_metric_is_documented(client: TestClient) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "operations.md").read_text(encoding="utf-8")
+    documented = {name for name in re.findall(r"`(gapmes_\w+)`", page)}
+    text = client.get("/metrics").text
+    kinds = dict(re.findall(r"^# TYPE (gapmes_\w+) (\w+)$", text, re.MULTILINE))
+    assert documented == set(kinds)
+    assert set(kinds.values()) <= {"counter", "histogram", "gauge"}
