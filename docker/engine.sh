@@ -10,7 +10,7 @@ own_engine() {
   eval "$(apt-config shell PARTS Dir::Etc::sourceparts/d)"
   sources=$(ls "${PARTS}"debian.sources 2>/dev/null) || skip "no list of Debian's sources"
   mount -t tmpfs -o size=8g none "$W/ram" || skip "no memory file system may be mounted"
-  step "tools" quiet apt-get update || skip "Debian's packages cannot be had"
+  quiet apt-get update || skip "Debian's packages cannot be had"
   quiet apt-get install -y --no-install-recommends mmdebstrap runc iptables || skip "Debian's packages cannot be had"
   unpack_engine "$sources" || skip "the engine's packages cannot be had"
   export PATH="$W/bin:$W/engine/usr/bin:$W/engine/usr/sbin:$PATH" DOCKER_HOST="unix://$W/docker.sock" DOCKER_CONFIG="$W/config"

@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from .errors import GapmesError, StorageFull
+from .file_lock import exclusive
 
 BUSY_S = 30.0  # that a write waits for another process's; each takes milliseconds
 VERSION = 1
+_FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE)  # the second where a quota is
 
 # A job is active while it is queued or running; a scene has one active job at most.
 _SCHEMA = """
@@ -29,6 +31,7 @@ CREATE TABLE IF NOT EXISTS jobs (
 );
 CREATE UNIQUE INDEX IF NOT EXISTS jobs_active ON jobs (scene_id) WHERE state IN ('queued', 'running');
 CREATE INDEX IF NOT EXISTS jobs_state ON jobs (state, created);
+CREATE INDEX IF NOT EXISTS jobs_ended ON jobs (ended);
 CREATE TABLE IF NOT EXISTS events (
     job_id TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT NOT NULL, data TEXT NOT NULL, PRIMARY KEY (job_id, seq)
 );
@@ -39,20 +42,23 @@ class Database:
     """Connections by thread to one file; with the write-ahead log readers never wait."""
 
     def __init__(self, path: Path) -> None:
-        """Open or make the file. Raises `GapmesError` where another version of the service has made it."""
+        """Open or make the file; one that is there is not written. Raises `GapmesError` where another version of the
+        service has made it."""
         self._path = path
         self._threads = threading.local()
-        with self.write() as connection:
-            found = connection.execute("PRAGMA user_version").fetchone()[0]
-            if found not in (0, VERSION):
+        with exclusive(path.with_name(f"{path.name}.lock")):  # the change to the write-ahead log waits for nobody
+            found = self.rows("PRAGMA user_version")[0][0]
+            if found == 0:
+                with self.write() as connection:
+                    for statement in _SCHEMA.split(";"):
+                        connection.execute(statement)
+                    connection.execute(f"PRAGMA user_version = {VERSION}")
+            elif found != VERSION:
                 raise GapmesError(
                     f"{path} has version {found}, this service reads version {VERSION}",
                     field="store",
                     cure="use another store, or move the file away: scenes are listed anew from their folders",
                 )
-            for statement in _SCHEMA.split(";"):
-                connection.execute(statement)
-            connection.execute(f"PRAGMA user_version = {VERSION}")
 
     def _connection(self) -> sqlite3.Connection:
         connection = getattr(self._threads, "connection", None)
@@ -73,16 +79,12 @@ class Database:
         connection = self._connection()
         try:
             connection.execute("BEGIN IMMEDIATE")
-            try:
-                yield connection
-            except BaseException:
-                connection.execute("ROLLBACK")
-                raise
+            yield connection
             connection.execute("COMMIT")
-        except sqlite3.OperationalError as error:
-            if connection.in_transaction:
+        except BaseException as error:
+            if connection.in_transaction:  # a full disk may have rolled it back already
                 connection.execute("ROLLBACK")
-            if "full" in str(error):
+            if isinstance(error, sqlite3.OperationalError) and error.sqlite_errorcode in _FULL:
                 raise StorageFull(
                     "no space for the index", field="store", cure="delete scenes, or give it room"
                 ) from error

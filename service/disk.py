@@ -21,8 +21,8 @@ def write_file(path: Path, data: bytes) -> None:
         os.fsync(file.fileno())
 
 
-def sync_folder(path: Path) -> None:
-    """Make what was renamed into it survive a power cut."""
+def sync(path: Path) -> None:
+    """Make a file, or what was renamed into a folder, survive a power cut."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -29,6 +29,7 @@ GapmesError                     500 internal_error
 │   └── ModelNotReady           503 model_not_ready
 ├── DeadlineExceeded            504 deadline_exceeded
 ├── JobCancelled                409 job_cancelled
+├── ModelChanged                409 model_changed
 └── StorageFull                 507 storage_full
 """
 
@@ -183,6 +184,11 @@ class DeadlineExceeded(GapmesError):
 class JobCancelled(GapmesError):
     status = 409
     code = "job_cancelled"
+
+
+class ModelChanged(GapmesError):
+    status = 409
+    code = "model_changed"
 
 
 class StorageFull(GapmesError):

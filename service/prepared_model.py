@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import os
 import platform
 import shutil
 import tempfile
@@ -16,9 +15,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from .disk import sync
 from .file_lock import exclusive
 
-MODEL, WEIGHTS = "model.onnx", "model.weights"
+MODEL, WEIGHTS, DIGEST = "model.onnx", "model.weights", "sha256"
+INCOMING = ".incoming-"
 LEAST_BYTES = "1024"  # of a table that goes into the file beside the graph
 
 _log = logging.getLogger("gapmes")
@@ -33,6 +34,10 @@ def prepared(path: Path, file_sha256: str, folder: Path, options: Callable[[], A
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with exclusive(folder / ".lock"):
+            for leftover in folder.glob(f"{INCOMING}*"):
+                shutil.rmtree(leftover, ignore_errors=True)
+            if (target / MODEL).is_file() and _digest(target) != (target / DIGEST).read_text():
+                forget(target / MODEL)
             if not (target / MODEL).is_file():
                 _make(path, target, options())
     except Exception as error:  # a full or read-only disk, or a graph that cannot be written: it is only a shortcut
@@ -43,14 +48,14 @@ def prepared(path: Path, file_sha256: str, folder: Path, options: Callable[[], A
 
 def forget(optimised: Path) -> None:
     """Remove a file that turned out to be damaged."""
-    _log.warning("the optimised model is damaged, and made again at the next start")
+    _log.warning("the optimised model is damaged, and will be made again")
     shutil.rmtree(optimised.parent, ignore_errors=True)
 
 
 def _make(path: Path, target: Path, options: Any) -> None:
     import onnxruntime as ort
 
-    incoming = Path(tempfile.mkdtemp(prefix=".incoming-", dir=target.parent))
+    incoming = Path(tempfile.mkdtemp(prefix=INCOMING, dir=target.parent))
     try:
         options.optimized_model_filepath = str(incoming / MODEL)
         entry = "session.optimized_model_external_initializers"
@@ -58,11 +63,22 @@ def _make(path: Path, target: Path, options: Any) -> None:
         options.add_session_config_entry(f"{entry}_min_size_in_bytes", LEAST_BYTES)
         options.add_session_config_entry("session.save_external_prepacked_constant_initializers", "1")
         ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        (incoming / DIGEST).write_text(_digest(incoming))
         for file in incoming.iterdir():
-            os.chmod(file, 0o600)
+            file.chmod(0o600)
+            sync(file)
+        sync(incoming)
         incoming.rename(target)
     finally:
         shutil.rmtree(incoming, ignore_errors=True)
+
+
+def _digest(folder: Path) -> str:
+    """Of graph and weights: a power cut may leave files of the right length."""
+    digest = hashlib.sha256()
+    for name in (MODEL, WEIGHTS):
+        digest.update((folder / name).read_bytes())
+    return digest.hexdigest()
 
 
 def _key(file_sha256: str, runtime: str) -> str:

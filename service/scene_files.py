@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
@@ -13,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from .disk import full_is_refused, sync_folder, write_file
+from .disk import full_is_refused, sync, write_file
 from .errors import SceneNotFound
 
 PLY = "scene.ply"
@@ -48,13 +49,14 @@ class SceneFiles:
                 write_file(incoming / PLY, ply)
                 write_file(incoming / DOCUMENT, json.dumps(document, allow_nan=False).encode())
                 os.utime(incoming / DOCUMENT, ns=(created_ns, created_ns))
+                sync(incoming)
                 try:
                     incoming.rename(target)
                 except OSError:
                     if target.is_dir():
                         return False
                     raise
-                sync_folder(self.root)
+                sync(self.root)
             finally:
                 shutil.rmtree(incoming, ignore_errors=True)
         return True
@@ -74,7 +76,7 @@ class SceneFiles:
 
     @contextmanager
     def reading(self, scene_id: str) -> Iterator[Path]:
-        """The .ply, which nobody evicts during the block. Raises `SceneNotFound`."""
+        """The .ply, which nobody evicts during the block. Raises `SceneNotFound`, also where it is deleted then."""
         path = self.folder(scene_id) / PLY
         try:
             handle = os.open(path, os.O_RDONLY)
@@ -82,9 +84,11 @@ class SceneFiles:
             raise unknown(scene_id) from error
         try:
             fcntl.flock(handle, fcntl.LOCK_SH)
-            if not path.is_file():  # taken between the two lines
+            if os.fstat(handle).st_ino != path.stat().st_ino:  # deleted and stored anew between the two lines
                 raise unknown(scene_id)
             yield path
+        except FileNotFoundError as error:
+            raise unknown(scene_id) from error
         finally:
             os.close(handle)
 
@@ -120,10 +124,11 @@ class SceneFiles:
         probe = self.root / f"{TEMPORARY}{uuid.uuid4().hex}"
         try:
             probe.write_bytes(bytes(4096))
+            probe.unlink()
         except OSError:
+            with contextlib.suppress(OSError):
+                probe.unlink()
             return False
-        finally:
-            probe.unlink(missing_ok=True)
         return True
 
     def sweep(self) -> None:

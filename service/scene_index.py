@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import sqlite3
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from .database import Database
+from .errors import StorageFull
 
 TOUCH_NS = 60 * 10**9  # last use is known to a minute, so that reading a scene seldom writes
 
@@ -25,7 +28,7 @@ class Indexed:
 
 
 class SceneIndex:
-    """The table `scenes`; the folders are the truth, and `sync` makes the table agree with them."""
+    """The table `scenes`; the folders are the truth, and the store makes the table agree with them when it opens."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -33,20 +36,24 @@ class SceneIndex:
     def add(self, scenes: Iterable[Indexed]) -> None:
         """List scenes; those that are listed stay as they are."""
         rows = [(s.id, s.created_ns, s.used_ns, s.bytes, json.dumps(s.summary)) for s in scenes]
+        if not rows:
+            return
         with self._database.write() as connection:
             connection.executemany("INSERT OR IGNORE INTO scenes VALUES (?, ?, ?, ?, ?)", rows)
 
     def remove(self, ids: Iterable[str]) -> None:
         """Forget scenes."""
-        with self._database.write() as connection:
-            connection.executemany("DELETE FROM scenes WHERE id = ?", [(scene_id,) for scene_id in ids])
+        rows = [(scene_id,) for scene_id in ids]
+        if rows:
+            with self._database.write() as connection:
+                connection.executemany("DELETE FROM scenes WHERE id = ?", rows)
 
     def used(self, scene_id: str) -> None:
-        """Note that a scene was read now."""
+        """Note that a scene was read now; where that cannot be written, reading goes on all the same."""
         now = time.time_ns()
         stale = self._database.rows("SELECT 1 FROM scenes WHERE id = ? AND used_ns < ?", [scene_id, now - TOUCH_NS])
         if stale:
-            with self._database.write() as connection:
+            with contextlib.suppress(StorageFull, sqlite3.OperationalError), self._database.write() as connection:
                 connection.execute("UPDATE scenes SET used_ns = ? WHERE id = ?", [now, scene_id])
 
     def ids(self) -> set[str]:

@@ -31,7 +31,7 @@ class Settings(BaseSettings):
         None,
         ge=1,
         le=1024,
-        description="CPU threads for network and splatter; empty means every core the process may use",
+        description="CPU threads for network and splatter; empty means all cores, or the container's share of them",
     )
     workers: int = Field(1, ge=1, le=256, description="processes that share the port and the store")
     concurrency: int = Field(1, ge=1, le=64, description="reconstructions that a process computes at the same time")
@@ -44,7 +44,10 @@ class Settings(BaseSettings):
     wait_seconds: float = Field(
         900.0, gt=0, description="time that `POST /reconstruct` waits for its scene, else 504; a job has no such limit"
     )
-    job_keep_seconds: float = Field(86_400.0, ge=0, description="time after which a job that ended is forgotten")
+    job_keep_seconds: float = Field(86_400.0, ge=60, description="time after which a job that ended is forgotten")
+    max_streams: int = Field(
+        64, ge=1, le=10_000, description="clients that follow jobs at the same time; one more gets 503"
+    )
     heartbeat_seconds: float = Field(15.0, gt=0, description="time between two signs of life on a stream of events")
     render_concurrency: int = Field(1, ge=1, le=64, description="pictures that a process draws at the same time")
     render_waiting: int = Field(
@@ -84,6 +87,8 @@ class Settings(BaseSettings):
     def key(self) -> str | None:
         """The API key, from its file where one is named. Raises `InputError` where it cannot be read or is empty."""
         if self.api_key_file is None:
+            if self.api_key is not None and not self.api_key.get_secret_value():
+                raise InputError("is empty", field="GAPMES_API_KEY", cure="leave it out where none is needed")
             return self.api_key.get_secret_value() if self.api_key is not None else None
         try:
             key = self.api_key_file.read_text(encoding="utf-8").strip()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import threading
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ DAY_NS = 86_400 * 10**9
 _LOCK = ".lock"
 _WRITING = ".writing"
 _INDEX = "index.sqlite"
+_log = logging.getLogger("gapmes")
 
 
 class SceneStore:
@@ -73,13 +75,18 @@ class SceneStore:
 
         Raises `StorageFull` when the disk is, or when `max_bytes` is reached and all that is there is being read.
         """
-        if self._files.folder(scene_id).is_dir():
-            return
-        with shared(self.root / _LOCK), exclusive(self.root / _WRITING):  # one at a time, so that limits hold
-            self._make_room(len(ply))
-            created_ns = self._tick()
-            if self._files.write(scene_id, ply, document, created_ns):
-                self._index.add([self._row(scene_id, document)])
+        with self._alone():
+            if not self._files.folder(scene_id).is_dir():
+                self._make_room(len(ply))
+                self._files.write(scene_id, ply, document, self._tick())
+            self._list([scene_id])
+
+    def listed(self, scene_id: str) -> bool:
+        """Whether the scene is there; then it is in the list too, whatever a crash has left out."""
+        if self.exists(scene_id):
+            with self._alone():
+                self._list([scene_id])
+        return self.exists(scene_id)
 
     def exists(self, scene_id: str) -> bool:
         """Whether the scene is there; False for what is no id at all."""
@@ -125,7 +132,7 @@ class SceneStore:
 
     def delete(self, scene_id: str) -> None:
         """Remove a scene. Raises `SceneNotFound`."""
-        with shared(self.root / _LOCK):
+        with self._alone():
             self._files.remove(scene_id)
             self._index.remove([scene_id])
         self._cache.drop(scene_id)
@@ -135,25 +142,29 @@ class SceneStore:
         if self.max_days is None:
             return 0
         before = time.time_ns() - int(self.max_days * DAY_NS)
-        with shared(self.root / _LOCK):
+        with self._alone():
             return sum(self._evict(row) for row in self._index.longest_unused(before))
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """One at a time changes what is there, so that list, folders and limits agree."""
+        with shared(self.root / _LOCK), exclusive(self.root / _WRITING):
+            yield
 
     def _make_room(self, more: int) -> None:
         if self.max_bytes is None:
             return
-        count, held = self._index.totals()
-        if held + more <= self.max_bytes:
-            return
-        for row in self._index.longest_unused():
-            if self._evict(row):
-                held -= row.bytes
-            if held + more <= self.max_bytes:
-                return
-        raise StorageFull(
-            f"{count} scenes have {held} bytes, one of {more} bytes would pass the limit of {self.max_bytes}",
-            field="store",
-            cure="raise GAPMES_STORE_BYTES, or try again when fewer scenes are being read",
-        )
+        cure = "raise GAPMES_STORE_BYTES"
+        if more > self.max_bytes:
+            message = f"the scene has {more} bytes, more than the store's limit of {self.max_bytes}"
+            raise StorageFull(message, field="store", cure=cure)
+        unused = iter(self._index.longest_unused() if self.totals()[1] + more > self.max_bytes else ())
+        while (held := self.totals()[1]) + more > self.max_bytes:
+            row = next(unused, None)
+            if row is None:
+                message = f"{held} bytes are being read, {more} more would pass the limit of {self.max_bytes}"
+                raise StorageFull(message, field="store", cure=f"{cure}, or try again when fewer are being read")
+            self._evict(row)
 
     def _evict(self, row: Indexed) -> bool:
         try:
@@ -169,11 +180,21 @@ class SceneStore:
         """List the folders that are not listed, and no others."""
         there, listed = self._files.ids(), self._index.ids()
         self._index.remove(listed - there)
-        self._index.add([self._row(scene_id, self._files.document(scene_id)) for scene_id in there - listed])
+        self._list(there - listed)
 
-    def _row(self, scene_id: str, document: Mapping[str, Any]) -> Indexed:
-        size, created_ns = self._files.size(scene_id)
-        return Indexed(scene_id, created_ns, max(created_ns, time.time_ns()), size, _summary(scene_id, document))
+    def _list(self, ids: Iterable[str]) -> None:
+        """A folder that cannot be read, which a power cut may leave, is passed over and said."""
+        rows = []
+        for scene_id in ids:
+            try:
+                document = self._files.document(scene_id)
+                size, created_ns = self._files.size(scene_id)
+            except (SceneNotFound, OSError, ValueError) as error:
+                _log.warning("scene %s cannot be read and is not listed: %s", scene_id, error)
+                continue
+            summary = _summary(scene_id, document)
+            rows.append(Indexed(scene_id, created_ns, max(created_ns, time.time_ns()), size, summary))
+        self._index.add(rows)
 
     def _tick(self) -> int:
         """Nanoseconds since 1970, never twice the same in this process."""

@@ -90,7 +90,7 @@ def main() -> None:
             wall += seconds
             resident, private, together = service.memory_mb()
             print(
-                f"{wall:5.0f} s  resident {resident:4.0f} MB, private {private:4.0f} MB, shared once {together:4.0f} MB",
+                f"{wall:5.0f} s  resident {resident:4.0f} MB, private {private:4.0f} MB, shared once {together:.0f} MB",
                 flush=True,
             )
         print(f"while {given.scenes} clients ask for scenes:")

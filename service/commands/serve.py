@@ -7,14 +7,13 @@ import signal
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from ..errors import InputError, ModelError
 
-if TYPE_CHECKING:
-    pass
+SHARED_MEMORY = "/dev/shm"
 
 
 def serve(
@@ -62,10 +61,18 @@ def serve(
         "server_header": False,
         "timeout_graceful_shutdown": max(1, round(settings.drain_seconds)),
     }
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # the server raises it once more when it has ended in order
+    signal.signal(signal.SIGTERM, _ended)  # the server raises it once more when it has ended in order
     if settings.workers == 1:
         uvicorn.run("gapmes.service.serving:app", **options)
         return
-    with tempfile.TemporaryDirectory(prefix="gapmes-metrics-") as folder:
+    memory = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None  # a full disk would end who writes there
+    with tempfile.TemporaryDirectory(prefix="gapmes-metrics-", dir=memory) as folder:
         os.environ["PROMETHEUS_MULTIPROC_DIR"] = folder
         uvicorn.run("gapmes.service.serving:app", workers=settings.workers, **options)
+
+
+def _ended(*_: object) -> None:
+    """Exit code 0, at once: a thread that is still inside the network must not be unwound."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)

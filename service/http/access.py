@@ -33,7 +33,7 @@ class KeyNeeded:
     def _brought(self, headers: Headers) -> bool:
         given = headers.get("authorization", "")
         key = given[len(SCHEME) :] if given.lower().startswith(SCHEME) else headers.get("x-api-key", "")
-        return hmac.compare_digest(key.encode("utf-8", "surrogateescape"), self._key)
+        return hmac.compare_digest(key.encode("latin-1"), self._key)  # the bytes as they came
 
 
 def _open(path: str) -> bool:

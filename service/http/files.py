@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from fastapi import Request, Response
 from fastapi.responses import FileResponse
-from starlette.types import Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from ..errors import SceneNotFound
-from ..problem_document import of_error
+from ..problem_document import of_error, problem
+from ..scene_files import unknown
 from ..store import SceneStore
 from . import problems
 from .responses import PLY
+
+_RANGE = re.compile(rb"bytes=(\d+-\d*|-\d+)(\s*,\s*(\d+-\d*|-\d+))*")
 
 
 def etag_of(path: Path) -> str:
@@ -36,18 +40,34 @@ def not_modified(etag: str, headers: Mapping[str, str] | None = None) -> Respons
 class SceneFile(FileResponse):
     """A scene's .ply; the scene is being read until the last byte is sent."""
 
-    def __init__(self, store: SceneStore, scene_id: str, etag: str) -> None:
+    def __init__(self, store: SceneStore, scene_id: str, etag: str, size: int) -> None:
         super().__init__(
             store.root / scene_id / "scene.ply",
             media_type=PLY,
             filename=f"{scene_id}.ply",
             headers={"ETag": etag, "Cache-Control": "private, no-cache"},
         )
-        self._store, self._scene_id = store, scene_id
+        self._store, self._scene_id, self._size = store, scene_id, size
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """What is no range is passed over; one that the file does not have is answered by a problem document."""
+        headers = [(name, value) for name, value in scope["headers"] if name != b"range" or _RANGE.fullmatch(value)]
+        beyond = False
+
+        async def watched(message: Message) -> None:
+            nonlocal beyond
+            beyond = beyond or message.get("status") in (400, 416)
+            if not beyond:
+                await send(message)
+
         try:
             with self._store.reading(self._scene_id):
-                await super().__call__(scope, receive, send)
-        except SceneNotFound as error:  # deleted meanwhile; nothing was sent yet
-            await problems.response(of_error(error))(scope, receive, send)
+                await super().__call__({**scope, "headers": headers}, receive, watched)
+        except (SceneNotFound, RuntimeError) as error:  # deleted meanwhile; nothing was sent yet
+            if isinstance(error, RuntimeError) and self._store.exists(self._scene_id):
+                raise
+            await problems.response(of_error(unknown(self._scene_id)))(scope, receive, send)
+        if beyond:
+            document = problem(416, "range_not_satisfiable", f"the file has {self._size} bytes", field="Range")
+            whole = {"Content-Range": f"bytes */{self._size}"}
+            await problems.response(document, whole)(scope, receive, send)

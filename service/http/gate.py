@@ -50,7 +50,6 @@ class Lane:
         self._turns = asyncio.Semaphore(slots)
         self._patience_s = patience_s
         self.places = Places(slots + waiting, doing)
-        self.waited_s = 0.0
 
     async def run(self, function: Callable[[], T], gone: Gone) -> T:
         """Wait for a turn, then run, so that the event loop keeps answering.
@@ -65,16 +64,15 @@ class Lane:
                 self._turns.release()
 
     async def _turn(self, gone: Gone) -> None:
+        turn = asyncio.ensure_future(self._turns.acquire())  # one wait, so that the order of arrival is kept
         start = time.monotonic()
-        while True:
-            try:
-                async with asyncio.timeout(GLANCE_S):
-                    await self._turns.acquire()
-            except TimeoutError:
-                pass
-            else:
-                return
-            if await gone():
-                raise ClientDisconnect
-            if time.monotonic() - start > self._patience_s:
-                raise ServiceBusy(f"no turn within {self._patience_s:g} s", cure="retry later")
+        try:
+            while not (await asyncio.wait({turn}, timeout=GLANCE_S))[0]:
+                if await gone():
+                    raise ClientDisconnect
+                if time.monotonic() - start > self._patience_s:
+                    raise ServiceBusy(f"no turn within {self._patience_s:g} s", cure="retry later")
+        except BaseException:
+            if not turn.cancel():  # it came at this very moment
+                self._turns.release()
+            raise

@@ -13,7 +13,7 @@ from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
 from ..errors import JobCancelled
-from ..jobs.table import Event, Job
+from ..jobs.rows import Event, Job
 from ..problem_document import of_error
 from .responses import json_response
 from .runtime import Runtime, runtime_of
@@ -58,6 +58,7 @@ async def job_events(
     """Server-sent events: `state` and `stage`, numbered, from the beginning or behind the last one received; comments
     as signs of life; the stream ends with the job."""
     runtime.desk.table.get(job_id)
+    runtime.streams.check()
     if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
         after = int(last_event_id[:10])
     stream = _events(request, runtime, job_id, after)
@@ -78,13 +79,12 @@ def get_job(job_id: str, runtime: Held) -> Response:
 def cancel_job(job_id: str, runtime: Held) -> Response:
     """End a job: at once while it is queued, after its stage while it runs. One that ended stays as it is. Whoever
     waits for the same scene without a job keeps it going."""
-    return json_response(job_document(runtime, runtime.desk.table.cancel(job_id)))
+    return json_response(job_document(runtime, runtime.desk.cancel(job_id)))
 
 
 def job_document(runtime: Runtime, job: Job) -> dict[str, Any]:
     """Plain JSON; `problem` and `links.scene` are there once there is one."""
     table = runtime.desk.table
-    stages = [event.data for event in table.events(job.id) if event.name == "stage"] if not job.over else []
     document: dict[str, Any] = {
         "id": job.id,
         "state": job.state,
@@ -93,7 +93,7 @@ def job_document(runtime: Runtime, job: Job) -> dict[str, Any]:
         "ended": _time(job.ended),
         "attempts": job.attempts,
         "ahead": table.ahead(job) if job.state == "queued" else 0,
-        "stage": stages[-1] if stages and job.state == "running" else None,
+        "stage": table.last_stage(job.id) if job.state == "running" else None,
         "links": {"self": f"/jobs/{job.id}", "events": f"/jobs/{job.id}/events"},
     }
     if job.state == "done":
@@ -105,18 +105,19 @@ def job_document(runtime: Runtime, job: Job) -> dict[str, Any]:
 
 async def _events(request: Request, runtime: Runtime, job_id: str, after: int) -> AsyncIterator[str]:
     table, heard = runtime.desk.table, time.monotonic()
-    yield f"retry: {RETRY_MS}\n\n"
-    while not runtime.stopping:
-        over = table.get(job_id).over  # asked first: no event comes after the last
-        for event in table.events(job_id, after):
-            after, heard = event.seq, time.monotonic()
-            yield _text(event)
-        if over or await request.is_disconnected():
-            return
-        if time.monotonic() - heard > runtime.settings.heartbeat_seconds:
-            heard = time.monotonic()
-            yield ": still here\n\n"
-        await anyio.sleep(LOOK_S)
+    async with runtime.streams.place():
+        yield f"retry: {RETRY_MS}\n\n"
+        while not runtime.stopping:
+            over = table.get(job_id).over  # asked first: no event comes after the last
+            for event in table.events(job_id, after):
+                after, heard = event.seq, time.monotonic()
+                yield _text(event)
+            if over or await request.is_disconnected():
+                return
+            if time.monotonic() - heard > runtime.settings.heartbeat_seconds:
+                heard = time.monotonic()
+                yield ": still here\n\n"
+            await anyio.sleep(LOOK_S)
 
 
 def _text(event: Event) -> str:

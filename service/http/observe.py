@@ -6,6 +6,7 @@ import logging
 import re
 import time
 import uuid
+from urllib.parse import quote
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -15,6 +16,7 @@ from ..metrics import REJECTED, REQUESTS, SECONDS
 
 HEADER = "X-Request-ID"
 QUIET = ("/healthz", "/readyz", "/metrics")  # asked for every few seconds: counted, not logged
+METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
 _ID = re.compile(r"[\w.:-]{1,64}", re.ASCII)
 _log = logging.getLogger("gapmes.access")
 
@@ -56,14 +58,16 @@ class Observed:
             raise
         finally:
             seconds = time.perf_counter() - start
+            method = scope["method"] if scope["method"] in METHODS else "other"
+            path = quote(scope["path"], safe="/:")  # a line break or a control character in it is no line of the log
             route = getattr(scope.get("route"), "path", "none")
-            REQUESTS.labels(scope["method"], route, status).inc()
+            REQUESTS.labels(method, route, status).inc()
             SECONDS.labels(route).observe(seconds)
             if scope["path"] not in QUIET:
                 _log.info(
                     "%s %s %d",
-                    scope["method"],
-                    scope["path"],
+                    method,
+                    path,
                     status,
                     extra={"seconds": round(seconds, 4), "bytes": sent, "route": route},
                 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import AsyncExitStack
+from functools import partial
 from typing import Annotated
 
 import anyio.to_thread
@@ -16,7 +18,7 @@ from .responses import JSON, PLY, ZIP, accepted, json_response, server_timing
 from .runtime import Runtime, runtime_of
 from .scenes import with_links
 from .schemas import Job, SceneDocument
-from .upload import Upload, read_upload
+from .upload import Told, read_upload
 from .waiting import ended
 
 router = APIRouter(tags=["reconstruction"])
@@ -42,34 +44,41 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
     form = accepted(request.headers.get("accept"))
     model_sha256 = runtime.reconstructor.engine.info.file_sha256
     runtime.desk.table.check_room()  # before the body is read, so that a full queue costs no memory
-    async with runtime.uploads.place():  # slow senders take no place at the CPU
-        upload = await read_upload(request, runtime.settings)
-        views = SceneViews(upload.pairing.cameras)
-        for spec in upload.views:  # refuse an unknown view before the work, not after it
-            views.resolve(spec, field="views")
-        scene_id = await anyio.to_thread.run_sync(lambda: upload.work.scene_id(model_sha256))
-    if wanted_async(request.headers.getlist("prefer")):
-        job, _ = await anyio.to_thread.run_sync(lambda: runtime.desk.submit(upload.work, scene_id, kept=True))
-        return accepted_job(runtime, job)
-    new = False
-    if not runtime.store.exists(scene_id):
-        job, new = await anyio.to_thread.run_sync(lambda: runtime.desk.submit(upload.work, scene_id, kept=False))
-        job = await ended(runtime.desk.table, job, runtime.settings.wait_seconds, request.is_disconnected)
-        if job.state != "done":
-            return problems.of_document(why_not(job))
-    return await _answer(request, runtime, scene_id, form, upload, 201 if new else 200)
+    runtime.scenes.check()
+    kept = wanted_async(request.headers.getlist("prefer"))
+    async with AsyncExitStack() as held:
+        async with runtime.uploads.place():  # slow senders take no place at the CPU
+            upload = await read_upload(request, runtime.settings)
+            views = SceneViews(upload.pairing.cameras)
+            for spec in upload.views:  # refuse an unknown view before the work, not after it
+                views.resolve(spec, field="views")
+            work, told = upload.work, Told.of(upload)
+            del upload
+            scene_id = await anyio.to_thread.run_sync(work.scene_id, model_sha256)
+            job, new = None, False
+            if not kept:
+                await held.enter_async_context(runtime.scenes.place())
+            if kept or not runtime.store.exists(scene_id):
+                submit = partial(runtime.desk.submit, work, scene_id, kept=kept)
+                job, new = await anyio.to_thread.run_sync(submit)
+                del submit
+            del work  # and with it the photographs: they are on disk now
+        if job is not None and kept:
+            return accepted_job(runtime, job)
+        if job is not None:
+            job = await ended(runtime.desk, job, runtime.settings.wait_seconds, request.is_disconnected)
+            if job.state != "done":
+                return problems.of_document(why_not(job))
+        return await _answer(request, runtime, scene_id, form, told, 201 if new else 200)
 
 
-async def _answer(
-    request: Request, runtime: Runtime, scene_id: str, form: str, upload: Upload, status: int
-) -> Response:
+async def _answer(request: Request, runtime: Runtime, scene_id: str, form: str, told: Told, status: int) -> Response:
     """The stored scene with what this request alone says: its file names and how they were paired."""
-    pairing = upload.pairing
-    document = with_links(runtime.store.document(scene_id), upload.views)
+    document = with_links(await anyio.to_thread.run_sync(runtime.store.document, scene_id), told.views)
     document |= {
-        "images": [image.name for image in pairing.images],
-        "paired_by": pairing.by,
-        "warnings": [*pairing.warnings, *document["warnings"]],
+        "images": list(told.images),
+        "paired_by": told.paired_by,
+        "warnings": [*told.warnings, *document["warnings"]],
     }
     headers = {"Location": document["links"]["self"], "Vary": "Accept, Prefer"}
     if status == 201:
@@ -80,6 +89,6 @@ async def _answer(
         name, body = f"{scene_id}.ply", await anyio.to_thread.run_sync(runtime.store.ply, scene_id)
     else:
         name = f"{scene_id}.zip"
-        body = await runtime.pictures.run(lambda: zip_bundle(runtime, document, upload.views), request.is_disconnected)
+        body = await runtime.pictures.run(lambda: zip_bundle(runtime, document, told.views), request.is_disconnected)
     headers["Content-Disposition"] = f'attachment; filename="{name}"'
     return Response(body, status_code=status, media_type=form, headers=headers)

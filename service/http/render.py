@@ -5,12 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Annotated, Any
 
+import anyio.to_thread
 from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..camera import Camera
 from ..camera_json import camera_from_json
 from ..effort import ALPHA_MIN, LIMITS, MAX_SAMPLES, STOP, Effort
 from ..errors import ViewError
@@ -69,24 +72,15 @@ async def render(
     if query.view is not None and query.camera is not None:
         raise ViewError("view and camera are both given, need one", field="camera")
     runtime.reconstructor  # noqa: B018  refuses until the kernels are warm
-    scene_id = query.scene if query.scene is not None else runtime.store.newest()
-    views = SceneViews.of_document(runtime.store.document(scene_id))
+    asked = await anyio.to_thread.run_sync(_asked, runtime, query)
+    cache = {"ETag": asked.etag, "Cache-Control": KEPT if query.scene is not None else "no-cache"}
+    if matches(request, asked.etag):
+        return not_modified(asked.etag, cache)
     background = parse_background(query.background)
-    if query.camera is not None:
-        camera = camera_from_json(parse_json(query.camera, "camera"))
-    else:
-        camera = views.resolve(query.view if query.view is not None else "0")
-    camera = check_size(frame(camera, query.width, query.height), runtime.settings.max_render_pixels, query.samples)
     effort = Effort(query.alpha_min, query.stop, query.sh_degree, query.samples)
-    check_format(camera.width, camera.height, query.channel, query.format)
-
-    etag = _etag(runtime, scene_id, query)
-    cache = {"ETag": etag, "Cache-Control": KEPT if query.scene is not None else "no-cache"}
-    if matches(request, etag):
-        return not_modified(etag, cache)
 
     def work() -> tuple[Picture, dict[str, Any], float]:
-        drawn = draw(runtime, scene_id, camera, views, query.channel, effort, background)
+        drawn = draw(runtime, asked.scene_id, asked.camera, asked.views, query.channel, effort, background)
         start = time.perf_counter()
         return encode(drawn, query.channel, query.format), plain(drawn.stats), time.perf_counter() - start
 
@@ -97,15 +91,34 @@ async def render(
     for stage, seconds in (("draw", drawing), ("encode", encoding)):
         STAGES.labels(stage).observe(seconds)
     timing = server_timing({"wait": max(total - drawing - encoding, 0.0), "draw": drawing, "encode": encoding})
-    headers = {"X-Gapmes-Scene": scene_id, "X-Gapmes-Stats": json.dumps(stats), "Server-Timing": timing, **cache}
+    headers = {"X-Gapmes-Scene": asked.scene_id, "X-Gapmes-Stats": json.dumps(stats), "Server-Timing": timing, **cache}
     if picture.depth_range is not None:
         headers["X-Gapmes-Depth-Min"], headers["X-Gapmes-Depth-Max"] = map(repr, picture.depth_range)
     return Response(picture.data, media_type=picture.media_type, headers=headers)
 
 
-def _etag(runtime: Runtime, scene_id: str, query: RenderQuery) -> str:
-    """The picture depends on the scene's file, on what is asked, and on the splatter of this release."""
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What a query means."""
+
+    scene_id: str
+    views: SceneViews
+    camera: Camera
+    etag: str  # of the picture: it depends on the scene's file, on what is asked, and on the splatter of this release
+
+
+def _asked(runtime: Runtime, query: RenderQuery) -> _Asked:
+    """Read from the store; call it on a worker thread."""
+    scene_id = query.scene if query.scene is not None else runtime.store.newest()
+    views = SceneViews.of_document(runtime.store.document(scene_id))
+    if query.camera is not None:
+        camera = camera_from_json(parse_json(query.camera, "camera"))
+    else:
+        camera = views.resolve(query.view if query.view is not None else "0")
+    camera = check_size(frame(camera, query.width, query.height), runtime.settings.max_render_pixels, query.samples)
+    check_format(camera.width, camera.height, query.channel, query.format)
     with runtime.store.reading(scene_id) as path:
         scene = etag_of(path)
     parts = [scene, version("gapmes"), query.model_dump_json(exclude={"scene"})]
-    return f'"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}"'
+    etag = f'"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}"'
+    return _Asked(scene_id, views, camera, etag)

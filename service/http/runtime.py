@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("gapmes")
 MODELS = ".models"  # beside the scenes: the one folder that is surely writable, and shared by all processes
-TIDY_S = 60.0  # between two looks for scenes that are too old
+TIDY_S = 60.0  # between two looks for scenes that are too old, and for jobs to forget
 
 
 class Runtime:
@@ -47,9 +47,11 @@ class Runtime:
         self.pictures = Lane(
             settings.render_concurrency, settings.render_waiting, settings.render_seconds, "drawing or waiting to"
         )
+        self.streams = Places(settings.max_streams, "following jobs")
+        self.scenes = Places(settings.concurrency + settings.max_waiting, "waiting for their scenes")
         self.uploads = Places(settings.max_uploads, "sending their photographs")
         self.stage = "start"
-        self.stopping = False  # after SIGTERM: streams end, so that the server can
+        self._told: float | None = None  # when the process was told to end
         self.timings: dict[str, float] = {}
         self._loading: asyncio.Future[None] | None = None
         self._reconstructor: Reconstructor | None = None
@@ -65,11 +67,24 @@ class Runtime:
             with self._told_to_stop():
                 yield
         finally:
-            self.stopping = True
+            self.stop()
             self._loading.cancel()
             loader.shutdown(wait=False, cancel_futures=True)
             tidying.cancel()
-            await anyio.to_thread.run_sync(self.desk.close, self.settings.drain_seconds)
+            passed = time.monotonic() - (self._told or 0.0)  # requests had their share of the patience
+            patience = max(1.0, self.settings.drain_seconds - passed)
+            await anyio.to_thread.run_sync(self.desk.close, patience)
+
+    def stop(self) -> None:
+        """The process was told to end: streams end, and nothing is begun but what a request waits for."""
+        if self._told is None:
+            self._told = time.monotonic()
+            self.desk.drain()
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the process was told to end."""
+        return self._told is not None
 
     @contextmanager
     def _told_to_stop(self) -> Iterator[None]:
@@ -80,7 +95,7 @@ class Runtime:
         before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
 
         def heard(number: int, frame: FrameType | None) -> None:
-            self.stopping = True
+            self.stop()
             handler = before[signal.Signals(number)]
             if callable(handler):
                 handler(number, frame)
@@ -94,13 +109,14 @@ class Runtime:
                 signal.signal(number, handler)
 
     async def _tidy(self) -> None:
-        """Evict what nobody reads, now and then."""
-        while self.settings.store_days is not None:
+        """Evict what nobody reads and forget what ended, now and then."""
+        while True:
+            await asyncio.sleep(TIDY_S)
             try:
                 await anyio.to_thread.run_sync(self.store.evict_old)
+                await anyio.to_thread.run_sync(self.desk.tidy)
             except Exception:
-                _log.exception("old scenes cannot be evicted")
-            await asyncio.sleep(TIDY_S)
+                _log.exception("the store cannot be tidied")
 
     def _load(self) -> None:
         """Import the heavy libraries, load the model, compile or load the kernels."""
@@ -113,9 +129,9 @@ class Runtime:
             )
         with self._timed("kernels"):
             warm_up()
+        self.desk.open(reconstructor)
         self.stage = "ready"
         self._reconstructor = reconstructor
-        self.desk.open(reconstructor)
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

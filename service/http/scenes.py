@@ -42,16 +42,15 @@ def list_scenes(
         200: {"description": "the file", "content": {PLY: {}}},
         206: {"description": "the part of it that `Range` asks for", "content": {PLY: {}}},
         304: {"description": "`If-None-Match` has its tag"},
-        416: {"description": "`Range` lies beyond its end", "content": {"text/plain": {}}},
     },
 )
 def scene_ply(request: Request, scene_id: str, runtime: Held) -> Response:
     """The .ply, as every 3DGS viewer reads it; whole, by ranges, or 304 where `If-None-Match` has its tag."""
     with runtime.store.reading(scene_id) as path:
-        etag = etag_of(path)
+        etag, size = etag_of(path), path.stat().st_size
     if matches(request, etag):
         return not_modified(etag)
-    return SceneFile(runtime.store, scene_id, etag)
+    return SceneFile(runtime.store, scene_id, etag, size)
 
 
 @router.get("/scenes/{scene_id:path}", response_model=SceneDocument)
@@ -87,7 +86,7 @@ def links(scene_id: str, views: int) -> dict[str, Any]:
 
 def _place(text: str) -> tuple[int, str]:
     instant, _, scene_id = text.partition("-")
-    if not (instant.isascii() and instant.isdigit() and len(instant) < 20 and is_id(scene_id)):
+    if not (instant.isascii() and instant.isdigit() and len(instant) < 20 and int(instant) < 2**63 and is_id(scene_id)):
         raise InputError(f"{text!r} is no place in the list", field="after", cure="take `next` of the page before")
     return int(instant), scene_id
 

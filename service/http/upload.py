@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import anyio.to_thread
 from fastapi import Request
@@ -12,6 +13,7 @@ from starlette.exceptions import HTTPException
 
 from ..budget import DEFAULT_CERTIFY, DEFAULT_MAX_ERROR, Budget, parse_max_error
 from ..camera_file import CameraFile, parse_camera_file
+from ..disk import full_is_refused
 from ..errors import (
     DepthRangeError,
     InputError,
@@ -55,6 +57,22 @@ class Upload:
     views: tuple[str, ...]  # to be drawn, such as "1.5"
 
 
+@dataclass(frozen=True)
+class Told:
+    """What the answer says of the request itself."""
+
+    images: tuple[str, ...]  # file names
+    paired_by: str
+    warnings: tuple[dict[str, Any], ...]
+    views: tuple[str, ...]
+
+    @classmethod
+    def of(cls, upload: Upload) -> Told:
+        """Without the photographs."""
+        pairing = upload.pairing
+        return cls(tuple(image.name for image in pairing.images), pairing.by, pairing.warnings, upload.views)
+
+
 async def read_upload(request: Request, settings: Settings) -> Upload:
     """Read and check the form; raises the error that names the field, never a framework's own.
 
@@ -68,7 +86,7 @@ async def read_upload(request: Request, settings: Settings) -> Upload:
             cure="curl -F images=@a.jpg -F images=@b.jpg -F cameras=@cameras.json",
         )
     try:
-        with anyio.fail_after(settings.upload_seconds):
+        with anyio.fail_after(settings.upload_seconds), full_is_refused("the upload"):
             form = await request.form(
                 max_files=MAX_PARTS, max_fields=MAX_PARTS, max_part_size=settings.max_upload_bytes
             )

@@ -5,22 +5,24 @@ from __future__ import annotations
 import time
 
 import anyio
+import anyio.to_thread
 from starlette.requests import ClientDisconnect
 
 from ..errors import DeadlineExceeded
-from ..jobs.table import Job, JobTable
+from ..jobs.desk import Desk
+from ..jobs.rows import Job
 from .gate import Gone
 
 FIRST_S, LAST_S, SHARE = 0.005, 0.2, 0.05  # looks come at a twentieth of the time that has passed, between these
 
 
-async def ended(table: JobTable, job: Job, patience_s: float, gone: Gone) -> Job:
+async def ended(desk: Desk, job: Job, patience_s: float, gone: Gone) -> Job:
     """The job once it is over. Raises `ClientDisconnect` or `DeadlineExceeded`, after which it is left."""
     start = time.monotonic()
     over = False
     try:
         while True:
-            job = table.get(job.id)
+            job = desk.table.get(job.id)
             if job.over:
                 over = True
                 return job
@@ -35,4 +37,5 @@ async def ended(table: JobTable, job: Job, patience_s: float, gone: Gone) -> Job
             await anyio.sleep(min(max(SHARE * passed, FIRST_S), LAST_S))
     finally:
         if not over:
-            table.leave(job.id)
+            with anyio.CancelScope(shield=True):
+                await anyio.to_thread.run_sync(desk.leave, job.id)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 import uuid
 from typing import TYPE_CHECKING
 
 from .. import metrics
+from ..errors import ModelChanged
 from ..progress import Listener, Stage
 from ..store import SceneStore
 from .leases import Lease
-from .runner import Runner
+from .rows import Job
+from .runner import Compute, Runner
 from .spool import Spool
-from .table import Job, JobTable
+from .table import JobTable
 from .work import Work, compute
 
 if TYPE_CHECKING:
@@ -26,20 +29,40 @@ class Desk:
 
     def __init__(self, store: SceneStore, settings: Settings) -> None:
         self._store, self._settings = store, settings
-        self.table = JobTable(
-            store.database, most=settings.concurrency + settings.max_waiting, keep_s=settings.job_keep_seconds
-        )
+        most = settings.workers * settings.concurrency + settings.max_waiting
+        self.table = JobTable(store.database, most=most, keep_s=settings.job_keep_seconds)
         self._spool = Spool(store.root / SPOOL)
+        self._opening = threading.Lock()
+        self._closed = False
         self._lease: Lease | None = None
         self._runner: Runner | None = None
 
     def open(self, reconstructor: Reconstructor) -> None:
-        """Begin to compute, what an earlier process left first."""
-        settings, store = self._settings, self._store
+        """Begin to compute, what an earlier process left first; nothing where it was closed meanwhile."""
+        with self._opening:
+            if self._closed:
+                return
+            self._lease = Lease(self._store.root / LEASES)
+            self._runner = Runner(
+                self.table,
+                self._spool,
+                self._lease,
+                self._compute_with(reconstructor),
+                slots=self._settings.concurrency,
+                limit_s=self._settings.reconstruct_seconds,
+            )
+            self.tidy()
+            self._runner.recover()
+            self._runner.start()
+
+    def _compute_with(self, reconstructor: Reconstructor) -> Compute:
+        store, settings = self._store, self._settings
 
         def scene(work: Work, scene_id: str, listener: Listener) -> None:
-            if store.exists(scene_id):  # it was finished just before its process ended
+            if store.listed(scene_id):  # it was finished just before its process ended
                 return
+            if work.scene_id(reconstructor.engine.info.file_sha256) != scene_id:
+                raise ModelChanged("the job was asked for with another model file or release", cure="ask for it again")
 
             def hear(stage: Stage) -> None:
                 metrics.stage_ended(stage)
@@ -47,24 +70,37 @@ class Desk:
 
             metrics.reconstructed(compute(work, scene_id, reconstructor, store, settings, hear))
 
-        self._lease = Lease(store.root / LEASES)
-        self._runner = Runner(
-            self.table,
-            self._spool,
-            self._lease,
-            scene,
-            slots=settings.concurrency,
-            limit_s=settings.reconstruct_seconds,
-        )
+        return scene
+
+    def tidy(self) -> None:
+        """Forget what ended long ago, and inputs that no job needs."""
+        self.table.forget()
         self._spool.sweep(self.table.unfinished())
-        self._runner.recover()
-        self._runner.start()
+
+    def drain(self) -> None:
+        """The process was told to end: begin nothing but what a request waits for."""
+        if self._runner is not None:
+            self._runner.drain()
 
     def close(self, patience_s: float) -> None:
         """End after what is being computed; what takes longer is left to another process."""
-        if self._runner is not None and self._lease is not None:
-            self._runner.stop(patience_s)
-            self._lease.release()
+        with self._opening:
+            self._closed = True
+            if self._runner is not None and self._lease is not None:
+                self._runner.stop(patience_s)
+                self._lease.release()
+
+    def leave(self, job_id: str) -> None:
+        """A request does not wait any more; what nobody wants ends, and its inputs go."""
+        if self.table.leave(job_id):
+            self._spool.drop(job_id)
+
+    def cancel(self, job_id: str) -> Job:
+        """Nobody asks for the job any more. Raises `JobNotFound`."""
+        job = self.table.cancel(job_id)
+        if job.over:
+            self._spool.drop(job_id)
+        return job
 
     def submit(self, work: Work, scene_id: str, *, kept: bool) -> tuple[Job, bool]:
         """The job of a scene, and whether it is new: the one that is active, another, or one that is done where the

@@ -13,12 +13,15 @@ class Lease:
     """This process among those that share a store."""
 
     def __init__(self, folder: Path) -> None:
-        """Take a name of one's own in `folder`."""
+        """Take a name of one's own in `folder`, and remove those of the dead."""
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self.name = uuid.uuid4().hex
-        self._handle = os.open(folder / self.name, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+        unseen = folder / f".{self.name}"  # locked before anybody could take it for that of a dead process
+        self._handle = os.open(unseen, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         fcntl.flock(self._handle, fcntl.LOCK_EX)
+        unseen.rename(folder / self.name)
+        self.gone(path.name for path in folder.iterdir() if not path.name.startswith("."))
 
     def release(self) -> None:
         """Be gone for the others."""

@@ -13,8 +13,9 @@ from ..priority import give_way
 from ..problem_document import problem, public
 from ..progress import Listener, Stage
 from .leases import Lease
+from .rows import Job
 from .spool import Spool
-from .table import Job, JobTable
+from .table import JobTable
 from .work import Work
 
 POLL_S = 0.25  # between looks for what other processes have queued
@@ -37,9 +38,9 @@ class Runner:
         self._table, self._spool, self._lease, self._compute = table, spool, lease, compute
         self._limit_s = limit_s
         self._wake = threading.Condition()
-        self._stopping = False
+        self._stopping = self._draining = False
         self._looked = 0.0
-        self._running: dict[str, Job] = {}
+        self._running: set[str] = set()
         self._threads = [threading.Thread(target=self._loop, name=f"job-{i}", daemon=True) for i in range(slots)]
 
     def start(self) -> None:
@@ -52,6 +53,10 @@ class Runner:
         with self._wake:
             self._wake.notify()
 
+    def drain(self) -> None:
+        """Claim only jobs whose answer a request waits for; the others are left to another process."""
+        self._draining = True
+
     def stop(self, patience_s: float) -> None:
         """Claim no further job and wait for those that run; those that take longer are queued for another process."""
         with self._wake:
@@ -62,7 +67,7 @@ class Runner:
             if thread.ident is not None:
                 thread.join(max(0.0, deadline - time.monotonic()))
         for job_id in list(self._running):
-            self._table.give_back(job_id)
+            self._table.give_back(job_id, self._lease.name)
 
     def recover(self) -> None:
         """Queue the jobs of processes that ended again, or fail those that have ended two."""
@@ -74,7 +79,8 @@ class Runner:
         )
         gone = self._lease.gone(self._table.owners())
         if gone:
-            self._table.recover(gone, why)
+            for job_id in self._table.recover(gone, why):
+                self._spool.drop(job_id)
 
     def _loop(self) -> None:
         give_way()
@@ -90,48 +96,49 @@ class Runner:
                     if not self._stopping:
                         self._wake.wait(POLL_S)
                 continue
-            self._running[job.id] = job
+            self._running.add(job.id)
             try:
                 self._run(job)
+            except Exception:  # the thread must go on, whatever happened to one job
+                _log.exception("job %s was left", job.id)
             finally:
-                self._running.pop(job.id, None)
+                self._running.discard(job.id)
 
     def _next(self) -> Job | None:
         now = time.monotonic()
         if now - self._looked > RECOVER_S:
             self._looked = now
             self.recover()
-        return self._table.claim(self._lease.name)
+        return self._table.claim(self._lease.name, waited_for=self._draining)
 
     def _run(self, job: Job) -> None:
+        owner = self._lease.name
         try:
             work = self._spool.get(job.id)
             self._compute(work, job.scene_id, self._listener(job))
         except JobCancelled:
-            self._end(job, lambda: self._table.end_cancelled(job.id))
+            state, over = "cancelled", self._noted(job, lambda: self._table.end_cancelled(job.id, owner))
         except Exception as error:
             if not isinstance(error, GapmesError) or error.status == 500:
                 _log.error("job %s failed", job.id, exc_info=error)
             document = public(error)
-            self._end(job, lambda: self._table.end(job.id, "failed", document))
+            state, over = "failed", self._noted(job, lambda: self._table.end(job.id, owner, "failed", document))
         else:
-            self._end(job, lambda: self._table.end(job.id, "done"))
+            state, over = "done", self._noted(job, lambda: self._table.end(job.id, owner, "done"))
+        if over:
+            JOBS.labels(state).inc()
+            self._spool.drop(job.id)
 
-    def _end(self, job: Job, note: Callable[[], object]) -> None:
+    def _noted(self, job: Job, note: Callable[[], bool]) -> bool:
         """A full disk cannot keep a job from ending: the note is tried until it is there, or this process ends."""
         while True:
             try:
-                note()
-                break
+                return note()
             except Exception:
                 _log.exception("the end of job %s cannot be noted", job.id)
                 if self._stopping:
-                    return
+                    return False
                 time.sleep(RETRY_S)
-        ended = self._table.get(job.id)
-        if ended.over:
-            JOBS.labels(ended.state).inc()
-            self._spool.drop(job.id)
 
     def _listener(self, job: Job) -> Listener:
         """Notes stages for whoever follows the job, and ends it between two where it should not go on."""
@@ -153,7 +160,7 @@ class Runner:
             data = {"stage": stage.name, "done": stage.done, "total": stage.total}
             if stage.seconds is not None:
                 data["seconds"] = round(stage.seconds, 6)
-            if not self._table.stage(job.id, data):
+            if not self._table.stage(job.id, self._lease.name, data):
                 raise JobCancelled("nobody wants the scene any more")
 
         return hear

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 import time
@@ -51,5 +52,6 @@ class Spool:
         """Remove what is of no `active` job, but for what is so young that somebody may be submitting it."""
         keep, old = set(active), time.time() - SUBMITTING_S
         for folder in self._root.iterdir():
-            if folder.name not in keep and folder.stat().st_mtime < old:
-                shutil.rmtree(folder, ignore_errors=True)
+            with contextlib.suppress(FileNotFoundError):  # another process was faster
+                if folder.name not in keep and folder.stat().st_mtime < old:
+                    shutil.rmtree(folder, ignore_errors=True)

@@ -60,18 +60,17 @@ def test_a_folder_that_cannot_be_written_is_done_without(tmp_path: Path, caplog:
     assert "loaded as it is" in caplog.text
 
 
+@pytest.mark.parametrize("name", [prepared_model.MODEL, prepared_model.WEIGHTS])
 @pytest.mark.parametrize("damage", [b"", b"nonsense"])
 def test_a_damaged_file_is_done_without_and_made_again(
-    tmp_path: Path, damage: bytes, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, name: str, damage: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     Engine(prepare=tmp_path)
     [folder] = [path for path in tmp_path.iterdir() if path.is_dir()]
-    (folder / prepared_model.MODEL).write_bytes(damage)
+    (folder / name).write_bytes(damage)
     with caplog.at_level(logging.WARNING):
-        assert Engine(prepare=tmp_path).info == Engine().info
+        again = Engine(prepare=tmp_path)
     assert "damaged" in caplog.text
-    assert not folder.exists()
-    again = Engine(prepare=tmp_path)
     assert mapped(folder / prepared_model.WEIGHTS)
     assert again.info == Engine().info
 
@@ -81,3 +80,14 @@ def test_what_is_no_model_is_refused_as_ever(tmp_path: Path) -> None:
         Engine(sample_folder() / "cameras.json", prepare=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [".lock"]
     assert shipped_model().is_file()
+
+
+def test_a_file_that_the_runtime_cannot_read_is_done_without(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Its sum is right, and yet it is no model: another build of the runtime may have written it."""
+    Engine(prepare=tmp_path)
+    [folder] = [path for path in tmp_path.iterdir() if path.is_dir()]
+    (folder / prepared_model.MODEL).write_bytes(b"nonsense")
+    (folder / prepared_model.DIGEST).write_text(prepared_model._digest(folder))
+    assert Engine(prepare=tmp_path).info == Engine().info
+    assert "damaged" in caplog.text
+    assert not folder.exists()

@@ -64,7 +64,7 @@ def test_what_is_being_read_never_goes(tmp_path: Path) -> None:
         other.put(IDS[2], PLY, DOCUMENT)
         assert path.read_bytes() == PLY
         assert listed(other) == {IDS[0], IDS[2]}
-        with store.reading(IDS[2]), pytest.raises(StorageFull, match="2 scenes have") as caught:
+        with store.reading(IDS[2]), pytest.raises(StorageFull, match="are being read") as caught:
             other.put(IDS[3], PLY, DOCUMENT)
         assert caught.value.status == 507
         assert listed(other) == {IDS[0], IDS[2]}
@@ -72,11 +72,45 @@ def test_what_is_being_read_never_goes(tmp_path: Path) -> None:
     assert listed(other) == {IDS[2], IDS[3]}
 
 
-def test_a_scene_beyond_the_limit_is_refused_and_takes_the_others_along(tmp_path: Path) -> None:
+def test_a_scene_beyond_the_limit_is_refused_and_takes_no_other_along(tmp_path: Path) -> None:
     store = filled(tmp_path, 2, max_bytes=2 * ONE)
-    with pytest.raises(StorageFull, match="would pass the limit"):
+    with pytest.raises(StorageFull, match=rf"the scene has 10000 bytes, more than the store's limit of {2 * ONE}"):
         store.put(IDS[5], PLY * 10, DOCUMENT)
-    assert not store.exists(IDS[5])
+    assert listed(store) == set(IDS[:2])
+
+
+def test_a_scene_that_a_crash_left_unlisted_is_listed_when_it_is_met_again(tmp_path: Path) -> None:
+    store = filled(tmp_path, 2)
+    with store.database.write() as connection:
+        connection.execute("DELETE FROM scenes")
+    store.put(IDS[0], b"other", {})
+    assert store.listed(IDS[1])
+    assert not store.listed(IDS[2])
+    assert listed(store) == set(IDS[:2])
+    assert store.ply(IDS[0]) == PLY
+
+
+@pytest.mark.parametrize("files", [{}, {"scene.json": b""}, {"scene.json": b"{", "scene.ply": PLY}, {"scene.ply": PLY}])
+def test_what_a_power_cut_may_leave_does_not_keep_the_store_from_opening(
+    tmp_path: Path, files: dict[str, bytes], caplog: pytest.LogCaptureFixture
+) -> None:
+    filled(tmp_path, 1)
+    (tmp_path / IDS[3]).mkdir()
+    for name, content in files.items():
+        (tmp_path / IDS[3] / name).write_bytes(content)
+    assert [row.id for row in SceneStore(tmp_path).page(9)] == [IDS[0]]
+    assert IDS[3] in caplog.text
+
+
+def test_reading_goes_on_where_the_last_use_cannot_be_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = filled(tmp_path, 1)
+    aged(store, IDS[0], 3)
+
+    def full(*_: object) -> None:
+        raise StorageFull("no space for the index")
+
+    monkeypatch.setattr(store.database, "write", full)
+    assert store.ply(IDS[0]) == PLY
 
 
 def test_what_nobody_reads_for_days_goes(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -73,6 +74,8 @@ def test_a_key_file_that_is_none_is_refused_at_start(tmp_path: Path) -> None:
 def test_the_key_is_not_shown() -> None:
     assert KEY not in repr(Settings(api_key=KEY))
     assert Settings(api_key=KEY).key() == KEY
+    with pytest.raises(InputError, match="is empty"):
+        Settings(api_key="").key()
 
 
 def test_other_origins(client: TestClient, locked: TestClient) -> None:
@@ -114,6 +117,19 @@ def test_a_fault_keeps_its_id(
     assert [record.request_id for record in caplog.records if record.levelno == logging.ERROR] == ["mine"]
 
 
+def test_neither_methods_nor_paths_get_into_numbers_and_lines(
+    client: TestClient, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO):
+        client.request("BREW", "/scenes")
+        client.get("/a%0aGET /scenes/x 204%1b[2J")
+    assert 'method="other"' in client.get("/metrics").text
+    assert "BREW" not in client.get("/metrics").text
+    lines = [record.getMessage() for record in caplog.records if record.name == "gapmes.access"]
+    assert lines[0].startswith("other /scenes ")
+    assert lines[1] == "GET /a%0AGET%20/scenes/x%20204%1B%5B2J 404"
+
+
 def test_nothing_of_the_host_is_told(client: TestClient) -> None:
     for path in ("/", "/scenes", "/nowhere", "/healthz"):
         headers = client.get(path).headers
@@ -136,6 +152,9 @@ def test_what_happens_is_counted(client: TestClient) -> None:
         'gapmes_stage_seconds_count{stage="draw"}',
     )}  # fmt: skip
     scene = post(client, [photograph(200), photograph(201)]).json()
+    deadline = time.monotonic() + 10
+    while count(client, 'gapmes_jobs_total{state="done"}') == before['gapmes_jobs_total{state="done"}']:
+        assert time.monotonic() < deadline  # a job is counted a moment after its end
     assert client.get("/render", params={"scene": scene["id"]}).status_code == 200
     assert client.get("/render?view=99").status_code == 422
     after = {name: count(client, name) - value for name, value in before.items()}
@@ -186,7 +205,11 @@ def test_a_file_has_a_tag_and_can_be_had_in_parts(client: TestClient) -> None:
     rest = client.get(link, headers={"Range": f"bytes={len(whole.content) - 5}-", "If-Range": tag})
     assert (rest.status_code, rest.content) == (206, whole.content[-5:])
     assert client.get(link, headers={"Range": "bytes=0-4", "If-Range": '"other"'}).content == whole.content
-    assert client.get(link, headers={"Range": f"bytes={len(whole.content)}-"}).status_code == 416
+    beyond = client.get(link, headers={"Range": f"bytes={len(whole.content)}-"})
+    assert_problem(beyond, 416, "range_not_satisfiable", "Range")
+    assert beyond.headers["content-range"] == f"bytes */{len(whole.content)}"
+    for none in ("bytes=abc", "lines=1-2", "bytes=-", "bytes=5-2"):
+        assert client.get(link, headers={"Range": none}).status_code in (200, 416)
 
 
 def test_a_picture_has_a_tag(client: TestClient) -> None:
@@ -218,6 +241,6 @@ def test_pages_of_scenes(client: TestClient) -> None:
         if after is None:
             break
     assert found == every
-    for bad in ("x", "1-x", "9" * 30 + "-" + "a" * 25):
+    for bad in ("x", "1-x", "9" * 30 + "-" + "a" * 25, "9" * 19 + "-" + "a" * 32):
         assert_problem(client.get("/scenes", params={"after": bad}), 422, "invalid_input", "after")
     assert_problem(client.get("/scenes?limit=0"), 422, "parameter_invalid")

@@ -28,7 +28,8 @@ def test_every_code_is_documented() -> None:
     classes = [value for value in vars(errors).values() if isinstance(value, type)]
     expected = {value.code: value.status for value in classes if issubclass(value, errors.GapmesError)}
     expected |= {code: status for status, code in FRAMEWORK_CODES.items()}
-    expected |= {"parameter_invalid": 422, "client_disconnected": 400, "job_abandoned": 500}
+    expected |= {"parameter_invalid": 422, "client_disconnected": 400}
+    expected |= {"job_abandoned": 500, "range_not_satisfiable": 416}
     assert documented_codes() == expected
 
 

@@ -93,6 +93,7 @@ def test_waiting_jobs_are_counted_followed_and_cancelled(held: tuple[TestClient,
     assert_problem(post(client, [photograph(90), photograph(91)], prefer="respond-async"), 503, "service_busy")
     cancelled = client.delete(jobs[1]["links"]["self"]).json()
     assert (cancelled["state"], cancelled["problem"]["code"]) == ("cancelled", "job_cancelled")
+    assert not (client.app.state.runtime.store.root / ".jobs" / jobs[1]["id"]).exists()  # its photographs go with it
     assert ask(client, 4)["id"] == jobs[2]["id"]  # the same photographs are the same job
     assert client.delete(running["links"]["self"]).json()["state"] == "running"
     going.set()
@@ -161,6 +162,7 @@ def test_a_client_that_goes_away_takes_its_work_along(held: tuple[TestClient, th
     left.set()
     task.result(timeout=10)
     assert table.counts() == {"queued": 0, "running": 1}
+    assert len(list((client.app.state.runtime.store.root / ".jobs").iterdir())) == 1
     going.set()
 
 
@@ -212,3 +214,23 @@ def wait_for(client: TestClient, job: dict[str, Any], state: str) -> dict[str, A
         assert time.monotonic() < deadline, found
         time.sleep(0.01)
     return found
+
+
+def test_a_job_of_another_model_file_is_not_computed_by_this_one(
+    held: tuple[TestClient, threading.Event], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scene's id tells which model made it: a service that was started anew with another one says so."""
+    client, going = held
+    first, job = ask(client), ask(client, 10)
+    wait_for(client, first, "running")
+    monkeypatch.setattr("gapmes.service.jobs.work.ALGORITHM_REVISION", -1)
+    going.set()
+    assert wait_for(client, job, "failed")["problem"]["code"] == "model_changed"
+    assert wait_for(client, first, "done")
+
+
+def test_so_many_follow_jobs_at_once(held: tuple[TestClient, threading.Event], monkeypatch: pytest.MonkeyPatch) -> None:
+    client, _ = held
+    job = ask(client)
+    monkeypatch.setattr(client.app.state.runtime.streams, "most", 0)
+    assert_problem(client.get(job["links"]["events"]), 503, "service_busy")

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from gapmes.service.database import Database
-from gapmes.service.errors import GapmesError, JobNotFound, ServiceBusy
-from gapmes.service.jobs.table import ACTIVE, ENDED, JobTable
+from gapmes.service.errors import GapmesError, JobNotFound, ServiceBusy, StorageFull
+from gapmes.service.jobs.rows import ACTIVE, ENDED
+from gapmes.service.jobs.table import JobTable
 
 A, B = "a" * 32, "b" * 32
 WHY = {"code": "job_abandoned", "status": 500}
@@ -34,9 +35,9 @@ def test_from_queued_to_done(table: JobTable) -> None:
     claimed = table.claim("me")
     assert claimed is not None
     assert (claimed.id, claimed.state, claimed.owner, claimed.attempts) == ("1", "running", "me", 1)
-    assert table.stage("1", {"stage": "network", "done": 0, "total": 1})
-    table.end("1", "done")
-    table.end("1", "failed", WHY)  # one that ended stays as it is
+    assert table.stage("1", "me", {"stage": "network", "done": 0, "total": 1})
+    table.end("1", "me", "done")
+    assert not table.end("1", "me", "failed", WHY)  # one that ended stays as it is
     ended = table.get("1")
     assert ended.over
     assert ended.problem is None
@@ -55,7 +56,7 @@ def test_a_scene_has_one_active_job(table: JobTable) -> None:
     assert table.join(A, kept=False).waiting == 2
     assert table.join(B, kept=False) is None
     table.claim("me")
-    table.end("1", "done")
+    table.end("1", "me", "done")
     assert table.submit("3", A, kept=False).id == "3"
 
 
@@ -74,9 +75,9 @@ def test_no_more_than_so_many(table: JobTable) -> None:
 def test_a_job_goes_when_nobody_wants_it(table: JobTable) -> None:
     table.submit("1", A, kept=False)
     table.join(A, kept=False)
-    table.leave("1")
+    assert not table.leave("1")
     assert table.get("1").state == "queued"
-    table.leave("1")
+    assert table.leave("1")
     assert table.get("1").state == "cancelled"
     table.submit("2", A, kept=True)
     table.join(A, kept=False)
@@ -90,15 +91,15 @@ def test_a_running_job_ends_after_its_stage_unless_somebody_wants_it_again(table
     table.submit("1", A, kept=True)
     table.claim("me")
     assert table.cancel("1").state == "running"
-    assert not table.stage("1", {"stage": "x"})
-    table.end_cancelled("1")
+    assert not table.stage("1", "me", {"stage": "x"})
+    assert table.end_cancelled("1", "me")
     assert table.get("1").state == "cancelled"
     table.submit("2", A, kept=True)
     table.claim("me")
     table.cancel("2")
     assert table.submit("3", A, kept=True).id == "2"
-    assert table.stage("2", {"stage": "x"})
-    table.end_cancelled("2")  # it had heard of the cancel before
+    assert table.stage("2", "me", {"stage": "x"})
+    assert not table.end_cancelled("2", "me")  # it had heard of the cancel before
     assert table.get("2").state == "queued"
     assert table.claim("me").attempts == 1
 
@@ -110,14 +111,14 @@ def test_jobs_of_the_dead_are_tried_once_more(table: JobTable) -> None:
         table.recover(set(), WHY)
         assert table.get("1").state == "running"
         assert table.owners() == {"dead"}
-        table.recover({"dead"}, WHY)
+        assert table.recover({"dead"}, WHY) == (set() if attempt == 1 else {"1"})
         assert table.get("1").state == ("queued" if attempt == 1 else "failed")
     assert table.get("1").problem == WHY
     assert states(table, "1") == ["queued", "running", "queued", "running", "failed"]
     table.submit("2", B, kept=True)
     table.claim("dead")
     table.cancel("2")
-    table.recover({"dead"}, WHY)
+    assert table.recover({"dead"}, WHY) == {"2"}
     assert table.get("2").state == "cancelled"
 
 
@@ -125,7 +126,7 @@ def test_what_is_given_back_does_not_count(table: JobTable) -> None:
     table.submit("1", A, kept=True)
     for _ in range(4):
         assert table.claim("me").attempts == 1
-        table.give_back("1")
+        table.give_back("1", "me")
 
 
 def test_ended_jobs_are_forgotten(tmp_path: Path) -> None:
@@ -135,7 +136,7 @@ def test_ended_jobs_are_forgotten(tmp_path: Path) -> None:
     time.sleep(0.1)
     table.submit("2", B, kept=True)
     table.claim("me")
-    table.end("2", "done")
+    table.end("2", "me", "done")
     with pytest.raises(JobNotFound, match="'1'"):
         table.get("1")
     assert table.events("1") == []
@@ -165,8 +166,8 @@ def test_many_claim_and_each_job_is_had_once(tmp_path: Path) -> None:
     def work(owner: str) -> None:
         while (job := table.claim(owner)) is not None:
             had.append(job.id)
-            table.stage(job.id, {"stage": "x"})
-            table.end(job.id, "done")
+            table.stage(job.id, owner, {"stage": "x"})
+            table.end(job.id, owner, "done")
 
     threads = [threading.Thread(target=work, args=(str(k),)) for k in range(6)]
     for thread in threads:
@@ -200,10 +201,12 @@ def test_whatever_happens_a_job_ends_once_and_tells_it_in_order(tmp_path: Path, 
             case 5:
                 table.recover({str(rng.integers(3))}, WHY)
             case 6 if some and table.get(some).state == "running":
-                if table.stage(some, {"stage": "x"}):
-                    table.end(some, "done")
+                owner = str(rng.integers(3))
+                own = table.get(some).owner == owner
+                if table.stage(some, owner, {"stage": "x"}):
+                    assert table.end(some, owner, "done") == own
                 else:
-                    table.end_cancelled(some)
+                    table.end_cancelled(some, owner)
     for job in (table.get(job_id) for job_id in known):
         events = table.events(job.id)
         assert [event.seq for event in events] == list(range(1, len(events) + 1))
@@ -213,8 +216,8 @@ def test_whatever_happens_a_job_ends_once_and_tells_it_in_order(tmp_path: Path, 
         assert told[-1] == job.state
         assert (job.ended is not None) == (job.state in ENDED)
         assert job.attempts <= 2
-    active = [table.active(f"{k:032x}") for k in range(3)]
-    assert len(table.unfinished()) == sum(job is not None for job in active)
+    scenes = [table.get(job_id).scene_id for job_id in table.unfinished()]
+    assert len(scenes) == len(set(scenes))
 
 
 def test_a_file_of_another_version_is_refused(tmp_path: Path) -> None:
@@ -238,3 +241,59 @@ def test_a_failed_transaction_leaves_nothing(tmp_path: Path) -> None:
     with database.write() as connection:
         connection.execute("INSERT INTO scenes VALUES ('x', 1, 1, 1, '{}')")
     assert len(database.rows("SELECT * FROM scenes")) == 1
+
+
+def test_only_the_owner_of_a_running_job_says_how_it_goes(table: JobTable) -> None:
+    """A process that gave a job back, or was taken for dead, may still be at it."""
+    table.submit("1", A, kept=True)
+    table.claim("first")
+    table.give_back("1", "first")
+    table.give_back("1", "first")
+    assert table.claim("second").attempts == 1
+    assert not table.stage("1", "first", {"stage": "x"})
+    assert not table.end("1", "first", "failed", WHY)
+    assert not table.end_cancelled("1", "first")
+    table.give_back("1", "first")
+    assert (table.get("1").state, table.get("1").owner) == ("running", "second")
+    assert table.end("1", "second", "done")
+    table.give_back("1", "second")
+    assert table.get("1").state == "done"
+
+
+def test_while_a_process_ends_it_takes_only_what_a_request_waits_for(table: JobTable) -> None:
+    table.submit("1", A, kept=True)
+    table.submit("2", B, kept=False)
+    assert table.claim("me", waited_for=True).id == "2"
+    assert table.claim("me", waited_for=True) is None
+    assert table.claim("me").id == "1"
+
+
+def test_a_full_disk_is_named(tmp_path: Path) -> None:
+    database = Database(tmp_path / "index.sqlite")
+    database.rows("PRAGMA max_page_count = 20")
+
+    def fill() -> None:
+        with database.write() as connection:
+            connection.execute("INSERT INTO scenes VALUES ('x', 1, 1, 1, ?)", ["y" * 200_000])
+
+    with pytest.raises(StorageFull, match="no space for the index"):
+        fill()
+    assert database.rows("SELECT * FROM scenes") == []
+
+
+def test_many_open_a_new_file_at_once(tmp_path: Path) -> None:
+    failures = []
+
+    def opened(path: Path) -> None:
+        try:
+            Database(path)
+        except Exception as error:
+            failures.append(error)
+
+    for number in range(20):
+        threads = [threading.Thread(target=opened, args=(tmp_path / str(number),)) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert failures == []
