@@ -98,7 +98,7 @@ def main() -> None:
             print("        ", load.line(kind, wall))
         print("refused: ", dict(load.refused) or "nothing")
         last = service.memory_mb()
-        print(f"resident at first {first[0]:.0f} MB, at last {last[0]:.0f} MB")
+        print(f"resident at first {first[0]:.0f} MB, at last {last[0]:.0f} MB, at most {service.peak_mb():.0f} MB")
 
 
 if __name__ == "__main__":

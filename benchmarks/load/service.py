@@ -39,6 +39,11 @@ class Service:
                     sums[name] += float(rest.split()[0]) / 1024
         return sums["Rss"], sums["Private_Dirty"], sums["Pss"]
 
+    def peak_mb(self) -> float:
+        """The most that each worker has been resident with so far, added up."""
+        lines = (line for pid in self.workers() for line in _read(f"/proc/{pid}/status").decode().splitlines())
+        return sum(float(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+
 
 def _read(path: str) -> bytes:
     try:

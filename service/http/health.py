@@ -15,12 +15,14 @@ from .schemas import Alive, Ready
 router = APIRouter(tags=["operations"])
 
 
+@router.head("/healthz", include_in_schema=False)
 @router.get("/healthz", response_model=Alive)
 async def healthz() -> dict[str, str]:
     """200 as long as the event loop answers."""
     return {"status": "ok"}
 
 
+@router.head("/readyz", include_in_schema=False)
 @router.get("/readyz", response_model=Ready)
 async def readyz(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
     """200 with what was loaded and how long it took; 503 before that, with the stage or the reason of a failure, and

@@ -35,6 +35,7 @@ def list_scenes(
     return json_response({"scenes": scenes, "next": more})
 
 
+@router.head("/scenes/{scene_id:path}.ply", include_in_schema=False)
 @router.get(
     "/scenes/{scene_id:path}.ply",
     response_class=Response,

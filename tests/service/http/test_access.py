@@ -142,6 +142,11 @@ def count(client: TestClient, name: str) -> float:
     return sum(float(line.rpartition(" ")[2]) for line in lines if line.startswith(name))
 
 
+def test_probes_answer_without_a_body_too(client: TestClient) -> None:
+    for path in ("/healthz", "/readyz"):
+        assert client.head(path).status_code == 200
+
+
 def test_what_happens_is_counted(client: TestClient) -> None:
     post(client)
     before = {name: count(client, name) for name in (
@@ -199,6 +204,9 @@ def test_a_file_has_a_tag_and_can_be_had_in_parts(client: TestClient) -> None:
         answer = client.get(link, headers={"If-None-Match": value})
         assert (answer.status_code, answer.content, answer.headers["etag"]) == (304, b"", tag)
     assert client.get(link, headers={"If-None-Match": '"x"'}).status_code == 200
+    head = client.head(link)
+    assert (head.status_code, head.content, head.headers["etag"]) == (200, b"", tag)
+    assert head.headers["content-length"] == str(len(whole.content))
     part = client.get(link, headers={"Range": "bytes=10-19"})
     assert (part.status_code, part.content) == (206, whole.content[10:20])
     assert part.headers["content-range"] == f"bytes 10-19/{len(whole.content)}"

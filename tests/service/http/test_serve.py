@@ -47,11 +47,11 @@ def answers(client: httpx.Client) -> bool:
         return False
 
 
-def until(reached: Any, seconds: float = 30.0) -> None:
+def until(reached: Any, seconds: float = 30.0, pause: float = 0.05) -> None:
     deadline = time.monotonic() + seconds
     while not reached():
         assert time.monotonic() < deadline
-        time.sleep(0.05)
+        time.sleep(pause)
 
 
 def workers(process: subprocess.Popen[bytes]) -> list[int]:
@@ -71,7 +71,7 @@ def test_it_ends_in_order_with_what_it_has_begun(tmp_path: Path, standin_model: 
         cameras = cameras_of(3, 1600, 1200)
         work = threading.Thread(target=lambda: found.append(post(client, big, cameras)))
         work.start()
-        until(lambda: running(streams))
+        until(lambda: running(streams), pause=0)  # decoding alone takes some hundred milliseconds
         # the same scene as a job, whose stream is open while the process is told to end
         job = post(httpx.Client(base_url=client.base_url, timeout=60), big, cameras, prefer="respond-async").json()
         with streams.stream("GET", job["links"]["events"]) as stream:
