@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import uuid
 from typing import TYPE_CHECKING
 
 from .. import metrics
-from ..errors import ModelChanged
+from ..errors import ModelChanged, StorageFull
 from ..progress import Listener, Stage
 from ..store import SceneStore
 from .leases import Lease
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from ..reconstruct import Reconstructor
     from ..settings import Settings
 
+_log = logging.getLogger("gapmes")
 LEASES, SPOOL = ".processes", ".jobs"  # folders beside the scenes
 
 
@@ -51,8 +53,11 @@ class Desk:
                 slots=self._settings.concurrency,
                 limit_s=self._settings.reconstruct_seconds,
             )
-            self.tidy()
-            self._runner.recover()
+            try:
+                self.tidy()
+                self._runner.recover()
+            except StorageFull:  # what is there can be drawn and deleted, and then this is done in time
+                _log.exception("the store cannot be tidied")
             self._runner.start()
 
     def _compute_with(self, reconstructor: Reconstructor) -> Compute:

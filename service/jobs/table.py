@@ -203,6 +203,8 @@ class JobTable:
 
     def forget(self) -> None:
         """Forget jobs that ended long ago."""
+        if not self._database.rows("SELECT 1 FROM jobs WHERE ended < ? LIMIT 1", [time.time() - self._keep_s]):
+            return
         with self._database.write() as connection:
             self._forget(connection)
 

@@ -15,6 +15,8 @@ from http_requests import assert_problem, camera_object, photograph, post, store
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
+from gapmes.service.database import Database
+from gapmes.service.errors import StorageFull
 from gapmes.service.http import pairing, upload
 from gapmes.service.settings import Settings
 from gapmes.service.store import SceneStore
@@ -158,3 +160,25 @@ def test_a_full_disk_is_507_and_nothing_is_broken(
             assert client.get(there["links"]["ply"]).status_code == 200
         assert stored(own) == before
         assert post(client, [photograph(60), photograph(61)]).status_code == 201
+
+
+def test_a_full_disk_keeps_the_service_from_nothing_but_writing(
+    settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Started anew with an index that takes nothing more: it becomes ready, and shows what is there."""
+    own = settings.model_copy(update={"store": tmp_path, "drain_seconds": 1.0})
+    with TestClient(create_app(own), raise_server_exceptions=False) as client:
+        wait_until_ready(client)
+        scene = post(client).json()
+
+    def full(*_: Any) -> None:
+        raise StorageFull("no space for the index")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Database, "write", full)
+        with TestClient(create_app(own), raise_server_exceptions=False) as client:
+            wait_until_ready(client)
+            assert client.get("/render", params={"scene": scene["id"]}).status_code == 200
+            assert client.get(scene["links"]["ply"]).status_code == 200
+            assert [one["id"] for one in client.get("/scenes").json()["scenes"]] == [scene["id"]]
+            assert_problem(post(client, [photograph(70), photograph(71)]), 507, "storage_full")
