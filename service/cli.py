@@ -1,4 +1,4 @@
-"""The command `gapmes`: serve, reconstruct, render, demo; a refusal is one line on stderr and exit code 1."""
+"""The command `gapmes`: serve, reconstruct, render, demo, doctor; a refusal is one line on stderr and exit code 1."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import typer
 from rich.console import Console
 
-from .commands import demo, reconstruct, render, serve
+from .commands import demo, doctor, reconstruct, render, serve
 from .errors import CameraError, GapmesError, ImageError
 from .extra_commands import WithExtraCommands
 from .problem_document import of_error
@@ -19,10 +19,9 @@ app = typer.Typer(
     cls=WithExtraCommands,
     help="3D Gaussians from two to six posed photographs, on an ordinary CPU.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
-for module in (serve, reconstruct, render, demo):
+for module in (serve, reconstruct, render, demo, doctor):
     app.command()(getattr(module, module.__name__.rpartition(".")[2]))
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -282,3 +285,12 @@ def test_render_tells_what_it_did_not_take_as_it_was(
     assert dropped == "1 of 20 Gaussians dropped, invalid in scale_1 (1)"
     assert zero == "1 of 19 rotations are zero and were taken as no rotation"
     assert precision.startswith("positions are float32 numbers far from the origin")
+
+
+def test_shells_complete_commands_and_options() -> None:
+    """As a shell asks: with the words so far in the environment."""
+    for words, expected in (("gapmes re", {"reconstruct", "render"}), ("gapmes doctor --mo", {"--model"})):
+        asked = {"_GAPMES_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+        command = [sys.executable, "-c", "from gapmes.service.cli import app; app(prog_name='gapmes')"]
+        done = subprocess.run(command, env=os.environ | asked, capture_output=True, text=True, check=False)
+        assert expected <= set(done.stdout.split()), done

@@ -15,7 +15,7 @@ from gapmes.export.cli import app as export_app
 from gapmes.export.tradeoff import files, knobs, run
 from gapmes.export.tradeoff.child import Given, _in_child, peak_mb, timed
 from gapmes.export.tradeoff.errors import model_error, setting_error, splatter_rounding
-from gapmes.export.tradeoff.machine import FLAGS, this_machine
+from gapmes.export.tradeoff.machine import this_machine
 from gapmes.export.tradeoff.scenes import load_scene
 from gapmes.export.tradeoff.schema import Report
 from gapmes.service.budget import KEEP_ALL, Budget, parse_max_error
@@ -23,6 +23,7 @@ from gapmes.service.camera import Camera
 from gapmes.service.cli import app
 from gapmes.service.effort import Effort
 from gapmes.service.images import FittedView
+from gapmes.service.machine import FLAGS
 from gapmes.service.shipped import sample_folder
 from gapmes.service.splat import render
 

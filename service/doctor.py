@@ -1,0 +1,149 @@
+"""Does everything that a reconstruction needs work on this machine, and how fast: one finding after the other."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from .machine import available_memory_mb, processor
+from .settings import Settings
+from .shipped import sample_folder
+from .threads import available_threads, cpu_limit
+
+if TYPE_CHECKING:
+    from .engine import Engine
+
+State = Literal["ok", "warning", "failure"]
+
+PACKAGES = ("gapmes", "numpy", "numba", "onnxruntime", "pillow", "fastapi")
+LEAST_MEMORY_MB = 1000.0  # a process takes about half of it for two views, three quarters for three
+LEAST_DISK_MB = 500.0  # some fifty scenes of two views
+LEAST_PSNR_DB = 25.0  # of a picture of the sample; the shipped network has 27 to 28
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was looked at, and how it is."""
+
+    name: str
+    state: State
+    text: str
+
+
+class Doctor:
+    """Looks at one thing after the other; what fails keeps nobody from looking at the rest."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._engine: Engine | None = None
+
+    def findings(self) -> Iterator[Finding]:
+        """Versions, processor, threads, memory, model, kernels, store, and the sample from photographs to a picture."""
+        looks: tuple[tuple[str, Callable[[], tuple[State, str]]], ...] = (
+            ("versions", self._versions),
+            ("processor", self._processor),
+            ("threads", self._threads),
+            ("memory", self._memory),
+            ("model", self._model),
+            ("kernels", self._kernels),
+            ("store", self._store),
+            ("sample", self._sample),
+        )
+        for name, look in looks:
+            try:
+                yield Finding(name, *look())
+            except Exception as error:
+                yield Finding(name, "failure", f"{type(error).__name__}: {error}")
+
+    def _versions(self) -> tuple[State, str]:
+        found = [f"{name} {version(name)}" for name in PACKAGES]
+        return "ok", ", ".join([*found, f"Python {platform.python_version()}"])
+
+    def _processor(self) -> tuple[State, str]:
+        name, flags = processor()
+        slow = platform.machine() == "x86_64" and "avx2" not in flags
+        listed = ", ".join(flags) or "none of the instruction sets that make it quick"
+        return ("warning" if slow else "ok"), f"{name}: {listed}"
+
+    def _threads(self) -> tuple[State, str]:
+        limit = cpu_limit()
+        granted = "no limit" if limit is None else f"a limit of {limit:g} CPUs"
+        return "ok", f"{self._settings.threads or available_threads()} of {os.cpu_count()} cores, {granted}"
+
+    def _memory(self) -> tuple[State, str]:
+        free = available_memory_mb()
+        if free is None:
+            return "ok", "this system does not say how much is free"
+        return ("ok" if free >= LEAST_MEMORY_MB else "warning"), f"{free:.0f} MB free, {LEAST_MEMORY_MB:.0f} are enough"
+
+    def _model(self) -> tuple[State, str]:
+        from .engine import Engine
+
+        start = time.perf_counter()
+        self._engine = Engine(self._settings.model, threads=self._settings.threads)
+        seconds, info = time.perf_counter() - start, self._engine.info
+        what = f"{info.preset}, {info.width} x {info.height} px, {info.precision}, weights {info.weights_sha256[:12]}"
+        return "ok", f"{what}, loaded by onnxruntime in {seconds:.1f} s"
+
+    def _kernels(self) -> tuple[State, str]:
+        from .splat import warm_up
+        from .splat.kernel_cache import KERNELS
+
+        there = KERNELS.is_dir()
+        start = time.perf_counter()
+        warm_up()
+        seconds = time.perf_counter() - start
+        return "ok", f"{'loaded' if there else 'compiled'} in {seconds:.1f} s, kept in {KERNELS}"
+
+    def _store(self) -> tuple[State, str]:
+        folder = self._settings.store
+        nearest = next(path for path in (folder, *folder.parents) if path.exists())
+        free = shutil.disk_usage(nearest).free / 2**20
+        text = f"{folder}, {free:,.0f} MB free"
+        if not os.access(nearest, os.W_OK | os.X_OK):
+            return "failure", f"{text}, cannot be written"
+        there = "" if nearest == folder else ", will be made"
+        return ("ok" if free >= LEAST_DISK_MB else "warning"), text + there
+
+    def _sample(self) -> tuple[State, str]:
+        """Two photographs to a scene, and its picture beside a third."""
+        from .camera_file import load_scene_folder
+        from .images import decode_image, fit_view
+        from .picture_error import psnr
+        from .reconstruct import Reconstructor
+        from .scene_views import SceneViews
+        from .splat import render
+
+        if self._engine is None:
+            return "failure", "there is no model"
+        folder = load_scene_folder(sample_folder(), lambda _: (1, 5, 3))
+        photos = [decode_image(path.read_bytes(), index=i) for i, path in enumerate(folder.image_paths)]
+        start = time.perf_counter()
+        scene = Reconstructor(self._engine).reconstruct(
+            photos[:2], folder.file.cameras[:2], near=folder.file.near, far=folder.file.far
+        )
+        middle = time.perf_counter()
+        held_back = fit_view(photos[2], folder.file.cameras[2], self._engine.info.height, self._engine.info.width)
+        near = SceneViews(scene.view_cameras, scene.document["near"], scene.document["far"]).near_plane
+        picture = render(scene.gaussians, held_back.camera, outputs=(), threads=self._settings.threads, **near)
+        seconds = time.perf_counter() - middle
+        score = psnr(np.clip(picture.rgb, 0, 1).transpose(2, 0, 1), held_back.image)
+        times = f"a scene in {middle - start:.1f} s, a picture in {1000 * seconds:.0f} ms"
+        return ("ok" if score >= LEAST_PSNR_DB else "failure"), f"{times}, {score:.1f} dB beside the photograph"
+
+
+def verdict(findings: list[Finding]) -> str:
+    """One line for all of them."""
+    failed = [finding.name for finding in findings if finding.state == "failure"]
+    doubtful = [finding.name for finding in findings if finding.state == "warning"]
+    if failed:
+        return f"does not work here: {', '.join(failed)}"
+    return "works here" if not doubtful else f"works here, but look at: {', '.join(doubtful)}"

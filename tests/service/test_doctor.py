@@ -1,0 +1,78 @@
+"""`gapmes doctor`: what it finds on a machine where all is well, and on one where something is not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gapmes.service import cli, doctor
+from gapmes.service.doctor import Doctor, Finding, verdict
+from gapmes.service.settings import Settings
+
+NAMES = ["versions", "processor", "threads", "memory", "model", "kernels", "store", "sample"]
+
+
+def run(*arguments: object) -> int:
+    try:
+        cli.main(["doctor", *map(str, arguments)])
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def test_a_machine_where_all_is_well(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The sample goes the whole way; nothing is left behind."""
+    assert run("--store", tmp_path / "not" / "there", "--json") == 0
+    out, err = capfd.readouterr()
+    document = json.loads(out)
+    assert document["verdict"].startswith("works here")
+    found = {finding["name"]: finding for finding in document["findings"]}
+    assert list(found) == NAMES
+    assert not [name for name, finding in found.items() if finding["state"] == "failure"]
+    assert "tiny, 256 x 256 px, fp32" in found["model"]["text"]
+    assert "dB beside the photograph" in found["sample"]["text"]
+    assert "will be made" in found["store"]["text"]
+    assert err.splitlines()[-1] == document["verdict"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_fails_keeps_nobody_from_looking_at_the_rest(
+    tmp_path: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "model.onnx").write_bytes(b"none")
+    assert run("--model", tmp_path / "model.onnx", "--store", tmp_path, "--json") == 1
+    document = json.loads(capfd.readouterr().out)
+    assert document["verdict"] == "does not work here: model, sample"
+    assert [finding["name"] for finding in document["findings"]] == NAMES
+    # a network that is none of ours in all but its form: its picture is not like the photograph
+    findings = {finding.name: finding for finding in Doctor(Settings(model=standin_model, store=tmp_path)).findings()}
+    assert findings["model"].state == "ok"
+    assert findings["sample"].state == "failure"
+
+
+def test_little_memory_and_disk_are_doubts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "available_memory_mb", lambda: 300.0)
+    monkeypatch.setattr(doctor, "LEAST_DISK_MB", 1e15)
+    monkeypatch.setattr(doctor, "cpu_limit", lambda: 1.5)
+    doubts = Doctor(Settings(store=tmp_path))
+    assert doubts._memory() == ("warning", "300 MB free, 1000 are enough")
+    assert doubts._store()[0] == "warning"
+    assert doubts._threads()[1].endswith("a limit of 1.5 CPUs")
+    monkeypatch.setattr(doctor, "available_memory_mb", lambda: None)
+    assert doubts._memory()[0] == "ok"
+
+
+def test_a_store_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(doctor.os, "access", lambda *_: False)
+    state, text = Doctor(Settings(store=tmp_path))._store()
+    assert state == "failure"
+    assert "cannot be written" in text
+
+
+def test_the_verdict_names_what_to_look_at() -> None:
+    fine, doubt, bad = (Finding(name, state, "") for name, state in (("a", "ok"), ("b", "warning"), ("c", "failure")))
+    assert verdict([fine]) == "works here"
+    assert verdict([fine, doubt]) == "works here, but look at: b"
+    assert verdict([bad, fine, doubt, bad]) == "does not work here: c, c"
