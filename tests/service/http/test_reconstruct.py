@@ -222,6 +222,22 @@ def test_a_budget_belongs_to_the_scene(client: TestClient) -> None:
     assert swapped[0] == swapped[1]
 
 
+def test_how_many_foretell_belongs_to_the_scene_where_it_changes_it(client: TestClient) -> None:
+    """Two photographs foretell none, and of three no more than two can foretell the third."""
+    two, three = [photograph(k) for k in (80, 81)], [photograph(k) for k in (80, 81, 82)]
+    ids = {
+        (len(images), text): post(client, images, leave_one_out=text)
+        for images in (two, three)
+        for text in ("0", "2", "5")
+    }
+    documents = {key: answer.json() for key, answer in ids.items()}
+    assert len({documents[2, text]["id"] for text in ("0", "2", "5")}) == 1
+    assert documents[3, "2"]["id"] == documents[3, "5"]["id"] == post(client, three).json()["id"]
+    assert documents[3, "0"]["id"] != documents[3, "2"]["id"]
+    assert documents[3, "0"]["check"]["leave_one_out"] is None
+    assert [row["from"] for row in documents[3, "2"]["check"]["leave_one_out"]] == [[1, 2], [0, 2], [0, 1]]
+
+
 @pytest.mark.parametrize(
     ("fields", "field"),
     [
@@ -230,6 +246,11 @@ def test_a_budget_belongs_to_the_scene(client: TestClient) -> None:
         ({"max_error": "1/0"}, "max_error"),
         ({"certify": "-1"}, "certify"),
         ({"certify": "31"}, "certify"),
+        ({"leave_one_out": "1"}, "leave_one_out"),
+        ({"leave_one_out": "6"}, "leave_one_out"),
+        ({"leave_one_out": "true"}, "leave_one_out"),
+        ({"leave_one_out": "2.0"}, "leave_one_out"),
+        ({"leave_one_out": "-2"}, "leave_one_out"),
         ({"certify": "1.5"}, "certify"),
         ({"stride": "3"}, "stride"),
         ({"min_opacity": "-1"}, "min_opacity"),
