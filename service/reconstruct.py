@@ -76,8 +76,7 @@ class Reconstructor:
         a warning. `budget` says what may be left out of the scene and for which views that is proved. With three
         photographs or more each is also compared with its picture from a reconstruction of the `leave_one_out` others
         that are nearest to it (2 or more; all others where there are fewer; 0: not done). `listener` hears the stages
-        cameras, images, network, gaussians, leave out, check, leave one out. Raises
-        `InputError` and `ModelError`.
+        cameras, images, network, gaussians, leave out, check, leave one out. Raises `InputError` and `ModelError`.
         """
         stages = Stages(listener)
         info = self.engine.info
