@@ -10,8 +10,8 @@ import numpy as np
 from .camera import Camera
 from .float32 import largest_shift
 
-TOLD_MOVE = 0.01  # px; float32 and six decimals turn less, and no match is as fine
-TOLD_PX = 0.1  # of precision; the network finds matches to about that
+TOLD_MOVE = 0.01  # px; rotations in float32 or with six decimals turn less
+TOLD_PX = 0.1  # of precision
 
 
 def pose_notices(cameras: Sequence[Camera], near: float) -> list[dict[str, Any]]:

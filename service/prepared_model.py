@@ -1,6 +1,6 @@
 """A model as onnxruntime has optimised it for this processor, weights in a file beside it that all processes map.
 
-Loading it takes half the time, and the weights are in memory once however many processes use them: a session of the
+Loading it takes less time, and the weights are in memory once however many processes use them: a session of the
 packaged network has 17 MB less of its own.
 """
 

@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 
-NICE = 5  # a third of the CPU time of a thread that does not give way, and all of it where nobody else wants any
+NICE = 5  # by Linux's weights a third of the time of a thread that does not give way; all of it where nobody wants any
 
 
 def give_way() -> None:

@@ -9,15 +9,31 @@ from ..foretold import DEFAULT_OTHERS
 from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
 
+# Two cameras side by side that look along z.
+CAMERAS = (
+    '{"near": 1.0, "far": 10.0, "views": ['
+    '{"width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0,'
+    ' "c2w": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},'
+    ' {"width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0,'
+    ' "c2w": [[1, 0, 0, 0.3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}]}'
+)
 FORM: dict[str, Any] = {
     "type": "object",
     "required": ["images", "cameras"],
     "properties": {
         "images": {"type": "array", "items": {"type": "string", "format": "binary"}, "minItems": 2, "maxItems": 6},
-        "cameras": {"type": "string", "description": "cameras.json or transforms.json, as a field or as a file part"},
+        "cameras": {
+            "type": "string",
+            "description": "cameras.json or transforms.json, as a field or as a file part",
+            "examples": [CAMERAS],
+        },
         "near": {"type": "number", "exclusiveMinimum": 0, "description": "nearest depth, in the cameras' units"},
         "far": {"type": "number", "exclusiveMinimum": 0, "description": "farthest depth, in the cameras' units"},
-        "views": {"type": "string", "description": "views to render, comma separated: 0, 1.5, orbit:30"},
+        "views": {
+            "type": "string",
+            "description": "views to render, comma separated",
+            "examples": ["0,1.5,orbit:30"],
+        },
         "trust_poses": {
             "type": "boolean",
             "description": "warn only, where photographs or overlap speak against the poses",
@@ -25,6 +41,7 @@ FORM: dict[str, Any] = {
         "max_error": {
             "type": "string",
             "default": "1/255",
+            "examples": ["1/255", "0", "off"],
             "description": "change of colour up to which Gaussians are left out, proved for the inputs, the views"
             " between them and `views`: a number, a fraction, or off",
         },

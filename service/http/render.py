@@ -38,7 +38,12 @@ class RenderQuery(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    view: str | None = Field(None, max_length=100, description="input view 2, between two 1.5, orbit:30; default 0")
+    view: str | None = Field(
+        None,
+        max_length=100,
+        description="an input, between two, an orbit; default 0",
+        examples=["2", "1.5", "orbit:30"],
+    )
     camera: str | None = Field(None, max_length=10_000, description="any camera: one view object of cameras.json")
     scene: str | None = Field(None, max_length=200, description="id of the scene; default: the newest")
     width: int | None = Field(None, ge=1, le=65_535, description="px; with height alone the aspect stays")
@@ -54,7 +59,9 @@ class RenderQuery(BaseModel):
     stop: float = Field(STOP, ge=0, le=LIMITS["stop"][1], description="what lies behind so little light is not drawn")
     sh_degree: int = Field(3, ge=0, le=3, description="highest band of harmonics")
     samples: int = Field(1, ge=1, le=MAX_SAMPLES, description="per side of a pixel")
-    background: str = Field("black", max_length=50, description="rrggbb in hex, black, white or grey")
+    background: str = Field(
+        "black", max_length=50, description="rrggbb in hex, or a name", examples=["white", "204080"]
+    )
 
 
 @router.get(

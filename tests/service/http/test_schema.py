@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +12,11 @@ from http_requests import post
 from hypothesis import HealthCheck, Phase, given, settings
 from schemathesis.specs.openapi.checks import positive_data_acceptance
 from test_serve import serving
+
+from gapmes.service.camera_file import parse_camera_file
+from gapmes.service.depth_range import depth_range
+from gapmes.service.http.form import CAMERAS
+from gapmes.service.view_checks import check_views
 
 # What a photograph, a camera, a view or a place in the list is, a schema cannot say: some that fits it is refused.
 SAID_IN_WORDS = ("POST /reconstruct", "GET /render", "GET /scenes")
@@ -51,3 +57,9 @@ def holds(operation: schemathesis.APIOperation) -> None:
         case.call_and_validate(timeout=30, excluded_checks=excluded)
 
     ask()
+
+
+def test_the_example_of_cameras_is_one() -> None:
+    cameras = parse_camera_file(json.loads(CAMERAS)).cameras
+    assert [camera.width for camera in cameras] == [640, 640]
+    check_views(cameras, depth_range(cameras, 1.0, 10.0))

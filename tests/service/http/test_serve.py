@@ -71,7 +71,7 @@ def test_it_ends_in_order_with_what_it_has_begun(tmp_path: Path, standin_model: 
         cameras = cameras_of(3, 1600, 1200)
         work = threading.Thread(target=lambda: found.append(post(client, big, cameras)))
         work.start()
-        until(lambda: running(streams), pause=0)  # decoding alone takes some hundred milliseconds
+        until(lambda: running(streams), pause=0)
         # the same scene as a job, whose stream is open while the process is told to end
         job = post(httpx.Client(base_url=client.base_url, timeout=60), big, cameras, prefer="respond-async").json()
         with streams.stream("GET", job["links"]["events"]) as stream:
