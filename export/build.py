@@ -11,8 +11,8 @@ import onnx
 import torch
 from torch.export import Dim
 
+from gapmes.model.architectures import Network
 from gapmes.model.config import PIXELS_PER_PATCH
-from gapmes.model.network import GaPMeS
 from gapmes.service.contract import INPUTS
 
 from .graph import SceneGraph, folded_position_embeddings
@@ -23,7 +23,7 @@ MIN_VIEWS, MAX_VIEWS = 2, 6
 TRACE_VIEWS = 3  # not the least, at which a loop over other views would run once; every count is verified afterwards
 
 
-def export_graph(network: GaPMeS, height: int, width: int) -> onnx.ModelProto:
+def export_graph(network: Network, height: int, width: int) -> onnx.ModelProto:
     """The float32 graph of `network` for H x W pixels and 2 to 6 views, checked and shape-inferred.
 
     Raises `ValueError` for a size that is not a multiple of 16, `onnx.checker.ValidationError` for a broken graph.

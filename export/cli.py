@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 from rich.console import Console
 
-from gapmes.model.checkpoint import CheckpointError, load_checkpoint, shipped_checkpoint
+from gapmes.model.architectures import ARCHITECTURES
+from gapmes.model.checkpoint import CheckpointError, read_config, shipped_checkpoint
 from gapmes.model.config import PRESETS
+from gapmes.model.depthsplat.config import Compatibility
 from gapmes.service.terminal import ProgressBars
 
 from .measurements import write_tables
+from .model_file import data_path
 from .pipeline import Exported, ExportRejected, VerificationBroken, export_checkpoint
-from .tolerance import TOLERANCES
+from .tolerance import TOLERANCES, Precision
 from .variant import Variant
 
 REFUSED = 1
@@ -29,9 +34,15 @@ errors = Console(stderr=True)
 @app.command()
 def export(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Path of the .onnx file to write.")] = None,
-    preset: Annotated[str, typer.Option(help=f"One of {', '.join(PRESETS)}.")] = "tiny",
+    architecture: Annotated[str, typer.Option(help=f"One of {', '.join(ARCHITECTURES)}.")] = "gapmes",
+    preset: Annotated[
+        str | None, typer.Option(help=f"Of gapmes: one of {', '.join(PRESETS)} [default: tiny, or the checkpoint's].")
+    ] = None,
     checkpoint: Annotated[
-        Path | None, typer.Option(help="A .safetensors checkpoint; the shipped one of the preset when left out.")
+        Path | None,
+        typer.Option(
+            help="A .safetensors checkpoint of ours (default: the shipped one), or a published DepthSplat .pth."
+        ),
     ] = None,
     size: Annotated[str, typer.Option(help="HEIGHTxWIDTH in pixels, multiples of 16.")] = "256x256",
     precision: Annotated[str, typer.Option(help=f"One of {', '.join(TOLERANCES)}.")] = "fp32",
@@ -39,6 +50,10 @@ def export(
     keep_all: Annotated[
         bool, typer.Option("--keep-all", help="Run every expert on every patch and match every pair of views.")
     ] = False,
+    compatibility: Annotated[
+        str | None,
+        typer.Option(help="Of depthsplat: none, authors (as in their code), or switches by name [default: none]."),
+    ] = None,
     quick: Annotated[bool, typer.Option(help="Verify at two view counts instead of five; a short --report.")] = False,
     report: Annotated[
         Path | None, typer.Option(help="Export nothing: measure error against run time of every setting into a folder.")
@@ -66,25 +81,19 @@ def export(
     if out is None:
         raise typer.BadParameter("is missing", param_hint="--out")
     height, width = _size(size)
-    if preset not in PRESETS:
-        raise typer.BadParameter(f"{preset!r} is unknown, choose one of {', '.join(PRESETS)}", param_hint="--preset")
-    if precision not in TOLERANCES:
-        raise typer.BadParameter(
-            f"{precision!r} is unknown, choose one of {', '.join(TOLERANCES)}", param_hint="--precision"
-        )
+    _one_of(architecture, ARCHITECTURES, "--architecture")
+    _one_of(preset or "tiny", PRESETS, "--preset")
+    _one_of(precision, TOLERANCES, "--precision")
     try:
-        source = checkpoint or shipped_checkpoint(preset)
-        found = load_checkpoint(source).config.preset
-        if found != preset:
-            raise CheckpointError(f"{source} holds preset {found!r}, asked for {preset!r}")
+        source, variant = _what(architecture, preset, checkpoint, compatibility)
         with ProgressBars() as bars:
             result = export_checkpoint(
                 source,
                 out,
                 height=height,
                 width=width,
-                precision=precision,
-                variant=Variant(top_k, keep_all),
+                precision=cast(Precision, precision),
+                variant=replace(variant, top_k=top_k, keep_all=keep_all),
                 quick=quick,
                 listener=bars,
             )
@@ -98,6 +107,34 @@ def export(
         errors.print(f"file: {rejected.rejected}\nreport: {rejected.report_path}", soft_wrap=True)
         raise typer.Exit(REJECTED) from rejected
     _show(result, as_json)
+
+
+def _one_of(value: str, choices: Collection[str], option: str) -> None:
+    if value not in choices:
+        raise typer.BadParameter(f"{value!r} is unknown, choose one of {', '.join(choices)}", param_hint=option)
+
+
+def _what(
+    architecture: str, preset: str | None, checkpoint: Path | None, compatibility: str | None
+) -> tuple[Path, Variant]:
+    """The checkpoint and the network that it is read as. Raises `CheckpointError`."""
+    if architecture == "depthsplat":
+        if checkpoint is None or preset is not None:
+            raise typer.BadParameter(
+                "depthsplat needs the path of a checkpoint, whose size it tells itself", param_hint="--checkpoint"
+            )
+        try:
+            switches = Compatibility.named(compatibility or "none")
+        except ValueError as error:
+            raise typer.BadParameter(str(error), param_hint="--compatibility") from error
+        return checkpoint, Variant(architecture=architecture, compatibility=switches)
+    if compatibility is not None:
+        raise typer.BadParameter("goes with --architecture depthsplat", param_hint="--compatibility")
+    source = checkpoint or shipped_checkpoint(preset or "tiny")
+    found = read_config(source).preset
+    if preset is not None and found != preset:
+        raise CheckpointError(f"{source} holds preset {found!r}, asked for {preset!r}")
+    return source, Variant()
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -120,8 +157,9 @@ def _show(result: Exported, as_json: bool) -> None:
         }
         typer.echo(json.dumps(body))
         return
-    megabytes = result.model.stat().st_size / 1e6
-    errors.print(f"{result.model}  ({megabytes:.1f} MB), {len(result.report.cases)} cases passed")
+    files = [path for path in (result.model, data_path(result.model)) if path.is_file()]
+    megabytes = sum(path.stat().st_size for path in files) / 1e6
+    errors.print(f"{' + '.join(map(str, files))}  ({megabytes:.1f} MB), {len(result.report.cases)} cases passed")
     errors.print("largest error of every output, in units of its largest value:")
     for name, value in worst.items():
         errors.print(

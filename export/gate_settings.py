@@ -9,7 +9,7 @@ import onnx
 import torch
 from onnx import numpy_helper
 
-from gapmes.model.network import GaPMeS
+from gapmes.model.architectures import Network
 
 from .quantise import TRANSPOSED
 
@@ -19,7 +19,7 @@ _GATES = "mixture.gates."
 DECISIVE = 200.0
 
 
-def gate_values(network: GaPMeS, setting: GateSetting) -> dict[str, torch.Tensor]:
+def gate_values(network: Network, setting: GateSetting) -> dict[str, torch.Tensor]:
     """State-dict entries of the gates under a setting; weights zero, so that the bias alone decides."""
     state = {
         name: value

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from gapmes.model.backbones import VitFeatures
+from gapmes.model.architectures import Network
+from gapmes.model.backbones import DepthAnythingFeatures, VitFeatures
 from gapmes.model.config import PIXELS_PER_PATCH
-from gapmes.model.network import GaPMeS
+from gapmes.model.depthsplat.vit import IntermediateVit
 from gapmes.service.contract import EXPERT_OUTPUTS, MARGIN_OUTPUTS, REQUIRED_OUTPUTS, TASK_OUTPUTS
 
 
@@ -32,14 +33,14 @@ class SceneInputs:
 class SceneGraph(nn.Module):
     """Outputs in the order of `output_names`."""
 
-    def __init__(self, network: GaPMeS) -> None:
+    def __init__(self, network: Network) -> None:
         super().__init__()
         self.network = network
 
     @property
     def output_names(self) -> tuple[str, ...]:
         """Those of the contract that this network has."""
-        gates = self.network.mixture.gates
+        gates = self.network.gates
         experts = EXPERT_OUTPUTS if gates is not None and gates.expert_gate is not None else ()
         tasks = TASK_OUTPUTS if gates is not None and gates.task_gate is not None else ()
         return REQUIRED_OUTPUTS + experts + tasks + (MARGIN_OUTPUTS if gates is not None else ())
@@ -69,25 +70,31 @@ class SceneGraph(nn.Module):
 
 
 @contextmanager
-def folded_position_embeddings(network: GaPMeS, height: int, width: int) -> Iterator[None]:
+def folded_position_embeddings(network: Network, height: int, width: int) -> Iterator[None]:
     """While exporting a fixed size, each ViT's position embedding is the constant for that size.
 
     The library would interpolate it bicubically in the graph, where backends differ.
     """
     replaced = []
     for module in network.modules():
-        if not isinstance(module, VitFeatures):
+        if isinstance(module, IntermediateVit):
+            pixels = module.seen_size(height, width)
+        elif isinstance(module, VitFeatures | DepthAnythingFeatures):
+            patch = module.config.patch
+            pixels = (height // PIXELS_PER_PATCH * patch, width // PIXELS_PER_PATCH * patch)
+        else:
             continue
-        patch = module.config.patch
-        pixels = (height // PIXELS_PER_PATCH * patch, width // PIXELS_PER_PATCH * patch)
-        embeddings = module.vit.embeddings
+        patch, embeddings = module.config.patch, module.vit.embeddings
         with torch.no_grad():
             tokens = torch.zeros(1, 1 + (pixels[0] // patch) * (pixels[1] // patch), module.config.hidden)
             constant = embeddings.interpolate_pos_encoding(tokens, *pixels).detach().clone()
+        before = vars(embeddings).get("interpolate_pos_encoding")
         vars(embeddings)["interpolate_pos_encoding"] = lambda *_, constant=constant: constant
-        replaced.append(embeddings)
+        replaced.append((embeddings, before))
     try:
         yield
     finally:
-        for embeddings in replaced:
+        for embeddings, before in replaced:
             del vars(embeddings)["interpolate_pos_encoding"]
+            if before is not None:
+                vars(embeddings)["interpolate_pos_encoding"] = before

@@ -1,15 +1,14 @@
-"""What a file says about itself: the `gapmes.*` metadata, and writing a model whole or not at all."""
+"""What a file says about itself: the `gapmes.*` metadata."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
 
 import onnx
 
+from gapmes.model.architectures import Network
 from gapmes.model.config import PIXELS_PER_PATCH
-from gapmes.model.network import GaPMeS
 from gapmes.service.contract import FORMAT
 
 from .build import MAX_VIEWS, MIN_VIEWS, OPSET
@@ -18,7 +17,7 @@ NEAR_FAR_RULE = "z-depth range in the units of the poses; candidates are uniform
 
 
 def contract_metadata(
-    network: GaPMeS, *, height: int, width: int, weights_sha256: str, licence: str, precision: str
+    network: Network, *, height: int, width: int, weights_sha256: str, licence: str, precision: str
 ) -> dict[str, str]:
     """Everything but the tolerance, which verification adds."""
     return {
@@ -45,11 +44,3 @@ def add_metadata(model: onnx.ModelProto, values: Mapping[str, str]) -> None:
     del model.metadata_props[:]
     for key in sorted(kept):
         model.metadata_props.add(key=key, value=kept[key])
-
-
-def write_model(model: onnx.ModelProto, path: Path) -> None:
-    """Serialise deterministically, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(model.SerializeToString(deterministic=True))
-    part.replace(path)

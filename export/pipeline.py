@@ -12,11 +12,13 @@ from pathlib import Path
 
 import onnx
 
-from gapmes.model.checkpoint import file_sha256, read_metadata
+from gapmes.model.architectures import licence
+from gapmes.model.checkpoint import file_sha256
 from gapmes.service.progress import Listener, Stage, Stages, silent
 
 from .build import export_graph
-from .metadata import add_metadata, contract_metadata, write_model
+from .metadata import add_metadata, contract_metadata
+from .model_file import remove_model, write_model
 from .quantise import quantised
 from .report import Report
 from .tolerance import Precision
@@ -83,7 +85,7 @@ def export_checkpoint(
         height=height,
         width=width,
         weights_sha256=file_sha256(checkpoint),
-        licence=read_metadata(checkpoint).get("gapmes.licence", "not stated"),
+        licence=licence(checkpoint, variant.architecture),
         precision=precision,
     )
     add_metadata(model, metadata | ({"keep_all": "true"} if variant.keep_all else {}))
@@ -104,7 +106,7 @@ def _accept(model: onnx.ModelProto, candidate: Path, out: Path, report: Report, 
     report_path = out.with_name(f"{out.stem}.report.json")
     add_metadata(model, {"tolerance": json.dumps(report.worst(), sort_keys=True)})
     write_model(model, out)
-    candidate.unlink()
+    remove_model(candidate)
     report = Report(file_sha256(out), report.precision, report.versions, report.cases)
     report.write(report_path)
     return Exported(out, report_path, report, timings)

@@ -1,13 +1,14 @@
-"""The network of a checkpoint as a file shall compute it: experts per patch, and whether nothing is skipped."""
+"""The network of a checkpoint as a file shall compute it: which one, experts per patch, whether nothing is skipped."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gapmes.model.checkpoint import load_checkpoint
+from gapmes.model.architectures import Network, NetworkConfig, load_network
 from gapmes.model.config import ModelConfig
-from gapmes.model.network import GaPMeS
+from gapmes.model.depthsplat.config import PLAIN, Compatibility, DepthSplatConfig
+from gapmes.model.depthsplat.network import DepthSplat
 
 
 @dataclass(frozen=True)
@@ -16,11 +17,24 @@ class Variant:
 
     top_k: int | None = None  # experts per patch, of those it was trained with
     keep_all: bool = False  # every expert on every patch, every pair of views on every plane
+    architecture: str = "gapmes"
+    compatibility: Compatibility = PLAIN  # of DepthSplat
+
+    @staticmethod
+    def of(config: NetworkConfig) -> Variant:
+        """What a file's configuration says that it computes; `keep_all` changes no result."""
+        if isinstance(config, DepthSplatConfig):
+            return Variant(architecture="depthsplat", compatibility=config.compatibility)
+        return Variant(None if config.without_experts else config.top_k)
 
 
-def load_variant(checkpoint: Path, variant: Variant) -> GaPMeS:
+def load_variant(checkpoint: Path, variant: Variant) -> Network:
     """The network with the variant's settings. Raises `CheckpointError`, and `ValueError` for a wrong `top_k`."""
-    network = load_checkpoint(checkpoint)
+    network = load_network(checkpoint, variant.architecture, variant.compatibility)
+    if isinstance(network, DepthSplat):
+        if variant.top_k is not None or variant.keep_all:
+            raise ValueError("DepthSplat has no experts: top_k and keep_all are settings of gapmes networks")
+        return network
     if variant.top_k is not None:
         network.config = with_top_k(network.config, variant.top_k)
         if network.mixture.gates is not None:

@@ -18,9 +18,9 @@ import onnx
 import onnxruntime
 import torch
 
+from gapmes.model.architectures import Network, config_from_json
 from gapmes.model.checkpoint import file_sha256
 from gapmes.model.config import ModelConfig
-from gapmes.model.network import GaPMeS
 from gapmes.service.contract import GAUSSIAN_OUTPUTS, IMAGE_OUTPUTS, INPUTS, REQUIRED_OUTPUTS
 
 from .cases import Case, verification_cases
@@ -38,14 +38,14 @@ FAILED = 3
 
 def verify(
     model: onnx.ModelProto,
-    network: GaPMeS,
+    network: Network,
     cases: Iterable[Case],
     tolerance: Tolerance,
     on_case: Callable[[CaseResult], None] = lambda _: None,
 ) -> list[CaseResult]:
     """Run every case through both runtimes, one graph at a time."""
     results = []
-    gated = network.mixture.gates is not None
+    gated = network.gates is not None
     trained = gate_values(network, "as trained") if gated else {}
     for gates, group in itertools.groupby(cases, key=lambda case: case.gates):
         if gates != "as trained" and not gated:
@@ -58,7 +58,7 @@ def verify(
     return results
 
 
-def _session(model: onnx.ModelProto, network: GaPMeS, gates: GateSetting) -> onnxruntime.InferenceSession:
+def _session(model: onnx.ModelProto, network: Network, gates: GateSetting) -> onnxruntime.InferenceSession:
     """A session of the graph under a gate setting; sets the torch network's gates alike."""
     if gates != "as trained":
         values = gate_values(network, gates)
@@ -70,7 +70,7 @@ def _session(model: onnx.ModelProto, network: GaPMeS, gates: GateSetting) -> onn
     return onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
 
 
-def _run(case: Case, session: onnxruntime.InferenceSession, network: GaPMeS, tolerance: Tolerance) -> CaseResult:
+def _run(case: Case, session: onnxruntime.InferenceSession, network: Network, tolerance: Tolerance) -> CaseResult:
     if case.flat:
         tolerance = tolerance.for_flat_images()
     elif case.undetermined:
@@ -134,8 +134,8 @@ def deviations(
 class _GateLogits:
     """Records both gates' logits of one torch run."""
 
-    def __init__(self, network: GaPMeS) -> None:
-        gates = network.mixture.gates
+    def __init__(self, network: Network) -> None:
+        gates = network.gates
         both = () if gates is None else (("expert", gates.expert_gate), ("task", gates.task_gate))
         self._gates = [(name, gate) for name, gate in both if gate is not None]
         self.found: dict[str, np.ndarray] = {}
@@ -150,8 +150,9 @@ class _GateLogits:
         for hook in self._hooks:
             hook.remove()
 
-    def undecided(self, network: GaPMeS) -> np.ndarray:
+    def undecided(self, network: Network) -> np.ndarray:
         """(M,) patches whose logits leave the route to rounding."""
+        assert isinstance(network.config, ModelConfig)  # the only one with gates
         deciding = {"expert": network.config.top_k, "task": 1}
         return np.any([ambiguous(logits, deciding[name]) for name, logits in self.found.items()], axis=0)
 
@@ -177,8 +178,7 @@ def main(arguments: list[str] | None = None) -> int:
     metadata = {p.key: p.value for p in model.metadata_props}
     precision = metadata["gapmes.precision"]
     height, width = int(metadata["gapmes.height"]), int(metadata["gapmes.width"])
-    config = ModelConfig.from_json(metadata["gapmes.config"])
-    network = load_variant(options.checkpoint, Variant(None if config.without_experts else config.top_k))
+    network = load_variant(options.checkpoint, Variant.of(config_from_json(metadata["gapmes.config"])))
     cases = list(verification_cases(height, width, quick=options.quick))
 
     def tell(result: CaseResult) -> None:

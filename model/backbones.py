@@ -1,16 +1,23 @@
-"""The two vision transformers (transformers' Dinov2Model): global semantics, and monocular depth cues."""
+"""The vision transformers: global semantics, and monocular depth cues with or without Depth-Anything-V2's own head."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from transformers import Dinov2Config, Dinov2Model
+from transformers import (
+    DepthAnythingConfig,
+    DepthAnythingForDepthEstimation,
+    Dinov2Backbone,
+    PreTrainedModel,
+)
 
-from .config import PIXELS_PER_PATCH, VitConfig
+from .config import CELLS_PER_PATCH, PIXELS_PER_PATCH, VitConfig
+from .vit_parts import dinov2, dinov2_config, normalised_for_vit
 
-_IMAGENET_MEAN = (0.485, 0.456, 0.406)
-_IMAGENET_STD = (0.229, 0.224, 0.225)
+_FLAT = 1e-4  # of its greatest value: below this deviation a depth map says nothing but rounding
 
 
 class VitFeatures(nn.Module):
@@ -19,38 +26,150 @@ class VitFeatures(nn.Module):
     Serves as F_dino with DINOv2 weights and as F_mono with the encoder of Depth-Anything-V2, which is the same class.
     """
 
-    mean: Tensor
-    std: Tensor
-
     def __init__(self, config: VitConfig, *, frozen: bool) -> None:
         super().__init__()
         self.config = config
         self.frozen = frozen
-        self.vit = Dinov2Model(
-            Dinov2Config(
-                hidden_size=config.hidden,
-                num_hidden_layers=config.layers,
-                num_attention_heads=config.heads,
-                mlp_ratio=config.mlp_ratio,
-                image_size=config.image_size,
-                patch_size=config.patch,
-                attn_implementation="eager",  # type: ignore[call-arg]  # a dataclass that takes further keywords
-            )
-        )
-        self.register_buffer("mean", torch.tensor(_IMAGENET_MEAN).reshape(1, 3, 1, 1), persistent=False)
-        self.register_buffer("std", torch.tensor(_IMAGENET_STD).reshape(1, 3, 1, 1), persistent=False)
-        assert self.vit.embeddings.mask_token is not None
-        self.vit.embeddings.mask_token.requires_grad_(False)  # only used by masked pretraining
+        self.vit = dinov2(config)
         if frozen:
             self.vit.requires_grad_(False)
 
     def forward(self, images: Tensor) -> Tensor:
         """(n, 3, H, W) in [0, 1] -> (n, hidden, H/16, W/16)."""
         height, width = images.shape[-2] // PIXELS_PER_PATCH, images.shape[-1] // PIXELS_PER_PATCH
-        x = (images - self.mean) / self.std
-        if self.config.patch != PIXELS_PER_PATCH:
-            size = (height * self.config.patch, width * self.config.patch)
-            x = F.interpolate(x, size=size, mode="bilinear", align_corners=False, antialias=False)
+        x = _seen_by_vit(normalised_for_vit(images), self.config.patch)
         with torch.set_grad_enabled(torch.is_grad_enabled() and not self.frozen):
             tokens = self.vit(pixel_values=x).last_hidden_state[:, 1:]
         return tokens.transpose(1, 2).reshape(-1, self.config.hidden, height, width)
+
+
+@dataclass(frozen=True)
+class DptShape:
+    """Shape of Depth-Anything-V2's head on a ViT."""
+
+    layers: tuple[int, int, int, int]  # of the ViT whose tokens it reads, 1 is the first; 0 is the patch embedding
+    levels: tuple[int, int, int, int]  # channels, from the finest level to the coarsest
+    fusion: int  # channels of the fused map
+
+    @staticmethod
+    def of(vit: VitConfig) -> DptShape:
+        """The published shape for ViT-S, B and L, and the same proportions for others, of three layers or more."""
+        if (vit.hidden, vit.layers) == (1024, 24):
+            return DptShape((5, 12, 18, 24), (256, 512, 1024, 1024), 256)
+        first, second, third, last = (vit.layers * i // 4 for i in (1, 2, 3, 4))
+        if second == third:
+            raise ValueError(f"a depth head reads four layers of a ViT, this one has {vit.layers}; give it at least 3")
+        h = vit.hidden
+        return DptShape((first, second, third, last), (h // 8, h // 4, h // 2, h), h // 6)
+
+
+class DepthAnythingFeatures(nn.Module):
+    """Depth-Anything-V2 whole: its encoder's patch features, and its inverse depth as a cue without scale and shift.
+
+    Published weights are loaded by `pretrained.depth_anything.load_depth_anything`.
+    """
+
+    to_cells: Tensor
+
+    def __init__(self, config: VitConfig, *, frozen: bool) -> None:
+        """Random weights, with which the inverse depth is nearly constant. Raises `ValueError` below three layers."""
+        super().__init__()
+        self.config = config
+        self.frozen = frozen
+        self.model = DepthAnythingForDepthEstimation(_depth_anything_config(config))
+        for module in self.model.modules():
+            # The wrapper does not hand its choice on to the encoder; eager exports without a detour for masked rows.
+            if isinstance(module, PreTrainedModel):
+                module.config._attn_implementation = "eager"
+        self.register_buffer("to_cells", _area_average(config.patch, CELLS_PER_PATCH), persistent=False)
+        mask_token = self.vit.embeddings.mask_token
+        assert mask_token is not None
+        mask_token.requires_grad_(False)  # only used by masked pretraining
+        if frozen:
+            self.model.requires_grad_(False)
+
+    @property
+    def vit(self) -> Dinov2Backbone:
+        """The encoder, under the name that it has in `VitFeatures`."""
+        backbone = self.model.backbone
+        assert isinstance(backbone, Dinov2Backbone)
+        return backbone
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """(n, 3, H, W) in [0, 1] -> features (n, hidden, H/16, W/16), the encoder's last, normed; and inverse depth
+        (n, 1, H/4, W/4), greater is nearer, of mean 0 and deviation 1 over each image, or 0 where it is flat.
+        """
+        rows, columns = images.shape[-2] // PIXELS_PER_PATCH, images.shape[-1] // PIXELS_PER_PATCH
+        x = _seen_by_vit(normalised_for_vit(images), self.config.patch)
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.frozen):
+            maps = self.vit(pixel_values=x).feature_maps
+            fused = self.model.neck(list(maps), rows, columns)
+            inverse = self._head(fused[-1], rows * self.config.patch, columns * self.config.patch)
+        features = maps[-1][:, 1:].transpose(1, 2).reshape(-1, self.config.hidden, rows, columns)
+        return features, without_scale_and_shift(self._per_cell(inverse, rows, columns))
+
+    def _head(self, fused: Tensor, height: int, width: int) -> Tensor:
+        """(n, fusion, h, w) -> inverse depth (n, 1, height, width), the published head layer by layer.
+
+        Its own forward turns the size into an integer, which an export with symbolic sizes would freeze silently.
+        """
+        head = self.model.head
+        x = F.interpolate(head.conv1(fused), size=(height, width), mode="bilinear", align_corners=True)
+        return F.relu(head.conv3(F.relu(head.conv2(x))))
+
+    def _per_cell(self, inverse: Tensor, rows: int, columns: int) -> Tensor:
+        """Mean over the area of each cell: (n, 1, rows * patch, columns * patch) -> (n, 1, H/4, W/4).
+
+        Two products with a small matrix, exact also where a cell is 3.5 px wide; bilinear sampling would skip pixels.
+        """
+        patch = self.config.patch
+        x = inverse.reshape(-1, rows * patch, columns, patch) @ self.to_cells.T
+        x = x.reshape(-1, rows, patch, columns * CELLS_PER_PATCH)
+        return (self.to_cells @ x).reshape(-1, 1, rows * CELLS_PER_PATCH, columns * CELLS_PER_PATCH)
+
+
+def without_scale_and_shift(inverse: Tensor) -> Tensor:
+    """(n, 1, h, w), finite -> the same less its mean, by its deviation, image by image; exactly 0 where it is flat.
+
+    The deviation has a floor relative to the greatest value, so that rounding is never blown up to a signal.
+    """
+    axes = (-2, -1)
+    greatest = inverse.abs().amax(axes, keepdim=True).clamp_min(torch.finfo(inverse.dtype).tiny)
+    # From the least value on, in parts of the greatest: no square below can overflow, and a constant is exactly 0.
+    relative = inverse / greatest - (inverse / greatest).amin(axes, keepdim=True)
+    centred = relative - relative.mean(axes, keepdim=True)
+    deviation = centred.square().mean(axes, keepdim=True).sqrt()
+    return centred / deviation.clamp_min(_FLAT)
+
+
+def _seen_by_vit(x: Tensor, patch: int) -> Tensor:
+    """(n, 3, H, W) -> (n, 3, H/16 * patch, W/16 * patch): one token per 16 x 16 input pixels."""
+    if patch == PIXELS_PER_PATCH:
+        return x
+    size = (x.shape[-2] // PIXELS_PER_PATCH * patch, x.shape[-1] // PIXELS_PER_PATCH * patch)
+    return F.interpolate(x, size=size, mode="bilinear", align_corners=False, antialias=False)
+
+
+def _depth_anything_config(vit: VitConfig) -> DepthAnythingConfig:
+    shape = DptShape.of(vit)
+    backbone = dinov2_config(vit, out_indices=list(shape.layers), apply_layernorm=True, reshape_hidden_states=False)
+    return DepthAnythingConfig(
+        backbone_config=backbone,
+        patch_size=vit.patch,
+        reassemble_hidden_size=vit.hidden,
+        reassemble_factors=[4, 2, 1, 0.5],
+        neck_hidden_sizes=list(shape.levels),
+        fusion_hidden_size=shape.fusion,
+        head_hidden_size=32,
+        depth_estimation_type="relative",
+        max_depth=1,
+    )
+
+
+def _area_average(pixels: int, cells: int) -> Tensor:
+    """(cells, pixels) weights that average `pixels` over `cells` equal intervals."""
+    edges = torch.arange(cells + 1, dtype=torch.float64) * pixels / cells
+    left, right = edges[:-1, None], edges[1:, None]
+    start = torch.arange(pixels, dtype=torch.float64)[None]
+    overlap = (torch.minimum(right, start + 1) - torch.maximum(left, start)).clamp_min(0)
+    return (overlap * cells / pixels).to(torch.float32)

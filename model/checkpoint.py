@@ -33,7 +33,8 @@ def shipped_checkpoint(preset: str) -> Path:
 def save_checkpoint(path: Path, model: GaPMeS, *, extra: dict[str, str] | None = None) -> None:
     """Write the weights and the configuration, whole or not at all."""
     tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
-    metadata = {"gapmes.config": model.config.to_json(), "gapmes.licence": WEIGHTS_LICENCE, **(extra or {})}
+    metadata = {"gapmes.config": model.config.to_json(), "gapmes.licence": WEIGHTS_LICENCE}
+    metadata |= model.provenance | (extra or {})
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     save_file(tensors, part, metadata=metadata)
@@ -52,18 +53,24 @@ def read_metadata(path: Path) -> dict[str, str]:
     return metadata
 
 
+def read_config(path: Path) -> ModelConfig:
+    """The configuration that a checkpoint was trained with. Raises `CheckpointError`."""
+    text = read_metadata(path)["gapmes.config"]
+    try:
+        return ModelConfig.from_json(text)
+    except (KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"{path} has a configuration that this version cannot build: {error!r}") from error
+
+
 def load_checkpoint(path: Path) -> GaPMeS:
     """Build the network that the file describes and load every tensor strictly, in float32 and evaluation mode.
 
     Raises `CheckpointError` that names what is missing, unexpected or misshapen.
     """
-    try:
-        config = ModelConfig.from_json(read_metadata(path)["gapmes.config"])
-    except (KeyError, TypeError, ValueError) as error:
-        if isinstance(error, CheckpointError):
-            raise
-        raise CheckpointError(f"{path} has a configuration that this version cannot build: {error!r}") from error
-    tensors, model = load_file(path), GaPMeS(config)
+    model = GaPMeS(read_config(path))
+    tensors = load_file(path)
+    kept = ("gapmes.licence", "gapmes.backbones")
+    model.provenance = {key: value for key, value in read_metadata(path).items() if key in kept}
     expected = model.state_dict()
     missing, unexpected = sorted(expected.keys() - tensors.keys()), sorted(tensors.keys() - expected.keys())
     shapes = [

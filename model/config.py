@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 PIXELS_PER_CELL = 4  # the paper's s = 4: the aligned grid has a quarter of the input resolution
 CELLS_PER_PATCH = 4  # a routed patch is 4 x 4 cells, that is 16 x 16 pixels
@@ -29,15 +30,15 @@ class ModelConfig:
     preset: str
     semantic_vit: VitConfig
     depth_vit: VitConfig
-    freeze_vits: bool  # frozen pretrained backbones (paper) or trained with the rest (tiny)
+    freeze_vits: bool  # frozen pretrained ViTs and full trunk (paper), or trained with the rest (tiny)
     half_channels: int  # CNN features at 1/2 resolution
     quarter_channels: int  # CNN features at 1/4 resolution
-    eighth_channels: int  # cross-view transformer at 1/8 resolution
-    cross_view_blocks: int
     match_channels: int  # features that are correlated in the plane sweep
     volume_channels: int  # features of the cost-volume network
     refine_channels: int  # features of the half-resolution refinement
     stream_channels: int  # C_dim of Eq. 1
+    eighth_channels: int = 0  # light trunk: its cross-view transformer at 1/8 resolution
+    cross_view_blocks: int = 0  # light trunk
     depth_planes: int = 64  # candidates of the plane sweep, uniform in inverse depth
     refine_candidates: int = 9
     second_candidates: int = 5
@@ -45,6 +46,8 @@ class ModelConfig:
     top_k: int = 2  # k
     temperature: float = 0.8  # tau of Eq. 10
     sh_degree: int = 0
+    trunk: str = "light"  # light, or full: UniMatch's CNN and transformer, frozen with the ViTs
+    depth_head: bool = False  # the depth ViT is Depth-Anything-V2 whole, whose inverse depth is a cue
     backing: bool = True  # coarse opaque layer behind the far surface, so that no hole shows through
     without_depth: bool = False  # Table 5: no depth stream
     without_experts: bool = False  # Table 5: no feature-learning experts and no gate for them
@@ -71,6 +74,16 @@ _VIT_TINY = VitConfig(hidden=96, layers=3, heads=4, patch=16, mlp_ratio=2, image
 _VIT_S = VitConfig(hidden=384, layers=12, heads=6, patch=14, mlp_ratio=4, image_size=518)
 _VIT_B = VitConfig(hidden=768, layers=12, heads=12, patch=14, mlp_ratio=4, image_size=518)
 
+# What the paper's sizes have in common; the channels are those of the full trunk.
+_FULL: dict[str, Any] = {
+    "trunk": "full",
+    "depth_head": True,
+    "freeze_vits": True,
+    "half_channels": 96,
+    "quarter_channels": 256,
+    "sh_degree": 2,
+}
+
 PRESETS: dict[str, ModelConfig] = {
     "tiny": ModelConfig(
         preset="tiny",
@@ -90,32 +103,22 @@ PRESETS: dict[str, ModelConfig] = {
         preset="small",
         semantic_vit=_VIT_S,
         depth_vit=_VIT_S,
-        freeze_vits=True,
-        half_channels=48,
-        quarter_channels=96,
-        eighth_channels=128,
-        cross_view_blocks=4,
         match_channels=64,
         volume_channels=128,
         refine_channels=64,
-        stream_channels=64,
-        sh_degree=2,
+        stream_channels=96,
+        **_FULL,
     ),
     "base": ModelConfig(
         preset="base",
         semantic_vit=_VIT_B,
         depth_vit=_VIT_B,
-        freeze_vits=True,
-        half_channels=64,
-        quarter_channels=128,
-        eighth_channels=192,
-        cross_view_blocks=6,
         match_channels=128,
-        volume_channels=192,
+        volume_channels=240,
         refine_channels=96,
-        stream_channels=128,
+        stream_channels=224,
         depth_planes=128,
-        sh_degree=2,
+        **_FULL,
     ),
 }
 

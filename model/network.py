@@ -9,14 +9,17 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .adapter import GaussianBatch, gaussians_from_heads
-from .backbones import VitFeatures
+from .backbones import DepthAnythingFeatures, VitFeatures
 from .backing import backing_layer
-from .config import PIXELS_PER_PATCH, ModelConfig
+from .config import ModelConfig
 from .cost_volume import Views
 from .depth import DepthEstimate, DepthFromMatching
+from .full_trunk import FullTrunk
 from .heads import HeadOutputs, Heads
 from .layers import resize_to
-from .routing import Routing
+from .masking import kept
+from .prediction import Prediction
+from .routing import Gates
 from .streams import PatchMixture
 from .trunk import LightTrunk
 
@@ -24,16 +27,12 @@ INVERSE_DEPTH_LIMIT = 1.3  # normalised; a little nearer than `near` is allowed,
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """What one pass yields for B scenes of V views."""
+class FullPrediction(Prediction):
+    """Also what the losses read."""
 
-    gaussians: GaussianBatch
-    depth: Tensor  # (B, V, H, W) z-depth of the Gaussian of each pixel
-    confidence: Tensor  # (B, V, H, W) probability of the best plane of the sweep
     estimate: DepthEstimate  # normalised inverse depths, for the depth losses
     final_inverse: Tensor  # (B*V, 1, H, W) normalised inverse depth after the head's correction
     heads: HeadOutputs
-    routing: Routing | None
 
 
 class GaPMeS(nn.Module):
@@ -42,13 +41,14 @@ class GaPMeS(nn.Module):
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
         self.config = config
-        self.trunk = LightTrunk(config)
+        self.provenance: dict[str, str] = {}  # metadata of its checkpoints: where frozen parts came from
+        self.trunk = FullTrunk(config) if config.trunk == "full" else LightTrunk(config)
         self.semantic = VitFeatures(config.semantic_vit, frozen=config.freeze_vits)
-        self.mono = None if config.without_depth else VitFeatures(config.depth_vit, frozen=config.freeze_vits)
+        self.mono = None if config.without_depth else _mono(config)
         mono = 0
         if self.mono is not None:
-            mono = config.stream_channels
-            self.mono_context = nn.Conv2d(config.depth_vit.hidden, mono, 1)
+            self.mono_context = nn.Conv2d(config.depth_vit.hidden, config.stream_channels, 1)
+            mono = config.stream_channels + int(config.depth_head)
         self.depth = DepthFromMatching(config, mono)
         channels = {"texture": config.quarter_channels, "semantic": config.semantic_vit.hidden}
         if self.mono is not None:
@@ -63,7 +63,7 @@ class GaPMeS(nn.Module):
         world_from_cam: Tensor,
         near_far: Tensor,
         patch_mask: Tensor | None = None,
-    ) -> Prediction:
+    ) -> FullPrediction:
         """images (B, V, 3, H, W) in [0, 1], H and W multiples of 16; K (B, V, 3, 3) normalised by width and height;
         poses (B, V, 4, 4) float32, which the caller has re-centred in float64 (`service/world_frame.py`,
         `training/step.py`): an offset that stays in them costs that much precision; near_far (B, 2); patch_mask
@@ -72,14 +72,11 @@ class GaPMeS(nn.Module):
         batch, count, _, height, width = images.shape
         flat = images.reshape(-1, 3, height, width)
         views = Views.make(intrinsics, world_from_cam, near_far)
-        keep_patch, keep_pixel = self._keep(patch_mask, flat)
+        keep_patch, keep_pixel = kept(patch_mask, flat)
 
-        features = self.trunk(flat, count)
+        features = self.trunk(flat, views)
         semantic = self.semantic(flat)
-        if self.mono is None:
-            mono = flat.new_zeros(flat.shape[0], 0, height // 4, width // 4)
-        else:
-            mono = resize_to(self.mono_context(self.mono(flat)), features.quarter)
+        mono = self._mono_cues(flat, features.quarter)
         estimate = self.depth(flat, features, mono, views)
         streams = {"texture": features.quarter, "semantic": semantic}
         if self.mono is not None:
@@ -95,25 +92,28 @@ class GaPMeS(nn.Module):
             sheet = backing_layer(flat, inverse, views, keep_pixel, coefficients)
             gaussians = GaussianBatch.join([gaussians, sheet])
         confidence = F.interpolate(estimate.confidence, scale_factor=4, mode="bilinear", align_corners=False)
-        return Prediction(
+        return FullPrediction(
             gaussians,
             depth.reshape(batch, count, height, width),
             confidence.reshape(batch, count, height, width),
+            tasks.routing,
             estimate,
             inverse,
             heads,
-            tasks.routing,
         )
 
-    def _keep(self, patch_mask: Tensor | None, flat: Tensor) -> tuple[Tensor, Tensor]:
-        """(B*V*P,) and (B*V, 1, H, W) factors 1 or 0."""
-        rows, columns = flat.shape[-2] // PIXELS_PER_PATCH, flat.shape[-1] // PIXELS_PER_PATCH
-        if patch_mask is None:
-            patches = flat.new_ones(flat.shape[0], 1, rows, columns)
-        else:
-            patches = patch_mask.to(flat.dtype).reshape(-1, 1, rows, columns)
-        pixels = F.interpolate(patches, scale_factor=PIXELS_PER_PATCH, mode="nearest")
-        return patches.reshape(-1), pixels
+    @property
+    def gates(self) -> Gates | None:
+        return self.mixture.gates
+
+    def _mono_cues(self, images: Tensor, like: Tensor) -> Tensor:
+        """(n, mono, H/4, W/4), no channel without the depth stream."""
+        if self.mono is None:
+            return like[:, :0]
+        if isinstance(self.mono, DepthAnythingFeatures):
+            tokens, inverse = self.mono(images)
+            return torch.cat([resize_to(self.mono_context(tokens), like), inverse], dim=1)
+        return resize_to(self.mono_context(self.mono(images)), like)
 
     def keep_all(self) -> None:
         """Compute also what a scene does not need: every expert on every patch, every pair of views on every plane."""
@@ -123,3 +123,8 @@ class GaPMeS(nn.Module):
 
     def trainable_parameters(self) -> int:
         return sum(p.numel() for p in self.parameters() if p.requires_grad)
+
+
+def _mono(config: ModelConfig) -> VitFeatures | DepthAnythingFeatures:
+    kind = DepthAnythingFeatures if config.depth_head else VitFeatures
+    return kind(config.depth_vit, frozen=config.freeze_vits)

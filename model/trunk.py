@@ -8,6 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .config import ModelConfig
+from .cost_volume import Views
 from .geometry import other_views
 from .layers import ResidualBlock, resize_to
 
@@ -84,11 +85,11 @@ class LightTrunk(nn.Module):
         self.cross_view = nn.ModuleList([CrossViewBlock(c8) for _ in range(config.cross_view_blocks)])
         self.from_eighth = nn.Conv2d(c8, c4, 1)
 
-    def forward(self, images: Tensor, views: int) -> TrunkFeatures:
+    def forward(self, images: Tensor, views: Views) -> TrunkFeatures:
         """images (B*V, 3, H, W) in [0, 1]."""
         half = self.at_half(F.relu(self.to_half(images * 2 - 1)))
         quarter = self.at_quarter(F.relu(self.to_quarter(half)))
         eighth = F.relu(self.to_eighth(quarter))
         for block in self.cross_view:
-            eighth = block(eighth, views)
+            eighth = block(eighth, views.count)
         return TrunkFeatures(half, quarter + resize_to(self.from_eighth(eighth), quarter))

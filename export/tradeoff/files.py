@@ -12,7 +12,8 @@ import onnx
 from gapmes.model.checkpoint import WEIGHTS_LICENCE, file_sha256, shipped_checkpoint
 from gapmes.service.shipped import shipped_model
 
-from ..metadata import add_metadata, write_model
+from ..metadata import add_metadata
+from ..model_file import write_model
 from ..quantise import quantised
 from ..variant import Variant
 

@@ -1,29 +1,42 @@
-"""Train a preset from scratch on generated scenes; an interrupted run goes on where it was."""
+"""Train a preset on generated scenes, its frozen parts from published weights; an interrupted run goes on."""
 
 from __future__ import annotations
 
 import argparse
 import logging
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
 
 from ..config import PRESETS, ModelConfig, preset
+from ..pretrained.backbones import BackboneSources
 from .loop import train
 from .recipe import Recipe
 from .run_folder import WEIGHTS
 from .workers import Worker, run_workers
 
-# a preset with frozen backbones would freeze random ones: it needs pretrained weights first
-TRAINABLE = sorted(name for name, config in PRESETS.items() if not config.freeze_vits)
+
+@dataclass(frozen=True)
+class Part:
+    """A frozen part that published weights go into."""
+
+    name: str
+    help: str
+
+
+PARTS = (
+    Part("semantic", "DINOv2's weights"),
+    Part("depth", "Depth-Anything-V2's weights"),
+    Part("trunk", "UniMatch's or DepthSplat's weights"),
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gapmes.model.training", description=__doc__)
     parser.add_argument("out", type=Path, help="folder of the run; an interrupted run continues from it")
-    parser.add_argument("--preset", choices=TRAINABLE, default="tiny")
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="tiny")
     parser.add_argument("--steps", type=int, default=Recipe.steps)
     parser.add_argument("--seed", type=int, default=Recipe.seed)
     parser.add_argument("--processes", type=int, default=1, help="share the scenes of each step, at most 2 (default 1)")
@@ -32,6 +45,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--validate-every", type=int, default=250, metavar="STEPS")
     for switch in ("without-depth", "without-experts", "without-tasks"):
         parser.add_argument(f"--{switch}", action="store_true", help="ablation")
+    for part in PARTS:
+        text = f"{part.help} for a preset with frozen parts: a file, a folder or a hub name"
+        parser.add_argument(f"--{part.name}-weights", metavar="SOURCE", help=text)
     options = parser.parse_args(arguments)
     config = preset(
         options.preset,
@@ -39,16 +55,43 @@ def main(arguments: list[str] | None = None) -> int:
         without_experts=options.without_experts,
         without_tasks=options.without_tasks,
     )
+    sources = {part.name: getattr(options, f"{part.name}_weights") for part in PARTS}
+    given = [name for name, source in sources.items() if source is not None]
+    if config.freeze_vits and len(given) < len(PARTS):
+        # it would freeze random ones
+        lacking = ", ".join(f"--{name}-weights" for name in sources if name not in given)
+        parser.error(f"preset {config.preset} has frozen parts, which need published weights: give {lacking}")
+    if given and not config.freeze_vits:
+        parser.error(f"preset {config.preset} has no frozen parts: leave out --{given[0]}-weights")
+    backbones = BackboneSources(**sources) if given else None
     recipe = replace(Recipe(), steps=options.steps, seed=options.seed)
     device = options.device
     if device == "auto":
         device = "cuda" if torch.cuda.is_available() else "cpu"
-    run_workers(options.processes, options.threads, _train, config, recipe, options.out, options.validate_every, device)
+    run_workers(
+        options.processes,
+        options.threads,
+        _train,
+        config,
+        recipe,
+        options.out,
+        options.validate_every,
+        device,
+        backbones,
+    )
     return 0
 
 
-def _train(worker: Worker, config: ModelConfig, recipe: Recipe, folder: Path, validate_every: int, device: str) -> None:
+def _train(
+    worker: Worker,
+    config: ModelConfig,
+    recipe: Recipe,
+    folder: Path,
+    validate_every: int,
+    device: str,
+    backbones: BackboneSources | None,
+) -> None:
     level = logging.INFO if worker.leads else logging.WARNING
     logging.basicConfig(level=level, format="%(asctime)s %(message)s", stream=sys.stderr)
-    train(config, recipe, folder, validate_every=validate_every, device=device, worker=worker)
+    train(config, recipe, folder, validate_every=validate_every, device=device, worker=worker, backbones=backbones)
     logging.getLogger(__name__).info("weights: %s", folder / WEIGHTS)

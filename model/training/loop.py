@@ -16,6 +16,7 @@ import torch
 
 from ..config import ModelConfig
 from ..network import GaPMeS
+from ..pretrained.backbones import BackboneSources, load_backbones
 from .precision import compute_coarsely
 from .recipe import Recipe
 from .run_folder import append_row, claimed, forget_rows_after, restore_state, save_state, save_weights
@@ -37,11 +38,13 @@ def train(
     save_seconds: float = 120.0,
     device: torch.device | str = "cpu",
     worker: Worker = Worker(),  # noqa: B008 - a frozen value
+    backbones: BackboneSources | None = None,
 ) -> GaPMeS:
     """Run the recipe to its end in `folder` and return the averaged weights; continues from what is there.
 
     Every random number of a step comes from (seed, step, worker), so a resumed run sees what an unbroken one would
-    have seen. Several workers divide each step's scenes between them: raises `ValueError` when they cannot.
+    have seen. `backbones` gives the frozen parts of a preset that has them. Several workers divide each step's scenes
+    between them: raises `ValueError` when they cannot.
     """
     for phase in recipe.phases:
         if phase.scenes % worker.count:
@@ -49,7 +52,7 @@ def train(
                 f"processes: {worker.count} cannot share the {phase.scenes} scenes of a step at {phase.size} px evenly"
             )
     with claimed(folder) if worker.leads else nullcontext():
-        return _run(config, recipe, folder, validate_every, validation_scenes, save_seconds, device, worker)
+        return _run(config, recipe, folder, validate_every, validation_scenes, save_seconds, device, worker, backbones)
 
 
 def _run(
@@ -61,9 +64,14 @@ def _run(
     save_seconds: float,
     device: torch.device | str,
     worker: Worker,
+    backbones: BackboneSources | None,
 ) -> GaPMeS:
     torch.manual_seed(recipe.seed)
-    model = GaPMeS(config).to(device).train()
+    model = GaPMeS(config)
+    if backbones is not None:
+        for part, report in load_backbones(model, backbones).items():
+            log.info("%s: %s of %s, sha256 %s", part, report.recognised, report.path, report.sha256)
+    model = model.to(device).train()
     average = copy.deepcopy(model).requires_grad_(False)
     compute_coarsely(model)
     trained = [p for p in model.parameters() if p.requires_grad]

@@ -9,12 +9,15 @@ from torch import Tensor, nn
 
 from ..heads import TaskHead
 from ..network import GaPMeS
+from ..trunk import LightTrunk
 
 
 def coarse_modules(model: GaPMeS) -> list[nn.Module]:
     """The parts that take most of a step; none of them handles positions or depths in units."""
     depth, trunk = model.depth, model.trunk
-    parts = [trunk.to_half, trunk.at_half, trunk.to_quarter, trunk.at_quarter, trunk.to_eighth]
+    parts: list[nn.Module] = []
+    if isinstance(trunk, LightTrunk):  # the full one is frozen, and computes as its weights were trained
+        parts += [trunk.to_half, trunk.at_half, trunk.to_quarter, trunk.at_quarter, trunk.to_eighth]
     parts += [depth.volume_net, depth.volume_up, depth.refine_net, depth.second_net, depth.up_mask]
     if model.mixture.experts is not None:
         parts += list(model.mixture.experts.experts)

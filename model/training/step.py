@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..network import GaPMeS, Prediction
+from ..network import FullPrediction, GaPMeS
 from .losses import box_ssim, depth_loss, normalised_inverse_depth
 from .recipe import Recipe
 from .rendering import draw
@@ -57,7 +57,7 @@ def to_tensors(batch: SceneBatch, *, zoomed: bool) -> TensorBatch:
     )
 
 
-def predict_and_draw(model: GaPMeS, batch: TensorBatch) -> tuple[Prediction, Tensor, Tensor]:
+def predict_and_draw(model: GaPMeS, batch: TensorBatch) -> tuple[FullPrediction, Tensor, Tensor]:
     """Prediction, rgb (B, T, 3, h, w) and alpha (B, T, 1, h, w) at the targets."""
     prediction = model(batch.images, batch.intrinsics, batch.poses, batch.near_far)
     height, width = batch.targets.shape[-2:]

@@ -1,0 +1,1 @@
+"""DepthSplat's network (its published layout of tensors), so that its public checkpoints can be exported and served."""

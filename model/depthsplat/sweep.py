@@ -1,0 +1,66 @@
+"""The plane sweep at one scale: correlation of every cell with its neighbours at candidate depths."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..cost_volume import Views
+from ..geometry import camera_rays, pixel_grid, rigid_inverse, warp_points
+from .config import Compatibility
+from .neighbours import neighbour_rows
+
+PIECE_CELLS = 512  # of the reference in one matrix product: its size bounds the memory of a correlation map
+
+
+def plane_sweep(
+    features: Tensor, inverse: Tensor, views: Views, neighbours: Tensor, compatibility: Compatibility
+) -> Tensor:
+    """Mean over the neighbours of <reference, source> / sqrt(C) at candidates of 1/z.
+
+    features (n, C, h, w) of n = B * V views; inverse (n, D, 1, 1) or (n, D, h, w), 1 / world units; neighbours
+    (B, V, m).
+    A point outside the source view counts as 0. Correlates first and samples the correlation along the epipolar line,
+    which is the same sum in another order, since bilinear sampling is linear. Returns (n, D, h, w).
+    """
+    n, channels, h, w = features.shape
+    planes = inverse.shape[1]
+    rows, count = neighbour_rows(neighbours), neighbours.shape[-1]
+    reference_k, source_k, motion = _pairs(views, rows, count)
+    half_cell = 0.5 if compatibility.corner_pixels else 0.0
+    size = torch.tensor([w, h], dtype=features.dtype, device=features.device)
+    grid = pixel_grid(h, w, features.device).unsqueeze(0) - half_cell / size.reshape(1, 2, 1, 1)
+    rays = camera_rays(grid.expand(reference_k.shape[0], -1, -1, -1), reference_k)
+    target_k = reference_k if compatibility.reference_intrinsics else source_k
+    per_cell = inverse.shape[-1] > 1
+    source = features.index_select(0, rows).flatten(2)  # (n * m, C, h * w)
+    pieces = []
+    step = max(1, PIECE_CELLS // w)
+    for start in range(0, h, step):
+        stop = min(h, start + step)
+        cells = (stop - start) * w
+        depths = inverse[:, :, start:stop].flatten(2) if per_cell else inverse.flatten(2).expand(-1, -1, cells)
+        depths = depths.transpose(1, 2).unsqueeze(1).expand(-1, count, -1, -1).reshape(-1, cells, planes)
+        at, _, _ = warp_points(rays[:, :, start:stop].flatten(2), depths, target_k, motion)
+        at = at + 2 * half_cell / size
+        reference = features[:, :, start:stop].flatten(2).transpose(1, 2)  # (n, cells, C)
+        reference = reference.unsqueeze(1).expand(-1, count, -1, -1).reshape(-1, cells, channels)
+        sampled = F.grid_sample(
+            (reference @ source).reshape(-1, 1, h, w),
+            at.reshape(-1, planes, 1, 2),
+            mode="bilinear",
+            padding_mode="zeros",
+            align_corners=False,
+        )
+        pieces.append(sampled.reshape(n, -1, cells, planes).mean(1))
+    volume = torch.cat(pieces, dim=1) / channels**0.5
+    return volume.transpose(1, 2).reshape(n, planes, h, w)
+
+
+def _pairs(views: Views, rows: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Reference and source K (n * m, 3, 3) and source_from_reference (n * m, 4, 4)."""
+    intrinsics, poses = views.intrinsics.reshape(-1, 3, 3), views.world_from_cam.reshape(-1, 4, 4)
+    repeated = [x.unsqueeze(1).expand(-1, count, -1, -1).reshape(-1, *x.shape[1:]) for x in (intrinsics, poses)]
+    motion = rigid_inverse(poses.index_select(0, rows)) @ repeated[1]
+    return repeated[0], intrinsics.index_select(0, rows), motion

@@ -1,0 +1,35 @@
+"""The full trunk's weights: from UniMatch's (GMFlow, GMDepth) or DepthSplat's published checkpoints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from torch import Tensor, nn
+
+from .files import read_tensors
+from .fit import Fit, LeftOut, Part, Recognised, fit
+from .sources import resolve
+
+PARTS = ("backbone.", "transformer.")
+ROOTS = ("encoder.depth_predictor.", "depth_predictor.", "")  # DepthSplat whole, its depth alone, UniMatch
+
+
+def load_trunk(trunk: nn.Module, source: str | Path, *, cache: Path | None = None) -> Fit:
+    """Load CNN and transformer strictly; what else the file holds is named in the report. Raises `CheckpointError`,
+    and then `trunk` is unchanged."""
+    file = read_tensors(resolve(source, cache=cache).path)
+    root = next(r for r in ROOTS if r == "" or any(name.startswith(r + PARTS[0]) for name in file.tensors))
+
+    def names(name: str) -> tuple[Part, ...] | LeftOut | None:
+        own = name.removeprefix(root)
+        if name.startswith(root) and own.startswith(PARTS):
+            return (Part(own),)
+        return LeftOut("another part of that network than its multi-view trunk")
+
+    layout = "DepthSplat's" if root else "UniMatch's"
+    hint = "Expected are gmflow-scale1-…pth or gmdepth-scale1-…pth of UniMatch, or a checkpoint of DepthSplat."
+    recognised = Recognised("multi-view trunk", f"{layout}, names under {root!r}", "", hint)
+    expected: dict[str, Tensor] = trunk.state_dict()
+    report, tensors = fit(file, expected, names, recognised=recognised)
+    trunk.load_state_dict(tensors)
+    return report

@@ -1,0 +1,90 @@
+"""A published DepthSplat file is recognised and loaded whole; anything else is refused with what is wrong with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from random_checkpoint import published_layout, write_checkpoint
+
+from gapmes.model.checkpoint import CheckpointError
+from gapmes.model.depthsplat.checkpoint import load_depthsplat
+from gapmes.model.depthsplat.config import Compatibility, DepthSplatConfig
+from gapmes.model.depthsplat.network import DepthSplat
+
+# what the authors' page of models says of the checkpoints, in millions; rounded there, ViT's mask token not counted
+PUBLISHED_SIZES = {("small", 1): 37, ("base", 2): 117, ("large", 2): 360}
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DepthSplat]:
+    return write_checkpoint(tmp_path_factory.mktemp("small"))
+
+
+@pytest.mark.parametrize(("vit", "scales"), [("small", 1), ("base", 2)])
+def test_every_tensor_of_a_published_file_is_used(tmp_path: Path, vit: str, scales: int) -> None:
+    path, network = write_checkpoint(tmp_path, vit, scales)
+    loaded, report = load_depthsplat(path)
+    assert loaded.config == DepthSplatConfig(vit, scales)
+    assert not report.left_out
+    assert len(report.sha256) == 64
+    ours = network.state_dict()
+    for name, value in loaded.state_dict().items():
+        if not name.endswith("mask_token"):
+            assert torch.equal(value, ours[name]), name
+
+
+@pytest.mark.parametrize(("vit", "scales"), sorted(PUBLISHED_SIZES))
+def test_the_networks_are_as_large_as_the_published_ones(vit: str, scales: int) -> None:
+    with torch.device("meta"):
+        network = DepthSplat(DepthSplatConfig(vit, scales))
+    millions = sum(p.numel() for p in network.parameters()) / 1e6
+    assert millions == pytest.approx(PUBLISHED_SIZES[vit, scales], rel=0.04)
+
+
+def test_what_is_missing_unexpected_or_misshapen_is_named(small: tuple[Path, DepthSplat], tmp_path: Path) -> None:
+    tensors = published_layout(small[1])
+    lost = tensors.pop("encoder.gaussian_head.2.bias")
+    tensors["encoder.gaussian_head.2.bais"] = lost
+    tensors["encoder.gaussian_regressor.0.bias"] = torch.zeros(7)
+    path = tmp_path / "wrong.pth"
+    torch.save({"state_dict": tensors}, path)
+    with pytest.raises(CheckpointError) as refused:
+        load_depthsplat(path)
+    for part in ("gaussian_head.2.bias", "gaussian_head.2.bais", "(7,) instead of (64,)", "DepthSplat small, 1 scale"):
+        assert part in str(refused.value)
+
+
+def test_a_checkpoint_of_depth_alone_is_refused_by_name(small: tuple[Path, DepthSplat], tmp_path: Path) -> None:
+    tensors = published_layout(small[1])
+    depth = {k.removeprefix("encoder."): v for k, v in tensors.items() if "depth_predictor" in k}
+    torch.save({"model": depth}, tmp_path / "depth.pth")
+    with pytest.raises(CheckpointError, match="predicts depth alone"):
+        load_depthsplat(tmp_path / "depth.pth")
+
+
+def test_the_trainers_other_state_is_named_and_left_out(small: tuple[Path, DepthSplat], tmp_path: Path) -> None:
+    tensors = published_layout(small[1]) | {"losses.1.lpips.scale": torch.ones(1)}
+    torch.save({"state_dict": tensors}, tmp_path / "with_losses.pth")
+    report = load_depthsplat(tmp_path / "with_losses.pth")[1]
+    assert list(report.left_out) == ["losses.1.lpips.scale"]
+
+
+def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
+    torch.save({"fc.weight": torch.zeros(3, 3)}, tmp_path / "other.pth")
+    with pytest.raises(CheckpointError, match="holds no ViT"):
+        load_depthsplat(tmp_path / "other.pth")
+
+
+def test_switches_are_chosen_by_name() -> None:
+    assert Compatibility.named("none") == Compatibility()
+    assert Compatibility.named("authors") == Compatibility.authors()
+    assert Compatibility.named("tiled-mask, corner_pixels") == Compatibility(tiled_mask=True, corner_pixels=True)
+    with pytest.raises(ValueError, match=r"'x' is unknown, choose none, authors, or of reference_intrinsics"):
+        Compatibility.named("x")
+
+
+def test_the_configuration_survives_json() -> None:
+    config = DepthSplatConfig("base", 2, Compatibility(camera_rotations=True))
+    assert DepthSplatConfig.from_json(config.to_json()) == config

@@ -1,0 +1,104 @@
+"""DepthSplat against the authors' code, in float64 with random weights in the published layout.
+
+Needs checkouts of both repositories, which are no part of the project: GAPMES_DEPTHSPLAT_REPO (cvg/depthsplat) and
+GAPMES_DINOV2_REPO (facebookresearch/dinov2), and their libraries einops, jaxtyping and e3nn.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from gapmes.export.samples import random_scene
+from gapmes.model.depthsplat.checkpoint import load_depthsplat
+from gapmes.model.depthsplat.config import Compatibility
+
+REPOSITORIES = ("GAPMES_DEPTHSPLAT_REPO", "GAPMES_DINOV2_REPO")
+VITS = {"small": "vits", "base": "vitb"}
+# Of each field's largest value, depth relative to itself. Parts of both codes stay in float32 (positions, grids):
+# measured at most 4.8e-5 for depths of 1 to 20, 2.2e-5 for the rest. In float32 throughout both differ by 4e-4 of a
+# depth of 20 where its inverse has 2e-5 of its range: rounding before a softmax over 128 planes.
+TOLERANCE = 1e-4
+
+
+@pytest.fixture(scope="module")
+def repositories() -> Iterator[tuple[Path, Path]]:
+    if missing := [name for name in REPOSITORIES if not os.environ.get(name)]:
+        warnings.warn(f"parity with the authors' DepthSplat not checked: {', '.join(missing)} not set", stacklevel=1)
+        pytest.skip(f"{', '.join(missing)} not set")
+    before = torch.Tensor.float
+    yield Path(os.environ[REPOSITORIES[0]]), Path(os.environ[REPOSITORIES[1]])
+    torch.Tensor.float = before  # type: ignore[method-assign]
+
+
+def randomised(theirs: nn.Module) -> None:
+    generator = torch.Generator().manual_seed(0)
+    for name, value in theirs.named_parameters():
+        noise = torch.randn(value.shape, generator=generator)
+        if value.dim() > 1:
+            value.data = noise * (0.7 / value[0].numel() ** 0.5)
+        else:
+            scale = "norm" in name or "gamma" in name or name.endswith(".0.weight")
+            value.data = float(scale) + 0.1 * noise
+
+
+def in_float64(theirs: nn.Module) -> nn.Module:
+    """Their code casts with `.float()` on the way, and keeps a type in one module."""
+    torch.Tensor.float = torch.Tensor.double  # type: ignore[method-assign]
+    for module in theirs.modules():
+        if type(module).__name__ == "UNetModel":
+            module.dtype = torch.float64
+    return theirs.double()
+
+
+def far_apart(views: int, height: int, width: int) -> list[Tensor]:
+    """A scene whose cameras' order by distance is not that of their numbers."""
+    images, intrinsics, poses, near_far, _ = random_scene(views, height, width, seed=views).tensors()
+    for v in range(views):
+        poses[v, :3, 3] += torch.tensor([0.3 * (v * 7 % 5), 0.1 * (v * 3 % 4), 0.0])
+    return [value.double().unsqueeze(0) for value in (images, intrinsics, poses, near_far)]
+
+
+@pytest.mark.parametrize(("vit", "scales"), [("small", 1), ("base", 2)])
+@pytest.mark.parametrize(("height", "width"), [(256, 256), (256, 448)])
+@pytest.mark.parametrize("views", [2, 4])
+def test_the_authors_code_gives_the_same_gaussians(
+    repositories: tuple[Path, Path], tmp_path: Path, vit: str, scales: int, height: int, width: int, views: int
+) -> None:
+    from authors_code import encoder
+
+    theirs = encoder(*repositories, VITS[vit], scales)
+    randomised(theirs)
+    path = tmp_path / "random.pth"
+    torch.save({"state_dict": {f"encoder.{name}": value for name, value in theirs.state_dict().items()}}, path)
+    ours = load_depthsplat(path, Compatibility.authors())[0].double()
+    images, intrinsics, poses, near_far = far_apart(views, height, width)
+    context = {
+        "image": images,
+        "intrinsics": intrinsics.clone(),
+        "extrinsics": poses,
+        "near": near_far[:, :1].expand(1, views),
+        "far": near_far[:, 1:].expand(1, views),
+    }
+    raw: dict[str, Tensor] = {}
+    with torch.no_grad():
+        expected = in_float64(theirs)(context, 0, visualization_dump=raw)
+        found = ours(images, intrinsics, poses, near_far)
+    assert float(((found.depth - expected["depths"]) / expected["depths"]).abs().max()) < TOLERANCE
+    g, h = found.gaussians, expected["gaussians"]
+    xyzw = raw["rotations"]
+    pairs = {
+        "means": (g.means, h.means),
+        "opacities": (g.opacities, h.opacities),
+        "harmonics": (g.harmonics.transpose(2, 3), h.harmonics),
+        "scales": (g.scales, raw["scales"]),
+        "rotations": (g.rotations_wxyz, torch.cat([xyzw[..., 3:], xyzw[..., :3]], dim=-1)),
+    }
+    errors = {name: float((a - b).abs().max() / b.abs().max()) for name, (a, b) in pairs.items()}
+    assert max(errors.values()) < TOLERANCE, errors
