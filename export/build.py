@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import onnx
+import onnx_ir as ir
 import torch
 from torch.export import Dim
 
@@ -15,11 +17,13 @@ from gapmes.model.architectures import Network
 from gapmes.model.config import PIXELS_PER_PATCH
 from gapmes.service.contract import INPUTS
 
+from .fold import folded
 from .graph import SceneGraph, folded_position_embeddings
 from .samples import random_scene
 
 OPSET = 20  # the newest that every backend named in the documentation reads
 MIN_VIEWS, MAX_VIEWS = 2, 6
+_SCOPES = "pkg.torch.onnx.name_scopes"  # where the exporter says which modules a node comes from
 TRACE_VIEWS = 3  # not the least, at which a loop over other views would run once; every count is verified afterwards
 
 
@@ -46,10 +50,11 @@ def export_graph(network: Network, height: int, width: int) -> onnx.ModelProto:
             dynamic_shapes=shapes,
             opset_version=OPSET,
             verbose=False,
+            optimize=False,
         )
     if program is None:
         raise ValueError("the exporter returned nothing")
-    model = program.model_proto
+    model = ir.to_proto(folded(program.model))
     strip_tracing_notes(model)
     onnx.checker.check_model(model, full_check=True)
     return onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True)
@@ -72,13 +77,21 @@ def _quiet_exporter() -> Iterator[None]:
 
 
 def strip_tracing_notes(model: onnx.ModelProto) -> None:
-    """Remove doc strings and per-node metadata: they hold source paths of the exporting machine."""
+    """Remove doc strings and per-node metadata: they hold source paths of the exporting machine. What is kept of them
+    is the module that a node belongs to, as the first part of its name."""
     model.doc_string = ""
     model.graph.doc_string = ""
     for graph in [model.graph, *model.functions]:
         for node in graph.node:
+            node.name = _with_module(node)
             node.doc_string = ""
             del node.metadata_props[:]
     for value in [*model.graph.value_info, *model.graph.input, *model.graph.output, *model.graph.initializer]:
         del value.metadata_props[:]
     del model.graph.metadata_props[:]
+
+
+def _with_module(node: onnx.NodeProto) -> str:
+    scopes = next((p.value for p in node.metadata_props if p.key == _SCOPES), "[]")
+    *modules, _ = ast.literal_eval(scopes) or [""]
+    return f"{modules[-1]}/{node.name}" if modules and modules[-1] else node.name

@@ -14,7 +14,8 @@ import onnx
 from onnxruntime.quantization import QuantType, quantize_dynamic
 
 TRANSPOSED = "_Transposed"  # the quantiser turns Gemm with a transposed weight into MatMul and renames the weight
-_FLOAT32_PARTS = ("mixture.gates.",)  # substrings of constants whose consumers keep float32
+# Substrings of nodes and constants that keep float32: the gates, and the transformer whose features are matched
+_FLOAT32_PARTS = ("mixture.gates.", ".transformer.layers.")
 
 
 def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
@@ -27,7 +28,7 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
         onnx.save(bare, source)
         logging.disable(logging.WARNING)  # it advises a preparation that the exporter has done already
         try:
-            _quantise(source, target, _gate_nodes(model))
+            _quantise(source, target, _float32_nodes(model))
         finally:
             logging.disable(logging.NOTSET)
         result = onnx.load(target)
@@ -55,8 +56,8 @@ def _quantise(source: Path, target: Path, float32_nodes: list[str]) -> None:
     )
 
 
-def _gate_nodes(model: onnx.ModelProto) -> list[str]:
-    names = [node.name for node in model.graph.node if any(_is_float32_part(name) for name in node.input)]
+def _float32_nodes(model: onnx.ModelProto) -> list[str]:
+    names = [n.name for n in model.graph.node if any(_is_float32_part(part) for part in (n.name, *n.input))]
     return names + [f"{name}_MatMul" for name in names]  # the names that the quantiser gives to what were Gemm nodes
 
 

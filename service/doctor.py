@@ -7,8 +7,9 @@ import platform
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -20,10 +21,12 @@ from .threads import available_threads, cpu_limit
 
 if TYPE_CHECKING:
     from .engine import Engine
+    from .model_info import ModelInfo
 
 State = Literal["ok", "warning", "failure"]
 
 PACKAGES = ("gapmes", "numpy", "numba", "onnxruntime", "pillow", "fastapi")
+BF16_FLAGS = ("avx512_bf16", "amx_bf16", "bf16")
 LEAST_MEMORY_MB = 1000.0  # a process takes about half of it for two views, three quarters for three
 LEAST_DISK_MB = 500.0  # some fifty scenes of two views
 LEAST_PSNR_DB = 25.0  # of a picture of the sample; the shipped network has 26.8
@@ -47,7 +50,7 @@ class Doctor:
 
     def findings(self) -> Iterator[Finding]:
         """Versions, processor, threads, memory, model, kernels, store, and the sample from photographs to a picture."""
-        looks: tuple[tuple[str, Callable[[], tuple[State, str]]], ...] = (
+        looks: list[tuple[str, Callable[[], tuple[State, str]]]] = [
             ("versions", self._versions),
             ("processor", self._processor),
             ("threads", self._threads),
@@ -56,7 +59,9 @@ class Doctor:
             ("kernels", self._kernels),
             ("store", self._store),
             ("sample", self._sample),
-        )
+        ]
+        if self._settings.models:
+            looks.insert(5, ("models", self._models))
         for name, look in looks:
             try:
                 yield Finding(name, *look())
@@ -65,6 +70,8 @@ class Doctor:
 
     def _versions(self) -> tuple[State, str]:
         found = [f"{name} {version(name)}" for name in PACKAGES]
+        with suppress(PackageNotFoundError):  # it is an extra
+            found.append(f"openvino {version('openvino')}")
         return "ok", ", ".join([*found, f"Python {platform.python_version()}"])
 
     def _processor(self) -> tuple[State, str]:
@@ -88,10 +95,26 @@ class Doctor:
         from .engine import Engine
 
         start = time.perf_counter()
-        self._engine = Engine(self._settings.model, threads=self._settings.threads)
-        seconds, info = time.perf_counter() - start, self._engine.info
-        what = f"{info.preset}, {info.width} x {info.height} px, {info.precision}, weights {info.weights_sha256[:12]}"
-        return "ok", f"{what}, loaded by onnxruntime in {seconds:.1f} s"
+        self._engine = Engine(self._settings.model, threads=self._settings.threads, engine=self._settings.engine)
+        seconds, made_by = time.perf_counter() - start, self._engine.made_by
+        text = f"{_described(self._engine.info)}, loaded by {made_by.name} in {seconds:.1f} s"
+        if made_by.precision == "bf16" and not set(BF16_FLAGS) & set(processor()[1]):
+            return "warning", f"{text}; bf16 is slow here: the processor has no instructions for it, take openvino-fp32"
+        return "ok", f"{text}, computed in {made_by.precision}"
+
+    def _models(self) -> tuple[State, str]:
+        """Those that a request may name: looked at, their weights summed, not loaded."""
+        from .models import Models
+
+        models, parts = Models(self._settings), []
+        for name in models.names:
+            file = models.get(name).file
+            if file.weights is not None:
+                file.weights.check()
+            parts.append(f"{name}: {_described(file.info)}, {file.bytes / 2**20:,.0f} MB")
+        budget = self._settings.model_bytes
+        limit = "no budget" if budget is None else f"a budget of {budget / 2**20:,.0f} MB"
+        return "ok", f"{'; '.join(parts)}; {limit}"
 
     def _kernels(self) -> tuple[State, str]:
         from .splat import warm_up
@@ -138,6 +161,10 @@ class Doctor:
         score = psnr(np.clip(picture.rgb, 0, 1).transpose(2, 0, 1), held_back.image)
         times = f"a scene in {middle - start:.1f} s, a picture in {1000 * seconds:.0f} ms"
         return ("ok" if score >= LEAST_PSNR_DB else "failure"), f"{times}, {score:.1f} dB beside the photograph"
+
+
+def _described(info: ModelInfo) -> str:
+    return f"{info.preset}, {info.width} x {info.height} px, {info.precision}, weights {info.weights_sha256[:12]}"
 
 
 def verdict(findings: list[Finding]) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .backends.choice import MadeBy
 from .camera import Camera
 from .camera_file import camera_document
 from .depth_range import DepthRange
@@ -21,6 +22,7 @@ TASKS = ("mean", "opacity", "covariance", "colour")  # order of the four task we
 def scene_document(
     *,
     info: ModelInfo,
+    made_by: MadeBy,
     threads: int,
     cameras: Sequence[Camera],
     views: Sequence[FittedView],
@@ -45,6 +47,7 @@ def scene_document(
             "height": info.height,
             "width": info.width,
             "threads": threads,
+            "engine": made_by.document(),
         },
         "near": depths.near,
         "far": depths.far,

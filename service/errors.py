@@ -14,6 +14,7 @@ GapmesError                     500 internal_error
 │   │   └── ImageTooLarge       413 image_too_large
 │   ├── ViewCountError          422 view_count
 │   ├── ViewError               422 view_unknown
+│   ├── ModelUnknown            422 model_unknown
 │   ├── GaussiansError          422 gaussians_invalid
 │   └── PlyError                422 ply_invalid
 ├── MalformedRequest            400 malformed_request
@@ -113,6 +114,10 @@ class ViewCountError(InputError):
 
 class ViewError(InputError):
     code = "view_unknown"
+
+
+class ModelUnknown(InputError):
+    code = "model_unknown"
 
 
 class GaussiansError(InputError):

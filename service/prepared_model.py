@@ -77,7 +77,8 @@ def _digest(folder: Path) -> str:
     """Of graph and weights: a power cut may leave files of the right length."""
     digest = hashlib.sha256()
     for name in (MODEL, WEIGHTS):
-        digest.update((folder / name).read_bytes())
+        with (folder / name).open("rb") as file:
+            hashlib.file_digest(file, lambda: digest)
     return digest.hexdigest()
 
 

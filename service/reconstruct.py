@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .backends.choice import DEFAULT_ENGINE, EngineName
 from .budget import Budget
 from .camera import Camera
 from .depth_range import DepthRange, depth_range
@@ -50,11 +51,18 @@ class Reconstructor:
     """Holds the loaded network; `reconstruct` may be called any number of times, also from several threads."""
 
     def __init__(
-        self, model: str | Path | Engine | None = None, *, threads: int | None = None, prepare: Path | None = None
+        self,
+        model: str | Path | Engine | None = None,
+        *,
+        threads: int | None = None,
+        prepare: Path | None = None,
+        engine: EngineName = DEFAULT_ENGINE,
     ) -> None:
-        """`model`: an ONNX file, an engine, or None for the one in the package; `prepare` as for `Engine`. Raises
-        `ModelError`."""
-        self.engine = model if isinstance(model, Engine) else Engine(model, threads=threads, prepare=prepare)
+        """`model`: an ONNX file, a loaded one, or None for the one in the package; `prepare` and `engine` as for
+        `Engine`. Raises `ModelError`."""
+        self.engine = (
+            model if isinstance(model, Engine) else Engine(model, threads=threads, prepare=prepare, engine=engine)
+        )
 
     def reconstruct(
         self,
@@ -121,6 +129,7 @@ class Reconstructor:
                 check["leave_one_out"] = self._foretold(views, depths, scene, leave_one_out, done)
         document = scene_document(
             info=info,
+            made_by=self.engine.made_by,
             threads=self.engine.threads,
             cameras=cameras,
             views=views,

@@ -9,7 +9,9 @@ from typing import Literal
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from .backends.choice import DEFAULT_ENGINE, EngineName
 from .errors import InputError
+from .model_names import model_paths
 
 
 def default_store() -> Path:
@@ -21,11 +23,24 @@ def default_store() -> Path:
 class Settings(BaseSettings):
     """Every knob of the service; arguments override the environment, the environment overrides the defaults."""
 
-    model_config = SettingsConfigDict(env_prefix="GAPMES_", frozen=True, env_ignore_empty=True)
+    model_config = SettingsConfigDict(env_prefix="GAPMES_", frozen=True, env_ignore_empty=True, protected_namespaces=())
 
     host: str = Field("127.0.0.1", description="address that `gapmes serve` listens on")
     port: int = Field(8000, ge=0, le=65535, description="port that `gapmes serve` listens on; 0 takes a free one")
     model: Path | None = Field(None, description="ONNX model file; empty means the `tiny` network of the package")
+    models: str = Field(
+        "", description="further models that a request may name, such as `base=/models/base.onnx,small=/models/s.onnx`"
+    )
+    model_bytes: int | None = Field(
+        None,
+        ge=1,
+        description="size of the loaded models (their files, graph and weights) beyond which those go that were used"
+        " longest ago; empty means no limit",
+    )
+    engine: EngineName = Field(
+        DEFAULT_ENGINE,
+        description="what computes the networks: `onnxruntime`, `openvino-fp32` or `openvino-bf16`",
+    )
     store: Path = Field(default_factory=default_store, description="folder that keeps the scenes")
     threads: int | None = Field(
         None,
@@ -83,6 +98,10 @@ class Settings(BaseSettings):
     )
     max_render_pixels: int = Field(8_000_000, ge=1, description="largest picture that `GET /render` draws, in pixels")
     cache_bytes: int = Field(512 * 2**20, ge=0, description="memory that keeps read scenes between renders, in bytes")
+
+    def model_paths(self) -> dict[str, Path]:
+        """Name -> file of every model, the default one first. Raises `InputError` where GAPMES_MODELS is malformed."""
+        return model_paths(self.model, self.models)
 
     def key(self) -> str | None:
         """The API key, from its file where one is named. Raises `InputError` where it cannot be read or is empty."""

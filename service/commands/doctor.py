@@ -10,9 +10,14 @@ from typing import Annotated, Any
 
 import typer
 
+from ..backends.choice import ENGINES, checked_engine
+
 
 def doctor(
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: GAPMES_MODEL or the packaged one]")] = None,
+    engine: Annotated[
+        str | None, typer.Option(help=f"what computes the network: {', '.join(ENGINES)} [default: GAPMES_ENGINE]")
+    ] = None,
     store: Annotated[Path | None, typer.Option(help="folder of the scenes [default: GAPMES_STORE]")] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the findings to stdout as one JSON object")] = False,
@@ -23,7 +28,12 @@ def doctor(
     from ..doctor import Doctor, verdict
     from ..settings import Settings
 
-    given: dict[str, Any] = {"model": model, "store": store, "threads": threads}
+    given: dict[str, Any] = {
+        "model": model,
+        "engine": None if engine is None else checked_engine(engine),
+        "store": store,
+        "threads": threads,
+    }
     settings = Settings(**{name: value for name, value in given.items() if value is not None})
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     findings = []

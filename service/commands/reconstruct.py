@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from ..backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from ..budget import DEFAULT_CERTIFY
 from ..foretold import DEFAULT_OTHERS, checked_others
 from ..terminal import ProgressBars
@@ -38,6 +39,9 @@ def reconstruct(
         int, typer.Option(help="of three views or more, how many others foretell each (2 to 5); 0: not done")
     ] = DEFAULT_OTHERS,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
+    engine: Annotated[
+        str, typer.Option(help=f"what computes the network: {', '.join(ENGINES)} [default: onnxruntime]")
+    ] = DEFAULT_ENGINE,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
 ) -> None:
@@ -54,12 +58,13 @@ def reconstruct(
     if not output.parent.is_dir():  # said before the work, not after it
         raise InputError(f"{output.parent} is not a folder", field="output")
     checked_others(leave_one_out)
+    chosen = checked_engine(engine)
     budget = Budget(parse_max_error(max_error), certify, min_opacity=min_opacity, stride=stride)
     folder = load_scene_folder(scene_dir, None if views is None else partial(view_indices, views))
     with ProgressBars() as bars:
         stages = Stages(bars)
         with stages.stage("load model"):
-            reconstructor = Reconstructor(model, threads=threads)
+            reconstructor = Reconstructor(model, threads=threads, engine=chosen)
         with stages.stage("kernels"):  # compiled the first time, then loaded
             warm_up()
         with stages.stage("read images", len(folder.indices)) as step:

@@ -11,7 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InputError, ModelError
+from ..backends.choice import ENGINES
+from ..errors import InputError
 
 SHARED_MEMORY = "/dev/shm"
 
@@ -22,6 +23,13 @@ def serve(
         int | None, typer.Option(min=0, max=65535, help="port, 0 for a free one [default: GAPMES_PORT or 8000]")
     ] = None,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: GAPMES_MODEL or the packaged one]")] = None,
+    models: Annotated[
+        str | None, typer.Option(help="further models, name=file.onnx, comma separated [default: GAPMES_MODELS]")
+    ] = None,
+    engine: Annotated[
+        str | None,
+        typer.Option(help=f"what computes the network: {', '.join(ENGINES)} [default: GAPMES_ENGINE or onnxruntime]"),
+    ] = None,
     store: Annotated[Path | None, typer.Option(help="folder of the scenes [default: GAPMES_STORE]")] = None,
     threads: Annotated[
         int | None, typer.Option(min=1, max=1024, help="CPU threads of each process [default: all]")
@@ -34,10 +42,12 @@ def serve(
     import uvicorn
     from pydantic import ValidationError
 
+    from ..models import Models
     from ..settings import Settings
 
     given: dict[str, Any] = {
-        "host": host, "port": port, "model": model, "store": store, "threads": threads, "workers": workers,
+        "host": host, "port": port, "model": model, "models": models, "engine": engine, "store": store,
+        "threads": threads, "workers": workers,
     }  # fmt: skip
     given = {name: value for name, value in given.items() if value is not None}
     try:
@@ -46,9 +56,8 @@ def serve(
         first = error.errors()[0]
         name = f"GAPMES_{'_'.join(map(str, first['loc'])).upper()}"
         raise InputError(f"{first['msg']}, got {first['input']!r}", field=name, cure="see docs/settings.md") from error
-    if settings.model is not None and not settings.model.is_file():
-        raise ModelError(f"{settings.model} is not a file", field="model", cure="give an .onnx of gapmes-export")
-    settings.key()  # said before the work
+    Models(settings)  # looks at the files; said before the work
+    settings.key()
     if os.environ.get("TMPDIR"):  # where large uploads lie for a moment; an empty volume has no such folder yet
         Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
     os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in given.items()}  # what the workers read

@@ -6,6 +6,7 @@ from typing import Any
 
 from ..budget import DEFAULT_CERTIFY, MAX_CERTIFY
 from ..foretold import DEFAULT_OTHERS
+from ..model_names import DEFAULT
 from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
 
@@ -57,6 +58,12 @@ FORM: dict[str, Any] = {
             "enum": [0, *range(MIN_VIEWS, MAX_VIEWS)],
             "default": DEFAULT_OTHERS,
             "description": "of three photographs or more, how many others foretell each; 0: none are foretold",
+        },
+        "model": {
+            "type": "string",
+            "default": DEFAULT,
+            "description": "a name that `GET /models` lists",
+            "examples": [DEFAULT],
         },
         "min_opacity": {"type": "number", "minimum": 0, "maximum": 1, "default": 0, "description": "fainter ones go"},
         "stride": {

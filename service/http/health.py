@@ -28,11 +28,13 @@ async def readyz(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
     """200 with what was loaded and how long it took; 503 before that, with the stage or the reason of a failure, and
     507 while the store cannot be written."""
     try:
-        model: dict[str, Any] = runtime.model_summary()
+        models: dict[str, Any] = runtime.models.document()
     except ModelNotReady as error:
         state = "starting" if runtime.failure is None else "failed"
         error.extra |= {"state": state, "stage": runtime.stage, "timings": runtime.timings}
         raise
     if not await anyio.to_thread.run_sync(runtime.store.writable):
         raise StorageFull("the store cannot be written", field="store", cure="is its disk full, or read-only?")
-    return json_response({"status": "ready", "model": model, "timings": runtime.timings})
+    default, *_ = models["models"]
+    loaded = {model["name"]: model["loaded"] for model in models["models"]}
+    return json_response({"status": "ready", "model": default, "loaded": loaded, "timings": runtime.timings})

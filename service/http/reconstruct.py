@@ -30,7 +30,7 @@ router = APIRouter(tags=["reconstruction"])
     responses={
         200: {
             "model": SceneDocument,
-            "description": "the same photographs, cameras, options and weights are in the store already",
+            "description": "the same photographs, cameras, options and model are in the store already",
             "content": {PLY: {}, ZIP: {}},
         },
         201: {"model": SceneDocument, "description": "the scene", "content": {PLY: {}, ZIP: {}}},
@@ -42,19 +42,19 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
     """Reconstruct a scene, or find it in the store: 201 or 200, both with Location; 202 and a job with the header
     `Prefer: respond-async`."""
     form = accepted(request.headers.get("accept"))
-    model_sha256 = runtime.reconstructor.engine.info.file_sha256
+    models = runtime.models  # refuses until there is one
     runtime.desk.table.check_room()  # before the body is read, so that a full queue costs no memory
     runtime.scenes.check()
     kept = wanted_async(request.headers.getlist("prefer"))
     async with AsyncExitStack() as held:
         async with runtime.uploads.place():  # slow senders take no place at the CPU
-            upload = await read_upload(request, runtime.settings)
+            upload = await read_upload(request, runtime.settings, models.names)
             views = SceneViews(upload.pairing.cameras)
             for spec in upload.views:  # refuse an unknown view before the work, not after it
                 views.resolve(spec, field="views")
             work, told = upload.work, Told.of(upload)
             del upload
-            scene_id = await anyio.to_thread.run_sync(work.scene_id, model_sha256)
+            scene_id = await anyio.to_thread.run_sync(work.scene_id, models.get(work.model).identity)
             job, new = None, False
             if not kept:
                 await held.enter_async_context(runtime.scenes.place())

@@ -78,7 +78,7 @@ async def render(
     """Draw a scene on the CPU; headers say which scene it was and what the splatter left out."""
     if query.view is not None and query.camera is not None:
         raise ViewError("view and camera are both given, need one", field="camera")
-    runtime.reconstructor  # noqa: B018  refuses until the kernels are warm
+    runtime.models  # noqa: B018  refuses until the kernels are warm
     asked = await anyio.to_thread.run_sync(_asked, runtime, query)
     cache = {"ETag": asked.etag, "Cache-Control": KEPT if query.scene is not None else "no-cache"}
     if matches(request, asked.etag):

@@ -1,4 +1,4 @@
-"""What one running service holds: settings, store, desk, lanes, and the model once it is loaded and warm."""
+"""What one running service holds: settings, store, desk, lanes, and the models once one is loaded and warm."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import anyio
 import anyio.to_thread
@@ -19,13 +19,14 @@ from fastapi import Request
 
 from ..errors import ModelNotReady
 from ..jobs.desk import Desk
+from ..model_names import DEFAULT
 from ..priority import give_way
 from ..settings import Settings
 from ..store import SceneStore
 from .gate import Lane, Places
 
 if TYPE_CHECKING:
-    from ..reconstruct import Reconstructor
+    from ..models import Models
 
 _log = logging.getLogger("gapmes")
 MODELS = ".models"  # beside the scenes: the one folder that is surely writable, and shared by all processes
@@ -54,7 +55,7 @@ class Runtime:
         self._told: float | None = None  # when the process was told to end
         self.timings: dict[str, float] = {}
         self._loading: asyncio.Future[None] | None = None
-        self._reconstructor: Reconstructor | None = None
+        self._models: Models | None = None
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -121,17 +122,17 @@ class Runtime:
     def _load(self) -> None:
         """Import the heavy libraries, load the model, compile or load the kernels."""
         with self._timed("import"):
-            from ..reconstruct import Reconstructor
+            from ..models import Models
             from ..splat import warm_up
         with self._timed("model"):
-            reconstructor = Reconstructor(
-                self.settings.model, threads=self.settings.threads, prepare=self.settings.store / MODELS
-            )
+            models = Models(self.settings, prepare=self.settings.store / MODELS)
+            with models.using(DEFAULT):  # the others when one is first asked for
+                pass
         with self._timed("kernels"):
             warm_up()
-        self.desk.open(reconstructor)
+        self.desk.open(models)
         self.stage = "ready"
-        self._reconstructor = reconstructor
+        self._models = models
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
@@ -147,28 +148,15 @@ class Runtime:
         return task.exception() if task is not None and task.done() and not task.cancelled() else None
 
     @property
-    def reconstructor(self) -> Reconstructor:
-        """The loaded model; raises `ModelNotReady` before that."""
-        if self._reconstructor is not None:
-            return self._reconstructor
+    def models(self) -> Models:
+        """The models, once the default one was loaded; raises `ModelNotReady` before that."""
+        if self._models is not None:
+            return self._models
         if self.failure is not None:
             raise ModelNotReady(
                 f"loading failed in stage {self.stage!r}", cure="the service's log says why; is GAPMES_MODEL right?"
             )
         raise ModelNotReady(f"the service is starting, stage {self.stage!r}", cure="poll /readyz and retry")
-
-    def model_summary(self) -> dict[str, Any]:
-        """What was loaded, for /readyz."""
-        info = self.reconstructor.engine.info
-        return {
-            "preset": info.preset,
-            "weights_sha256": info.weights_sha256,
-            "file_sha256": info.file_sha256,
-            "width": info.width,
-            "height": info.height,
-            "precision": info.precision,
-            "licence": info.licence,
-        }
 
 
 def _log_failure(task: asyncio.Future[None]) -> None:

@@ -134,9 +134,43 @@ class Alive(BaseModel):
     status: Literal["ok"]
 
 
+class MadeBy(BaseModel):
+    """What computes a model: runtime, its version, and the precision of the computation."""
+
+    name: str
+    version: str
+    precision: Literal["fp32", "bf16"]
+
+
+class Model(BaseModel):
+    """A network that a request may name."""
+
+    name: str
+    preset: str
+    weights_sha256: str
+    file_sha256: str
+    width: int = Field(description="px, of every view")
+    height: int = Field(description="px, of every view")
+    precision: str = Field(description="of the weights")
+    licence: str
+    engine: MadeBy
+    bytes: int = Field(description="of graph and weights, what counts for the budget")
+    loaded: bool = Field(description="in the memory of the process that answers")
+
+
+class ModelList(BaseModel):
+    """The default one first."""
+
+    models: list[Model]
+    default: str
+    loaded_bytes: int
+    budget_bytes: int | None
+
+
 class Ready(BaseModel):
     """What was loaded, and how long that took."""
 
     status: Literal["ready"]
-    model: dict[str, Any]
+    model: Model = Field(description="the default one")
+    loaded: dict[str, bool] = Field(description="every model by name")
     timings: dict[str, float]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,7 @@ from ..errors import (
 )
 from ..foretold import DEFAULT_OTHERS, checked_others
 from ..jobs.work import Work
+from ..model_names import DEFAULT, checked_name
 from ..settings import Settings
 from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
@@ -45,6 +47,7 @@ FIELDS = (
     "min_opacity",
     "stride",
     "leave_one_out",
+    "model",
 )
 
 
@@ -73,8 +76,9 @@ class Told:
         return cls(tuple(image.name for image in pairing.images), pairing.by, pairing.warnings, upload.views)
 
 
-async def read_upload(request: Request, settings: Settings) -> Upload:
-    """Read and check the form; raises the error that names the field, never a framework's own.
+async def read_upload(request: Request, settings: Settings, models: Sequence[str] = (DEFAULT,)) -> Upload:
+    """Read and check the form, where `models` are the names that it may choose from; raises the error that names the
+    field, never a framework's own.
 
     What takes long, parsing the cameras and reading sizes, runs on a worker thread.
     """
@@ -99,15 +103,16 @@ async def read_upload(request: Request, settings: Settings) -> Upload:
     except UnicodeError as error:
         raise MalformedRequest("names are not in the body's declared charset", field="body") from error
     try:
-        return await _parse(form, settings)
+        return await _parse(form, settings, models)
     finally:
         await form.close()
 
 
-async def _parse(form: FormData, settings: Settings) -> Upload:
+async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> Upload:
     for name in form:
         if name not in FIELDS:
             raise InputError("is not a field of this route", field=name[:100], cure=f"fields: {', '.join(FIELDS)}")
+    model = checked_name(_text(form, "model") or DEFAULT, models)
     images = await _images(form)
     document = await _cameras(form, settings.max_camera_bytes)
     sizes = PostedSizes(images, settings.max_image_pixels)
@@ -121,6 +126,7 @@ async def _parse(form: FormData, settings: Settings) -> Upload:
         trust_poses=_flag(form, "trust_poses"),
         leave_one_out=checked_others(_whole(form, "leave_one_out", DEFAULT_OTHERS)),
         budget=_budget(form),
+        model=model,
     )
     return Upload(pairing, work, _views(form))
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 import threading
 import uuid
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from .. import metrics
 from ..errors import ModelChanged, StorageFull
-from ..progress import Listener, Stage
+from ..progress import Listener, Stage, Stages
 from ..store import SceneStore
 from .leases import Lease
 from .rows import Job
@@ -19,6 +21,7 @@ from .table import JobTable
 from .work import Work, compute
 
 if TYPE_CHECKING:
+    from ..models import Models
     from ..reconstruct import Reconstructor
     from ..settings import Settings
 
@@ -39,7 +42,7 @@ class Desk:
         self._lease: Lease | None = None
         self._runner: Runner | None = None
 
-    def open(self, reconstructor: Reconstructor) -> None:
+    def open(self, models: Models) -> None:
         """Begin to compute, what an earlier process left first; nothing where it was closed meanwhile."""
         with self._opening:
             if self._closed:
@@ -49,7 +52,7 @@ class Desk:
                 self.table,
                 self._spool,
                 self._lease,
-                self._compute_with(reconstructor),
+                self._compute_with(models),
                 slots=self._settings.concurrency,
                 limit_s=self._settings.reconstruct_seconds,
             )
@@ -60,20 +63,28 @@ class Desk:
                 _log.exception("the store cannot be tidied")
             self._runner.start()
 
-    def _compute_with(self, reconstructor: Reconstructor) -> Compute:
+    def _compute_with(self, models: Models) -> Compute:
         store, settings = self._store, self._settings
 
         def scene(work: Work, scene_id: str, listener: Listener) -> None:
             if store.listed(scene_id):  # it was finished just before its process ended
                 return
-            if work.scene_id(reconstructor.engine.info.file_sha256) != scene_id:
-                raise ModelChanged("the job was asked for with another model file or release", cure="ask for it again")
+            if work.model not in models.names:
+                raise ModelChanged(
+                    f"the job was asked for with the model {work.model!r}, which is not configured any more",
+                    field="model",
+                    cure=f"ask for it again with one of {', '.join(models.names)}",
+                )
 
             def hear(stage: Stage) -> None:
                 metrics.stage_ended(stage)
                 listener(stage)
 
-            metrics.reconstructed(compute(work, scene_id, reconstructor, store, settings, hear))
+            with _told(models, work.model, hear) as reconstructor:
+                if work.scene_id(reconstructor.engine.identity) != scene_id:
+                    changed = "the job was asked for with another model file, engine or release"
+                    raise ModelChanged(changed, cure="ask for it again")
+                metrics.reconstructed(compute(work, scene_id, reconstructor, store, settings, hear))
 
         return scene
 
@@ -131,3 +142,15 @@ class Desk:
         if self._runner is not None:
             self._runner.notify()
         return job, job.id == job_id
+
+
+@contextmanager
+def _told(models: Models, name: str, hear: Listener) -> Iterator[Reconstructor]:
+    """The model, in use for as long as the block lasts; a stage of the job where it has to be loaded first."""
+    with ExitStack() as held:
+        if models.loaded(name):
+            yield held.enter_context(models.using(name))
+            return
+        with Stages(hear).stage("load model"):
+            reconstructor = held.enter_context(models.using(name))
+        yield reconstructor

@@ -14,6 +14,7 @@ from ..camera import Camera
 from ..camera_file import camera_document
 from ..image_files import check_total
 from ..images import EncodedPhoto
+from ..model_names import DEFAULT
 from ..ply import ply_bytes
 from ..pose import Given
 from ..progress import Listener
@@ -37,9 +38,11 @@ class Work:
     trust_poses: bool
     leave_one_out: int
     budget: Budget
+    model: str = DEFAULT  # the name that the service has for it
 
-    def scene_id(self, model_sha256: str) -> str:
-        """Everything that the stored scene depends on, and nothing else: file names are the request's own."""
+    def scene_id(self, identity: str) -> str:
+        """Everything that the stored scene depends on, and nothing else: file names are the request's own, and so is
+        the model's name; `identity` is that of its file and of the engine."""
         budget = self.budget
         bounded = budget.max_error is not None or budget.min_opacity > 0
         options = {
@@ -54,18 +57,16 @@ class Work:
             "leave_one_out": min(self.leave_one_out, len(self.images) - 1) if len(self.images) > MIN_VIEWS else 0,
             "algorithm_revision": ALGORITHM_REVISION,
         }
-        return SceneStore.scene_id(
-            model_sha256, self.images, [_camera_entry(camera) for camera in self.cameras], options
-        )
+        return SceneStore.scene_id(identity, self.images, [_camera_entry(camera) for camera in self.cameras], options)
 
     def document(self) -> dict[str, Any]:
         """All but the images as plain JSON; `of_document` reads it back to the bit."""
-        rest = {name: getattr(self, name) for name in ("near", "far", "trust_poses", "leave_one_out")}
+        rest = {name: getattr(self, name) for name in ("near", "far", "trust_poses", "leave_one_out", "model")}
         return {"cameras": [_camera_entry(camera) for camera in self.cameras], "budget": asdict(self.budget), **rest}
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any], images: Sequence[bytes]) -> Work:
-        """What `document` wrote, with its images."""
+        """What `document` wrote, with its images; one of a release that knew one model only has the default one."""
         budget = {**document["budget"], "asked": tuple(document["budget"]["asked"])}
         cameras = tuple(_camera_of(entry) for entry in document["cameras"])
         rest = {name: value for name, value in document.items() if name not in ("cameras", "budget")}

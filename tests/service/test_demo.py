@@ -12,8 +12,10 @@ from pathlib import Path
 
 import httpx
 import numpy as np
+import onnx
 import pytest
 from PIL import Image
+from standin_model import write_standin
 
 from gapmes.service import read_ply
 
@@ -84,8 +86,11 @@ def test_interruption_stops_the_service(tmp_path: Path, environment: dict[str, s
 
 
 def test_failure_is_one_line_and_stops_the_service(tmp_path: Path, environment: dict[str, str]) -> None:
-    model = tmp_path / "model.onnx"
-    model.write_bytes(b"no model")
+    """The file is a model of ours by all that it says, so that the service starts; the runtime cannot load it."""
+    model = write_standin(tmp_path / "model.onnx")
+    broken = onnx.load(model)
+    broken.graph.node[0].op_type = "Nonsense"
+    onnx.save(broken, model)
     done = subprocess.run(
         [*COMMAND, "-o", tmp_path], env=environment | {"GAPMES_MODEL": str(model)}, capture_output=True, text=True
     )

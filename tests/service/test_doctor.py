@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from external_model import write_external
 
 from gapmes.service import cli, doctor
 from gapmes.service.doctor import Doctor, Finding, verdict
+from gapmes.service.errors import ModelError
 from gapmes.service.settings import Settings
 
 NAMES = ["versions", "processor", "threads", "memory", "model", "kernels", "store", "sample"]
@@ -76,3 +79,26 @@ def test_the_verdict_names_what_to_look_at() -> None:
     assert verdict([fine]) == "works here"
     assert verdict([fine, doubt]) == "works here, but look at: b"
     assert verdict([bad, fine, doubt, bad]) == "does not work here: c, c"
+
+
+def test_further_models_are_looked_at_and_summed(tmp_path: Path, standin_model: Path) -> None:
+    data = write_external(standin_model, tmp_path / "m.onnx")
+    settings = Settings(models=f"base={tmp_path / 'm.onnx'}", model_bytes=2**24, store=tmp_path)
+    state, text = Doctor(settings)._models()
+    assert state == "ok"
+    assert "base: standin, 64 x 48 px, fp32" in text
+    assert text.endswith("a budget of 16 MB")
+    data.write_bytes(bytes(data.stat().st_size))
+    with pytest.raises(ModelError, match="has the sha256"):
+        Doctor(settings)._models()
+
+
+@pytest.mark.skipif(find_spec("openvino") is None, reason="pip install 'gapmes[openvino]'")
+@pytest.mark.parametrize(("flags", "state"), [(["avx2"], "warning"), (["avx2", "amx_bf16"], "ok")])
+def test_bf16_without_instructions_for_it_is_a_doubt(
+    standin_model: Path, monkeypatch: pytest.MonkeyPatch, flags: list[str], state: str
+) -> None:
+    monkeypatch.setattr(doctor, "processor", lambda: ("", flags))
+    found, text = Doctor(Settings(model=standin_model, engine="openvino-bf16", threads=1))._model()
+    assert found == state
+    assert ("bf16 is slow here" in text) is (state == "warning")

@@ -60,7 +60,7 @@ def test_same_input_gives_same_bits(engine, standin_model):
 def test_telemetry_is_off_and_threads_are_explicit(engine, standin_model):
     assert os.environ["ORT_DISABLE_TELEMETRY"] == "1"
     assert engine.threads == 1
-    options = engine._session.get_session_options()
+    options = engine._session.native.get_session_options()
     assert (options.intra_op_num_threads, options.inter_op_num_threads) == (1, 1)
     assert Engine(standin_model).threads == available_threads()
     with pytest.raises(ModelError, match="threads = 0"):
@@ -82,7 +82,7 @@ def test_missing_file_is_named(tmp_path):
 def test_a_file_that_is_no_onnx(tmp_path):
     path = tmp_path / "text.onnx"
     path.write_text("hello")
-    with pytest.raises(ModelError, match="cannot be loaded by onnxruntime"):
+    with pytest.raises(ModelError, match="cannot be loaded, it is no ONNX file"):
         Engine(path)
 
 

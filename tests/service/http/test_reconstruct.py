@@ -15,6 +15,7 @@ from starlette.testclient import TestClient
 
 from gapmes.service import read_ply
 from gapmes.service.jobs import work
+from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.settings import Settings
 
 
@@ -65,13 +66,12 @@ def test_same_bytes_after_deletion(client: TestClient) -> None:
 
 
 def test_posted_at_once_is_computed_once(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    runtime = client.app.state.runtime
     calls = []
-    original = runtime.reconstructor.reconstruct
+    original = Reconstructor.reconstruct
     monkeypatch.setattr(
-        runtime.reconstructor.__class__,
+        Reconstructor,
         "reconstruct",
-        lambda _, *args, **options: calls.append(1) or original(*args, **options),
+        lambda *args, **options: calls.append(1) or original(*args, **options),
     )
     with ThreadPoolExecutor(6) as pool:
         answers = list(pool.map(lambda _: post(client), range(6)))

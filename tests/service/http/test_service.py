@@ -13,7 +13,9 @@ from http_requests import assert_problem, photograph, post, wait_until_ready
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
+from gapmes.service.engine import Engine
 from gapmes.service.errors import ModelError
+from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.settings import Settings
 
 
@@ -108,13 +110,11 @@ def test_framework_errors_are_problems(client: TestClient, method: str, path: st
 def test_unexpected_exception_is_a_problem_without_internals(
     client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    runtime = client.app.state.runtime
-
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("secret")
 
     with monkeypatch.context() as patch:
-        patch.setattr(runtime.reconstructor.__class__, "reconstruct", broken)
+        patch.setattr(Reconstructor, "reconstruct", broken)
         answer = post(client, [photograph(50), photograph(51)])
     body = assert_problem(answer, 500, "internal_error")
     assert "secret" not in answer.text
@@ -128,13 +128,11 @@ def test_unexpected_exception_is_a_problem_without_internals(
 def test_a_model_that_fails_tells_the_log_and_not_the_client(
     client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    runtime = client.app.state.runtime
-
     def broken(*_: object, **__: object) -> None:
         raise ModelError("/srv/models/own.onnx: Non-zero status code in onnxruntime", field="model")
 
     with monkeypatch.context() as patch:
-        patch.setattr(runtime.reconstructor.engine.__class__, "run", broken)
+        patch.setattr(Engine, "run", broken)
         answer = post(client, [photograph(52), photograph(53)])
     assert_problem(answer, 500, "model_invalid")
     assert "srv" not in answer.text

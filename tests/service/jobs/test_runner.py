@@ -37,7 +37,7 @@ def work(seed: int = 0) -> Work:
     pose = np.eye(4)
     pose[:3, 3] = rng.normal(size=3)
     cameras = tuple(Camera(64, 48, 60.1, 60.2, 32.3, 24.4, pose, Given(1e-5, 0.25, 2.0**-26)) for _ in range(2))
-    return Work((b"one", b"two"), cameras, None, 7.5, True, 2, Budget(None, 3, ("1.5", "0"), 0.25, 2))
+    return Work((b"one", b"two"), cameras, None, 7.5, True, 2, Budget(None, 3, ("1.5", "0"), 0.25, 2), "ds")
 
 
 class Place:
@@ -89,9 +89,16 @@ def test_work_comes_back_from_disk_to_the_bit(tmp_path: Path) -> None:
     for one, two in zip(found.cameras, given.cameras, strict=True):
         assert one.world_from_cam.tobytes() == two.world_from_cam.tobytes()
         assert one.given == two.given
+    assert found.model == given.model
     spool.drop("1")
     with pytest.raises(FileNotFoundError):
         spool.get("1")
+
+
+def test_work_of_a_release_with_one_model_is_for_the_default_one() -> None:
+    document = work().document()
+    assert document.pop("model") == "ds"
+    assert Work.of_document(document, [b"one", b"two"]).model == "default"
 
 
 def test_what_belongs_to_no_job_is_swept_once_it_is_old(tmp_path: Path) -> None:

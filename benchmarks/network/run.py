@@ -1,0 +1,138 @@
+"""Every network in every runtime in turns on one thread: medians of CPU seconds, ratios, share of the machine's peak.
+
+`python -m benchmarks.network.run MODEL.onnx=CHECKPOINT …`; a model that has no checkpoint (an int8 file) is written
+MODEL.onnx alone and runs in onnxruntime only. Processes of one model and number of views are alive at a time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gapmes.service.terminal import ProgressBars
+
+from .intel import told_intel
+from .worker import RUNTIMES
+
+
+@dataclass
+class Timed:
+    """One process and what it answered."""
+
+    name: str
+    process: subprocess.Popen[str]
+    rows: list[dict[str, float]] = field(default_factory=list)
+
+    def run(self) -> None:
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write("\n")
+        self.process.stdin.flush()
+        line = self.process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"{self.name} ended with {self.process.wait()}")
+        self.rows.append(json.loads(line))
+
+    def median(self, what: str = "cpu") -> float:
+        return statistics.median(row[what] for row in self.rows)
+
+
+@contextmanager
+def worker(
+    name: str, runtime: str, model: Path, checkpoint: Path, views: int, extra: dict[str, str]
+) -> Iterator[Timed]:
+    command = [sys.executable, "-m", "benchmarks.network.worker", runtime, str(model)]
+    command += ["--checkpoint", str(checkpoint), "--views", str(views)]
+    environment = os.environ | extra | {"OMP_NUM_THREADS": "1"}
+    with (
+        tempfile.TemporaryFile("w+") as errors,
+        subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment
+        ) as process,
+    ):
+        try:
+            yield Timed(name, process)
+        except RuntimeError as error:
+            errors.seek(0)
+            raise RuntimeError(f"{error}: {errors.read().strip()[-1500:]}") from None
+        finally:
+            assert process.stdin is not None
+            process.stdin.close()
+            process.wait()
+
+
+def compare(
+    model: Path, checkpoint: Path | None, int8: Path | None, views: int, rounds: int, intel: dict[str, str]
+) -> list[Timed]:
+    """All runtimes of one network, one run of each per round; the first round is not counted."""
+    plan: list[tuple[str, str, Path, dict[str, str]]] = [("matrix product", "peak", model, {})]
+    plan += [(runtime, runtime, model, {}) for runtime in RUNTIMES if checkpoint or "torch" not in runtime]
+    if int8 is not None:
+        plan.append(("onnxruntime int8", "onnxruntime", int8, {}))
+    if checkpoint and intel:
+        plan.append(("torch, MKL told Intel", "torch", model, intel))
+    with ExitStack() as stack, ProgressBars() as bars:
+        timed = [
+            stack.enter_context(worker(name, runtime, file, checkpoint or model, views, extra))
+            for name, runtime, file, extra in plan
+        ]
+        for one in timed:
+            one.run()
+            one.rows.clear()
+        for number in range(rounds):
+            for one in timed:
+                one.run()
+            bars.say(f"{model.stem}, {views} views: round {number + 1} of {rounds}")
+    return timed
+
+
+def table(timed: Sequence[Timed]) -> list[str]:
+    """Markdown rows: seconds, ratio to onnxruntime, share of peak."""
+    by = {one.name: one for one in timed}
+    peak = by["matrix product"].rows[0]["operations"] / by["matrix product"].median()
+    flop = by["torch"].rows[0]["operations"] if "torch" in by else 0.0
+    base = by["onnxruntime"].median()
+    lines = []
+    for one in timed:
+        if one.name == "matrix product":
+            continue
+        share = f"{flop / one.median() / peak:.0%}" if flop else "-"
+        lines.append(
+            f"| {one.name} | {one.median():.3f} | {one.median() / base:.2f} | {share} | {one.median('peak_mb'):.0f} |"
+        )
+    lines.append(f"\nmatrix product {peak / 1e9:.0f} GFLOP/s on one core; the network has {flop / 1e9:.1f} GFLOP\n")
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.network.run", description=__doc__.splitlines()[0])
+    parser.add_argument("models", nargs="+", metavar="MODEL.onnx=CHECKPOINT[=INT8.onnx]")
+    parser.add_argument("--views", type=int, nargs="+", default=[2, 4])
+    parser.add_argument("--rounds", type=int, default=5)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        intel = told_intel(Path(folder))
+        for text in options.models:
+            model, checkpoint, int8 = (*map(Path, text.split("=")), None, None)[:3]
+            assert model is not None
+            for views in options.views:
+                sys.stdout.write(
+                    f"### {model.stem}, {views} views\n\n| runtime | CPU s | ratio | of peak | peak MB |\n"
+                )
+                sys.stdout.write("|---|---|---|---|---|\n")
+                lines = table(compare(model, checkpoint, int8, views, options.rounds, intel))
+                sys.stdout.write("\n".join(lines) + "\n")
+                sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

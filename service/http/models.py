@@ -1,0 +1,19 @@
+"""`GET /models`: which networks a request may name, what they are, and which are in memory."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Response
+
+from .responses import json_response
+from .runtime import Runtime, runtime_of
+from .schemas import ModelList
+
+router = APIRouter(tags=["operations"])
+
+
+@router.get("/models", response_model=ModelList)
+def list_models(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
+    """The configured models, the default one first; `loaded` is that of the process that answers."""
+    return json_response(runtime.models.document(), headers={"Cache-Control": "no-store"})

@@ -1,0 +1,130 @@
+"""What an .onnx file says before any runtime loads it: its metadata, and which bytes lie in files beside it.
+
+Of the protobuf only the few fields that tell this are read; the weights themselves are stepped over, not read, so that
+looking at a file of any size takes the time of its graph alone.
+"""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+# Field numbers of onnx.proto3; they are the format and never change.
+_GRAPH, _METADATA = 7, 14  # of ModelProto
+_NODE, _INITIALIZER = 1, 5  # of GraphProto
+_ATTRIBUTE = 5  # of NodeProto
+_TENSOR, _BODY, _TENSORS, _BODIES = 5, 6, 10, 11  # of AttributeProto
+_EXTERNAL, _LOCATION = 13, 14  # of TensorProto
+_IN_A_FILE = 1  # value of _LOCATION
+
+_VARINT, _EIGHT_BYTES, _BYTES, _FOUR_BYTES = 0, 1, 2, 5
+
+
+@dataclass(frozen=True)
+class OnnxHeader:
+    """`metadata` as the file has it; `external` maps each file beside it to the bytes that its tensors reach up to."""
+
+    metadata: dict[str, str]
+    external: dict[str, int]
+
+
+def read_header(path: Path) -> OnnxHeader:
+    """Raises `OSError` where the file cannot be read, and `ValueError` where it is no ONNX file."""
+    with path.open("rb") as file:
+        if not file.seek(0, 2):
+            raise ValueError("it is empty")
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            return _Reader(data).header()
+
+
+class _Reader:
+    def __init__(self, data: mmap.mmap) -> None:
+        self._data = data
+        self._external: dict[str, int] = {}
+
+    def header(self) -> OnnxHeader:
+        metadata, graphs = {}, 0
+        for number, start, end in self._parts(0, len(self._data)):
+            if number == _METADATA:
+                key, value = self._entry(start, end)
+                metadata[key] = value
+            elif number == _GRAPH:
+                graphs += 1
+                self._graph(start, end)
+        if not graphs:
+            raise ValueError("it holds no graph")
+        return OnnxHeader(metadata, self._external)
+
+    def _graph(self, start: int, end: int) -> None:
+        for number, first, last in self._parts(start, end):
+            if number == _INITIALIZER:
+                self._tensor(first, last)
+            elif number == _NODE:
+                self._node(first, last)
+
+    def _node(self, start: int, end: int) -> None:
+        """Bodies of If, Loop and Scan have tensors of their own."""
+        for number, first, last in self._parts(start, end):
+            if number != _ATTRIBUTE:
+                continue
+            for kind, inner, outer in self._parts(first, last):
+                if kind in (_TENSOR, _TENSORS):
+                    self._tensor(inner, outer)
+                elif kind in (_BODY, _BODIES):
+                    self._graph(inner, outer)
+
+    def _tensor(self, start: int, end: int) -> None:
+        entries, elsewhere = {}, False
+        for number, wire, first, last in self._fields(start, end):
+            if number == _EXTERNAL and wire == _BYTES:
+                key, value = self._entry(first, last)
+                entries[key] = value
+            elif number == _LOCATION and wire == _VARINT:
+                elsewhere = first == _IN_A_FILE
+        if elsewhere:
+            if "location" not in entries:
+                raise ValueError("a tensor lies in another file that is not named")
+            reach = int(entries.get("offset", 0)) + int(entries.get("length", 0))
+            name = entries["location"]
+            self._external[name] = max(reach, self._external.get(name, 0))
+
+    def _entry(self, start: int, end: int) -> tuple[str, str]:
+        """A StringStringEntryProto."""
+        texts = {number: self._data[first:last].decode("utf-8") for number, first, last in self._parts(start, end)}
+        return texts.get(1, ""), texts.get(2, "")
+
+    def _parts(self, start: int, end: int) -> Iterator[tuple[int, int, int]]:
+        """The fields that hold bytes: number, and where these begin and end."""
+        return ((number, first, last) for number, wire, first, last in self._fields(start, end) if wire == _BYTES)
+
+    def _fields(self, start: int, end: int) -> Iterator[tuple[int, int, int, int]]:
+        """Number, wire type, and begin and end of the bytes; of a varint its value instead of the begin."""
+        at = start
+        while at < end:
+            tag, at = self._varint(at, end)
+            number, wire = tag >> 3, tag & 7
+            value, size = at, 0
+            if wire == _VARINT:
+                value, at = self._varint(at, end)
+            elif wire == _BYTES:
+                size, value = self._varint(at, end)
+                at = value + size
+            elif wire in (_EIGHT_BYTES, _FOUR_BYTES):
+                at += 8 if wire == _EIGHT_BYTES else 4
+            else:
+                raise ValueError(f"field {number} at byte {at} has the type {wire}, which ONNX does not use")
+            if number == 0 or at > end:
+                raise ValueError(f"field {number} ends at byte {at}, what it lies in at byte {end}")
+            yield number, wire, value, at
+
+    def _varint(self, at: int, end: int) -> tuple[int, int]:
+        value = shift = 0
+        while at < end and shift < 64:
+            byte = self._data[at]
+            value |= (byte & 0x7F) << shift
+            at, shift = at + 1, shift + 7
+            if byte < 0x80:
+                return value, at
+        raise ValueError(f"a number at byte {at} does not end")

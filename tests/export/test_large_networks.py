@@ -1,0 +1,128 @@
+"""Full trunk and DepthSplat export by the same path: shapes and values at every number of views, external weights,
+int8, and DepthSplat's own file."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+
+sys.path.append(str(Path(__file__).parents[1] / "model"))
+sys.path.append(str(Path(__file__).parents[1] / "model" / "depthsplat"))
+
+from full_networks import VIT, miniature
+from random_checkpoint import randomised
+
+from gapmes.export.build import export_graph
+from gapmes.export.cases import Case
+from gapmes.export.metadata import add_metadata, contract_metadata
+from gapmes.export.model_file import data_path, remove_model, write_model
+from gapmes.export.quantise import quantised
+from gapmes.export.samples import hostile_scenes, random_scene
+from gapmes.export.tolerance import TOLERANCES
+from gapmes.export.verify import verify
+from gapmes.model.architectures import Network, config_from_json
+from gapmes.model.depthsplat import config as sizes
+from gapmes.model.depthsplat.network import DepthSplat
+from gapmes.service.contract import INPUTS, REQUIRED_OUTPUTS
+from gapmes.service.engine import Engine
+
+SIZE = 64
+VIEWS = (2, 3, 4, 6)
+
+
+def cases() -> list[Case]:
+    made = [Case("random", "as trained", random_scene(views, SIZE, SIZE, seed=views)) for views in VIEWS]
+    return [*made, Case("half masked", "as trained", hostile_scenes(2, SIZE, SIZE)["half masked"])]
+
+
+def check(model: onnx.ModelProto, network: Network) -> None:
+    results = verify(model, network, cases(), TOLERANCES["fp32"])
+    assert [failure for result in results for failure in result.failures] == []
+    assert len(results) == len(VIEWS) + 1
+
+
+@pytest.fixture(scope="module")
+def depthsplat() -> DepthSplat:
+    """Two scales on a ViT small enough for tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        for table, value in (
+            (sizes.VITS, VIT),
+            (sizes.TAPS, (1, 2, 3, 4)),
+            (sizes.DEPTH_HEAD, 8),
+            (sizes.FEATURE_HEAD, 16),
+            (sizes.HEAD_WIDTHS, (8, 16, 32, 48)),
+        ):
+            patch.setitem(table, "miniature", value)  # type: ignore[index]
+        return randomised(DepthSplat(sizes.DepthSplatConfig("miniature", 2)))
+
+
+@pytest.fixture(scope="module")
+def graph(depthsplat: DepthSplat) -> onnx.ModelProto:
+    return export_graph(depthsplat, SIZE, SIZE)
+
+
+def test_depthsplat_exports_with_a_number_of_views_that_is_not_baked_in(
+    depthsplat: DepthSplat, graph: onnx.ModelProto
+) -> None:
+    assert tuple(output.name for output in graph.graph.output) == REQUIRED_OUTPUTS
+    check(graph, depthsplat)
+
+
+def test_a_full_network_exports_with_a_number_of_views_that_is_not_baked_in() -> None:
+    network = miniature()
+    check(export_graph(network, SIZE, SIZE), network)
+
+
+def test_large_weights_lie_beside_the_graph_and_the_engine_reads_them(
+    depthsplat: DepthSplat, graph: onnx.ModelProto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gapmes.export.model_file.EXTERNAL_BYTES", 2**20)
+    metadata = contract_metadata(
+        depthsplat, height=SIZE, width=SIZE, weights_sha256="0" * 64, licence="MIT", precision="fp32"
+    )
+    add_metadata(graph, metadata)
+    path = tmp_path / "model.onnx"
+    write_model(graph, path)
+    written = onnx.load(path, load_external_data=False)
+    digest = {p.key: p.value for p in written.metadata_props}["gapmes.external_sha256"]
+    assert hashlib.sha256(data_path(path).read_bytes()).hexdigest() == digest
+    assert path.stat().st_size < 2**20 < data_path(path).stat().st_size
+    assert all(tensor.raw_data for tensor in graph.graph.initializer if np.prod(tensor.dims))  # ours is left whole
+    arrays = [value.numpy() for value in random_scene(2, SIZE, SIZE, seed=2).tensors()]
+    inside = onnxruntime.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
+    expected = inside.run(list(REQUIRED_OUTPUTS), dict(zip(INPUTS, arrays, strict=True)))
+    engine = Engine(path, threads=2)
+    found = engine.run(*arrays)
+    for name, value in zip(REQUIRED_OUTPUTS, expected, strict=True):
+        np.testing.assert_allclose(found[name], value, rtol=1e-4, atol=1e-4, err_msg=name)
+    assert config_from_json(depthsplat.config.to_json()) == depthsplat.config
+    assert "expert_index" not in found
+    remove_model(path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_model_that_shrank_leaves_no_weights_behind(graph: onnx.ModelProto, tmp_path: Path) -> None:
+    path = tmp_path / "model.onnx"
+    data_path(path).write_bytes(b"of an older file")
+    write_model(graph, path)
+    assert [file.name for file in tmp_path.iterdir()] == ["model.onnx"]
+
+
+def test_int8_leaves_the_matched_features_in_float32(depthsplat: DepthSplat, graph: onnx.ModelProto) -> None:
+    small = quantised(graph)
+    integer = [node.name for node in small.graph.node if node.op_type == "MatMulInteger"]
+    linear = 6 * VIT.layers  # query, key, value, output and two of the MLP
+    assert len(integer) == linear
+    assert all("pretrained.vit.encoder" in name for name in integer)
+    floats = [n for n in small.graph.node if n.op_type == "MatMul" and "transformer.layers" in n.name]
+    assert floats
+    scene = random_scene(2, SIZE, SIZE, seed=2)
+    results = verify(small, depthsplat, [Case("random", "as trained", scene)], TOLERANCES["int8"])
+    assert results[0].failures == []
+    assert results[0].outputs["depth"].maximum > 1e-5  # it is not the float32 graph
