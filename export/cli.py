@@ -19,7 +19,7 @@ from gapmes.model.depthsplat.config import Compatibility
 from gapmes.service.terminal import ProgressBars
 
 from .measurements import write_tables
-from .model_file import data_path
+from .model_file import data_files
 from .pipeline import Exported, ExportRejected, VerificationBroken, export_checkpoint
 from .tolerance import TOLERANCES, Precision
 from .variant import Variant
@@ -74,8 +74,13 @@ def export(
     if report is None and scene:
         raise typer.BadParameter("goes with --report", param_hint="--scene")
     if report is not None or stability is not None:
-        if out is not None or top_k is not None or keep_all:
-            raise typer.BadParameter("nothing is exported with --report and --stability", param_hint="--out")
+        given = {"--out": out, "--checkpoint": checkpoint, "--preset": preset, "--top-k": top_k, "--keep-all": keep_all}
+        given |= {"--compatibility": compatibility, "--architecture": architecture != "gapmes"}
+        if wrong := [name for name, value in given.items() if value]:
+            raise typer.BadParameter(
+                "nothing is exported with --report and --stability, which measure the shipped network",
+                param_hint=wrong[0],
+            )
         write_tables(report, stability, scene or (), quick)
         return
     if out is None:
@@ -84,6 +89,8 @@ def export(
     _one_of(architecture, ARCHITECTURES, "--architecture")
     _one_of(preset or "tiny", PRESETS, "--preset")
     _one_of(precision, TOLERANCES, "--precision")
+    if architecture == "depthsplat" and (top_k is not None or keep_all):
+        raise typer.BadParameter("is of gapmes networks: depthsplat has no experts", param_hint="--top-k, --keep-all")
     try:
         source, variant = _what(architecture, preset, checkpoint, compatibility)
         with ProgressBars() as bars:
@@ -119,9 +126,11 @@ def _what(
 ) -> tuple[Path, Variant]:
     """The checkpoint and the network that it is read as. Raises `CheckpointError`."""
     if architecture == "depthsplat":
-        if checkpoint is None or preset is not None:
+        if checkpoint is None:
+            raise typer.BadParameter("depthsplat needs the path of a checkpoint", param_hint="--checkpoint")
+        if preset is not None:
             raise typer.BadParameter(
-                "depthsplat needs the path of a checkpoint, whose size it tells itself", param_hint="--checkpoint"
+                "is of gapmes networks: depthsplat's checkpoint tells its size", param_hint="--preset"
             )
         try:
             switches = Compatibility.named(compatibility or "none")
@@ -149,6 +158,7 @@ def _show(result: Exported, as_json: bool) -> None:
     if as_json:
         body = {
             "model": str(result.model),
+            "weights": [str(path) for path in data_files(result.model)],
             "report": str(result.report_path),
             "sha256": result.report.model_sha256,
             "cases": len(result.report.cases),
@@ -157,7 +167,7 @@ def _show(result: Exported, as_json: bool) -> None:
         }
         typer.echo(json.dumps(body))
         return
-    files = [path for path in (result.model, data_path(result.model)) if path.is_file()]
+    files = [result.model, *data_files(result.model)]
     megabytes = sum(path.stat().st_size for path in files) / 1e6
     errors.print(f"{' + '.join(map(str, files))}  ({megabytes:.1f} MB), {len(result.report.cases)} cases passed")
     errors.print("largest error of every output, in units of its largest value:")

@@ -10,6 +10,8 @@ import onnx_ir as ir
 from onnx_ir.passes import common
 from onnxscript.optimizer import fold_constants
 
+LARGEST = 2**20  # elements of constants that are kept once where they are equal
+
 
 def folded(model: ir.Model) -> ir.Model:
     """`model`, changed in place."""
@@ -20,7 +22,7 @@ def folded(model: ir.Model) -> ir.Model:
         common.RemoveUnusedFunctionsPass(),
         common.RemoveUnusedOpsetsPass(),
         common.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0),
-        common.DeduplicateInitializersPass(),
+        common.DeduplicateInitializersPass(size_limit=LARGEST),
         common.CommonSubexpressionEliminationPass(),
         common.OutputFixPass(),
         common.NameFixPass(),

@@ -76,25 +76,22 @@ def folded_position_embeddings(network: Network, height: int, width: int) -> Ite
     The library would interpolate it bicubically in the graph, where backends differ.
     """
     replaced = []
-    for module in network.modules():
-        if isinstance(module, IntermediateVit):
-            pixels = module.seen_size(height, width)
-        elif isinstance(module, VitFeatures | DepthAnythingFeatures):
-            patch = module.config.patch
-            pixels = (height // PIXELS_PER_PATCH * patch, width // PIXELS_PER_PATCH * patch)
-        else:
-            continue
-        patch, embeddings = module.config.patch, module.vit.embeddings
-        with torch.no_grad():
-            tokens = torch.zeros(1, 1 + (pixels[0] // patch) * (pixels[1] // patch), module.config.hidden)
-            constant = embeddings.interpolate_pos_encoding(tokens, *pixels).detach().clone()
-        before = vars(embeddings).get("interpolate_pos_encoding")
-        vars(embeddings)["interpolate_pos_encoding"] = lambda *_, constant=constant: constant
-        replaced.append((embeddings, before))
     try:
+        for module in network.modules():
+            if isinstance(module, IntermediateVit):
+                pixels = module.seen_size(height, width)
+            elif isinstance(module, VitFeatures | DepthAnythingFeatures):
+                patch = module.config.patch
+                pixels = (height // PIXELS_PER_PATCH * patch, width // PIXELS_PER_PATCH * patch)
+            else:
+                continue
+            patch, embeddings = module.config.patch, module.vit.embeddings
+            with torch.no_grad():
+                tokens = torch.zeros(1, 1 + (pixels[0] // patch) * (pixels[1] // patch), module.config.hidden)
+                constant = embeddings.interpolate_pos_encoding(tokens, *pixels).detach().clone()
+            vars(embeddings)["interpolate_pos_encoding"] = lambda *_, constant=constant: constant
+            replaced.append(embeddings)
         yield
     finally:
-        for embeddings, before in replaced:
+        for embeddings in replaced:
             del vars(embeddings)["interpolate_pos_encoding"]
-            if before is not None:
-                vars(embeddings)["interpolate_pos_encoding"] = before

@@ -13,49 +13,67 @@ from .metadata import add_metadata
 EXTERNAL_BYTES = 64 * 2**20  # of weights, from which on they go into a file of their own
 LEAST_BYTES = 1024  # smaller tensors stay in the graph, where shape inference can read them
 ALIGNMENT = 4096  # bytes: whole pages, so that a tensor can be mapped by itself
-DATA_SUFFIX = ".data"
 DIGEST = "external_sha256"  # of the file of weights, among the metadata
 
 
 def write_model(model: onnx.ModelProto, path: Path) -> None:
-    """Serialise deterministically. From `EXTERNAL_BYTES` of weights on they are in NAME.onnx.data beside it, whose
-    sha256 the metadata tell; `model` itself is left as it is."""
+    """Serialise deterministically; `model` itself is left as it is.
+
+    From `EXTERNAL_BYTES` of weights on they are in NAME.onnx.<first of their sha256>.data beside it. The graph names
+    that file and is replaced last, so that at any moment the graph that is there finds its own weights; those of the
+    graph before go then.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    data, part = data_path(path), path.with_name(path.name + ".part")
-    if sum(len(tensor.raw_data) for tensor in model.graph.initializer) < EXTERNAL_BYTES:
-        part.write_bytes(model.SerializeToString(deterministic=True))
-        part.replace(path)
-        data.unlink(missing_ok=True)
-        return
-    data_part = data.with_name(data.name + ".part")
-    outside = _with_external_data(model, data_part, data.name)
-    part.write_bytes(outside.SerializeToString(deterministic=True))
-    data_part.replace(data)
+    changed = onnx.ModelProto()
+    changed.CopyFrom(model)
+    _forget_digest(changed)
+    before = data_files(path)
+    data = None
+    if sum(len(tensor.raw_data) for tensor in model.graph.initializer) >= EXTERNAL_BYTES:
+        data = _moved_outside(changed, path)
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(changed.SerializeToString(deterministic=True))
     part.replace(path)
+    for old in before:
+        if old != data:
+            old.unlink()
 
 
-def data_path(path: Path) -> Path:
-    """Of the weights that belong to a model file, if it has any outside."""
-    return path.with_name(path.name + DATA_SUFFIX)
+def data_files(path: Path) -> list[Path]:
+    """The weights that belong to a model file, if it has any outside."""
+    return sorted(path.parent.glob(f"{path.name}.*.data"))
 
 
 def remove_model(path: Path) -> None:
     """The graph and its weights."""
     path.unlink()
-    data_path(path).unlink(missing_ok=True)
+    for data in data_files(path):
+        data.unlink()
 
 
-def _with_external_data(model: onnx.ModelProto, data: Path, location: str) -> onnx.ModelProto:
-    changed = onnx.ModelProto()
-    changed.CopyFrom(model)
-    with data.open("wb") as file:
-        for tensor in changed.graph.initializer:
+def _moved_outside(model: onnx.ModelProto, path: Path) -> Path:
+    part = path.with_name(path.name + ".data.part")
+    places = []
+    with part.open("wb") as file:
+        for tensor in model.graph.initializer:
             if len(tensor.raw_data) < LEAST_BYTES:
                 continue
             file.write(bytes(-file.tell() % ALIGNMENT))
-            set_external_data(tensor, location, offset=file.tell(), length=len(tensor.raw_data))
+            places.append((tensor, file.tell(), len(tensor.raw_data)))
             file.write(tensor.raw_data)
-            tensor.ClearField("raw_data")
-    with data.open("rb") as file:
-        add_metadata(changed, {DIGEST: hashlib.file_digest(file, "sha256").hexdigest()})
-    return changed
+    with part.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    data = path.with_name(f"{path.name}.{digest[:12]}.data")
+    for tensor, offset, length in places:
+        set_external_data(tensor, data.name, offset=offset, length=length)
+        tensor.ClearField("raw_data")
+    add_metadata(model, {DIGEST: digest})
+    part.replace(data)
+    return data
+
+
+def _forget_digest(model: onnx.ModelProto) -> None:
+    """Of weights that a model was loaded with: they are in it now."""
+    kept = [entry for entry in model.metadata_props if entry.key != f"gapmes.{DIGEST}"]
+    del model.metadata_props[:]
+    model.metadata_props.extend(kept)

@@ -47,7 +47,8 @@ def read_metadata(path: Path) -> dict[str, str]:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
     except (OSError, SafetensorError) as error:
-        raise CheckpointError(f"{path} cannot be read as safetensors: {error}") from error
+        cure = "" if path.suffix == ".safetensors" else "; a DepthSplat .pth goes with --architecture depthsplat"
+        raise CheckpointError(f"{path} cannot be read as safetensors: {error}{cure}") from error
     if "gapmes.config" not in metadata:
         raise CheckpointError(f"{path} carries no gapmes.config; is it a checkpoint of another network?")
     return metadata

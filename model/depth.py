@@ -13,7 +13,7 @@ from .behind import filled_from_behind
 from .config import ModelConfig
 from .cost_volume import PatchDescriptor, Views, local_matching, sweep
 from .evidence import at_candidates, matching_evidence
-from .layers import ResidualBlock, replicate_pad, resize_to
+from .layers import ResidualBlock, replicate_pad, resize_to, softmax_of_channels
 from .trunk import TrunkFeatures
 
 REFINE_REACH = 2.0  # planes of the sweep
@@ -83,12 +83,12 @@ class DepthFromMatching(nn.Module):
             pooled = F.avg_pool2d(evidence, 2)
         volume = self.volume_net(torch.cat([learned * 2, zncc, seen, features.quarter, mono, pooled], dim=1))
         logits = self.volume_logits(volume) + learned * self.learned_sharpness[0] + zncc * self.zncc_sharpness[0]
-        probability = (logits + pooled * self.evidence_sharpness[0]).softmax(1)
+        probability = softmax_of_channels(logits + pooled * self.evidence_sharpness[0])
         bins = torch.linspace(0, 1, self.planes, device=images.device).reshape(1, -1, 1, 1)
         coarse = (probability * bins).sum(1, keepdim=True)
         confidence = probability.amax(1, keepdim=True)
 
-        start = ((evidence * self.evidence_sharpness[1]).softmax(1) * bins).sum(1, keepdim=True)
+        start = (softmax_of_channels(evidence * self.evidence_sharpness[1]) * bins).sum(1, keepdim=True)
         cues = agreement_cues(start, colours, views)
         sure = confirmation(cues)
         filled = filled_from_behind(start, sure)
@@ -142,7 +142,7 @@ class DepthFromMatching(nn.Module):
     def _upsample(self, half: Tensor, guide: Tensor) -> Tensor:
         """Each full-resolution pixel is a learned convex combination of the 3x3 half-resolution neighbours."""
         n, _, h, w = half.shape
-        weights = self.up_mask(guide).reshape(n, 9, 4, h, w).softmax(1)
+        weights = softmax_of_channels(self.up_mask(guide).reshape(n, 9, 4, h, w))
         padded = replicate_pad(half, 1)
         shifted = [padded[:, :, dy : dy + h, dx : dx + w] for dy in range(3) for dx in range(3)]
         neighbours = torch.stack(shifted, dim=1)  # (n, 9, 1, h, w)
@@ -152,4 +152,4 @@ class DepthFromMatching(nn.Module):
 def _moved(centre: Tensor, candidates: Tensor, logits: Tensor) -> Tensor:
     """The centre (n, 1, h, w) moved to the candidates' mean; clamped candidates coincide, so each votes for where it
     really lies."""
-    return centre + (logits.softmax(1) * (candidates - centre.detach())).sum(1, keepdim=True)
+    return centre + (softmax_of_channels(logits) * (candidates - centre.detach())).sum(1, keepdim=True)

@@ -33,5 +33,14 @@ def resize_to(x: Tensor, like: Tensor) -> Tensor:
     return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)
 
 
+def softmax_of_channels(x: Tensor) -> Tensor:
+    """(n, C, ...) softmax over C. onnxruntime's Softmax turns the axis to the end and back: written out, 64 planes of
+    128 x 128 take 9 ms instead of 138."""
+    if not torch.compiler.is_exporting():
+        return x.softmax(1)
+    powers = (x - x.amax(1, keepdim=True)).exp()
+    return powers / powers.sum(1, keepdim=True)
+
+
 def replicate_pad(x: Tensor, margin: int) -> Tensor:
     return F.pad(x, (margin, margin, margin, margin), mode="replicate")

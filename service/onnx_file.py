@@ -12,8 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 # Field numbers of onnx.proto3; they are the format and never change.
-_GRAPH, _METADATA = 7, 14  # of ModelProto
-_NODE, _INITIALIZER = 1, 5  # of GraphProto
+_GRAPH, _METADATA, _FUNCTION = 7, 14, 25  # of ModelProto
+_NODE, _INITIALIZER, _SPARSE = 1, 5, 15  # of GraphProto
+_FUNCTION_NODE = 7  # of FunctionProto
+_SPARSE_PARTS = (1, 2)  # of SparseTensorProto: values and indices
 _ATTRIBUTE = 5  # of NodeProto
 _TENSOR, _BODY, _TENSORS, _BODIES = 5, 6, 10, 11  # of AttributeProto
 _EXTERNAL, _LOCATION = 13, 14  # of TensorProto
@@ -36,7 +38,10 @@ def read_header(path: Path) -> OnnxHeader:
         if not file.seek(0, 2):
             raise ValueError("it is empty")
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            return _Reader(data).header()
+            try:
+                return _Reader(data).header()
+            except RecursionError as error:
+                raise ValueError("its graphs are nested too deeply") from error
 
 
 class _Reader:
@@ -50,6 +55,10 @@ class _Reader:
             if number == _METADATA:
                 key, value = self._entry(start, end)
                 metadata[key] = value
+            elif number == _FUNCTION:
+                for kind, first, last in self._parts(start, end):
+                    if kind == _FUNCTION_NODE:
+                        self._node(first, last)
             elif number == _GRAPH:
                 graphs += 1
                 self._graph(start, end)
@@ -61,6 +70,10 @@ class _Reader:
         for number, first, last in self._parts(start, end):
             if number == _INITIALIZER:
                 self._tensor(first, last)
+            elif number == _SPARSE:
+                for kind, inner, outer in self._parts(first, last):
+                    if kind in _SPARSE_PARTS:
+                        self._tensor(inner, outer)
             elif number == _NODE:
                 self._node(first, last)
 

@@ -16,8 +16,9 @@ from .config import CNN_CHANNELS, FEATURES, HEAD_WIDTHS, PLAIN, VITS, Compatibil
 from .network import DepthSplat
 
 ROOT = "encoder."  # of the published Gaussian-splatting files, which hold the whole trainer
-VIT = "depth_predictor.pretrained."
-LICENCE = "MIT"  # as the authors' page of models states it
+TRUNK = "depth_predictor."
+VIT = f"{TRUNK}pretrained."
+LICENCE = "MIT if it is one of the authors' own"  # as their page of models states it; a file does not tell whose it is
 _HEAD = "gaussian_head."
 _JOINED = "depth_predictor.upsampler.concat_projects.0.weight"
 _KNOWN_BESIDE = {"decoder.": "the renderer's", "losses.": "a training loss's"}
@@ -30,7 +31,13 @@ def load_depthsplat(path: Path, compatibility: Compatibility = PLAIN) -> tuple[D
     is), and lists what is missing, unexpected or misshapen.
     """
     file = read_tensors(path)
-    root = ROOT if any(name.startswith(ROOT) for name in file.tensors) else ""
+    root = ROOT if any(name.startswith(ROOT + TRUNK) for name in file.tensors) else ""
+    if not any(name.startswith(root + TRUNK) for name in file.tensors):
+        some = ", ".join(sorted(file.tensors)[:5])
+        raise CheckpointError(
+            f"{path} is no checkpoint of DepthSplat: none of its {len(file.tensors)} tensors is named {TRUNK}* "
+            f"({some}, …); expected is a depthsplat-gs-….pth"
+        )
     vit = find_vit(path, file.tensors, root + VIT)
     config = recognised_config(path, file, root, vit, compatibility)
     network = DepthSplat(config)

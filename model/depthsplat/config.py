@@ -48,9 +48,11 @@ class Compatibility:
         known = [field.name for field in fields(Compatibility)]
         if text == "authors":
             return Compatibility.authors()
-        names = [] if text == "none" else [name.strip().replace("-", "_") for name in text.split(",")]
+        if text == "none":
+            return Compatibility()
+        names = [name.strip().replace("-", "_") for name in text.split(",")]
         if unknown := [name for name in names if name not in known]:
-            raise ValueError(f"{unknown[0]!r} is unknown, choose none, authors, or of {', '.join(known)}")
+            raise ValueError(f"{unknown[0]!r} is unknown, choose none or authors alone, or of {', '.join(known)}")
         return Compatibility(**dict.fromkeys(names, True))
 
 
@@ -87,5 +89,5 @@ class DepthSplatConfig:
         values = json.loads(text)
         if values.pop("architecture", None) != "depthsplat":
             raise ValueError("the configuration is not DepthSplat's")
-        values["compatibility"] = Compatibility(**values["compatibility"])
+        values["compatibility"] = Compatibility(**values.get("compatibility", {}))
         return DepthSplatConfig(**values)

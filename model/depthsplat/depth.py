@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from ..cost_volume import Views
+from ..layers import softmax_of_channels
 from ..vit_parts import normalised_for_vit
 from .cnn import CnnEncoder
 from .config import CNN_CHANNELS, DEPTH_HEAD, FEATURES, PLANES, VITS, DepthSplatConfig
@@ -90,7 +91,7 @@ class MultiViewDepth(nn.Module):
             candidates = _candidates(depth, low, high, planes)
             volume = plane_sweep(multi_view[scale], candidates, views, neighbours, compatibility)
             joined = torch.cat([volume, cnn[2 - scale], multi_view[scale], mono[scale]], dim=1)
-            probability = self.depth_head[scale](self._regressed(scale, joined, views.count)).softmax(1)
+            probability = softmax_of_channels(self.depth_head[scale](self._regressed(scale, joined, views.count)))
             depth = (probability * candidates).sum(1, keepdim=True)
         assert depth is not None
         detail = self.upsampler(vit, cnn, multi_view, depth)

@@ -11,7 +11,8 @@ from ..geometry import other_views
 def nearest_views(world_from_cam: Tensor, *, as_listed: bool) -> Tensor:
     """(B, V, 4, 4) -> (B, V, m) indices into the V views, m = 1 with two views and 2 with more; for a symbolic V.
 
-    The nearest first; of equal distances the lowest index. `as_listed` orders the others of up to three views by
+    The nearest first; of equal distances the lowest index (equal to the bit: rounding
+    decides between cameras that stand equally far). `as_listed` orders the others of up to three views by
     index instead, which only `tiled_mask` can tell apart.
     """
     centres = world_from_cam[..., :3, 3]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from transformers.models.dinov2.modeling_dinov2 import Dinov2Embeddings
 
 from ..vit_parts import dinov2
 from .config import TAPS, VITS
@@ -27,6 +28,15 @@ def resampled_positions(table: Tensor, rows: int, columns: int) -> Tensor:
     return torch.cat([table[:, :1], resampled.permute(0, 2, 3, 1).reshape(1, rows * columns, -1)], dim=1)
 
 
+class _OffsetEmbeddings(Dinov2Embeddings):
+    """Where a fixed size is exported, a constant takes the place of this (export/graph.py)."""
+
+    def interpolate_pos_encoding(self, embeddings: Tensor, height: int, width: int) -> Tensor:
+        patch = self.patch_size
+        assert isinstance(patch, int)
+        return resampled_positions(self.position_embeddings, height // patch, width // patch)
+
+
 class IntermediateVit(nn.Module):
     """Four layers' tokens on the grid of 1/8 resolution."""
 
@@ -34,11 +44,7 @@ class IntermediateVit(nn.Module):
         super().__init__()
         self.config, self.taps = VITS[name], TAPS[name]
         self.vit = dinov2(self.config)
-        embeddings = self.vit.embeddings
-        # where a fixed size is exported, a constant takes the place of this (export/graph.py)
-        vars(embeddings)["interpolate_pos_encoding"] = lambda _, height, width: resampled_positions(
-            embeddings.position_embeddings, height // self.config.patch, width // self.config.patch
-        )
+        self.vit.embeddings.__class__ = _OffsetEmbeddings  # the same tensors, read with the offset
 
     def seen_size(self, height: int, width: int) -> tuple[int, int]:
         """Height and width that pictures are resized to: whole patches."""

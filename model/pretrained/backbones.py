@@ -22,8 +22,8 @@ class BackboneSources:
     """A file, a folder or a hub name for each frozen part."""
 
     semantic: str  # DINOv2
-    depth: str  # Depth-Anything-V2
     trunk: str  # UniMatch (GMFlow, GMDepth) or DepthSplat
+    depth: str | None  # Depth-Anything-V2; None for a network without the depth stream
 
 
 def load_backbones(network: GaPMeS, sources: BackboneSources) -> dict[str, Fit]:
@@ -31,8 +31,11 @@ def load_backbones(network: GaPMeS, sources: BackboneSources) -> dict[str, Fit]:
 
     Raises `CheckpointError` for weights that do not fit, naming the part, and for a network without such parts.
     """
-    if not (isinstance(network.mono, DepthAnythingFeatures) and isinstance(network.trunk, FullTrunk)):
+    if not isinstance(network.trunk, FullTrunk):
         raise CheckpointError(f"preset {network.config.preset} has no parts that published weights go into")
+    if (network.mono is None) != (sources.depth is None):
+        state = "has no depth stream, but depth weights are given" if network.mono is None else "needs depth weights"
+        raise CheckpointError(f"this network of preset {network.config.preset} {state}")
     found: dict[str, Fit] = {}
     for field in fields(sources):
         source = getattr(sources, field.name)
@@ -40,6 +43,8 @@ def load_backbones(network: GaPMeS, sources: BackboneSources) -> dict[str, Fit]:
             if field.name == "semantic":
                 found[field.name] = load_vit(network.semantic, source)
             elif field.name == "depth":
+                if not isinstance(network.mono, DepthAnythingFeatures):
+                    continue
                 found[field.name] = load_depth_anything(network.mono, source)
             else:
                 found[field.name] = load_trunk(network.trunk, source)

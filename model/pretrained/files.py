@@ -22,6 +22,7 @@ SAFETENSORS = ".safetensors"
 INDEX = ".safetensors.index.json"
 TORCH = (".pth", ".pt", ".bin", ".ckpt")
 NESTS = ("state_dict", "model_state_dict", "model")  # under which trainers put the weights (Lightning: the first)
+DEEPEST = 4  # nests within each other; a file can nest without end
 CONVERT = "convert it to safetensors where you trust it (safetensors.torch.save_file of its tensors), and load that"
 
 
@@ -147,7 +148,7 @@ def _unwrap(path: Path, content: Any) -> tuple[dict[str, Tensor], dict[str, str]
     unwrapped: list[str] = []
     set_aside: list[str] = []
     metadata: dict[str, str] = {}
-    while True:
+    while len(unwrapped) <= DEEPEST:
         if not isinstance(content, dict):
             raise CheckpointError(f"{path} holds a {type(content).__name__}, not tensors by name")
         nests = [key for key in NESTS if isinstance(content.get(key), dict)]
@@ -162,6 +163,10 @@ def _unwrap(path: Path, content: Any) -> tuple[dict[str, Tensor], dict[str, str]
                 set_aside.append(".".join([*unwrapped, str(key)]))
         unwrapped.append(nests[0])
         content = content[nests[0]]
+    else:
+        raise CheckpointError(
+            f"{path} nests its weights more than {DEEPEST} deep: {'.'.join(unwrapped)}; save the tensors alone"
+        )
     tensors = {key: value for key, value in content.items() if isinstance(value, Tensor)}
     others = [str(key) for key, value in content.items() if not isinstance(value, Tensor)]
     if others or not tensors:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from torch import Tensor, nn
@@ -17,7 +18,8 @@ ROOTS = ("encoder.depth_predictor.", "depth_predictor.", "")  # DepthSplat whole
 def load_trunk(trunk: nn.Module, source: str | Path, *, cache: Path | None = None) -> Fit:
     """Load CNN and transformer strictly; what else the file holds is named in the report. Raises `CheckpointError`,
     and then `trunk` is unchanged."""
-    file = read_tensors(resolve(source, cache=cache).path)
+    found = resolve(source, cache=cache)
+    file = read_tensors(found.path)
     root = next(r for r in ROOTS if r == "" or any(name.startswith(r + PARTS[0]) for name in file.tensors))
 
     def names(name: str) -> tuple[Part, ...] | LeftOut | None:
@@ -32,4 +34,4 @@ def load_trunk(trunk: nn.Module, source: str | Path, *, cache: Path | None = Non
     expected: dict[str, Tensor] = trunk.state_dict()
     report, tensors = fit(file, expected, names, recognised=recognised)
     trunk.load_state_dict(tensors)
-    return report
+    return replace(report, repository=found.repository, commit=found.commit)

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import torch
 
+from ..checkpoint import CheckpointError
 from ..config import PRESETS, ModelConfig, preset
 from ..pretrained.backbones import BackboneSources
+from ..pretrained.sources import resolve
 from .loop import train
 from .recipe import Recipe
 from .run_folder import WEIGHTS
@@ -56,18 +58,24 @@ def main(arguments: list[str] | None = None) -> int:
         without_tasks=options.without_tasks,
     )
     sources = {part.name: getattr(options, f"{part.name}_weights") for part in PARTS}
-    given = [name for name, source in sources.items() if source is not None]
-    if config.freeze_vits and len(given) < len(PARTS):
-        # it would freeze random ones
-        lacking = ", ".join(f"--{name}-weights" for name in sources if name not in given)
-        parser.error(f"preset {config.preset} has frozen parts, which need published weights: give {lacking}")
-    if given and not config.freeze_vits:
-        parser.error(f"preset {config.preset} has no frozen parts: leave out --{given[0]}-weights")
-    backbones = BackboneSources(**sources) if given else None
+    frozen = [part.name for part in PARTS if part.name != "depth" or not config.without_depth]
+    needed = frozen if config.freeze_vits else []  # it would freeze random ones
+    if lacking := [name for name in needed if sources[name] is None]:
+        names = ", ".join(f"--{name}-weights" for name in lacking)
+        parser.error(f"preset {config.preset} has frozen parts, which need published weights: give {names}")
+    if extra := [name for name, source in sources.items() if source is not None and name not in needed]:
+        parser.error(f"preset {config.preset} has no such frozen part: leave out --{extra[0]}-weights")
+    backbones = BackboneSources(**sources) if needed else None
     recipe = replace(Recipe(), steps=options.steps, seed=options.seed)
     device = options.device
     if device == "auto":
         device = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        for source in sources.values():
+            if source is not None:
+                resolve(source)  # before processes start: what is not there is wrong usage
+    except CheckpointError as error:
+        parser.error(str(error))
     run_workers(
         options.processes,
         options.threads,

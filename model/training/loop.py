@@ -16,7 +16,7 @@ import torch
 
 from ..config import ModelConfig
 from ..network import GaPMeS
-from ..pretrained.backbones import BackboneSources, load_backbones
+from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
 from .precision import compute_coarsely
 from .recipe import Recipe
 from .run_folder import append_row, claimed, forget_rows_after, restore_state, save_state, save_weights
@@ -71,12 +71,15 @@ def _run(
     if backbones is not None:
         for part, report in load_backbones(model, backbones).items():
             log.info("%s: %s of %s, sha256 %s", part, report.recognised, report.path, report.sha256)
+            log.info("%s: %d tensors used, left out: %s", part, len(report.used), report.left_out or "none")
     model = model.to(device).train()
     average = copy.deepcopy(model).requires_grad_(False)
     compute_coarsely(model)
     trained = [p for p in model.parameters() if p.requires_grad]
     optimiser = torch.optim.AdamW(trained, lr=recipe.learning_rate, betas=(0.9, 0.98), weight_decay=recipe.weight_decay)
     identity = {"config": config.to_json(), "recipe": json.dumps(asdict(recipe), sort_keys=True)}
+    if RECORD in model.provenance:  # the frozen parts are in the state too: other weights are another run
+        identity["backbones"] = model.provenance[RECORD]
     start, seconds = restore_state(folder, identity, model, average, optimiser)
     if worker.leads:
         forget_rows_after(folder, start)

@@ -61,9 +61,9 @@ def restore_state(
         return 0, 0.0
     state = torch.load(path, weights_only=True, map_location="cpu")
     for key, value in identity.items():
-        if state[key] != value:
+        if state.get(key) != value:
             raise ValueError(
-                f"{path} is of a run with another {key}: {state[key]}, asked for {value}; use a new folder"
+                f"{path} is of a run with another {key}: {state.get(key)}, asked for {value}; use a new folder"
             )
     model.load_state_dict(state["model"])
     average.load_state_dict(state["average"])

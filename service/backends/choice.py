@@ -54,8 +54,12 @@ def checked_engine(name: str) -> EngineName:
 def made_by(engine: EngineName) -> MadeBy:
     """What an engine's results will say. Raises `ModelError` where its package is missing."""
     package, _, precision = engine.partition("-")
+    if package == "onnxruntime":  # which several distributions bring, each under a name of its own
+        import onnxruntime
+
+        return MadeBy(package, onnxruntime.__version__, "fp32")
     try:
-        return MadeBy(package, version(package), precision or "fp32")
+        return MadeBy(package, version(package), precision)
     except PackageNotFoundError as error:
         raise ModelError(
             f"the engine {engine} needs the package {package}, which is not installed",

@@ -80,10 +80,11 @@ class Desk:
                 metrics.stage_ended(stage)
                 listener(stage)
 
+            # before the model is loaded, which takes seconds and may take another's place
+            if work.scene_id(models.get(work.model).identity) != scene_id:
+                changed = "the job was asked for with another model file, engine or release"
+                raise ModelChanged(changed, cure="ask for it again")
             with _told(models, work.model, hear) as reconstructor:
-                if work.scene_id(reconstructor.engine.identity) != scene_id:
-                    changed = "the job was asked for with another model file, engine or release"
-                    raise ModelChanged(changed, cure="ask for it again")
                 metrics.reconstructed(compute(work, scene_id, reconstructor, store, settings, hear))
 
         return scene

@@ -21,7 +21,7 @@ from random_checkpoint import randomised
 from gapmes.export.build import export_graph
 from gapmes.export.cases import Case
 from gapmes.export.metadata import add_metadata, contract_metadata
-from gapmes.export.model_file import data_path, remove_model, write_model
+from gapmes.export.model_file import data_files, remove_model, write_model
 from gapmes.export.quantise import quantised
 from gapmes.export.samples import hostile_scenes, random_scene
 from gapmes.export.tolerance import TOLERANCES
@@ -91,8 +91,9 @@ def test_large_weights_lie_beside_the_graph_and_the_engine_reads_them(
     write_model(graph, path)
     written = onnx.load(path, load_external_data=False)
     digest = {p.key: p.value for p in written.metadata_props}["gapmes.external_sha256"]
-    assert hashlib.sha256(data_path(path).read_bytes()).hexdigest() == digest
-    assert path.stat().st_size < 2**20 < data_path(path).stat().st_size
+    (data,) = data_files(path)
+    assert hashlib.sha256(data.read_bytes()).hexdigest() == digest
+    assert path.stat().st_size < 2**20 < data.stat().st_size
     assert all(tensor.raw_data for tensor in graph.graph.initializer if np.prod(tensor.dims))  # ours is left whole
     arrays = [value.numpy() for value in random_scene(2, SIZE, SIZE, seed=2).tensors()]
     inside = onnxruntime.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
@@ -109,9 +110,33 @@ def test_large_weights_lie_beside_the_graph_and_the_engine_reads_them(
 
 def test_a_model_that_shrank_leaves_no_weights_behind(graph: onnx.ModelProto, tmp_path: Path) -> None:
     path = tmp_path / "model.onnx"
-    data_path(path).write_bytes(b"of an older file")
+    (tmp_path / "model.onnx.0123456789ab.data").write_bytes(b"of an older file")
     write_model(graph, path)
     assert [file.name for file in tmp_path.iterdir()] == ["model.onnx"]
+
+
+def test_a_write_that_fails_at_the_end_leaves_the_model_before_with_its_weights(
+    graph: onnx.ModelProto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gapmes.export.model_file.EXTERNAL_BYTES", 2**20)
+    path = tmp_path / "model.onnx"
+    write_model(graph, path)
+    before = {file: file.read_bytes() for file in [path, *data_files(path)]}
+    other = onnx.ModelProto()
+    other.CopyFrom(graph)
+    large = max(other.graph.initializer, key=lambda tensor: len(tensor.raw_data))
+    large.raw_data = bytes(len(large.raw_data))
+    replace = Path.replace
+
+    def fails(self: Path, target: Path) -> Path:
+        if target == path:
+            raise OSError("no space left")
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", fails)
+    with pytest.raises(OSError, match="no space left"):
+        write_model(other, path)
+    assert all(file.read_bytes() == content for file, content in before.items())
 
 
 def test_int8_leaves_the_matched_features_in_float32(depthsplat: DepthSplat, graph: onnx.ModelProto) -> None:

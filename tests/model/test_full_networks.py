@@ -116,7 +116,7 @@ def sources(tmp_path: Path) -> BackboneSources:
     torch.save(other.mono.model.state_dict(), depth)
     extra = {"feature_flow_attn.q_proj.weight": torch.zeros(2, 2)}
     torch.save({"model": other.trunk.state_dict() | extra}, trunk)
-    return BackboneSources(str(semantic), str(depth), str(trunk))
+    return BackboneSources(str(semantic), str(trunk), str(depth))
 
 
 def test_published_weights_go_into_the_frozen_parts_and_on_record(tmp_path: Path, sources: BackboneSources) -> None:
@@ -137,7 +137,7 @@ def test_published_weights_go_into_the_frozen_parts_and_on_record(tmp_path: Path
 
 
 def test_weights_of_the_wrong_part_are_refused_with_its_name(sources: BackboneSources) -> None:
-    wrong = BackboneSources(sources.semantic, sources.depth, sources.semantic)
+    wrong = replace(sources, trunk=sources.semantic)
     with pytest.raises(CheckpointError, match=r"trunk weights: .*missing"):
         load_backbones(miniature(), wrong)
     with pytest.raises(CheckpointError, match="preset tiny has no parts"):
@@ -152,4 +152,30 @@ def test_the_command_asks_for_the_weights_that_a_preset_needs(
     assert "give --depth-weights, --trunk-weights" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         train_command([str(tmp_path), "--trunk-weights", "x"])
-    assert "preset tiny has no frozen parts: leave out --trunk-weights" in capsys.readouterr().err
+    assert "preset tiny has no such frozen part: leave out --trunk-weights" in capsys.readouterr().err
+
+
+def test_the_ablation_without_depth_takes_no_depth_weights(sources: BackboneSources) -> None:
+    torch.manual_seed(0)
+    network = GaPMeS(replace(miniature().config, without_depth=True))
+    assert set(load_backbones(network, replace(sources, depth=None))) == {"semantic", "trunk"}
+    with pytest.raises(CheckpointError, match="has no depth stream, but depth weights are given"):
+        load_backbones(network, sources)
+    with pytest.raises(CheckpointError, match="needs depth weights"):
+        load_backbones(miniature(), replace(sources, depth=None))
+
+
+def test_a_run_does_not_go_on_with_other_frozen_weights(tmp_path: Path, sources: BackboneSources) -> None:
+    config, recipe = miniature().config, replace(Recipe(), steps=1)
+    train(config, recipe, tmp_path / "run", validate_every=10, validation_scenes=1, backbones=sources)
+    torch.save(miniature(seed=4).semantic.vit.state_dict(), sources.semantic)
+    with pytest.raises(ValueError, match="another backbones"):
+        train(config, recipe, tmp_path / "run", backbones=sources)
+
+
+def test_weights_that_are_not_there_are_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    missing = str(tmp_path / "nope.pth")
+    arguments = [item for part in ("semantic", "depth", "trunk") for item in (f"--{part}-weights", missing)]
+    with pytest.raises(SystemExit):
+        train_command([str(tmp_path), "--preset", "small", *arguments])
+    assert "nope.pth" in capsys.readouterr().err

@@ -7,6 +7,7 @@ import torch
 from small_networks import scene, tiny
 
 from gapmes.model.config import PRESETS, ModelConfig, preset
+from gapmes.model.layers import softmax_of_channels
 from gapmes.model.network import GaPMeS
 
 
@@ -148,3 +149,14 @@ def test_unknown_preset_lists_the_known_ones() -> None:
 
 def test_tiny_has_between_one_and_four_million_parameters(network: GaPMeS) -> None:
     assert 1e6 < network.trainable_parameters() < 4e6
+
+
+def test_the_exported_softmax_is_a_softmax() -> None:
+    class Softmax(torch.nn.Module):
+        def forward(self, x: torch.Tensor) -> torch.Tensor:
+            return softmax_of_channels(x)
+
+    x = 200 * torch.randn(2, 9, 3, 4, generator=torch.Generator().manual_seed(0))  # exp alone would overflow
+    program = torch.export.export(Softmax(), (x,))
+    assert "aten.softmax.int" not in {str(node.target) for node in program.graph.nodes}
+    torch.testing.assert_close(program.module()(x), x.softmax(1), atol=1e-6, rtol=0)
