@@ -21,6 +21,7 @@ from gapmes.model.checkpoint import file_sha256
 from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.service.contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
+from gapmes.service.shipped import shipped_model
 
 SIZE, PATCHES = 64, 16
 
@@ -36,6 +37,24 @@ def test_inputs_and_outputs_are_those_of_the_contract(small_graph: onnx.ModelPro
     shape = small_graph.graph.input[0].type.tensor_type.shape.dim
     assert shape[0].dim_param
     assert [d.dim_value for d in shape[1:]] == [3, SIZE, SIZE]
+
+
+def test_the_shipped_file_is_built_of_what_the_exporter_makes_today(small_graph: onnx.ModelProto) -> None:
+    """At another size, so numbers of pieces differ; kinds of nodes and weights do not."""
+    shipped = onnx.load(shipped_model())
+    assert {n.op_type for n in shipped.graph.node} == {n.op_type for n in small_graph.graph.node}
+    ours = {i.name: i.raw_data for i in small_graph.graph.initializer if i.name.startswith("network.")}
+    theirs = {i.name: i.raw_data for i in shipped.graph.initializer if i.name.startswith("network.")}
+    assert ours == theirs
+    assert len(theirs) > 100
+
+
+def test_a_pair_of_views_that_shares_nothing_leaves_an_empty_batch_that_runs(small_graph: onnx.ModelProto) -> None:
+    """Cameras that look away from each other: no pair is compared on any plane."""
+    inputs = random_scene(2, SIZE, SIZE, seed=1)
+    inputs.world_from_cam[1, :3, :3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0]))
+    session = onnxruntime.InferenceSession(small_graph.SerializeToString(), providers=["CPUExecutionProvider"])
+    assert all(np.isfinite(value).all() for value in session.run(None, feed(inputs)))
 
 
 def test_metadata_says_what_the_file_is(small_graph: onnx.ModelProto, network: GaPMeS, checkpoint) -> None:
