@@ -71,11 +71,17 @@ def worker(
 
 
 def compare(
-    model: Path, checkpoint: Path | None, int8: Path | None, views: int, rounds: int, intel: dict[str, str]
+    model: Path,
+    checkpoint: Path | None,
+    int8: Path | None,
+    views: int,
+    rounds: int,
+    intel: dict[str, str],
+    runtimes: Sequence[str],
 ) -> list[Timed]:
     """All runtimes of one network, one run of each per round; the first round is not counted."""
     plan: list[tuple[str, str, Path, dict[str, str]]] = [("matrix product", "peak", model, {})]
-    plan += [(runtime, runtime, model, {}) for runtime in RUNTIMES if checkpoint or "torch" not in runtime]
+    plan += [(runtime, runtime, model, {}) for runtime in runtimes if checkpoint or "torch" not in runtime]
     if int8 is not None:
         plan.append(("onnxruntime int8", "onnxruntime", int8, {}))
     if checkpoint and intel:
@@ -99,7 +105,7 @@ def table(timed: Sequence[Timed]) -> list[str]:
     """Markdown rows: seconds, ratio to onnxruntime, share of peak."""
     by = {one.name: one for one in timed}
     peak = by["matrix product"].rows[0]["operations"] / by["matrix product"].median()
-    flop = by["torch"].rows[0]["operations"] if "torch" in by else 0.0
+    flop = max((one.rows[0]["operations"] for one in timed if one.name == "torch"), default=0.0)
     base = by["onnxruntime"].median()
     lines = []
     for one in timed:
@@ -117,6 +123,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.network.run", description=__doc__.splitlines()[0])
     parser.add_argument("models", nargs="+", metavar="MODEL.onnx=CHECKPOINT[=INT8.onnx]")
     parser.add_argument("--views", type=int, nargs="+", default=[2, 4])
+    parser.add_argument("--runtimes", nargs="+", choices=RUNTIMES, default=RUNTIMES)
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -129,7 +136,7 @@ def main() -> None:
                     f"### {model.stem}, {views} views\n\n| runtime | CPU s | ratio | of peak | peak MB |\n"
                 )
                 sys.stdout.write("|---|---|---|---|---|\n")
-                lines = table(compare(model, checkpoint, int8, views, options.rounds, intel))
+                lines = table(compare(model, checkpoint, int8, views, options.rounds, intel, options.runtimes))
                 sys.stdout.write("\n".join(lines) + "\n")
                 sys.stdout.flush()
 
