@@ -54,7 +54,9 @@ class Settings(BaseSettings):
         16, ge=0, le=10_000, description="reconstructions of the whole store that may wait; one more gets 503"
     )
     reconstruct_seconds: float = Field(
-        600.0, gt=0, description="time that a reconstruction may take once it runs, its wait for a model included, else 504"
+        600.0,
+        gt=0,
+        description="time that a reconstruction may take once it runs, its wait for a model included, else 504",
     )
     wait_seconds: float = Field(
         900.0, gt=0, description="time that `POST /reconstruct` waits for its scene, else 504; a job has no such limit"
