@@ -21,6 +21,7 @@ from gapmes.model.pretrained.backbones import RECORD, BackboneSources, load_back
 from gapmes.model.training.command import main as train_command
 from gapmes.model.training.loop import train
 from gapmes.model.training.recipe import Recipe
+from gapmes.model.training.run_folder import WEIGHTS
 from gapmes.model.trunk import LightTrunk
 
 PAPER = 14.6e6  # trained parameters
@@ -179,3 +180,13 @@ def test_weights_that_are_not_there_are_wrong_usage(tmp_path: Path, capsys: pyte
     with pytest.raises(SystemExit):
         train_command([str(tmp_path), "--preset", "small", *arguments])
     assert "nope.pth" in capsys.readouterr().err
+
+
+def test_a_run_of_no_steps_writes_the_frozen_weights_and_an_untrained_rest(
+    tmp_path: Path, sources: BackboneSources
+) -> None:
+    train(miniature().config, replace(Recipe(), steps=0), tmp_path / "run", validation_scenes=1, backbones=sources)
+    loaded = load_checkpoint(tmp_path / "run" / WEIGHTS)
+    other = miniature(seed=9).trunk.state_dict()
+    assert all(torch.equal(value, other[name]) for name, value in loaded.trunk.state_dict().items())
+    assert RECORD in loaded.provenance
