@@ -26,11 +26,11 @@ class RouteAgreement:
     flipped_unambiguous: int
 
 
-def ambiguous(logits: NDArray, deciding: int, gap: float = AMBIGUOUS_GAP) -> Bools:
-    """(M,) patches where one of the first `deciding` gaps of sorted logits is within `gap` of the largest one."""
+def ambiguous(logits: NDArray, deciding: int) -> Bools:
+    """(M,) patches where one of the first `deciding` gaps of sorted logits is within rounding of the largest one."""
     ordered = -np.sort(-logits, axis=-1)
     gaps = (ordered[:, :-1] - ordered[:, 1:])[:, :deciding].min(axis=-1, initial=np.inf)
-    return gaps <= gap * np.abs(logits).max(-1)
+    return gaps <= AMBIGUOUS_GAP * np.abs(logits).max(-1)
 
 
 def flipped_patches(values: Mapping[str, NDArray], reference: Mapping[str, NDArray], kept: Bools) -> Bools:

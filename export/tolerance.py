@@ -12,8 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from .routes import AMBIGUOUS_GAP
-
 Precision = Literal["fp32", "int8"]
 
 
@@ -45,21 +43,18 @@ class Tolerance:
     unambiguous_flips: float  # share of patches whose route may differ though the logits decide
     spare_flips: int  # and this many more: in a small picture one patch is already some per cent
     picture_psnr: float  # dB, least agreement of what is drawn from both results
-    route_gap: float = AMBIGUOUS_GAP  # of logits, as a share of the largest, within which rounding may decide a route
 
     def for_flat_images(self) -> Tolerance:
         """The limits for images of one colour.
 
-        Their smooth errors come near `JUMP`, so its share says nothing there. Logits are off as much more as all else:
-        with random weights of `small` by 1.9e-4 of the largest (p99), on other images by 7e-6. Patches that look alike
-        change route together: where quantisation may change some, it may change four times as many.
+        Their smooth errors come near `JUMP`, so its share says nothing there. Patches that look alike change route
+        together: where quantisation may change some, it may change four times as many.
         """
         return replace(
             self,
             p99=FLAT_FACTOR * self.p99,
             mean=FLAT_FACTOR * self.mean,
             jumps=1.0,
-            route_gap=FLAT_FACTOR * self.route_gap,
             unambiguous_flips=4 * self.unambiguous_flips,
         )
 

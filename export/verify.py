@@ -95,7 +95,7 @@ def _run(case: Case, session: onnxruntime.InferenceSession, network: Network, to
     flipped = flipped_patches(values, reference, kept)
     routes = None
     if names != REQUIRED_OUTPUTS:
-        routes = agreement(flipped, logits.undecided(network, tolerance.route_gap).reshape(kept.shape), kept)
+        routes = agreement(flipped, logits.undecided(network).reshape(kept.shape), kept)
         allowed = tolerance.spare_flips + tolerance.unambiguous_flips * routes.patches
         if routes.flipped_unambiguous > allowed:
             failures.append(f"routes: {routes.flipped_unambiguous} of {routes.patches} differ, {allowed:.0f} allowed")
@@ -150,11 +150,11 @@ class _GateLogits:
         for hook in self._hooks:
             hook.remove()
 
-    def undecided(self, network: Network, gap: float) -> np.ndarray:
+    def undecided(self, network: Network) -> np.ndarray:
         """(M,) patches whose logits leave the route to rounding."""
         assert isinstance(network.config, ModelConfig)  # the only one with gates
         deciding = {"expert": network.config.top_k, "task": 1}
-        return np.any([ambiguous(logits, deciding[name], gap) for name, logits in self.found.items()], axis=0)
+        return np.any([ambiguous(logits, deciding[name]) for name, logits in self.found.items()], axis=0)
 
 
 def versions() -> dict[str, str]:
