@@ -14,7 +14,6 @@ NEIGHBOURS = 2  # other views that a view is compared with, the nearest ones
 PLANES = 128  # candidates of the first scale, uniform in inverse depth
 SH_DEGREE = 2
 SCALE_MIN, SCALE_MAX = 1e-10, 3.0  # world units
-SIZE_MULTIPLE = 16  # px: windows at 1/8, shifted by half of one
 
 VITS: dict[str, VitConfig] = {
     "small": VitConfig(hidden=384, layers=12, heads=6, patch=14, mlp_ratio=4, image_size=518),
