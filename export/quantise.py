@@ -57,7 +57,14 @@ def _quantise(source: Path, target: Path, float32_nodes: list[str]) -> None:
 
 
 def _float32_nodes(model: onnx.ModelProto) -> list[str]:
-    names = [n.name for n in model.graph.node if any(_is_float32_part(part) for part in (n.name, *n.input))]
+    """Also products that no layer does, such as those with constants that are means: their modules hold others."""
+    modules = {n.name.rpartition("/")[0] for n in model.graph.node}
+    holders = {module[:at] for module in modules for at, letter in enumerate(module) if letter == "."}
+    names = [
+        n.name
+        for n in model.graph.node
+        if n.name.rpartition("/")[0] in holders or any(_is_float32_part(part) for part in (n.name, *n.input))
+    ]
     return names + [f"{name}_MatMul" for name in names]  # the names that the quantiser gives to what were Gemm nodes
 
 

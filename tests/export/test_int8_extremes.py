@@ -118,3 +118,14 @@ def test_outlier_channels_in_every_transformer_layer(
     assert np.abs(found["depth"] - plain["depth"]).max() <= changed * plain["depth"].max()
     for name in (*GAUSSIAN_OUTPUTS, "depth"):
         assert np.isfinite(found[name]).all()
+
+
+def test_only_layers_are_quantised(small_graph: onnx.ModelProto) -> None:
+    """Means over windows are products with constants as well: in 8 bits they would cost the depth."""
+    model = quantised(small_graph)
+    modules = {node.name.rpartition("/")[0] for node in model.graph.node if node.op_type == "MatMulInteger"}
+    layers = {"query_self", "key_value_self", "out_self", "query_cross", "key_value_cross", "out_cross", "0", "2"}
+    layers |= {"q_proj", "k_proj", "v_proj", "o_proj", "fc1", "fc2"}
+    assert {module.rpartition(".")[2] for module in modules} == layers
+    floats = [node for node in model.graph.node if node.op_type == "MatMul" and node.name.startswith("network.depth/")]
+    assert len(floats) > 20
