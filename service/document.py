@@ -67,17 +67,29 @@ def scene_document(
 
 
 def routing_summary(outputs: Mapping[str, NDArray]) -> dict[str, Any]:
-    """How many patches each expert worked on (weight above 0), and the mean weight of each task.
+    """How many patches each expert worked on (weight above 0), the mean weight of each task, and as `maps` the heaviest
+    expert and task of each patch, a string per view: a digit of base 36 per patch, row by row.
 
     A network without experts or without a task gate has nothing to say about them.
     """
     summary: dict[str, Any] = {}
+    maps: dict[str, list[str]] = {}
     if "expert_index" in outputs:
         index, weight = outputs["expert_index"], outputs["expert_weight"]
         experts = np.bincount(index[weight > 0].ravel(), minlength=int(index.max(initial=-1)) + 1)
         summary["patches"] = int(index.shape[0] * index.shape[1])
         summary["patches_per_expert"] = {str(expert): int(count) for expert, count in enumerate(experts)}
+        heaviest = np.take_along_axis(index, weight.argmax(-1)[..., None], -1)[..., 0]
+        maps["experts"] = [_digits(view) for view in heaviest]
     if "task_weight" in outputs:
         tasks = outputs["task_weight"].reshape(-1, len(TASKS)).mean(axis=0)
         summary["mean_task_weight"] = {n: round(float(v), 6) for n, v in zip(TASKS, tasks, strict=True)}
+        maps["tasks"] = [_digits(view) for view in outputs["task_weight"].argmax(-1)]
+    if maps:
+        summary["maps"] = maps
     return summary
+
+
+def _digits(numbers: NDArray[np.integer]) -> str:
+    """One character for each of up to 36 kinds."""
+    return "".join(np.base_repr(int(number), 36) for number in numbers)

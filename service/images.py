@@ -65,6 +65,13 @@ class FittedView:
     camera: Camera
     kept_share: float  # of the photograph's area inside the crop
 
+    def pixels(self) -> NDArray[np.uint8]:
+        """(H, W, 3) bytes, or (H, W, 4) with the mask as the last."""
+        rgb = np.rint(self.image.transpose(1, 2, 0) * 255).astype(np.uint8)
+        if self.mask is None:
+            return rgb
+        return np.dstack([rgb, np.where(self.mask, 255, 0).astype(np.uint8)])
+
 
 def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Photo:
     """Decode JPEG, PNG or WEBP bytes; the size is read and bounded before any pixel is decoded.

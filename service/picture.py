@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from .errors import InputError, ViewError
@@ -72,6 +73,13 @@ def encode(render: Render, channel: Channel = "rgb", format: Format = "png") -> 
     options = _EXACT_WEBP if format == "webp" and channel != "rgb" else _SAVE[format]
     Image.fromarray(pixels).save(buffer, format.upper(), **options)
     return Picture(buffer.getvalue(), f"image/{format}", depth_range)
+
+
+def png(pixels: NDArray[np.uint8]) -> bytes:
+    """(H, W, 3) or (H, W, 4) bytes as a PNG file."""
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG", **_SAVE["png"])
+    return buffer.getvalue()
 
 
 def parse_background(text: str) -> tuple[float, float, float]:

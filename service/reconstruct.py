@@ -44,6 +44,7 @@ class Scene:
     gaussians: Gaussians
     cameras: tuple[Camera, ...]  # as given
     view_cameras: tuple[Camera, ...]  # of the crops that the network saw
+    inputs: tuple[NDArray[np.uint8], ...]  # those crops, (H, W, 3) or, where a mask leaves pixels out, (H, W, 4)
     document: dict[str, Any]  # plain JSON values, see document.py
 
 
@@ -143,7 +144,7 @@ class Reconstructor:
             warnings=warnings,
             timings=stages.timings,
         )
-        return Scene(lean, cameras, view_cameras, document)
+        return Scene(lean, cameras, view_cameras, tuple(view.pixels() for view in views), document)
 
     def _run(self, views: Sequence[FittedView], depths: DepthRange) -> tuple[Arrays, WorldFrame]:
         """The network's outputs, and the frame that they are in."""

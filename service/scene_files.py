@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -40,13 +40,23 @@ class SceneFiles:
             raise unknown(scene_id)
         return self.root / scene_id
 
-    def write(self, scene_id: str, ply: bytes, document: Mapping[str, Any], created_ns: int) -> bool:
-        """Store a scene; False where it was there already. Raises `StorageFull`, with nothing left behind."""
+    def write(
+        self,
+        scene_id: str,
+        ply: bytes,
+        document: Mapping[str, Any],
+        created_ns: int,
+        inputs: Sequence[bytes] = (),
+    ) -> bool:
+        """Store a scene, with PNGs of its inputs; False where it was there already. Raises `StorageFull`, with nothing
+        left behind."""
         target, incoming = self.folder(scene_id), self._temporary(scene_id)
         with full_is_refused("the scene"):
             try:
                 incoming.mkdir(mode=0o755)
                 write_file(incoming / PLY, ply)
+                for index, picture in enumerate(inputs):
+                    write_file(incoming / _input(index), picture)
                 write_file(incoming / DOCUMENT, json.dumps(document, allow_nan=False).encode())
                 os.utime(incoming / DOCUMENT, ns=(created_ns, created_ns))
                 sync(incoming)
@@ -71,8 +81,15 @@ class SceneFiles:
     def size(self, scene_id: str) -> tuple[int, int]:
         """Bytes, and nanoseconds since 1970 of its making. Raises `FileNotFoundError`."""
         folder = self.folder(scene_id)
-        document = (folder / DOCUMENT).stat()
-        return (folder / PLY).stat().st_size + document.st_size, document.st_mtime_ns
+        files = sum(entry.stat().st_size for entry in os.scandir(folder))
+        return files, (folder / DOCUMENT).stat().st_mtime_ns
+
+    def input(self, scene_id: str, index: int) -> bytes:
+        """A PNG of what the network saw of a photograph. Raises `SceneNotFound`, also where there is none."""
+        try:
+            return (self.folder(scene_id) / _input(index)).read_bytes()
+        except FileNotFoundError as error:
+            raise SceneNotFound(f"no input {index} of scene {scene_id!r}", field="scene") from error
 
     @contextmanager
     def reading(self, scene_id: str) -> Iterator[Path]:
@@ -141,6 +158,10 @@ class SceneFiles:
 
     def _temporary(self, scene_id: str) -> Path:
         return self.root / f"{TEMPORARY}{scene_id}-{uuid.uuid4().hex}"
+
+
+def _input(index: int) -> str:
+    return f"input_{index}.png"
 
 
 def unknown(scene_id: str) -> SceneNotFound:

@@ -39,13 +39,17 @@ class SceneViews:
         return cls(cameras, document["near"], document["far"])
 
     def resolve(self, spec: str, *, field: str = "view") -> Camera:
-        """The camera of "2", "1.5" or "orbit:30"; an orbit turns about the geometric mean of near and far."""
-        pivot = math.sqrt(self.near * self.far) if self.near and self.far else 1.0
+        """The camera of "2", "1.5" or "orbit:30"."""
         try:
-            return resolve_view(spec, self.cameras, pivot_depth=pivot)
+            return resolve_view(spec, self.cameras, pivot_depth=self.pivot_depth)
         except ViewError as error:
             error.field = field
             raise
+
+    @property
+    def pivot_depth(self) -> float:
+        """z-depth that an orbit turns about: the geometric mean of near and far."""
+        return math.sqrt(self.near * self.far) if self.near and self.far else 1.0
 
     @property
     def near_plane(self) -> NearPlane:

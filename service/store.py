@@ -70,15 +70,15 @@ class SceneStore:
             digest.update(part)
         return digest.hexdigest()[:32]
 
-    def put(self, scene_id: str, ply: bytes, document: Mapping[str, Any]) -> None:
-        """Store a scene: whole or nothing. A scene that is already there stays as it is.
+    def put(self, scene_id: str, ply: bytes, document: Mapping[str, Any], inputs: Sequence[bytes] = ()) -> None:
+        """Store a scene, with PNGs of its inputs: whole or nothing. One that is already there stays as it is.
 
         Raises `StorageFull` when the disk is, or when `max_bytes` is reached and all that is there is being read.
         """
         with self._alone():
             if not self._files.folder(scene_id).is_dir():
-                self._make_room(len(ply))
-                self._files.write(scene_id, ply, document, self._tick())
+                self._make_room(len(ply) + sum(map(len, inputs)))
+                self._files.write(scene_id, ply, document, self._tick(), inputs)
             self._list([scene_id])
 
     def listed(self, scene_id: str) -> bool:
@@ -95,6 +95,10 @@ class SceneStore:
     def document(self, scene_id: str) -> dict[str, Any]:
         """The scene's document. Raises `SceneNotFound`."""
         return self._files.document(scene_id)
+
+    def input(self, scene_id: str, index: int) -> bytes:
+        """A PNG of what the network saw of a photograph. Raises `SceneNotFound`, also where there is none."""
+        return self._files.input(scene_id, index)
 
     def reading(self, scene_id: str) -> AbstractContextManager[Path]:
         """The scene's .ply file, which is not evicted during the block. Raises `SceneNotFound`."""

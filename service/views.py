@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .camera import Camera
 from .errors import ViewError
@@ -69,16 +70,20 @@ def mean_camera(cameras: Sequence[Camera]) -> Camera:
     return replace(first, world_from_cam=pose, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
+def up_direction(cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """(3,) unit vector: the mean of the cameras' own up directions; that of the mean camera where they have none."""
+    up = -np.mean([camera.rotation[:, 1] for camera in cameras], axis=0)
+    length = float(np.linalg.norm(up))
+    return up / length if length > 1e-6 else -mean_camera(cameras).rotation[:, 1]  # upside down to each other
+
+
 def orbit_camera(cameras: Sequence[Camera], angle: float, pivot_depth: float) -> Camera:
     """The mean camera moved by `angle` radians on a circle about the vertical through its pivot.
 
     The vertical is the mean up direction of the cameras (up is -y in the camera); a positive angle moves the camera to
     its right, and it keeps looking at the pivot.
     """
-    middle = mean_camera(cameras)
-    up = -np.mean([camera.rotation[:, 1] for camera in cameras], axis=0)
-    length = float(np.linalg.norm(up))
-    up = up / length if length > 1e-6 else -middle.rotation[:, 1]  # cameras upside down to each other have no mean
+    middle, up = mean_camera(cameras), up_direction(cameras)
     to_pivot = pivot_depth * middle.rotation[:, 2]
     turn = about_axis(up, angle)
     pose = np.eye(4)

@@ -1,7 +1,8 @@
 """`make compare-viewer`: the same .ply from the same camera, drawn by us and by SuperSplat's viewer in Chromium.
 
-Needs npm and Chromium. The viewer cuts splats elsewhere, fades them towards the cut and sorts by its own rule, so the
-pictures agree as pictures do, not to the last digit; wrong colours, handedness or scales would show at once.
+Needs Chromium, and the viewer that npm brings at installation. The viewer cuts splats elsewhere, fades them
+towards the cut and sorts by its own rule, so the pictures agree as pictures do, not to the last digit; wrong colours,
+handedness or scales would show at once.
 """
 
 from __future__ import annotations
@@ -25,52 +26,25 @@ from PIL import Image
 
 from gapmes.service.camera import Camera
 from gapmes.service.camera_file import read_camera_file
+from gapmes.service.http.page import STATIC
+from gapmes.service.http.viewer import viewer_settings
 from gapmes.service.ply import read_ply
 from gapmes.service.shipped import sample_folder
 from gapmes.service.splat import render
 
-HERE = Path(__file__).resolve().parent
-PACKAGE = HERE / "node_modules" / "@playcanvas" / "supersplat-viewer"
+VIEWER = STATIC / "viewer"
 NEED_DB = 35.0
 PATIENCE = 240  # s, for the first frame, drawn without a GPU
 SETTLING_MS = 8_000  # after it: the sorter works beside the drawing
 
 
-def viewer_settings(camera: Camera) -> dict[str, object]:
-    """The camera in the viewer's terms: it turns a .ply by half a turn about z and looks from a position to a target.
-
-    Only an upright pinhole with a central principal point and square pixels can be said so.
-    """
-    right, _, forward = camera.rotation.T
+def settings_for(camera: Camera) -> dict[str, object]:
+    """The camera in the viewer's terms: only an upright pinhole with a central principal point and square pixels."""
+    right = camera.rotation[:, 0]
     centred = abs(camera.cx - camera.width / 2) < 1e-6 and abs(camera.cy - camera.height / 2) < 1e-6
     if not centred or abs(camera.fx / camera.fy - 1) > 1e-6 or abs(right[1]) > 1e-3:
         raise SystemExit("the viewer shows only upright cameras with square pixels and a central principal point")
-    turned = np.array([-1.0, -1.0, 1.0])
-    return {
-        "version": 2,
-        "tonemapping": "none",
-        "highPrecisionRendering": True,
-        "background": {"color": [0, 0, 0]},
-        "postEffectSettings": {
-            "sharpness": {"enabled": False, "amount": 0},
-            "bloom": {"enabled": False, "intensity": 0, "blurLevel": 1},
-            "grading": {"enabled": False, "brightness": 1, "contrast": 1, "saturation": 1, "tint": [1, 1, 1]},
-            "vignette": {"enabled": False, "intensity": 0, "inner": 0, "outer": 1, "curvature": 1},
-            "fringing": {"enabled": False, "intensity": 0},
-        },
-        "animTracks": [],
-        "cameras": [
-            {
-                "initial": {
-                    "position": list(turned * camera.center),
-                    "target": list(turned * (camera.center + forward)),
-                    "fov": 2 * math.degrees(math.atan(0.5 * camera.height / camera.fy)),
-                }
-            }
-        ],
-        "annotations": [],
-        "startMode": "default",
-    }
+    return viewer_settings(camera)
 
 
 PAGE = """<!doctype html>
@@ -116,9 +90,9 @@ def shown_by_viewer(ply: Path, camera: Camera, chromium: str) -> np.ndarray:
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         for name in ("index.js", "index.css"):
-            shutil.copy(PACKAGE / "public" / name, root / name)
+            shutil.copy(VIEWER / name, root / name)
         shutil.copy(ply, root / "scene.ply")
-        (root / "settings.json").write_text(json.dumps(viewer_settings(camera)))
+        (root / "settings.json").write_text(json.dumps(settings_for(camera)))
         (root / "page.html").write_text(PAGE % (camera.width, camera.height, SETTLING_MS))
         picture = root / "shown.png"
         handler = functools.partial(Handler, directory=folder, settled=settled)
@@ -148,8 +122,8 @@ def main() -> None:
     parser.add_argument("--chromium", default="chromium", help="the browser's command (chromium)")
     parser.add_argument("--out", type=Path, default=Path("viewer.png"), help="picture to write (viewer.png)")
     options = parser.parse_args()
-    if not PACKAGE.is_dir():
-        subprocess.run(["npm", "ci", "--ignore-scripts", "--prefix", str(HERE)], check=True)
+    if not VIEWER.is_dir():
+        raise SystemExit("the viewer is not there: install the package again with npm on the path")
     with tempfile.TemporaryDirectory() as folder:
         ply = options.ply or Path(folder) / "sample.ply"
         if options.ply is None:

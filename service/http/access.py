@@ -11,7 +11,7 @@ from ..errors import Unauthorized
 from ..problem_document import of_error
 from . import problems
 
-OPEN = ("/healthz", "/readyz", "/")  # and the page's files, which hold no data
+OPEN = ("/healthz", "/readyz", "/", "/viewer")  # and the page's files, which hold no data
 OPEN_BELOW = "/static/"
 SCHEME = "bearer "
 

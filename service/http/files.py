@@ -29,7 +29,7 @@ def etag_of(path: Path) -> str:
 def matches(request: Request, etag: str) -> bool:
     """Whether `If-None-Match` (RFC 9110 section 13.1.2) lists the tag, weakly compared."""
     tags = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
-    return "*" in tags or etag in tags
+    return "*" in tags or etag.removeprefix("W/") in tags
 
 
 def not_modified(etag: str, headers: Mapping[str, str] | None = None) -> Response:

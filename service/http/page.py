@@ -1,45 +1,104 @@
-"""The web page: three static files of the package, served under a policy that allows nothing from elsewhere."""
+"""The web page and its files, of the package alone, served under policies that allow nothing from elsewhere."""
 
 from __future__ import annotations
 
-from importlib.resources import files
+import gzip
+import hashlib
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 from starlette.exceptions import HTTPException
+
+from ..shipped import sample_folder
+from .files import matches, not_modified
 
 router = APIRouter(include_in_schema=False)
 
+STATIC = Path(__file__).parents[1] / "static"
+VIEWER = "viewer/index.js"  # there where npm was when the package was built
 MEDIA_TYPES = {
-    "index.html": "text/html; charset=utf-8",
-    "page.css": "text/css; charset=utf-8",
-    "page.js": "text/javascript; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+    ".json": "application/json",
+    ".png": "image/png",
 }
+PACKED = (".html", ".css", ".js", ".svg", ".json")  # worth compressing
 
-# No inline script or style, no other host, no framing; pictures also from blobs, which is how the page shows renders.
-HEADERS = {
-    "Content-Security-Policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
-        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
-    ),
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cache-Control": "no-cache",
-}
+# No inline script or style, no other host; pictures also from blobs, which is how the page shows renders.
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; media-src 'self' blob:; "
+    "connect-src 'self'; frame-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+)
+# The viewer compiles WebAssembly, sorts in a worker that it makes itself, and has icons and fonts within its style.
+VIEWER_POLICY = (
+    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval' blob:; worker-src 'self' blob:; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
+    "connect-src 'self' data: blob:; form-action 'none'; base-uri 'none'; frame-ancestors 'self'"
+)
+HEADERS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "Cache-Control": "no-cache"}
+
+
+class _File(NamedTuple):
+    body: bytes
+    packed: bytes | None
+    etag: str
+    media_type: str
 
 
 @router.get("/")
-def index() -> Response:
-    return _file("index.html")
+def index(request: Request) -> Response:
+    return _answer(request, "index.html", POLICY)
 
 
-@router.get("/static/{name}")
-def static(name: str) -> Response:
-    """One of the page's own files; the name is looked up in a table and never joined to a path otherwise."""
-    if name not in MEDIA_TYPES:
+@router.get("/viewer")
+def viewer(request: Request) -> Response:
+    """The frame that the page shows a scene in by WebGL; 404 where the package was built without the viewer."""
+    if VIEWER not in _files():
         raise HTTPException(404)
-    return _file(name)
+    return _answer(request, "viewer.html", VIEWER_POLICY)
 
 
-def _file(name: str) -> Response:
-    body = files(__package__).joinpath("..", "static", name).read_bytes()
-    return Response(body, media_type=MEDIA_TYPES[name], headers=HEADERS)
+@router.head("/static/{name:path}")
+@router.get("/static/{name:path}")
+def static(request: Request, name: str) -> Response:
+    """One of the page's own files, or of the sample scene; looked up in a table, never joined to a path."""
+    if name not in _files():
+        raise HTTPException(404)
+    return _answer(request, name, POLICY)
+
+
+def _answer(request: Request, name: str, policy: str) -> Response:
+    file = _loaded(_files()[name])
+    headers = HEADERS | {"Content-Security-Policy": policy, "ETag": file.etag}
+    if matches(request, file.etag):
+        return not_modified(file.etag, headers)
+    body = file.body
+    if file.packed is not None:
+        headers["Vary"] = "Accept-Encoding"
+        if "gzip" in request.headers.get("accept-encoding", ""):
+            body = file.packed
+            headers["Content-Encoding"] = "gzip"
+    return Response(body, media_type=file.media_type, headers=headers)
+
+
+@cache
+def _files() -> dict[str, Path]:
+    """Name in the URL -> file."""
+    found = {}
+    for root, prefix in ((STATIC, ""), (sample_folder(), "sample/")):
+        for path in root.rglob("*"):
+            if path.suffix in MEDIA_TYPES and path.is_file():
+                found[prefix + path.relative_to(root).as_posix()] = path
+    return found
+
+
+@cache
+def _loaded(path: Path) -> _File:
+    body = path.read_bytes()
+    packed = gzip.compress(body, 6, mtime=0) if path.suffix in PACKED else None
+    etag = f'W/"{hashlib.sha256(body).hexdigest()[:32]}"'  # weak: one tag for both encodings
+    return _File(body, packed, etag, MEDIA_TYPES[path.suffix])

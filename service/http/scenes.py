@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from ..errors import InputError
 from ..scene_files import is_id
+from ..view_checks import MAX_VIEWS
 from .files import SceneFile, etag_of, matches, not_modified
 from .responses import PLY, json_response
 from .runtime import Runtime, runtime_of
@@ -54,6 +55,17 @@ def scene_ply(request: Request, scene_id: str, runtime: Held) -> Response:
     return SceneFile(runtime.store, scene_id, etag, size)
 
 
+@router.get(
+    "/scenes/{scene_id}/inputs/{index}",
+    response_class=Response,
+    responses={200: {"description": "what the network saw of a photograph", "content": {"image/png": {}}}},
+)
+def scene_input(scene_id: str, index: Annotated[int, Path(ge=0, le=MAX_VIEWS)], runtime: Held) -> Response:
+    """A photograph as the network saw it: cropped and resized, with its mask as transparency."""
+    headers = {"Cache-Control": "private, max-age=3600"}
+    return Response(runtime.store.input(scene_id, index), media_type="image/png", headers=headers)
+
+
 @router.get("/scenes/{scene_id:path}", response_model=SceneDocument)
 def scene_document(scene_id: str, runtime: Held) -> Response:
     """The scene document: model, cameras, depths, counts, warnings, timings, links."""
@@ -71,6 +83,8 @@ def with_links(document: Mapping[str, Any], views: Sequence[str] = ()) -> dict[s
     """The document with where it, its .ply and its views are; `views` are further renders that were asked for."""
     scene_id = document["id"]
     found = links(scene_id, len(document["view_cameras"]))
+    if document.get("inputs"):
+        found["inputs"] = [f"/scenes/{scene_id}/inputs/{index}" for index in range(document["inputs"])]
     if views:
         found["renders"] = [_render_link(scene_id, spec) for spec in views]
     return {**document, "links": found}

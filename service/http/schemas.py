@@ -42,6 +42,7 @@ class SceneLinks(BaseModel):
     self: str
     ply: str
     views: list[str] = Field(description="pictures from the inputs' cameras")
+    inputs: list[str] = Field([], description="the photographs as the network saw them")
     renders: list[str] = Field([], description="those that were asked for with `views`")
 
 
@@ -87,6 +88,27 @@ class SceneDocument(BaseModel):
     check: dict[str, Any]
     timings: dict[str, float]
     links: SceneLinks
+
+
+class UnderstoodImage(BaseModel):
+    """A photograph with the camera that belongs to it."""
+
+    name: str
+    width: int = Field(description="px, as stored")
+    height: int = Field(description="px, as stored")
+    camera: dict[str, Any] = Field(description="px and camera to world, OpenCV axes, as in cameras.json")
+    thumbnail: str = Field(description="a small JPEG, base64")
+
+
+class Understood(BaseModel):
+    """What was taken for what."""
+
+    images: list[UnderstoodImage]
+    paired_by: str
+    near: float
+    far: float
+    depth_range_source: str
+    warnings: list[dict[str, Any]]
 
 
 class Step(BaseModel):

@@ -15,6 +15,7 @@ from ..camera_file import camera_document
 from ..image_files import check_total
 from ..images import EncodedPhoto
 from ..model_names import DEFAULT
+from ..picture import png
 from ..ply import ply_bytes
 from ..pose import Given
 from ..progress import Listener
@@ -89,8 +90,8 @@ def compute(
         listener=listener,
     )
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    document = {"id": scene_id, "created": created, **scene.document}
-    store.put(scene_id, ply_bytes(scene.gaussians), document)
+    document = {"id": scene_id, "created": created, **scene.document, "inputs": len(scene.inputs)}
+    store.put(scene_id, ply_bytes(scene.gaussians), document, [png(pixels) for pixels in scene.inputs])
     return document
 
 

@@ -58,7 +58,7 @@ def test_with_the_key_all_is_open(locked: TestClient, headers: dict[str, str]) -
     assert locked.get("/metrics", headers=headers).status_code == 200
 
 
-@pytest.mark.parametrize("path", ["/", "/static/page.js", "/healthz", "/readyz"])
+@pytest.mark.parametrize("path", ["/", "/static/js/main.js", "/healthz", "/readyz"])
 def test_probes_and_the_page_need_no_key(locked: TestClient, path: str) -> None:
     assert locked.get(path).status_code == 200
 

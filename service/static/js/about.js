@@ -1,0 +1,135 @@
+// Beside the view: inputs next to their pictures, what was left out and what it cost, how far to trust it, files, timings.
+
+import { bring, showPicture } from "./api.js";
+import { count, digits, make, percent } from "./dom.js";
+import { plan } from "./plan.js";
+import { legend, routingPicture, TASKS } from "./routing.js";
+
+const row = (...cells) => make("tr", {}, ...cells.map((cell) => make("td", {}, cell)));
+const head = (...cells) => make("thead", {}, make("tr", {}, ...cells.map((cell) => make("th", { scope: "col" }, cell))));
+const wide = (table) => make("div", { class: "wide" }, table);
+const decibels = (entry) => (entry?.psnr === null || entry?.psnr === undefined ? "–" : `${entry.psnr.toFixed(1)} dB`);
+
+/** A part that is filled when it is first opened. */
+function part(title, fill, open = false) {
+  const body = make("div");
+  const details = make("details", {}, make("summary", {}, title), body);
+  let filled = false;
+  details.addEventListener("toggle", () => {
+    if (!details.open || filled) return;
+    filled = true;
+    fill(body);
+  });
+  details.open = open;
+  return details;
+}
+
+/** Fill the place beside the view with all that a scene document tells. */
+export function showAbout(target, scene) {
+  target.replaceChildren();
+  if (!scene) return;
+  for (const warning of scene.warnings ?? []) target.append(make("p", { class: "warning" }, make("strong", {}, "Note: "), warning.message));
+  target.append(files(scene));
+  target.append(part("Inputs beside their pictures", (body) => inputs(body, scene), true));
+  if (scene.left_out?.length) target.append(part("What was left out, and what it cost", (body) => leftOut(body, scene)));
+  if (scene.check?.input_views) target.append(part("How far to trust it", (body) => trust(body, scene)));
+  target.append(part("Cameras and timings", (body) => timings(body, scene)));
+}
+
+function files(scene) {
+  const found = scene.links.files ?? { ply: scene.links.ply };
+  const links = Object.entries(found).map(([kind, path]) => bring(make("a", { href: path, download: `${scene.id}.${kind}` }, `.${kind}`)));
+  const moving = scene.links.preview ? [bring(make("a", { href: scene.links.preview, download: `${scene.id}.webp` }, "moving picture"))] : [];
+  const sheet = scene.links.sheet ? [bring(make("a", { href: scene.links.sheet, download: `${scene.id}.png` }, "contact sheet"))] : [];
+  const cameras = URL.createObjectURL(new Blob([JSON.stringify({ near: scene.near, far: scene.far, views: scene.cameras }, null, 1)], { type: "application/json" }));
+  const more = [make("a", { href: cameras, download: "cameras.json" }, "cameras.json"), bring(make("a", { href: scene.links.self, download: `${scene.id}.json` }, "scene document"))];
+  const list = make("p", { id: "downloads" }, "Download: ");
+  [...links, ...moving, ...sheet, ...more].forEach((link, index) => list.append(index ? " · " : "", link));
+  list.append(make("br"), `${count(scene.gaussians.count)} Gaussians, harmonics of degree ${scene.gaussians.sh_degree}`);
+  return list;
+}
+
+async function inputs(body, scene) {
+  const table = make("table", { class: "inputs" }, head("photograph", "drawn again", "depth", "routing"));
+  body.append(wide(table));
+  const maps = scene.routing?.maps;
+  for (const [index, camera] of scene.view_cameras.entries()) {
+    const found = scene.check?.input_views?.[index];
+    const size = { width: camera.width, height: camera.height, loading: "lazy" };
+    const photograph = make("img", { ...size, alt: `Photograph ${index}` });
+    const again = make("img", { ...size, alt: `Photograph ${index}, drawn again` });
+    const depth = make("img", { ...size, alt: `Depth from view ${index}` });
+    const routes = make("span");
+    const figure = (picture, text) => make("figure", {}, picture, make("figcaption", {}, text));
+    table.append(row(
+      scene.links.inputs ? figure(photograph, `input ${index}`) : "–",
+      figure(again, found ? decibels(found) : ""),
+      figure(depth, "near is dark"),
+      routes,
+    ));
+    try {
+      if (scene.links.inputs) await showPicture(photograph, scene.links.inputs[index]);
+      await showPicture(again, scene.links.views[index]);
+      await showPicture(depth, `${scene.links.views[index]}&channel=depth`);
+    } catch (error) {
+      routes.append(error.problem?.detail ?? error.message);
+      continue;
+    }
+    if (maps?.experts) {
+      await photograph.decode().catch(() => undefined);
+      routes.append(figure(routingPicture(maps.experts[index], camera, photograph, `Experts of the patches of view ${index}`), "experts"));
+    }
+    if (maps?.tasks) routes.append(figure(routingPicture(maps.tasks[index], camera, photograph, `Tasks of the patches of view ${index}`), "tasks"));
+  }
+  if (maps?.experts) body.append(make("p", {}, "Experts: "), legend(maps.experts));
+  if (maps?.tasks) body.append(make("p", {}, "Tasks: "), legend(maps.tasks, TASKS));
+}
+
+function leftOut(body, scene) {
+  const table = make("table", {}, head("what", "left out", "of", "change of a colour"));
+  for (const { what, count: some, of, error } of scene.left_out) {
+    table.append(row(what, count(some), count(of), error === null ? "not measured" : error === 0 ? "none" : `at most ${digits(error)}`));
+  }
+  body.append(wide(table));
+  const pruning = scene.pruning;
+  if (!pruning) return;
+  const proved = `No colour of the certified views changes by more than ${digits(pruning.bound)} (of 1); found in the inputs' pictures: ${digits(pruning.actual)}.`;
+  body.append(make("p", {}, `${proved} ${count(pruning.bytes_saved)} bytes less, decided in ${digits(pruning.seconds)} s.`));
+}
+
+function trust(body, scene) {
+  const check = scene.check;
+  const columns = ["view", "drawn again", "holes"];
+  if (check.from_others) columns.push("from the others' Gaussians");
+  if (check.leave_one_out) columns.push("foretold without it");
+  const table = make("table", {}, head(...columns));
+  check.input_views.forEach((view, index) => {
+    const cells = [String(index), decibels(view), view.holes === null ? "–" : percent(view.holes)];
+    if (check.from_others) cells.push(decibels(check.from_others[index]));
+    if (check.leave_one_out) cells.push(`${decibels(check.leave_one_out[index])} from ${check.leave_one_out[index].from.join(", ")}`);
+    table.append(row(...cells));
+  });
+  body.append(wide(table));
+  const facts = [
+    `${percent(check.textureless_share)} of the pixels have no texture around them, ${percent(check.no_parallax_share)} no parallax: depth there is a guess.`,
+  ];
+  const step = check.depth_step;
+  if (step) facts.push(`Half a step of depth is ${percent(step.near)} of the depth when near, ${percent(step.far)} when far.`);
+  if (check.ambiguous_routes) facts.push(`For ${percent(check.ambiguous_routes)} of the patches rounding may decide the route.`);
+  body.append(make("p", {}, facts.join(" ")));
+}
+
+function timings(body, scene) {
+  const entries = Object.entries(scene.timings ?? {});
+  const longest = Math.max(...entries.map(([, seconds]) => seconds), 1e-9);
+  const table = make("table", {}, ...entries.map(([stage, seconds]) => {
+    const bar = make("meter", { min: 0, max: longest, value: seconds, "aria-hidden": "true" });
+    return make("tr", {}, make("th", { scope: "row" }, stage), make("td", {}, `${seconds.toFixed(2)} s`), make("td", {}, bar));
+  }));
+  const depths = `Depth from ${digits(scene.near)} to ${digits(scene.far)} (${scene.depth_range_source}), in the cameras' units.`;
+  body.append(plan(scene.view_cameras, scene.near, scene.far), make("p", {}, depths), wide(table));
+  const model = scene.model;
+  if (model?.weights_sha256) {
+    body.append(make("p", { class: "small" }, `Network ${model.preset}, ${model.precision}, ${model.width} × ${model.height} px, weights ${model.weights_sha256.slice(0, 12)}, ${model.licence}`));
+  }
+}

@@ -1,0 +1,62 @@
+// The camera of the view that the service draws: an input's camera, turned about the scene's pivot and moved along its axis.
+
+const add = (a, b, scale = 1) => a.map((value, i) => value + scale * b[i]);
+const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const unit = (a) => a.map((value) => value / Math.hypot(...a));
+
+/** Rodrigues: `v` turned by `angle` (radians) about a unit axis. */
+function turned(v, axis, angle) {
+  const cosine = Math.cos(angle), sine = Math.sin(angle);
+  const across = cross(axis, v), along = dot(axis, v);
+  return v.map((value, i) => value * cosine + across[i] * sine + axis[i] * along * (1 - cosine));
+}
+
+const column = (pose, i) => [pose[0][i], pose[1][i], pose[2][i]];
+
+const MOST_UP = (80 * Math.PI) / 180; // nearer to the vertical right and left would change places
+
+/** A scene's cameras and pivot, and where the looker is; `view` is an input's index. */
+export class Orbit {
+  constructor(cameras, near, far) {
+    this.cameras = cameras;
+    this.pivotDepth = Math.sqrt(near * far);
+    const ups = cameras.map((camera) => column(camera.c2w, 1));
+    const up = ups.reduce((sum, one) => add(sum, one), [0, 0, 0]).map((value) => -value);
+    this.up = Math.hypot(...up) > 1e-6 ? unit(up) : column(cameras[0].c2w, 1).map((value) => -value);
+    this.reset(0);
+  }
+
+  reset(view) {
+    this.view = view;
+    this.azimuth = 0;
+    this.elevation = 0;
+    this.zoom = 1;
+  }
+
+  get moved() {
+    return this.azimuth !== 0 || this.elevation !== 0 || this.zoom !== 1;
+  }
+
+  /** Degrees to the right and upwards; `factor` above 1 comes nearer. */
+  move(right, up, factor = 1) {
+    const radians = Math.PI / 180;
+    this.azimuth = ((this.azimuth + right + 540) % 360) - 180;
+    const above = Math.asin(Math.max(-1, Math.min(1, -dot(column(this.cameras[this.view].c2w, 2), this.up))));
+    const wanted = Math.max(-MOST_UP, Math.min(MOST_UP, above + (this.elevation + up) * radians));
+    this.elevation = (wanted - above) / radians;
+    this.zoom = Math.max(0.2, Math.min(5, this.zoom * factor));
+  }
+
+  /** The camera, as `GET /render` reads it. */
+  camera() {
+    const { c2w, ...lens } = this.cameras[this.view];
+    const radians = Math.PI / 180;
+    const [right, down, ahead] = [0, 1, 2].map((i) => column(c2w, i));
+    const pivot = add(column(c2w, 3), ahead, this.pivotDepth);
+    const turn = (v) => turned(turned(v, right, -this.elevation * radians), this.up, this.azimuth * radians);
+    const axes = [right, down, ahead].map(turn);
+    const centre = add(pivot, axes[2], -this.pivotDepth / this.zoom);
+    return { ...lens, c2w: [0, 1, 2].map((i) => [axes[0][i], axes[1][i], axes[2][i], centre[i]]).concat([[0, 0, 0, 1]]) };
+  }
+}

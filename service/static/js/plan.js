@@ -1,0 +1,62 @@
+// A small plan of the cameras from above: where each stands, where it looks, between which depths.
+
+import { digits, make } from "./dom.js";
+
+const SIZE = 240;
+const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
+
+export const colourOf = (index) => COLOURS[index % COLOURS.length];
+
+const column = (pose, i) => [pose[0][i], pose[1][i], pose[2][i]];
+const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
+const minus = (a, b, scale = 1) => a.map((value, i) => value - scale * b[i]);
+const unit = (a) => a.map((value) => value / (Math.hypot(...a) || 1));
+
+/** Two axes across the mean up direction: right, and ahead of the first camera. */
+function ground(cameras) {
+  const down = unit(cameras.map((camera) => column(camera.c2w, 1)).reduce((sum, one) => sum.map((value, i) => value + one[i])));
+  const first = column(cameras[0].c2w, 2);
+  let ahead = minus(first, down, dot(first, down));
+  if (Math.hypot(...ahead) < 1e-6) ahead = column(cameras[0].c2w, 0);
+  ahead = unit(ahead);
+  const right = [down[1] * ahead[2] - down[2] * ahead[1], down[2] * ahead[0] - down[0] * ahead[2], down[0] * ahead[1] - down[1] * ahead[0]];
+  return { right, ahead };
+}
+
+/** An SVG of the frusta between near and far, from above; the first camera looks upwards. */
+export function plan(cameras, near, far) {
+  const { right, ahead } = ground(cameras);
+  const origin = column(cameras[0].c2w, 3);
+  const place = (point) => [dot(minus(point, origin), right), dot(minus(point, origin), ahead)];
+  const shapes = cameras.map((camera) => {
+    const centre = column(camera.c2w, 3);
+    const ray = (u) => {
+      const x = (u - camera.cx) / camera.fx;
+      return column(camera.c2w, 2).map((value, i) => value + x * column(camera.c2w, 0)[i]);
+    };
+    const at = (u, depth) => place(minus(centre, ray(u), -depth));
+    const shown = Math.min(far, 6 * near);
+    return { centre: place(centre), corners: [at(0, near), at(0, shown), at(camera.width, shown), at(camera.width, near)] };
+  });
+  const points = shapes.flatMap((shape) => [shape.centre, ...shape.corners]);
+  const [low, high] = [Math.min, Math.max].map((end) => [0, 1].map((i) => end(...points.map((point) => point[i]))));
+  const scale = (SIZE - 24) / Math.max(high[0] - low[0], high[1] - low[1], 1e-30);
+  const pixel = ([x, y]) => [
+    SIZE / 2 + (x - (low[0] + high[0]) / 2) * scale,
+    SIZE / 2 - (y - (low[1] + high[1]) / 2) * scale,
+  ];
+  const path = (list) => list.map((point) => pixel(point).map((value) => value.toFixed(1)).join(",")).join(" ");
+  const label = `Plan from above of ${cameras.length} cameras and what they see between depths ${digits(near)} and ${digits(far)}`;
+  const svg = make("svg:svg", { viewBox: `0 0 ${SIZE} ${SIZE}`, role: "img", "aria-label": label, class: "plan" });
+  shapes.forEach((shape, index) => {
+    const colour = colourOf(index);
+    const [x, y] = pixel(shape.centre);
+    svg.append(
+      make("svg:polygon", { points: path(shape.corners), fill: colour, "fill-opacity": 0.15, stroke: colour }),
+      make("svg:polyline", { points: path([shape.corners[0], shape.centre, shape.corners[3]]), fill: "none", stroke: colour }),
+      make("svg:circle", { cx: x, cy: y, r: 4, fill: colour }),
+      make("svg:text", { x: x + 6, y: y + 12, fill: colour, "font-size": 12 }, String(index)),
+    );
+  });
+  return svg;
+}

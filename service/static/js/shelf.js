@@ -1,0 +1,66 @@
+// The list of stored scenes, newest first, with a small picture of each.
+
+import { ask, askJson, showPicture } from "./api.js";
+import { $, button, count, make } from "./dom.js";
+
+const PAGE = 12;
+let next = null;
+let chosen = null;
+let act = {};
+
+/** `open(id)` and `removed(id)` are called for what is chosen and deleted. */
+export function prepareShelf(acts) {
+  act = acts;
+  $("more").addEventListener("click", () => list(next));
+}
+
+export const markChosen = (id) => {
+  chosen = id;
+  for (const item of $("scenes").children) item.classList.toggle("chosen", item.dataset.id === id);
+};
+
+/** The newest scenes anew; returns the id of the first, or null. */
+export async function refreshShelf() {
+  $("scenes").replaceChildren();
+  return list(null);
+}
+
+async function list(after) {
+  const query = new URLSearchParams({ limit: String(PAGE), ...(after ? { after } : {}) });
+  const page = await askJson(`/scenes?${query}`);
+  next = page.next;
+  $("more").hidden = next === null;
+  $("scenes").append(...page.scenes.map(item));
+  return page.scenes[0]?.id ?? null;
+}
+
+function item(scene) {
+  const picture = make("img", { alt: "", width: 72, height: 72 });
+  const open = make("button", { type: "button", "aria-label": `Show scene ${scene.id.slice(0, 8)} of ${scene.created}` }, picture);
+  open.addEventListener("click", () => act.open(scene.id));
+  const what = scene.views ? `${scene.views} views, ` : "";
+  const node = make("li", { "data-id": scene.id }, open, make("div", {},
+    make("p", {}, `${what}${count(scene.gaussians ?? 0)} Gaussians`),
+    make("p", { class: "small" }, make("time", { datetime: scene.created }, new Date(scene.created).toLocaleString())),
+    make("p", { class: "small" }, make("code", {}, scene.id.slice(0, 8)), " ", button("Delete", () => remove(scene.id), { class: "quiet", "aria-label": `Delete scene ${scene.id.slice(0, 8)}` })),
+  ));
+  node.classList.toggle("chosen", scene.id === chosen);
+  const seen = new IntersectionObserver((entries) => {
+    if (!entries.some((entry) => entry.isIntersecting)) return;
+    seen.disconnect();
+    showPicture(picture, `${scene.links.views[0]}&height=72&format=jpeg`).catch(() => picture.classList.add("missing"));
+  });
+  seen.observe(picture);
+  return node;
+}
+
+/** Delete a scene, once it was asked whether. */
+export async function remove(id) {
+  if (!confirm(`Delete scene ${id.slice(0, 8)}? Its files are gone then.`)) return;
+  try {
+    await ask(`/scenes/${encodeURIComponent(id)}`, { method: "DELETE" });
+  } catch (error) {
+    if (error.status !== 404) return void act.failed(error);
+  }
+  act.removed(id);
+}

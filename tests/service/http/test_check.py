@@ -1,0 +1,109 @@
+"""`POST /check` and what the page shows of a scene: cameras as they were understood, inputs, the viewer's files."""
+
+from __future__ import annotations
+
+import base64
+import io
+
+import numpy as np
+import pytest
+from http_requests import assert_problem, camera_object, photograph, stored
+from PIL import Image
+from starlette.testclient import TestClient
+
+from gapmes.service.ply import read_ply
+from gapmes.service.settings import Settings
+
+
+def checked(client: TestClient, images: list[bytes], cameras: object) -> object:
+    import json
+
+    parts = [("images", (f"{index}.png", data, "image/png")) for index, data in enumerate(images)]
+    return client.post("/check", files=[*parts, ("cameras", ("cameras.json", json.dumps(cameras).encode()))])
+
+
+def test_it_tells_what_was_understood_and_keeps_nothing(client: TestClient, settings: Settings) -> None:
+    before = stored(settings)
+    photo = photograph(5)
+    answer = checked(client, [photo, photograph(6)], camera_object(2))
+    assert answer.status_code == 200, answer.text
+    body = answer.json()
+    assert (body["near"], body["far"], body["depth_range_source"]) == (1.0, 10.0, "given")
+    assert [image["name"] for image in body["images"]] == ["0.png", "1.png"]
+    first = body["images"][0]
+    assert (first["width"], first["height"]) == (96, 72)
+    assert first["camera"]["c2w"] == np.eye(4).tolist()
+    small = Image.open(io.BytesIO(base64.b64decode(first["thumbnail"])))
+    truth = Image.open(io.BytesIO(photo)).convert("RGB").resize(small.size)
+    assert np.abs(np.asarray(small, float) - np.asarray(truth, float)).mean() < 20  # a JPEG of random blocks
+    assert stored(settings) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (lambda c: c.update(near=10.0, far=1.0), "depth_range_invalid"),
+        (lambda c: c["views"][1].update(c2w=c["views"][0]["c2w"]), "no_baseline"),
+        (lambda c: c["views"][1]["c2w"][0].__setitem__(0, 2.0), "pose_not_rotation"),
+        (lambda c: c["views"][1].update(fx=-1.0), "intrinsics_implausible"),
+        (lambda c: c["views"].pop(), "view_count"),
+    ],
+)
+def test_it_refuses_what_a_reconstruction_would(client: TestClient, change: object, code: str) -> None:
+    cameras = camera_object(2)
+    change(cameras)
+    assert_problem(checked(client, [photograph(5), photograph(6)], cameras), 422, code)
+
+
+def test_a_photograph_that_cannot_be_decoded_is_named(client: TestClient) -> None:
+    broken = photograph(6)[:200]
+    assert_problem(checked(client, [photograph(5), broken], camera_object(2)), 415, "image_unreadable", index=1)
+
+
+@pytest.fixture(scope="module")
+def scene(client: TestClient) -> dict:
+    from http_requests import post
+
+    masked = Image.open(io.BytesIO(photograph(8))).convert("RGBA")
+    masked.putalpha(Image.fromarray(np.where(np.arange(96) < 48, 255, 0).astype(np.uint8)[None].repeat(72, 0)))
+    buffer = io.BytesIO()
+    masked.save(buffer, "PNG")
+    answer = post(client, [photograph(7), buffer.getvalue()])
+    assert answer.status_code in (200, 201), answer.text
+    return answer.json()
+
+
+def test_inputs_are_what_the_network_saw(client: TestClient, scene: dict) -> None:
+    """The photograph of 96 x 72 px on the network's 64 x 48; what a mask leaves out is transparent."""
+    assert len(scene["links"]["inputs"]) == 2
+    pictures = [Image.open(io.BytesIO(client.get(link).content)) for link in scene["links"]["inputs"]]
+    assert [picture.mode for picture in pictures] == ["RGB", "RGBA"]
+    assert pictures[0].size == (64, 48)
+    truth = Image.open(io.BytesIO(photograph(7))).convert("RGB").resize((64, 48), Image.Resampling.BOX)
+    assert np.abs(np.asarray(pictures[0], float) - np.asarray(truth, float)).mean() < 10
+    alpha = np.asarray(pictures[1])[:, :, 3]
+    assert (alpha[:, :30] == 255).all()
+    assert (alpha[:, 34:] == 0).all()
+    assert_problem(client.get(f"/scenes/{scene['id']}/inputs/2"), 404, "scene_not_found")
+    assert_problem(client.get(f"/scenes/{'0' * 32}/inputs/0"), 404, "scene_not_found")
+
+
+def test_routing_maps_have_a_digit_per_patch(client: TestClient, scene: dict) -> None:
+    """The stand-in's fixed rule: expert 1 weighs most, and of the tasks the first."""
+    assert scene["routing"]["maps"] == {"experts": ["1" * 12] * 2, "tasks": ["0" * 12] * 2}
+
+
+def test_the_viewer_gets_the_scene_about_its_pivot(client: TestClient, scene: dict) -> None:
+    answer = client.get(f"/scenes/{scene['id']}/viewer.ply")
+    gaussians = read_ply(answer.content)
+    world = read_ply(client.get(scene["links"]["ply"]).content)
+    assert len(gaussians) == len(world)
+    assert np.abs(np.median(gaussians.means, axis=0))[1:].max() < 1e-6  # the wall stands in the pivot; half is masked
+    ratio = world.scales / gaussians.scales
+    assert np.allclose(ratio, np.sqrt(10.0), rtol=1e-5)  # the pivot's depth is the unit
+    kept = client.get(f"/scenes/{scene['id']}/viewer.ply", headers={"If-None-Match": answer.headers["etag"]})
+    assert kept.status_code == 304
+    settings = client.get(f"/scenes/{scene['id']}/viewer.json").json()
+    start = settings["cameras"][0]["initial"]
+    assert start["position"][2] == pytest.approx(-1.0, abs=0.01)
+    assert start["fov"] == pytest.approx(2 * np.degrees(np.arctan(0.5 * 72 / 80)), abs=0.01)

@@ -1,0 +1,91 @@
+"""A service on a port of this machine, as a browser sees it, and pictures read out of the browser."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import uvicorn
+from numpy.typing import NDArray
+from PIL import Image
+
+from gapmes.service.app import create_app
+from gapmes.service.settings import Settings
+
+
+@contextmanager
+def serving(settings: Settings) -> Iterator[str]:
+    """Its address, once it is ready."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+    server = uvicorn.Server(uvicorn.Config(create_app(settings), port=port, log_level="warning"))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    address = f"http://127.0.0.1:{port}"
+    try:
+        deadline = time.monotonic() + 300  # the kernels may have to be compiled first
+        while not _ready(address):
+            assert time.monotonic() < deadline, "not ready in time"
+            time.sleep(0.1)
+        yield address
+    finally:
+        server.should_exit = True
+        thread.join(30)
+
+
+def _ready(address: str) -> bool:
+    try:
+        return httpx.get(f"{address}/readyz").status_code == 200
+    except httpx.TransportError:
+        return False
+
+
+def write_scene(folder: Path, images: list[bytes], cameras: Any) -> list[Path]:
+    """Files as a user has them: photographs 0.png, 1.png, … and cameras.json."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for index, data in enumerate(images):
+        paths.append(folder / f"{index}.png")
+        paths[-1].write_bytes(data)
+    paths.append(folder / "cameras.json")
+    paths[-1].write_text(cameras if isinstance(cameras, str) else json.dumps(cameras))
+    return paths
+
+
+def pixels_of(page: Any, selector: str) -> NDArray[np.uint8]:
+    """(H, W, 3) of what an image element shows, at its own size."""
+    code = """image => {
+      const canvas = document.createElement("canvas");
+      canvas.width = image.naturalWidth; canvas.height = image.naturalHeight;
+      canvas.getContext("2d").drawImage(image, 0, 0);
+      return canvas.toDataURL("image/png");
+    }"""
+    address = page.locator(selector).evaluate(code)
+    return decoded(base64.b64decode(address.partition(",")[2]))
+
+
+def decoded(data: bytes) -> NDArray[np.uint8]:
+    """(H, W, 3); of 16 bits the upper 8, as a screen has them."""
+    image = Image.open(io.BytesIO(data))
+    if image.mode.startswith("I"):
+        grey = (np.asarray(image).astype(np.uint16) >> 8).astype(np.uint8)
+        return np.stack([grey] * 3, axis=-1)
+    return np.asarray(image.convert("RGB"))
+
+
+def rendered(address: str, **query: str) -> NDArray[np.uint8]:
+    """The service's own picture."""
+    answer = httpx.get(f"{address}/render", params=query, timeout=60)
+    assert answer.status_code == 200, answer.text
+    return decoded(answer.content)
