@@ -19,6 +19,7 @@ own_engine() {
   for _ in $(seq 60); do docker info >/dev/null 2>&1 && break; sleep 0.5; done
   docker info >/dev/null 2>&1 || skip "the engine does not start: $(tail -1 "$W/dockerd.log")"
   base_image "$sources" || skip "the base image cannot be made"
+  node_image
 }
 
 # The engine of the next release needs nothing newer than this one's C library, but for runc, which is taken from here.
@@ -56,6 +57,21 @@ HOOK
   docker import -c 'ENV PATH=/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin' -c 'ENV LANG=C.UTF-8' "$W/ram/base.tar" "$BASE" >/dev/null
   export NGINX_IMAGE=$BASE
   rm "$W/ram/base.tar"
+}
+
+# This machine's own node and npm on that base; without them the image is built without the viewer.
+node_image() {
+  local npm
+  if npm=$(npm root -g 2>/dev/null)/npm && [ -d "$npm" ] && mkdir -p "$W/node/usr/bin" "$W/node/usr/lib/node_modules"; then
+    cp -L "$(command -v node)" "$W/node/usr/bin/node"
+    cp -r "$npm" "$W/node/usr/lib/node_modules/npm"
+    ln -s ../lib/node_modules/npm/bin/npm-cli.js "$W/node/usr/bin/npm"
+    printf 'FROM %s\nCOPY usr /usr\n' "$BASE" >"$W/node/Dockerfile"
+    quiet docker build -q -t gapmes-check/node:local "$W/node" && NODE=(--build-arg NODE_IMAGE=gapmes-check/node:local) && return
+  fi
+  say "the image is built without the viewer: there is no npm here"
+  NODE=(--build-arg NODE_IMAGE="$BASE" --build-arg VIEWER=skip)
+  WITH_VIEWER=no
 }
 
 stop_engine() {

@@ -62,6 +62,19 @@ def test_every_package_folder_is_listed_for_the_wheel() -> None:
             assert f'"gapmes.{".".join(folder.parts)}"' in text, folder
 
 
+def test_every_file_beside_the_code_is_listed_for_the_wheel() -> None:
+    """An editable install finds files that a wheel would lack."""
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    files = [path.relative_to(ROOT) for package in PACKAGES for path in (ROOT / package).rglob("*") if path.is_file()]
+    made = ("__pycache__", "tiny.report.json")  # by running the code; by the export, for readers of the repository
+    data = [path for path in files if path.suffix != ".py" and not set(made) & set(path.parts)]
+    assert len(data) > 20
+    for path in data:
+        package, *rest = path.parts
+        patterns = listed[f"gapmes.{package}"]
+        assert any(Path(*rest).match(pattern) and pattern.count("/") == len(rest) - 1 for pattern in patterns), path
+
+
 def test_the_runtime_asks_for_no_torch_and_the_export_extra_does() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     heavy = ("torch", "transformers", "onnx>", "onnxscript", "plyfile")
