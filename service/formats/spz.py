@@ -30,7 +30,9 @@ VERSION = 3
 LEGACY = {2: 3, 3: 4}  # version: bytes of a rotation
 DEFLATE_RATIO = 1032  # at most, by the definition of deflate (RFC 1951): 258 bytes for two bits
 MAX_FRACTION = 24
-SHARE_OF_SIZE = 32  # steps of positions in a typical Gaussian's size
+# Steps of positions in a typical Gaussian's size: of two scenes half as many cost up to 0.6 dB, any more give at most
+# that and cost 4 to 11 % of bytes.
+SHARE_OF_SIZE = 32
 TOP = 2**23 - 1  # the largest fixed-point number
 ALPHA_LEVELS = COLOUR_LEVELS = 255
 COLOUR_SHARE = 0.15

@@ -73,7 +73,7 @@ async function draw(url) {
 
 function look(small) {
   if (!chosen) return;
-  const place = view.startsWith("orbit:") ? `orbit ${angle.toFixed(1)}°` : `input view ${view}`;
+  const place = view.startsWith("orbit:") ? `orbit ${angle.toFixed(1)}°` : `${chosen.file ? "" : "input "}view ${view}`;
   $("caption").textContent = `${place}. Drag the picture, or use the arrow keys, to orbit.`;
   $("picture").alt = `Scene ${chosen.id}, ${place}`;
   draw(renderUrl(small));
@@ -95,7 +95,7 @@ async function choose(id) {
   angle = 0;
   $("controls").hidden = false;
   $("empty").hidden = true;
-  $("ply").href = chosen.links.ply;
+  $("files").replaceChildren("Download ", ...fileLinks(chosen.links.files));
   $("views").replaceChildren(...chosen.view_cameras.map((_, index) => {
     const button = element("button", `View ${index}`, { type: "button" });
     button.addEventListener("click", () => { view = String(index); angle = 0; look(false); });
@@ -103,6 +103,10 @@ async function choose(id) {
   }));
   listScenes();
   look(false);
+}
+
+function fileLinks(files) {
+  return Object.entries(files).flatMap(([extension, href]) => [element("a", `.${extension}`, { href, download: "" }), " "]);
 }
 
 function listScenes() {
@@ -113,9 +117,9 @@ function listScenes() {
     button.append(element("img", undefined, { src: `${scene.links.views[0]}&height=72&format=jpeg`, alt: "", loading: "lazy" }));
     button.addEventListener("click", () => choose(scene.id));
     const about = element("div");
-    about.append(element("p", scene.id), element("p", `${scene.views} photographs, ${scene.gaussians} Gaussians, ${scene.created}`));
+    about.append(element("p", scene.id), element("p", `${scene.file ? `from a .${scene.file}` : `${scene.views} photographs`}, ${scene.gaussians} Gaussians, ${scene.created}`));
     const link = element("p");
-    link.append(element("a", ".ply", { href: scene.links.ply, download: "" }));
+    link.append(...fileLinks(scene.links.files));
     about.append(link);
     item.append(button, about);
     return item;
@@ -180,6 +184,24 @@ async function upload(event) {
   button.disabled = false;
 }
 
+async function load(event) {
+  event.preventDefault();
+  showProblem($("load-problem"), null);
+  try {
+    const response = await fetch("/scenes", { method: "POST", body: new FormData($("load")) });
+    if (response.ok) {
+      const scene = await response.json();
+      $("loaded").textContent = scene.warnings.map((warning) => warning.message).join("; ");
+      await refresh();
+      await choose(scene.id);
+    } else {
+      showProblem($("load-problem"), await problemOf(response));
+    }
+  } catch {
+    showProblem($("load-problem"), unreachable);
+  }
+}
+
 async function remove() {
   if (!chosen || !confirm(`Delete scene ${chosen.id}?`)) return;
   const response = await fetch(`/scenes/${encodeURIComponent(chosen.id)}`, { method: "DELETE" });
@@ -210,6 +232,7 @@ $("stage").addEventListener("keydown", (event) => {
 $("channel").addEventListener("change", () => look(false));
 $("upload").addEventListener("submit", upload);
 $("remove").addEventListener("click", remove);
+$("load").addEventListener("submit", load);
 
 (async () => {
   await awaitReady();
