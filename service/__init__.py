@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .camera import Camera as Camera
+    from .formats.registry import read_gaussians as read_gaussians
+    from .formats.registry import write_gaussians as write_gaussians
     from .gaussians import Gaussians as Gaussians
     from .ply import inspect_ply as inspect_ply
     from .ply import read_ply as read_ply
@@ -24,9 +26,11 @@ _HOME = {
     "Render": "splat",
     "Scene": "reconstruct",
     "inspect_ply": "ply",
+    "read_gaussians": "formats.registry",
     "read_ply": "ply",
     "render": "splat",
     "render_reference": "splat",
+    "write_gaussians": "formats.registry",
     "write_ply": "ply",
 }
 
@@ -37,9 +41,11 @@ __all__ = [
     "Render",
     "Scene",
     "inspect_ply",
+    "read_gaussians",
     "read_ply",
     "render",
     "render_reference",
+    "write_gaussians",
     "write_ply",
 ]
 

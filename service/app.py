@@ -11,7 +11,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from starlette.middleware.cors import CORSMiddleware
 
-from .http import check, health, jobs, metrics, models, page, problems, reconstruct, render, scenes, viewer
+from .http import check, health, jobs, load, metrics, models, page, problems, reconstruct, render, scenes, viewer
 from .http.access import KeyNeeded
 from .http.limits import BodyLimit
 from .http.observe import Observed
@@ -20,7 +20,16 @@ from .http.schemas import Problem
 from .settings import Settings
 
 # What scripts of other origins may read of an answer, where they may call at all.
-EXPOSED = ["ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID", "X-Gapmes-Scene", "X-Gapmes-Stats"]
+EXPOSED = [
+    "ETag",
+    "Location",
+    "Retry-After",
+    "Server-Timing",
+    "X-Request-ID",
+    "X-Gapmes-Scene",
+    "X-Gapmes-Stats",
+    "X-Gapmes-Notes",
+]
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
@@ -45,7 +54,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.runtime = runtime
     app.openapi = lambda: _schema(app)  # type: ignore[method-assign]
     problems.install(app)
-    for module in (health, metrics, models, page, check, reconstruct, jobs, render, viewer, scenes):
+    for module in (health, metrics, models, page, check, reconstruct, jobs, render, viewer, load, scenes):
         app.include_router(module.router)
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     key = settings.key()

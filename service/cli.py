@@ -1,4 +1,4 @@
-"""The command `gapmes`: serve, reconstruct, render, demo, doctor; a refusal is one line on stderr and exit code 1."""
+"""The command `gapmes` with its sub-commands; a refusal is one line on stderr and exit code 1."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import typer
 from rich.console import Console
 
-from .commands import demo, doctor, reconstruct, render, serve
+from .commands import convert, demo, doctor, reconstruct, render, serve
 from .errors import CameraError, GapmesError, ImageError
 from .extra_commands import WithExtraCommands
 from .problem_document import of_error
@@ -21,7 +21,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for module in (serve, reconstruct, render, demo, doctor):
+for module in (serve, reconstruct, render, convert, demo, doctor):
     app.command()(getattr(module, module.__name__.rpartition(".")[2]))
 
 

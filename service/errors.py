@@ -16,13 +16,16 @@ GapmesError                     500 internal_error
 │   ├── ViewError               422 view_unknown
 │   ├── ModelUnknown            422 model_unknown
 │   ├── GaussiansError          422 gaussians_invalid
-│   └── PlyError                422 ply_invalid
+│   ├── TooManyGaussians        413 too_many_gaussians
+│   └── FormatError             422 format_invalid
+│       └── PlyError            422 ply_invalid
 ├── MalformedRequest            400 malformed_request
 ├── UnsupportedMediaType        415 unsupported_media_type
 ├── NotAcceptable               406 not_acceptable
 ├── UploadTooLarge              413 upload_too_large
 ├── UploadTimeout               408 upload_timeout
 ├── SceneNotFound               404 scene_not_found
+├── FormatUnknown               404 format_unknown
 ├── JobNotFound                 404 job_not_found
 ├── Unauthorized                401 unauthorized
 ├── ModelError                  500 model_invalid
@@ -124,7 +127,16 @@ class GaussiansError(InputError):
     code = "gaussians_invalid"
 
 
-class PlyError(InputError):
+class TooManyGaussians(InputError):
+    status = 413
+    code = "too_many_gaussians"
+
+
+class FormatError(InputError):
+    code = "format_invalid"
+
+
+class PlyError(FormatError):
     code = "ply_invalid"
 
 
@@ -156,6 +168,11 @@ class UploadTimeout(GapmesError):
 class SceneNotFound(GapmesError):
     status = 404
     code = "scene_not_found"
+
+
+class FormatUnknown(GapmesError):
+    status = 404
+    code = "format_unknown"
 
 
 class JobNotFound(GapmesError):

@@ -1,4 +1,4 @@
-"""The .ply container (Turk 1994): parse the header, walk past other elements, return the vertex columns as numbers."""
+"""The .ply container (Turk 1994): parse the header, walk past other elements, return the rows of one as numbers."""
 
 from __future__ import annotations
 
@@ -51,9 +51,24 @@ class Header:
     """What the file says about itself; `body` is the offset of the first byte after the header."""
 
     byte_order: str | None  # "<", ">" or None for ASCII
-    before: tuple[Element, ...]  # elements that precede the vertices
-    vertex: Element
+    elements: tuple[Element, ...]
     body: int
+
+    @property
+    def vertex(self) -> Element:
+        """The one element of that name, which every header has."""
+        return self.elements[self._place("vertex")]
+
+    def element(self, name: str) -> Element | None:
+        """The first element of this name, None where there is none."""
+        return next((element for element in self.elements if element.name == name), None)
+
+    def before(self, name: str) -> tuple[Element, ...]:
+        """The elements that precede the first one of this name."""
+        return self.elements[: self._place(name)]
+
+    def _place(self, name: str) -> int:
+        return [element.name for element in self.elements].index(name)
 
 
 def parse_header(data: bytes) -> Header:
@@ -93,10 +108,10 @@ def parse_header(data: bytes) -> Header:
     names = [element.name for element in elements]
     if names.count("vertex") != 1:
         raise PlyError(f"elements are {names}, need one named vertex", field="header")
-    at = names.index("vertex")
-    if elements[at].has_lists:
+    header = Header(BYTE_ORDERS[format_name], tuple(elements), end.end())
+    if header.vertex.has_lists:
         raise PlyError("has list properties, need numbers only", field="vertex")
-    return Header(BYTE_ORDERS[format_name], tuple(elements[:at]), elements[at], end.end())
+    return header
 
 
 def _parse_property(words: list[str], number: int, line: str) -> Property:
@@ -118,14 +133,22 @@ def vertex_columns(data: bytes, header: Header) -> dict[str, F64]:
     """The vertex table as float64 columns by name. Raises `PlyError` if the file ends before it does."""
     if header.byte_order is None:
         return _ascii_columns(data, header)
-    offset = header.body
-    for element in header.before:
-        offset = _skip_binary(data, offset, element, header.byte_order)
-    row = _row_type(header.vertex, header.byte_order)
-    rows = _whole_rows(data, offset, header.vertex, row.itemsize)
-    table = np.frombuffer(data, row, count=rows, offset=offset)
+    table = binary_rows(data, header, header.vertex)
     with np.errstate(invalid="ignore"):  # signalling NaNs of a damaged file; whoever reads the column refuses NaN
         return {prop.name: table[prop.name].astype(np.float64) for prop in header.vertex.properties}
+
+
+def binary_rows(data: bytes, header: Header, element: Element) -> NDArray:
+    """The rows of an element without lists as they lie in a binary file, a structured array by property name.
+
+    Raises `PlyError` if the file ends before they do.
+    """
+    order = header.byte_order or "<"
+    offset = header.body
+    for other in header.before(element.name):
+        offset = _skip_binary(data, offset, other, order)
+    row = _row_type(element, order)
+    return np.frombuffer(data, row, count=_whole_rows(data, offset, element, row.itemsize), offset=offset)
 
 
 def _row_type(element: Element, byte_order: str) -> np.dtype:
@@ -178,7 +201,7 @@ def _require_bytes(data: bytes, offset: int, size: int, element: Element, index:
 def _ascii_columns(data: bytes, header: Header) -> dict[str, F64]:
     """One row per line, blank lines left out."""
     lines = [line for line in data[header.body :].splitlines() if line.strip()]
-    start = sum(element.count for element in header.before if element.properties)
+    start = sum(element.count for element in header.before("vertex") if element.properties)
     vertex = header.vertex
     if start + vertex.count > len(lines):
         raise PlyError(

@@ -1,82 +1,70 @@
 """Read a 3DGS .ply of any writer: ASCII or binary of either byte order, any property order, other elements around it.
 
-The rows that are read become `Gaussians`: exp of the scales, logistic function of the opacity. What cannot be read
-rightly is refused with the property, the row and both numbers, or dropped and counted where the caller asks for that.
+The rows that are read become `Gaussians`: exp of the scales, logistic function of the opacity, unless the file is of
+another dialect. What cannot be read rightly is refused with the property, the row and both numbers, or dropped and
+counted where the caller asks for that.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from os import PathLike
-from pathlib import Path
-from typing import BinaryIO
+import logging
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import PlyError
+from .formats.compressed_ply import is_compressed
+from .formats.dialect import AUTO, ROTATION_NAMES, SCALE_NAMES, Dialect, Taken, taken_as
+from .formats.reading import DROP_CURE, LARGEST, Reading, Source, bytes_of, check_count
 from .gaussians import Gaussians
+from .harmonics import C0
 from .ply_format import Header, parse_header, vertex_columns
 
 F64 = NDArray[np.float64]
 
-REQUIRED = (
-    "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
-    "rot_0", "rot_1", "rot_2", "rot_3",
-)  # fmt: skip
+CONSTANT = ("f_dc_0", "f_dc_1", "f_dc_2")
+REQUIRED = ("x", "y", "z", *CONSTANT, "opacity", *SCALE_NAMES, *ROTATION_NAMES)
 REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1) for degrees 0 to 3
-LARGEST = float(np.finfo(np.float32).max)
-
-
-Source = str | PathLike[str] | bytes | bytearray | memoryview | BinaryIO
-
-
-@dataclass(frozen=True, eq=False)
-class PlyReading:
-    """What a file held, and what could not be taken as it was."""
-
-    gaussians: Gaussians
-    rows: int  # in the file
-    invalid: dict[str, int]  # property: rows that were dropped because of it; a row counts under each of its properties
-    zero_rotations: int  # all-zero quaternions, which became the identity
-
-    def notes(self) -> list[str]:
-        """A sentence for each thing that was not taken as it was."""
-        notes = []
-        if self.invalid:
-            listed = ", ".join(f"{name} ({count})" for name, count in self.invalid.items())
-            notes.append(f"{self.rows - len(self.gaussians)} of {self.rows} Gaussians dropped, invalid in {listed}")
-        if self.zero_rotations:
-            notes.append(
-                f"{self.zero_rotations} of {len(self.gaussians)} rotations are zero and were taken as no rotation"
-            )
-        return notes
+COLOURS = ("red", "green", "blue")  # of point clouds, in place of f_dc
+NORMALS = ("nx", "ny", "nz")  # zero or meaningless in the files of all writers
+_log = logging.getLogger("gapmes")
 
 
 def read_ply(source: Source) -> Gaussians:
-    """The Gaussians of a path, the bytes of a file or an open binary file, as `inspect_ply` reads them."""
-    return inspect_ply(source).gaussians
+    """The Gaussians of a path, the bytes of a file or an open binary file, as `inspect_ply` reads them.
+
+    What was not taken as it was is logged as a warning.
+    """
+    reading = inspect_ply(source)
+    for note in reading.notes():
+        _log.warning("%s", note)
+    return reading.gaussians
 
 
-def inspect_ply(source: Source, *, drop_invalid: bool = False) -> PlyReading:
+def inspect_ply(
+    source: Source, *, drop_invalid: bool = False, dialect: Dialect = AUTO, max_count: int | None = None
+) -> Reading:
     """Read a path, the bytes of a file or an open binary file.
 
     A logit opacity of +-inf is 1 or 0 and a log scale of -inf is 0, as writers without a clamp mean them; every other
     number must be finite and within float32. With `drop_invalid` rows where one is not are dropped and counted. Raises
-    `PlyError` that says what is wrong where.
+    `PlyError` that says what is wrong where, and `TooManyGaussians` beyond `max_count`.
     """
-    if isinstance(source, str | PathLike):
-        data = Path(source).read_bytes()
-    else:
-        data = bytes(source) if isinstance(source, bytes | bytearray | memoryview) else source.read()
+    data = bytes_of(source)
     header = parse_header(data)
-    rest = _checked_properties(header)
+    rest, coloured = _checked_properties(header)
+    check_count(header.vertex.count, max_count, "vertex")
     columns = vertex_columns(data, header)
+    remarks = _passed_over(header, rest, coloured)
+    if coloured:
+        remarks.append(_colours(columns, header))
+    taken = taken_as(columns, dialect)
+    remarks += taken.remarks
     rows = header.vertex.count
     keep, invalid = np.ones(rows, np.bool_), {}
     for name in (*REQUIRED, *(f"f_rest_{i}" for i in range(rest))):
         column = columns[name]
-        ok, need = _valid(name, column)
+        ok, need = _valid(name, column, taken)
         if not drop_invalid:
             _require(ok, column, name, need)
         elif not ok.all():
@@ -84,33 +72,71 @@ def inspect_ply(source: Source, *, drop_invalid: bool = False) -> PlyReading:
             invalid[name] = int((~ok).sum())
     if invalid:
         columns = {name: column[keep] for name, column in columns.items()}
-    count = int(keep.sum())
-    harmonics = np.empty((count, 1 + rest // 3, 3))
+    endless = int(np.isinf(columns["opacity"]).sum())
+    if endless:
+        remarks.append(f"{endless} of {int(keep.sum())} opacities are infinite logits and were taken as 0 or 1")
+    gaussians = _gaussians(columns, rest, taken)
+    zero = ~np.stack([columns[name] for name in ROTATION_NAMES], axis=1).astype(np.float32).any(axis=1)
+    return Reading(gaussians, rows, invalid, int(zero.sum()), tuple(remarks))
+
+
+def _gaussians(columns: dict[str, F64], rest: int, taken: Taken) -> Gaussians:
+    """From columns whose every number was checked."""
+    harmonics = np.empty((len(columns["x"]), 1 + rest // 3, 3))
     for channel in range(3):
-        harmonics[:, 0, channel] = columns[f"f_dc_{channel}"]
+        harmonics[:, 0, channel] = columns[CONSTANT[channel]]
         for k in range(rest // 3):
             harmonics[:, 1 + k, channel] = columns[f"f_rest_{channel * (rest // 3) + k}"]
-    logit = np.clip(columns["opacity"], -700.0, 700.0)  # beyond it exp leaves float64 and the value is 0 or 1 anyway
-    rotations = np.stack([columns[f"rot_{part}"] for part in range(4)], axis=1).astype(np.float32)
-    gaussians = Gaussians.make(
+    opacities = columns["opacity"]
+    if taken.opacity == "logit":
+        logit = np.clip(opacities, -700.0, 700.0)  # beyond it exp leaves float64 and the value is 0 or 1 anyway
+        opacities = 1.0 / (1.0 + np.exp(-logit))
+    scales = np.stack([columns[name] for name in SCALE_NAMES], axis=1)
+    rotations = np.stack([columns[name] for name in ROTATION_NAMES], axis=1).astype(np.float32)
+    return Gaussians.make(
         means=np.stack([columns[axis] for axis in "xyz"], axis=1),
-        scales=np.exp(np.stack([columns[f"scale_{axis}"] for axis in range(3)], axis=1)),
-        rotations_wxyz=rotations,
-        opacities=1.0 / (1.0 + np.exp(-logit)),
+        scales=np.exp(scales) if taken.scales == "log" else scales,
+        rotations_wxyz=rotations if taken.rotation == "wxyz" else np.roll(rotations, 1, axis=1),
+        opacities=opacities,
         harmonics=harmonics,
     )
-    return PlyReading(gaussians, rows, invalid, int((~rotations.any(axis=1)).sum()))
 
 
-def _checked_properties(header: Header) -> int:
-    """The number of f_rest properties, once all that is needed is there."""
+def _passed_over(header: Header, rest: int, coloured: bool) -> list[str]:
+    """A remark for properties that nobody reads, and one for other elements."""
+    known = {*REQUIRED, *NORMALS, *(f"f_rest_{i}" for i in range(rest)), *(COLOURS if coloured else ())}
+    more = [prop.name for prop in header.vertex.properties if prop.name not in known]
+    others = [element.name for element in header.elements if element.name != "vertex"]
+    remarks = []
+    for what, names in (("properties", more), ("elements", others)):
+        if names:
+            listed = ", ".join(name[:40] for name in names[:8]) + (" and more" if len(names) > 8 else "")
+            remarks.append(f"{what} passed over: {listed}")
+    return remarks
+
+
+def _colours(columns: dict[str, F64], header: Header) -> str:
+    """Make f_dc of red, green and blue, which end at the largest number of their type, or at 1; the remark for it."""
+    kinds = {prop.name: prop.kind for prop in header.vertex.properties}
+    for name, colour in zip(CONSTANT, COLOURS, strict=True):
+        kind = np.dtype(kinds[colour])
+        full = 1.0 if kind.kind == "f" else float(np.iinfo(kind).max)
+        _require((columns[colour] >= 0) & (columns[colour] <= full), columns[colour], colour, f"from 0 to {full:g}")
+        columns[name] = (columns[colour] / full - 0.5) / C0
+    return f"colours were taken from red, green and blue ({kinds['red']}): the file has no f_dc_0, f_dc_1, f_dc_2"
+
+
+def _checked_properties(header: Header) -> tuple[int, bool]:
+    """The number of f_rest properties, once all that is needed is there, and whether colours stand in for f_dc."""
     names = {prop.name for prop in header.vertex.properties}
-    missing = [name for name in REQUIRED if name not in names]
+    coloured = not names.intersection(CONSTANT) and names.issuperset(COLOURS)
+    missing = [name for name in REQUIRED if name not in names and not (coloured and name in CONSTANT)]
     if missing:
+        cure = "is this a mesh or a point cloud? Gaussians need position, colour, opacity, scale and rotation"
+        if is_compressed(header):
+            cure = "this is a compressed .ply, which read_gaussians reads"
         raise PlyError(
-            f"{len(missing)} of {len(REQUIRED)} properties are missing: {', '.join(missing)}",
-            field="vertex",
-            cure="is this a mesh or a point cloud? Gaussians need position, colour, opacity, scale and rotation",
+            f"{len(missing)} of {len(REQUIRED)} properties are missing: {', '.join(missing)}", field="vertex", cure=cure
         )
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in REST_COUNTS:
@@ -118,14 +144,18 @@ def _checked_properties(header: Header) -> int:
     gaps = [i for i in range(rest) if f"f_rest_{i}" not in names]
     if gaps:
         raise PlyError(f"of {rest} the one with index {gaps[0]} is missing", field="vertex.f_rest", index=gaps[0])
-    return rest
+    return rest, coloured
 
 
-def _valid(name: str, column: F64) -> tuple[NDArray[np.bool_], str]:
+def _valid(name: str, column: F64, taken: Taken) -> tuple[NDArray[np.bool_], str]:
     """Which values of a property can be read rightly, and what they need."""
     if name == "opacity":
+        if taken.opacity == "linear":
+            return (column >= 0) & (column <= 1), "in [0, 1]"
         return ~np.isnan(column), "a number"
     if name.startswith("scale_"):
+        if taken.scales == "linear":
+            return (column >= 0) & (column <= LARGEST), "a size from 0 on"
         with np.errstate(over="ignore"):
             return np.exp(column) <= LARGEST, f"at most {np.log(LARGEST):.4g}, the logarithm of the largest float32"
     if name in ("x", "y", "z"):  # those stay float64
@@ -143,5 +173,5 @@ def _require(ok: NDArray[np.bool_], column: F64, name: str, need: str) -> None:
         field=f"vertex.{name}",
         index=int(bad[0]),
         count=len(bad),
-        cure="inspect_ply(drop_invalid=True), or --drop-invalid of gapmes render, leaves such rows out",
+        cure=DROP_CURE,
     )

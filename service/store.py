@@ -15,9 +15,10 @@ from typing import Any
 from .database import Database
 from .errors import SceneNotFound, StorageFull
 from .file_lock import exclusive, exclusive_if_free, shared
+from .formats.dialect import STANDARD
 from .gaussians import Gaussians
 from .gaussians_cache import GaussiansCache
-from .ply import read_ply
+from .ply import inspect_ply
 from .scene_files import SceneFiles, is_id
 from .scene_index import Indexed, SceneIndex
 
@@ -113,7 +114,7 @@ class SceneStore:
     def gaussians(self, scene_id: str) -> Gaussians:
         """The scene's Gaussians, from memory where they were used lately. Raises `SceneNotFound`."""
         with self.reading(scene_id) as path:
-            return self._cache.get(scene_id, lambda: read_ply(path))
+            return self._cache.get(scene_id, lambda: inspect_ply(path, dialect=STANDARD).gaussians)
 
     def page(self, limit: int, after: tuple[int, str] | None = None) -> Sequence[Indexed]:
         """Scenes, newest first, those of the same instant by id; behind `after` (created_ns, id)."""
@@ -128,7 +129,9 @@ class SceneStore:
         for row in self._index.page(PAGE):
             if self.exists(row.id):  # a crash while it was removed may have left it listed
                 return row.id
-        raise SceneNotFound("the store holds no scene", field="scene", cure="POST /reconstruct makes one")
+        raise SceneNotFound(
+            "the store holds no scene", field="scene", cure="POST /reconstruct makes one, POST /scenes loads one"
+        )
 
     def writable(self) -> bool:
         """Whether a file can be made and removed."""
@@ -213,6 +216,7 @@ def _summary(scene_id: str, document: Mapping[str, Any]) -> dict[str, Any]:
         "created": document.get("created"),
         "gaussians": document.get("gaussians", {}).get("count"),
         "views": len(document.get("view_cameras", ())),
+        "file": (document.get("file") or {}).get("format"),
     }
 
 

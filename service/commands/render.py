@@ -1,4 +1,4 @@
-"""`gapmes render`: pictures of a .ply from the cameras of a file, by index or between two."""
+"""`gapmes render`: pictures of a file of Gaussians from the cameras of a file, by index or between two."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 
 from ..effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort, draw
 from ..terminal import ProgressBars
+from .dialect_options import AxesOption, DropInvalidOption, OpacityOption, RotationOption, ScalesOption
 from .selection import view_specs
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def render(
-    ply: Annotated[Path, typer.Argument(metavar="SCENE.PLY", help="the scene, in the 3DGS dialect")],
+    ply: Annotated[Path, typer.Argument(metavar="SCENE", help=".ply, .compressed.ply, .splat or .spz")],
     cameras: Annotated[Path, typer.Option(help="cameras.json or transforms.json")],
     output: Annotated[Path, typer.Option("-o", "--output", help="folder for the pictures, made where it is missing")],
     views: Annotated[str | None, typer.Option(help="such as 5,6,7 or 5.5 between two [default: all]")] = None,
@@ -34,10 +35,11 @@ def render(
         int | None, typer.Option(min=0, max=3, help="highest band of harmonics [default: all]")
     ] = None,
     samples: Annotated[int, typer.Option(min=1, max=MAX_SAMPLES, help="per side of a pixel")] = 1,
-    drop_invalid: Annotated[
-        bool,
-        typer.Option("--drop-invalid", help="leave out and count Gaussians that cannot be read: NaN, beyond float32"),
-    ] = False,
+    opacity: OpacityOption = "auto",
+    scales: ScalesOption = "auto",
+    rotation: RotationOption = "auto",
+    axes: AxesOption = "rub",
+    drop_invalid: DropInvalidOption = False,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
 ) -> None:
@@ -47,10 +49,11 @@ def render(
     """
     from ..camera_file import read_camera_file
     from ..depth_range import depth_range
-    from ..errors import PlyError
+    from ..errors import InputError
+    from ..formats.dialect import Dialect
+    from ..formats.registry import inspect_gaussians
     from ..framing import frame, parse_size, square
     from ..picture import encode, parse_background
-    from ..ply import inspect_ply
     from ..progress import Stages
     from ..scene_views import SceneViews
     from ..seen_depths import seen_depths
@@ -67,12 +70,13 @@ def render(
     sides = None if size is None else parse_size(size)
     options = {"background": parse_background(background), "threads": threads}
     if not ply.is_file():
-        raise PlyError(f"{ply} is not a file", field="SCENE.PLY")
+        raise InputError(f"{ply} is not a file", field="SCENE")
     written = []
     with ProgressBars() as bars:
         stages = Stages(bars)
-        with stages.stage("read .ply"):
-            reading = inspect_ply(ply, drop_invalid=drop_invalid)
+        with stages.stage("read"):
+            dialect = Dialect(opacity, scales, rotation, axes)
+            reading, _ = inspect_gaussians(ply, dialect=dialect, drop_invalid=drop_invalid)
             gaussians = reading.gaussians
         if not in_file:
             scene = SceneViews(file.cameras, *(seen_depths(gaussians, file.cameras) or (None, None)))

@@ -1,9 +1,12 @@
-"""Entity tags, and a scene's file as an answer: by ranges, never evicted while it is sent."""
+"""Entity tags, and a scene's files as answers: the .ply by ranges and never evicted while it is sent, others made."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path
 
 from fastapi import Request, Response
@@ -11,6 +14,8 @@ from fastapi.responses import FileResponse
 from starlette.types import Message, Receive, Scope, Send
 
 from ..errors import SceneNotFound
+from ..formats.encoded import Encoded
+from ..formats.registry import MEDIA_TYPE
 from ..problem_document import of_error, problem
 from ..scene_files import unknown
 from ..store import SceneStore
@@ -35,6 +40,27 @@ def matches(request: Request, etag: str) -> bool:
 def not_modified(etag: str, headers: Mapping[str, str] | None = None) -> Response:
     """304: the client has it."""
     return Response(status_code=304, headers={"ETag": etag, **(headers or {})})
+
+
+def etag_of_converted(etag: str, extension: str) -> str:
+    """Of a file that is made from the one with `etag`: another release may write it otherwise."""
+    return f'"{hashlib.sha256(json.dumps([etag, extension, version("gapmes")]).encode()).hexdigest()[:32]}"'
+
+
+def converted_file(name: str, etag: str, encoded: Encoded | None) -> Response:
+    """A file that was made for this answer, with what its format cannot hold; None is for HEAD, which makes none."""
+    headers = {
+        "ETag": etag,
+        "Cache-Control": "private, no-cache",
+        "Accept-Ranges": "none",
+        "Content-Disposition": f'attachment; filename="{name}"',
+    }
+    if encoded is not None:
+        headers["X-Gapmes-Notes"] = json.dumps(encoded.notes)
+    answer = Response(encoded.data if encoded else b"", media_type=MEDIA_TYPE, headers=headers)
+    if encoded is None:
+        del answer.headers["content-length"]  # not known before it is made
+    return answer
 
 
 class SceneFile(FileResponse):

@@ -9,9 +9,10 @@ from typing import Any
 from fastapi import Response
 
 from ..errors import NotAcceptable
+from ..formats.registry import MEDIA_TYPE
 
 JSON = "application/json"
-PLY = "application/octet-stream"
+PLY = MEDIA_TYPE
 ZIP = "application/zip"
 OFFERED = (JSON, PLY, ZIP)
 

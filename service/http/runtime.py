@@ -48,6 +48,12 @@ class Runtime:
         self.pictures = Lane(
             settings.render_concurrency, settings.render_waiting, settings.render_seconds, "drawing or waiting to"
         )
+        self.files = Lane(
+            settings.render_concurrency,
+            settings.render_waiting,
+            settings.render_seconds,
+            "converting files or waiting to",
+        )
         self.streams = Places(settings.max_streams, "following jobs")
         self.scenes = Places(settings.concurrency + settings.max_waiting, "waiting for their scenes")
         self.uploads = Places(settings.max_uploads, "sending their photographs")

@@ -1,4 +1,4 @@
-"""The store over HTTP: list the scenes, read one as a document or as a .ply, delete it."""
+"""The store over HTTP: list the scenes, read one as a document or as a file of any format, delete it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
+import anyio.to_thread
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
-from ..errors import InputError
+from ..errors import FormatUnknown, InputError
+from ..formats.encoded import Encoded
+from ..formats.registry import FORMATS, MEDIA_TYPE, NAMES
 from ..scene_files import is_id
 from ..view_checks import MAX_VIEWS
-from .files import SceneFile, etag_of, matches, not_modified
-from .responses import PLY, json_response
+from .files import SceneFile, converted_file, etag_of, etag_of_converted, matches, not_modified
+from .responses import json_response
 from .runtime import Runtime, runtime_of
 from .schemas import SceneDocument, SceneList
 
@@ -36,23 +39,42 @@ def list_scenes(
     return json_response({"scenes": scenes, "next": more})
 
 
-@router.head("/scenes/{scene_id:path}.ply", include_in_schema=False)
+@router.head("/scenes/{scene_id:path}.{extension}", include_in_schema=False)
 @router.get(
-    "/scenes/{scene_id:path}.ply",
+    "/scenes/{scene_id:path}.{extension}",
     response_class=Response,
     responses={
-        200: {"description": "the file", "content": {PLY: {}}},
-        206: {"description": "the part of it that `Range` asks for", "content": {PLY: {}}},
+        200: {"description": "the file", "content": {MEDIA_TYPE: {}}},
+        206: {"description": "the part of the .ply that `Range` asks for", "content": {MEDIA_TYPE: {}}},
         304: {"description": "`If-None-Match` has its tag"},
     },
 )
-def scene_ply(request: Request, scene_id: str, runtime: Held) -> Response:
-    """The .ply, as every 3DGS viewer reads it; whole, by ranges, or 304 where `If-None-Match` has its tag."""
-    with runtime.store.reading(scene_id) as path:
-        etag, size = etag_of(path), path.stat().st_size
+async def scene_file(
+    request: Request,
+    scene_id: str,
+    extension: Annotated[str, Path(json_schema_extra={"enum": list(FORMATS)})],
+    runtime: Held,
+) -> Response:
+    """The Gaussians in a format by its extension, or 304 where `If-None-Match` has its tag.
+
+    The .ply is a file, whole or by ranges; the others are made of it, and `X-Gapmes-Notes` lists what they cannot hold.
+    """
+    scene_id, _, extension = f"{scene_id}.{extension}".partition(".")  # no id has a dot, an extension may
+    etag, size = await anyio.to_thread.run_sync(_stored, runtime, scene_id)
+    if extension not in FORMATS:
+        raise FormatUnknown(f"{extension[:50]!r} is no format of a scene", field="extension", cure=f"one of {NAMES}")
+    if extension != "ply":
+        etag = etag_of_converted(etag, extension)
     if matches(request, etag):
         return not_modified(etag)
-    return SceneFile(runtime.store, scene_id, etag, size)
+    if extension == "ply":
+        return SceneFile(runtime.store, scene_id, etag, size)
+
+    def convert() -> Encoded:
+        return FORMATS[extension].write(runtime.store.gaussians(scene_id))
+
+    encoded = None if request.method == "HEAD" else await runtime.files.run(convert, request.is_disconnected)
+    return converted_file(f"{scene_id}.{extension}", etag, encoded)
 
 
 @router.get(
@@ -79,6 +101,12 @@ def delete_scene(scene_id: str, runtime: Held) -> Response:
     return Response(status_code=204)
 
 
+def _stored(runtime: Runtime, scene_id: str) -> tuple[str, int]:
+    """Tag and bytes of the .ply; call it on a worker thread."""
+    with runtime.store.reading(scene_id) as path:
+        return etag_of(path), path.stat().st_size
+
+
 def with_links(document: Mapping[str, Any], views: Sequence[str] = ()) -> dict[str, Any]:
     """The document with where it, its .ply and its views are; `views` are further renders that were asked for."""
     scene_id = document["id"]
@@ -91,10 +119,11 @@ def with_links(document: Mapping[str, Any], views: Sequence[str] = ()) -> dict[s
 
 
 def links(scene_id: str, views: int) -> dict[str, Any]:
-    """Where a scene is, and its .ply, and the pictures from its views."""
+    """Where a scene is, and its files, and the pictures from its views."""
     return {
         "self": f"/scenes/{scene_id}",
         "ply": f"/scenes/{scene_id}.ply",
+        "files": {extension: f"/scenes/{scene_id}.{extension}" for extension in FORMATS},
         "views": [_render_link(scene_id, str(index)) for index in range(views)],
     }
 

@@ -41,6 +41,7 @@ class SceneLinks(BaseModel):
 
     self: str
     ply: str
+    files: dict[str, str] = Field(description="by format: ply, compressed.ply, splat, spz")
     views: list[str] = Field(description="pictures from the inputs' cameras")
     inputs: list[str] = Field([], description="the photographs as the network saw them")
     renders: list[str] = Field([], description="those that were asked for with `views`")
@@ -53,6 +54,7 @@ class SceneSummary(BaseModel):
     created: str | None
     gaussians: int | None
     views: int
+    file: str | None = Field(None, description="format of the file that it was loaded from, if it was")
     links: SceneLinks
 
 
@@ -64,6 +66,15 @@ class SceneList(BaseModel):
     next: str | None = Field(description="`after` of the following page")
 
 
+class LoadedFile(BaseModel):
+    """The file that a scene was loaded from."""
+
+    format: Literal["ply", "compressed.ply", "splat", "spz"]
+    bytes: int
+    sha256: str
+    rows: int = Field(description="before invalid ones were dropped")
+
+
 class SceneDocument(BaseModel):
     """What was computed, from what, how long it took, how far to trust it; docs/http.md has all members."""
 
@@ -72,20 +83,24 @@ class SceneDocument(BaseModel):
             "id": _SCENE, "created": "2026-01-31T12:00:00+00:00", "model": {"preset": "tiny"}, "near": 1.0, "far": 10.0,
             "cameras": [], "view_cameras": [], "gaussians": {"count": 131072, "sh_degree": 0}, "warnings": [],
             "check": {}, "timings": {"network": 0.6},
-            "links": {"self": f"/scenes/{_SCENE}", "ply": f"/scenes/{_SCENE}.ply", "views": []},
+            "links": {
+                "self": f"/scenes/{_SCENE}", "ply": f"/scenes/{_SCENE}.ply",
+                "files": {"splat": f"/scenes/{_SCENE}.splat"}, "views": [],
+            },
         },
         more=True,
     )  # fmt: skip
     id: str
     created: str
-    model: dict[str, Any]
+    model: dict[str, Any] | None = Field(description="null where no network made it: it was loaded from a file")
+    file: LoadedFile | None = Field(None, description="where it was loaded from, if it was")
     near: float
     far: float
     cameras: list[dict[str, Any]]
     view_cameras: list[dict[str, Any]]
     gaussians: dict[str, Any]
     warnings: list[dict[str, Any]]
-    check: dict[str, Any]
+    check: dict[str, Any] = Field({}, description="of a reconstruction")
     timings: dict[str, float]
     links: SceneLinks
 

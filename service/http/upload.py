@@ -10,17 +10,12 @@ from typing import Any
 import anyio.to_thread
 from fastapi import Request
 from starlette.datastructures import FormData, UploadFile
-from starlette.exceptions import HTTPException
 
 from ..budget import DEFAULT_CERTIFY, DEFAULT_MAX_ERROR, Budget, parse_max_error
 from ..camera_file import CameraFile, parse_camera_file
-from ..disk import full_is_refused
 from ..errors import (
     DepthRangeError,
     InputError,
-    MalformedRequest,
-    UnsupportedMediaType,
-    UploadTimeout,
     UploadTooLarge,
     ViewCountError,
 )
@@ -32,9 +27,11 @@ from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
 from .limits import parse_json
 from .pairing import NamedImage, Pairing, PostedSizes, pair
+from .posted import MAX_PARTS, posted_form
+from .posted import single as _single
+from .posted import text as _text
 
 MAX_FRAMES = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
-MAX_PARTS = 64  # far above what a valid request has, so that one image too many is told from a flood
 FIELDS = (
     "images",
     "cameras",
@@ -82,30 +79,9 @@ async def read_upload(request: Request, settings: Settings, models: Sequence[str
 
     What takes long, parsing the cameras and reading sizes, runs on a worker thread.
     """
-    media_type = request.headers.get("content-type", "")
-    if media_type.partition(";")[0].strip().lower() != "multipart/form-data":
-        raise UnsupportedMediaType(
-            f"the body is {media_type[:100] or 'of no declared type'}, need multipart/form-data",
-            field="body",
-            cure="curl -F images=@a.jpg -F images=@b.jpg -F cameras=@cameras.json",
-        )
-    try:
-        with anyio.fail_after(settings.upload_seconds), full_is_refused("the upload"):
-            form = await request.form(
-                max_files=MAX_PARTS, max_fields=MAX_PARTS, max_part_size=settings.max_upload_bytes
-            )
-    except TimeoutError as error:
-        raise UploadTimeout(
-            f"did not arrive within {settings.upload_seconds:g} s", field="body", cure="send smaller photographs"
-        ) from error
-    except HTTPException as error:
-        raise MalformedRequest(f"the multipart body cannot be read: {error.detail}", field="body") from error
-    except UnicodeError as error:
-        raise MalformedRequest("names are not in the body's declared charset", field="body") from error
-    try:
+    example = "curl -F images=@a.jpg -F images=@b.jpg -F cameras=@cameras.json"
+    async with posted_form(request, settings, example) as form:
         return await _parse(form, settings, models)
-    finally:
-        await form.close()
 
 
 async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> Upload:
@@ -231,17 +207,3 @@ def _views(form: FormData) -> tuple[str, ...]:
     if len(views) > MAX_PARTS:
         raise InputError(f"{len(views)} views, need at most {MAX_PARTS}", field="views")
     return views
-
-
-def _text(form: FormData, name: str) -> str:
-    part = _single(form, name)
-    if isinstance(part, UploadFile):
-        raise InputError("is a file part, need a text field", field=name)
-    return (part or "").strip()
-
-
-def _single(form: FormData, name: str) -> UploadFile | str | None:
-    parts = form.getlist(name)
-    if len(parts) > 1:
-        raise InputError(f"is given {len(parts)} times, need once", field=name)
-    return parts[0] if parts else None

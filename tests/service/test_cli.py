@@ -204,7 +204,7 @@ def test_other_refusals(scene_dir: Path, tmp_path: Path, capfd: pytest.CaptureFi
     assert run("render", missing, "--cameras", cameras, "-o", tmp_path / "v", "--json") == 1
     assert_refusal(capfd, "missing")
     assert run("render", cameras, "--cameras", cameras, "-o", tmp_path / "v", "--json") == 1
-    assert assert_refusal(capfd, "error: header: ")["code"] == "ply_invalid"
+    assert assert_refusal(capfd, "error: format: 'cameras.json' ends in none of ply,")["code"] == "invalid_input"
     broken = tmp_path / "broken.ply"
     broken.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex many\nend_header\n")
     assert run("render", broken, "--cameras", cameras, "-o", tmp_path / "v", "--json") == 1
@@ -259,7 +259,7 @@ def test_serve_refuses_before_it_listens(monkeypatch: pytest.MonkeyPatch, capfd:
     assert "GAPMES_MAX_WAITING" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["serve", "reconstruct", "render", "demo"])
+@pytest.mark.parametrize("command", ["serve", "reconstruct", "render", "convert", "demo"])
 def test_help(command: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(command, "--help") == 0
     assert "Usage" in capfd.readouterr().out

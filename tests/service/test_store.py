@@ -239,7 +239,7 @@ def test_the_cache_is_bounded_in_bytes_and_forgets_the_oldest():
 def test_the_store_reads_a_file_once(store, monkeypatch):
     store.put(A, PLY, {})
     first = store.gaussians(A)
-    monkeypatch.setattr(store_module, "read_ply", None)
+    monkeypatch.setattr(store_module, "inspect_ply", None)
     assert store.gaussians(A) is first
 
 

@@ -38,7 +38,7 @@ function item(scene) {
   const picture = make("img", { alt: "", width: 72, height: 72 });
   const open = make("button", { type: "button", "aria-label": `Show scene ${scene.id.slice(0, 8)} of ${scene.created}` }, picture);
   open.addEventListener("click", () => act.open(scene.id));
-  const what = scene.views ? `${scene.views} views, ` : "";
+  const what = scene.file ? `from a .${scene.file}, ` : `${scene.views} views, `;
   const node = make("li", { "data-id": scene.id }, open, make("div", {},
     make("p", {}, `${what}${count(scene.gaussians ?? 0)} Gaussians`),
     make("p", { class: "small" }, make("time", { datetime: scene.created }, new Date(scene.created).toLocaleString())),

@@ -18,8 +18,9 @@ from gapmes.service.depth_range import depth_range
 from gapmes.service.http.form import CAMERAS
 from gapmes.service.view_checks import check_views
 
-# What a photograph, a camera, a view or a place in the list is, a schema cannot say: some that fits it is refused.
-SAID_IN_WORDS = ("POST /reconstruct", "POST /check", "GET /render", "GET /scenes")
+# What a photograph, a file of Gaussians, a camera, a view or a place in the list is, a schema cannot say: some that
+# fits it is refused.
+SAID_IN_WORDS = ("POST /reconstruct", "POST /check", "POST /scenes", "GET /render", "GET /scenes")
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,102 @@
+"""`gapmes convert`: a file of Gaussians in another format, and what that format costs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..terminal import ProgressBars
+from .dialect_options import AxesOption, DropInvalidOption, OpacityOption, RotationOption, ScalesOption
+
+if TYPE_CHECKING:
+    from ..camera import Camera
+    from ..gaussians import Gaussians
+    from ..scene_views import SceneViews
+
+AROUND = ("0", "orbit:-30", "orbit:30")  # views of the default framing
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help=".ply, .compressed.ply, .splat or .spz")],
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="the file to write, of a format by its extension")],
+    to: Annotated[str | None, typer.Option(help="its format, where the extension does not tell")] = None,
+    source_format: Annotated[
+        str | None, typer.Option("--from", help="the format of IN, where neither its bytes nor its extension tell")
+    ] = None,
+    opacity: OpacityOption = "auto",
+    scales: ScalesOption = "auto",
+    rotation: RotationOption = "auto",
+    axes: AxesOption = "rub",
+    drop_invalid: DropInvalidOption = False,
+    measure: Annotated[
+        str, typer.Option(metavar="CAMERAS|around|off", help="cameras whose pictures are compared, or none")
+    ] = "around",
+    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
+) -> None:
+    """Convert Gaussians between formats; says their count, the bytes, what was lost, and the PSNR of pictures."""
+    from ..camera_file import read_camera_file
+    from ..errors import InputError
+    from ..formats.cost import picture_psnr
+    from ..formats.dialect import STANDARD, Dialect
+    from ..formats.registry import format_named, format_of_path, inspect_gaussians
+    from ..progress import Stages
+
+    target = format_of_path(output, field="OUT") if to is None else format_named(to, field="to")
+    cameras = None if measure in ("around", "off") else read_camera_file(Path(measure)).cameras
+    if not source.is_file():
+        raise InputError(f"{source} is not a file", field="IN")
+    if not output.parent.is_dir():
+        raise InputError(f"{output.parent} is not a folder", field="OUT")
+    dialect = Dialect(opacity, scales, rotation, axes)
+    with ProgressBars() as bars:
+        stages = Stages(bars)
+        with stages.stage("read"):
+            reading, found = inspect_gaussians(source, format=source_format, dialect=dialect, drop_invalid=drop_invalid)
+        gaussians = reading.gaussians
+        with stages.stage("convert"):
+            encoded = target.write(gaussians)
+        values: list[float] = []
+        if measure != "off" and len(gaussians):
+            views, shots = _measured(gaussians, cameras)
+            with stages.stage("measure", len(shots)) as step:
+                kept = target.read(encoded.data, STANDARD, False, None).gaussians
+                values = picture_psnr(gaussians, kept, shots, views.near_plane, threads=threads, step=step)
+        output.write_bytes(encoded.data)
+    warnings = [*reading.notes(), *encoded.notes]
+    before = source.stat().st_size
+    bars.say(
+        f"{len(gaussians)} Gaussians in {output}: {len(encoded.data):,} bytes, "
+        f"{len(encoded.data) / max(before, 1):.1%} of {before:,}"
+    )
+    if values:
+        bars.say(f"pictures keep {min(values):.1f} dB or more ({', '.join(f'{value:.1f}' for value in values)})")
+    for warning in warnings:
+        bars.say(f"warning: {warning}")
+    if as_json:
+        document = {
+            "from": {"file": str(source), "format": found.extension, "bytes": before, "rows": reading.rows},
+            "to": {"file": str(output), "format": target.extension, "bytes": len(encoded.data)},
+            "gaussians": {"count": len(gaussians), "sh_degree": gaussians.sh_degree},
+            "psnr": values,
+            "warnings": warnings,
+            "timings": stages.timings,
+        }
+        sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")
+
+
+def _measured(gaussians: Gaussians, cameras: Sequence[Camera] | None) -> tuple[SceneViews, Sequence[Camera]]:
+    """The cameras of a file, else three about the scene."""
+    from ..default_framing import default_views
+    from ..scene_views import SceneViews
+    from ..seen_depths import seen_depths
+
+    if cameras is None:
+        views = default_views(gaussians)
+        return views, [views.resolve(spec) for spec in AROUND]
+    return SceneViews(cameras, *(seen_depths(gaussians, cameras) or (None, None))), cameras

@@ -1,0 +1,24 @@
+"""The options of commands that read files of Gaussians: what their dialect is, and what becomes of invalid rows."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import typer
+
+OpacityOption = Annotated[
+    Literal["auto", "logit", "linear"], typer.Option("--opacity", help="what a .ply holds: logits, or opacities")
+]
+ScalesOption = Annotated[
+    Literal["auto", "log", "linear"], typer.Option("--scales", help="what a .ply holds: logarithms, or sizes")
+]
+RotationOption = Annotated[
+    Literal["auto", "wxyz", "xyzw"], typer.Option("--rotation", help="order of a .ply's quaternions [auto: wxyz]")
+]
+AxesOption = Annotated[
+    Literal["rub", "rdf"], typer.Option("--axes", help="of a .spz: right-up-back, or right-down-front as in a .ply")
+]
+DropInvalidOption = Annotated[
+    bool,
+    typer.Option("--drop-invalid", help="leave out and count Gaussians that cannot be read: NaN, beyond float32"),
+]

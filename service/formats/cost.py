@@ -1,0 +1,32 @@
+"""What a format costs: pictures of a set of Gaussians, and of what a file keeps of it, compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ..camera import Camera
+from ..gaussians import Gaussians
+from ..picture_error import psnr
+from ..scene_views import NearPlane
+
+
+def picture_psnr(
+    source: Gaussians,
+    kept: Gaussians,
+    cameras: Sequence[Camera],
+    near_plane: NearPlane,
+    *,
+    threads: int | None = None,
+    step: Callable[[int], None] = lambda done: None,
+) -> list[float]:
+    """dB per camera over all pixels on black, colours cut to [0, 1]; 100 where both pictures are equal."""
+    from ..splat import render
+
+    values = []
+    for camera in cameras:
+        drawn = [render(some, camera, threads=threads, outputs=(), **near_plane).rgb for some in (source, kept)]
+        values.append(psnr(*(np.clip(picture, 0.0, 1.0) for picture in drawn)))
+        step(len(values))
+    return values

@@ -1,0 +1,142 @@
+"""The dialects of .ply: opacity as logit or as it is, scales as logarithms or as they are, rotations wxyz or xyzw.
+
+No header says which. What a column itself shows is taken only where no file of the usual dialect could look like that,
+and is said; what is doubtful is read as usual, and said with the option that settles it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+
+OpacityForm = Literal["logit", "linear"]
+ScaleForm = Literal["log", "linear"]
+RotationOrder = Literal["wxyz", "xyzw"]
+Axes = Literal["rub", "rdf"]  # of a .spz: right-up-back, or right-down-front as in a .ply
+
+SCALE_NAMES = ("scale_0", "scale_1", "scale_2")
+ROTATION_NAMES = ("rot_0", "rot_1", "rot_2", "rot_3")
+
+FEWEST = 1000  # rows: below that a share of them proves nothing
+EDGE = 0.01  # width of the outermost strip at 0 or 1
+CROWDED = 2.0  # times as many in that strip as an even spread would have
+SIGMAS = 6.0  # beyond which chance is no explanation
+SPREAD = 0.01  # share of the rows that must lie in either outer tenth
+SMALL = 1.0  # linear sizes up to it, as logarithms, would all be 1 to 2.7 units
+LOW_TENTH = 0.2  # share of sizes in the lowest tenth, twice that of an even spread
+OVERLAP = 10.0  # a size in typical distances between neighbours beyond which no scene was ever optimised
+MIN_NEGATIVE = 0.1  # share of rows
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How to read what a file does not say; "auto" is the usual unless the file itself shows otherwise."""
+
+    opacity: Literal["auto"] | OpacityForm = "auto"
+    scales: Literal["auto"] | ScaleForm = "auto"
+    rotation: Literal["auto"] | RotationOrder = "auto"
+    axes: Axes = "rub"  # of a .spz
+
+
+STANDARD = Dialect("logit", "log", "wxyz")  # of what this service writes
+AUTO = Dialect()
+
+
+@dataclass(frozen=True)
+class Taken:
+    """How the columns are read, and why."""
+
+    opacity: OpacityForm
+    scales: ScaleForm
+    rotation: RotationOrder
+    remarks: tuple[str, ...]
+
+
+def taken_as(columns: Mapping[str, F64], dialect: Dialect) -> Taken:
+    """Decide for the columns of a file, all (N,), and say so."""
+    remarks: list[str] = []
+    opacity = dialect.opacity if dialect.opacity != "auto" else _opacity(columns, remarks)
+    scales = dialect.scales if dialect.scales != "auto" else _scales(columns, remarks)
+    rotation = dialect.rotation if dialect.rotation != "auto" else _rotation(columns, remarks)
+    return Taken(opacity, scales, rotation, tuple(remarks))
+
+
+def _opacity(columns: Mapping[str, F64], remarks: list[str]) -> OpacityForm:
+    """Opacities as they are: all in [0, 1], over its whole width, and crowded right at an end that none passes.
+
+    To a logit neither 0 nor 1 is anything special. Values that are exactly 0 or 1 do not count as crowd: a clamp makes
+    such of anything.
+    """
+    values = columns["opacity"]
+    if not len(values) or not ((values >= 0) & (values <= 1)).all():  # NaN compares as False
+        return "logit"
+    inside = values[(values > 0) & (values < 1)]
+    even = EDGE * len(inside)
+    crowd = max((inside < EDGE).sum(), (inside > 1 - EDGE).sum())
+    wide = min((values < 0.1).mean(), (values > 0.9).mean()) >= SPREAD
+    if len(inside) >= FEWEST and wide and crowd >= max(CROWDED * even, even + SIGMAS * np.sqrt(even)):
+        remarks.append(
+            f"opacities were taken as they are, not as logits: all {len(values)} lie in [0, 1] and {crowd} within "
+            f"{EDGE} of one end, where an even spread has {even:.0f}; --opacity logit says otherwise"
+        )
+        return "linear"
+    remarks.append(
+        f"all {len(values)} opacities lie in [0, 1] and were read as logits, from "
+        f"{_logistic(values.min()):.3g} to {_logistic(values.max()):.3g}: nothing in the file proves more; "
+        "--opacity linear takes them as they are"
+    )
+    return "logit"
+
+
+def _scales(columns: Mapping[str, F64], remarks: list[str]) -> ScaleForm:
+    """Sizes as they are: all positive, small and crowded towards 0, and as logarithms far larger than distances."""
+    values = np.stack([columns[name] for name in SCALE_NAMES])
+    if not values.size or not (values >= 0).all() or not np.isfinite(values).all():
+        return "log"
+    low, high = np.percentile(values, (1, 99))
+    crowd = float((values < high / 10).mean())
+    spacing = _spacing(columns)
+    small = 0 < high <= SMALL and low < high / 5
+    if values.shape[1] >= FEWEST and small and crowd >= LOW_TENTH and OVERLAP * spacing < 1:
+        remarks.append(
+            f"scales were taken as they are, not as logarithms: all are positive, 99 % up to {high:.3g}, {crowd:.0%} "
+            f"within a tenth of that; as logarithms each would measure a unit or more, {1 / spacing:.0f} times the "
+            "distance of neighbours; --scales log says otherwise"
+        )
+        return "linear"
+    remarks.append(
+        f"all scales are positive and were read as logarithms, sizes of {np.exp(min(low, 80.0)):.3g} to "
+        f"{np.exp(min(high, 80.0)):.3g}: nothing in the file proves more; --scales linear takes them as they are"
+    )
+    return "log"
+
+
+def _rotation(columns: Mapping[str, F64], remarks: list[str]) -> RotationOrder:
+    """No order shows in a file; that one end is never negative, as some writers have w, is said."""
+    first, last = columns[ROTATION_NAMES[0]], columns[ROTATION_NAMES[3]]
+    if len(first) >= FEWEST and (last >= 0).all() and (first < 0).mean() >= MIN_NEGATIVE:
+        remarks.append(
+            "rot_3 is never negative and rot_0 often is, as if the last were w; rotations were read as wxyz; "
+            "--rotation xyzw takes them the other way"
+        )
+    return "wxyz"
+
+
+def _spacing(columns: Mapping[str, F64]) -> float:
+    """About how far apart neighbours on a surface of the scene's extent lie: median distance over sqrt(N); never 0."""
+    means = np.stack([columns[axis] for axis in "xyz"], axis=1)
+    means = means[np.isfinite(means).all(axis=1)]
+    if not len(means):
+        return np.inf
+    distance = np.linalg.norm(means - np.median(means, axis=0), axis=1)
+    return max(float(np.median(distance)) / np.sqrt(len(means)), np.finfo(np.float64).tiny)
+
+
+def _logistic(value: float) -> float:
+    return 1 / (1 + np.exp(-value))

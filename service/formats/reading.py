@@ -1,0 +1,98 @@
+"""What every reader gives: Gaussians, what could not be taken as it was, and the checks that all formats share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FormatError, TooManyGaussians
+from ..gaussians import Gaussians
+
+Source = str | PathLike[str] | bytes | bytearray | memoryview | BinaryIO
+
+LARGEST = float(np.finfo(np.float32).max)
+DROP_CURE = "inspect_ply(drop_invalid=True), or --drop-invalid of gapmes convert and render, leaves such rows out"
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What a file held, and what could not be taken as it was."""
+
+    gaussians: Gaussians
+    rows: int  # in the file
+    invalid: dict[str, int]  # property: rows that were dropped because of it; a row counts under each of its properties
+    zero_rotations: int  # all-zero quaternions, which became the identity
+    remarks: tuple[str, ...] = ()  # what was taken for what and why, and what was passed over
+
+    def notes(self) -> list[str]:
+        """A sentence for each thing that was not taken as it was."""
+        notes = list(self.remarks)
+        if self.invalid:
+            listed = ", ".join(f"{name} ({count})" for name, count in self.invalid.items())
+            notes.append(f"{self.rows - len(self.gaussians)} of {self.rows} Gaussians dropped, invalid in {listed}")
+        if self.zero_rotations:
+            notes.append(
+                f"{self.zero_rotations} of {len(self.gaussians)} rotations are zero and were taken as no rotation"
+            )
+        return notes
+
+
+def bytes_of(source: Source) -> bytes:
+    """All of a path, of an open binary file, or the bytes themselves."""
+    if isinstance(source, str | PathLike):
+        return Path(source).read_bytes()
+    if isinstance(source, bytes):
+        return source
+    return bytes(source) if isinstance(source, bytearray | memoryview) else source.read()
+
+
+def check_count(count: int, max_count: int | None, field: str) -> None:
+    """Refuse a file by what its header says, before memory is taken for it. Raises `TooManyGaussians`."""
+    if max_count is not None and count > max_count:
+        raise TooManyGaussians(
+            f"the file has {count} Gaussians, the limit is {max_count}", field=field, cure="thin it out first"
+        )
+
+
+def gaussians_of(
+    fields: Mapping[str, NDArray], kind: str, *, drop_invalid: bool, remarks: tuple[str, ...] = ()
+) -> Reading:
+    """Check decoded rows by the names of `Gaussians`; opacities lie in [0, 1] by the way that they are stored.
+
+    Raises `FormatError` naming `kind` and field, the first row and how many there are; with `drop_invalid` such rows
+    go and are counted instead.
+    """
+    rows = len(fields["means"])
+    keep, invalid = np.ones(rows, np.bool_), {}
+    for name, need in (
+        ("means", "a finite number"),
+        ("scales", "a number from 0 on"),
+        ("harmonics", "a finite number"),
+    ):
+        values = fields[name].reshape(rows, math.prod(fields[name].shape[1:]))
+        with np.errstate(invalid="ignore"):
+            ok = (np.abs(values) <= LARGEST).all(axis=1) & ((values >= 0).all(axis=1) if name == "scales" else True)
+        if ok.all():
+            continue
+        invalid[name] = int((~ok).sum())
+        keep &= ok
+        if not drop_invalid:
+            first = int(np.flatnonzero(~ok)[0])
+            raise FormatError(
+                f"{invalid[name]} of {rows} rows are outside the range, first at row {first}: "
+                f"{values[first, :3].tolist()}, need {need} within float32",
+                field=f"{kind}.{name}",
+                index=first,
+                count=invalid[name],
+                cure=DROP_CURE,
+            )
+    kept = {name: values[keep] if invalid else values for name, values in fields.items()}
+    zero = int((~kept["rotations_wxyz"].any(axis=1)).sum())
+    return Reading(Gaussians.make(**kept), rows, invalid, zero, remarks)

@@ -1,0 +1,122 @@
+"""The formats of Gaussians by their extension: what each keeps, its reader and its writer, and which one a file is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+from ..errors import InputError
+from ..gaussians import Gaussians
+from ..ply_format import parse_header
+from ..ply_read import inspect_ply
+from ..ply_write import ply_bytes
+from .compressed_ply import compressed_ply_bytes, is_compressed, read_compressed_ply
+from .dialect import AUTO, Dialect
+from .encoded import Encoded
+from .reading import Reading, Source, bytes_of
+from .splat import read_splat, splat_bytes
+from .spz import read_spz, spz_bytes
+
+MEDIA_TYPE = "application/octet-stream"  # of all of them: none has a registered one
+Reader = Callable[[bytes, Dialect, bool, int | None], Reading]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format; `read` takes the file, its dialect, whether invalid rows are dropped, and the most rows."""
+
+    extension: str  # without the dot in front
+    keeps: str
+    read: Reader
+    write: Callable[[Gaussians], Encoded]
+
+
+def _ply(data: bytes, dialect: Dialect, drop: bool, most: int | None) -> Reading:
+    return inspect_ply(data, dialect=dialect, drop_invalid=drop, max_count=most)
+
+
+def _compressed(data: bytes, _: Dialect, drop: bool, most: int | None) -> Reading:
+    return read_compressed_ply(data, drop_invalid=drop, max_count=most)
+
+
+def _splat(data: bytes, _: Dialect, drop: bool, most: int | None) -> Reading:
+    return read_splat(data, drop_invalid=drop, max_count=most)
+
+
+def _spz(data: bytes, dialect: Dialect, drop: bool, most: int | None) -> Reading:
+    return read_spz(data, axes=dialect.axes, drop_invalid=drop, max_count=most)
+
+
+_ALL = (
+    Format("ply", "everything, as float32", _ply, lambda gaussians: Encoded(ply_bytes(gaussians))),
+    Format("compressed.ply", "everything, in 8 to 11 bits; the order changes", _compressed, compressed_ply_bytes),
+    Format("splat", "position and size as float32, one colour in 8 bits, no harmonics", _splat, splat_bytes),
+    Format("spz", "everything, in 8 to 24 bits, compressed", _spz, spz_bytes),
+)
+FORMATS = {entry.extension: entry for entry in _ALL}
+NAMES = ", ".join(FORMATS)
+
+
+def format_named(extension: str, field: str = "format") -> Format:
+    """The format of an extension, with or without its dot. Raises `InputError` that lists them."""
+    found = FORMATS.get(extension.lower().removeprefix("."))
+    if found is None:
+        raise InputError(f"{extension[:50]!r} is no format of Gaussians", field=field, cure=f"one of {NAMES}")
+    return found
+
+
+def format_of_path(path: str | PathLike[str], field: str = "format") -> Format:
+    """The format that a file's name ends in, the longest extension first. Raises `InputError`."""
+    name = Path(path).name.lower()
+    for extension in sorted(FORMATS, key=len, reverse=True):
+        if name.endswith(f".{extension}"):
+            return FORMATS[extension]
+    raise InputError(f"{name[-100:]!r} ends in none of {NAMES}", field=field, cure="name the format")
+
+
+def format_of_bytes(data: bytes, name: str | None = None) -> Format:
+    """The format that a file is by its own first bytes, else by its name: a .splat has nothing that tells.
+
+    Raises `InputError` where neither tells, `PlyError` where a .ply's header is damaged.
+    """
+    if data[:3] == b"ply":
+        return FORMATS["compressed.ply" if is_compressed(parse_header(data)) else "ply"]
+    if data[:2] == b"\x1f\x8b" or data[:4] == b"NGSP":
+        return FORMATS["spz"]
+    return format_of_path(name or "", field="format")
+
+
+def inspect_gaussians(
+    source: Source,
+    *,
+    format: str | None = None,
+    name: str | None = None,
+    dialect: Dialect = AUTO,
+    drop_invalid: bool = False,
+    max_count: int | None = None,
+) -> tuple[Reading, Format]:
+    """Read a path, the bytes of a file or an open binary file of any format, and say which it was.
+
+    Without `format` the file's own bytes tell, then its `name` or path. Raises `FormatError` (for a .ply `PlyError`)
+    that says what is wrong where, `TooManyGaussians` beyond `max_count`, and `InputError` where no format is told.
+    """
+    data = bytes_of(source)
+    if name is None and isinstance(source, str | PathLike):
+        name = str(source)
+    chosen = format_of_bytes(data, name) if format is None else format_named(format)
+    return chosen.read(data, dialect, drop_invalid, max_count), chosen
+
+
+def read_gaussians(source: Source, *, format: str | None = None, dialect: Dialect = AUTO) -> Gaussians:
+    """The Gaussians of a file of any format; see `inspect_gaussians`, which also tells what was not as usual."""
+    return inspect_gaussians(source, format=format, dialect=dialect)[0].gaussians
+
+
+def write_gaussians(path: str | PathLike[str], gaussians: Gaussians, *, format: str | None = None) -> Encoded:
+    """Write a file in the format that its name ends in, or in `format`; returns it with what it could not hold."""
+    chosen = format_of_path(path, field="path") if format is None else format_named(format)
+    encoded = chosen.write(gaussians)
+    Path(path).write_bytes(encoded.data)
+    return encoded

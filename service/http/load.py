@@ -1,0 +1,148 @@
+"""`POST /scenes`: a file of Gaussians from elsewhere becomes a scene of the store."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import anyio.to_thread
+from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from starlette.datastructures import FormData, UploadFile
+
+from ..camera_file import CameraFile, parse_camera_file
+from ..errors import InputError, UnsupportedMediaType, UploadTooLarge
+from ..formats.dialect import Dialect
+from ..formats.registry import MEDIA_TYPE, NAMES
+from ..loaded_scene import LoadedFile, load
+from ..settings import Settings
+from .form import CAMERAS
+from .limits import parse_json
+from .posted import FORM, in_time, media_type, posted_form, single, text
+from .responses import json_response, server_timing
+from .runtime import Runtime, runtime_of
+from .scenes import with_links
+from .schemas import SceneDocument
+
+router = APIRouter(tags=["scenes"])
+
+MAX_VIEWS = 100  # of a loaded scene: each is a link in every list
+EXAMPLE = "curl -F file=@scene.splat, or curl --data-binary @scene.ply -H 'Content-Type: application/octet-stream'"
+FormatName = Literal["ply", "compressed.ply", "splat", "spz"]
+
+
+class LoadFields(BaseModel):
+    """How a file is to be read: query parameters beside a raw body, fields of a form."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    format: FormatName | None = Field(None, description="of the file; without it its own bytes tell, then its name")
+    opacity: Literal["auto", "logit", "linear"] = Field("auto", description="what a .ply holds: logits, or opacities")
+    scales: Literal["auto", "log", "linear"] = Field("auto", description="what a .ply holds: logarithms, or sizes")
+    rotation: Literal["auto", "wxyz", "xyzw"] = Field("auto", description="order of a .ply's quaternions; auto: wxyz")
+    axes: Literal["rub", "rdf"] = Field("rub", description="of a .spz: right-up-back, or right-down-front")
+    drop_invalid: bool = Field(False, description="leave out and count Gaussians that cannot be read")
+    near: float | None = Field(None, gt=0, allow_inf_nan=False, description="nearest depth, in the file's units")
+    far: float | None = Field(None, gt=0, allow_inf_nan=False, description="farthest depth, in the file's units")
+
+
+def _form_schema() -> dict[str, Any]:
+    """The parts of the form."""
+    fields = LoadFields.model_json_schema()["properties"]
+    file = {"type": "string", "format": "binary", "description": f"one of {NAMES}"}
+    cameras = {"type": "string", "description": "a camera file, as a field or a file part", "examples": [CAMERAS]}
+    return {"type": "object", "required": ["file"], "properties": {"file": file, "cameras": cameras, **fields}}
+
+
+@router.post(
+    "/scenes",
+    status_code=201,
+    responses={
+        200: {"model": SceneDocument, "description": "the same file, read in the same way, is in the store already"},
+        201: {"model": SceneDocument, "description": "the scene"},
+    },
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {
+                FORM: {"schema": _form_schema()},
+                MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}},
+            },
+        }
+    },
+)
+async def load_scene(
+    request: Request, query: Annotated[LoadFields, Query()], runtime: Annotated[Runtime, Depends(runtime_of)]
+) -> Response:
+    """Load a .ply, .compressed.ply, .splat or .spz, posted as it is or as part `file` of a form, which may have
+    `cameras` beside it; without any a camera is put in front. 201 or 200, both with Location."""
+    async with runtime.uploads.place():
+        settings = runtime.settings
+        kind = media_type(request)
+        if kind == FORM:
+            if request.query_params:
+                field = next(iter(request.query_params))[:100]
+                raise InputError("is in the query beside a form", field=field, cure="make it a field of the form")
+            async with posted_form(request, settings, EXAMPLE) as form:
+                file = await _of_form(form, settings)
+        elif kind == MEDIA_TYPE:
+            with in_time(settings):
+                data = await request.body()
+            file = await anyio.to_thread.run_sync(lambda: _file(data, None, query, None))
+        else:
+            raise UnsupportedMediaType(
+                f"the body is {kind[:100] or 'of no declared type'}, need {FORM} or {MEDIA_TYPE}",
+                field="body",
+                cure=EXAMPLE,
+            )
+        scene_id = await anyio.to_thread.run_sync(file.scene_id)
+        new = not await anyio.to_thread.run_sync(runtime.store.listed, scene_id)
+        if new:
+            most = settings.max_gaussians
+            await runtime.files.run(lambda: load(file, scene_id, runtime.store, most), request.is_disconnected)
+    document = with_links(await anyio.to_thread.run_sync(runtime.store.document, scene_id))
+    headers = {"Location": document["links"]["self"]}
+    if new:
+        headers["Server-Timing"] = server_timing(document["timings"])
+    return json_response(document, 201 if new else 200, headers)
+
+
+async def _of_form(form: FormData, settings: Settings) -> LoadedFile:
+    part = single(form, "file")
+    if not isinstance(part, UploadFile):
+        what = "is missing" if part is None else "is a text field, need a file part"
+        raise InputError(what, field="file", cure=EXAMPLE)
+    cameras = single(form, "cameras")
+    size = 0 if cameras is None else (cameras.size or 0) if isinstance(cameras, UploadFile) else len(cameras)
+    if size > settings.max_camera_bytes:
+        raise UploadTooLarge(f"{size} bytes, the limit is {settings.max_camera_bytes}", field="cameras")
+    document = await cameras.read() if isinstance(cameras, UploadFile) else cameras
+    fields = _checked({name: text(form, name) for name in form if name not in ("file", "cameras")})
+    data, name = await part.read(), part.filename
+    return await anyio.to_thread.run_sync(lambda: _file(data, name, fields, document))
+
+
+def _checked(texts: Mapping[str, str]) -> LoadFields:
+    """Empty fields count as missing, as in every form. Raises the framework's refusal, which names the field."""
+    try:
+        return LoadFields.model_validate({name: value for name, value in texts.items() if value})
+    except ValidationError as error:
+        raise RequestValidationError([{**item, "loc": ("body", *item["loc"])} for item in error.errors()]) from error
+
+
+def _file(data: bytes, name: str | None, fields: LoadFields, document: str | bytes | None) -> LoadedFile:
+    """Parse the cameras and tell the format; call it on a worker thread."""
+    found = CameraFile((), None, None) if not document else parse_camera_file(parse_json(document, "cameras"))
+    if len(found.views) > MAX_VIEWS:
+        raise InputError(f"has {len(found.views)} views, the limit is {MAX_VIEWS}", field="cameras")
+    return LoadedFile.of(
+        data,
+        fields.format,
+        name,
+        Dialect(fields.opacity, fields.scales, fields.rotation, fields.axes),
+        drop_invalid=fields.drop_invalid,
+        cameras=tuple(found.cameras),
+        near=found.near if fields.near is None else fields.near,
+        far=found.far if fields.far is None else fields.far,
+    )

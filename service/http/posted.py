@@ -1,0 +1,77 @@
+"""A posted multipart form, received within its bounds, and its single fields."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
+
+import anyio
+from fastapi import Request
+from starlette.datastructures import FormData, UploadFile
+from starlette.exceptions import HTTPException
+
+from ..disk import full_is_refused
+from ..errors import InputError, MalformedRequest, UnsupportedMediaType, UploadTimeout
+from ..settings import Settings
+
+FORM = "multipart/form-data"
+MAX_PARTS = 64  # far above what a valid request has, so that one image too many is told from a flood
+
+
+def media_type(request: Request) -> str:
+    """Of the body, without parameters; empty where none is declared."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
+
+
+@asynccontextmanager
+async def posted_form(request: Request, settings: Settings, example: str) -> AsyncIterator[FormData]:
+    """The form of a request, whose files go with the block; raises our own errors, never a framework's.
+
+    `example` is a command line that sends such a form.
+    """
+    if media_type(request) != FORM:
+        declared = request.headers.get("content-type", "")
+        raise UnsupportedMediaType(
+            f"the body is {declared[:100] or 'of no declared type'}, need {FORM}", field="body", cure=example
+        )
+    try:
+        with in_time(settings), full_is_refused("the upload"):
+            form = await request.form(
+                max_files=MAX_PARTS, max_fields=MAX_PARTS, max_part_size=settings.max_upload_bytes
+            )
+    except HTTPException as error:
+        raise MalformedRequest(f"the multipart body cannot be read: {error.detail}", field="body") from error
+    except UnicodeError as error:
+        raise MalformedRequest("names are not in the body's declared charset", field="body") from error
+    try:
+        yield form
+    finally:
+        await form.close()
+
+
+@contextmanager
+def in_time(settings: Settings) -> Iterator[None]:
+    """Raises `UploadTimeout` where the block takes longer than a body may."""
+    try:
+        with anyio.fail_after(settings.upload_seconds):
+            yield
+    except TimeoutError as error:
+        raise UploadTimeout(
+            f"did not arrive within {settings.upload_seconds:g} s", field="body", cure="send smaller files"
+        ) from error
+
+
+def text(form: FormData, name: str) -> str:
+    """A text field without the spaces around it, empty where it is missing."""
+    part = single(form, name)
+    if isinstance(part, UploadFile):
+        raise InputError("is a file part, need a text field", field=name)
+    return (part or "").strip()
+
+
+def single(form: FormData, name: str) -> UploadFile | str | None:
+    """A field or file that may be given once."""
+    parts = form.getlist(name)
+    if len(parts) > 1:
+        raise InputError(f"is given {len(parts)} times, need once", field=name)
+    return parts[0] if parts else None

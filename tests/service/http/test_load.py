@@ -1,0 +1,212 @@
+"""POST /scenes: files of Gaussians become scenes that are listed, drawn, orbited, served and deleted like any other."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from format_cases import moderate, spz_file
+from http_requests import MAX_UPLOAD, assert_problem, camera_object, stored
+from PIL import Image
+from ply_cases import binary_file, columns
+from starlette.testclient import TestClient
+
+from gapmes.service.app import create_app
+from gapmes.service.default_framing import default_views
+from gapmes.service.formats.dialect import STANDARD
+from gapmes.service.formats.registry import FORMATS
+from gapmes.service.gaussians import Gaussians
+from gapmes.service.ply import inspect_ply, ply_bytes
+from gapmes.service.settings import Settings
+
+RAW = {"Content-Type": "application/octet-stream"}
+
+
+def file_of(name: str, seed: int = 0) -> bytes:
+    return FORMATS[name].write(moderate(300, seed, 1)).data
+
+
+def load_raw(client: TestClient, data: bytes, **query: str) -> Any:
+    return client.post("/scenes", params=query, content=data, headers=RAW)
+
+
+def load_form(client: TestClient, data: bytes, name: str = "scene.ply", cameras: Any = None, **fields: str) -> Any:
+    parts: list[Any] = [("file", (name, data, "application/octet-stream"))]
+    if cameras is not None:
+        parts.append(("cameras", (None, json.dumps(cameras))))
+    return client.post("/scenes", files=[*parts, *((key, (None, value)) for key, value in fields.items())])
+
+
+@pytest.fixture(autouse=True)
+def no_scene_stays(client: TestClient) -> Iterator[None]:
+    """Other tests look at the list of the same service."""
+    before = {row["id"] for row in client.get("/scenes").json()["scenes"]}
+    yield
+    for row in client.get("/scenes").json()["scenes"]:
+        if row["id"] not in before:
+            client.delete(row["links"]["self"])
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_file_of_every_format_becomes_a_scene(client: TestClient, name: str) -> None:
+    data = file_of(name, 1)
+    answer = load_form(client, data, f"A scene.{name}")
+    assert answer.status_code == 201, answer.text
+    scene = answer.json()
+    assert answer.headers["location"] == f"/scenes/{scene['id']}"
+    assert scene["model"] is None
+    assert (scene["file"]["format"], scene["file"]["bytes"], scene["file"]["rows"]) == (name, len(data), 300)
+    assert scene["gaussians"] == {"count": 300, "sh_degree": 0 if name == "splat" else 1}
+    assert scene["depth_range_source"] == "framing"
+    assert client.get(f"/scenes/{scene['id']}").json() == scene
+    kept = inspect_ply(client.get(scene["links"]["ply"]).content).gaussians
+    expected = FORMATS[name].read(data, STANDARD, False, None).gaussians
+    assert np.abs(kept.means - expected.means).max() <= 1e-6
+    again = load_form(client, data, "another name", format=name)
+    assert (again.status_code, again.json()["id"]) == (200, scene["id"])
+    raw = load_raw(client, data, format=name)
+    assert (raw.status_code, raw.json()["id"]) == (200, scene["id"])
+    [listed] = [row for row in client.get("/scenes").json()["scenes"] if row["id"] == scene["id"]]
+    assert (listed["file"], listed["views"], listed["gaussians"]) == (name, 1, 300)
+    assert listed["links"]["views"] == [f"/render?scene={scene['id']}&view=0"]
+
+
+def test_it_is_drawn_orbited_and_deleted(client: TestClient, settings: Settings) -> None:
+    before = stored(settings)
+    scene = load_raw(client, file_of("ply", 2)).json()
+    for view in ("0", "orbit:30", "orbit:180"):
+        answer = client.get("/render", params={"scene": scene["id"], "view": view, "channel": "alpha", "width": 64})
+        assert answer.status_code == 200, answer.text
+        assert np.asarray(Image.open(io.BytesIO(answer.content))).mean() > 20, view
+    assert client.get("/render", params={"view": "0"}).headers["x-gapmes-scene"] == scene["id"]  # the newest
+    assert client.delete(scene["links"]["self"]).status_code == 204
+    assert stored(settings) == before
+
+
+def test_cameras_and_depths_may_be_given(client: TestClient) -> None:
+    data, cameras = file_of("ply", 3), camera_object(3)
+    scene = load_form(client, data, cameras=cameras).json()
+    assert len(scene["view_cameras"]) == 3
+    assert scene["view_cameras"][1]["c2w"] == cameras["views"][1]["c2w"]
+    assert (scene["near"], scene["far"], scene["depth_range_source"]) == (1.0, 10.0, "given")
+    del cameras["near"], cameras["far"]
+    seen = load_form(client, data, cameras=cameras).json()
+    assert seen["depth_range_source"] == "gaussians"
+    assert 1.0 <= seen["near"] < seen["far"] <= 4.0  # where the Gaussians lie
+    own = load_form(client, data, cameras=cameras, near="0.5", far="7").json()
+    assert (own["near"], own["far"], own["depth_range_source"]) == (0.5, 7.0, "given")
+    assert len({scene["id"], seen["id"], own["id"]}) == 3
+    assert client.get("/render", params={"scene": own["id"], "view": "1.5"}).status_code == 200
+
+
+def test_what_was_not_taken_as_it_was_is_in_the_document(client: TestClient) -> None:
+    table = columns(ply_bytes(moderate(60, 4, 0)))
+    table = {**{name: column.copy() for name, column in table.items()}, "label": np.zeros(60, np.int32)}
+    table["x"][5] = np.nan
+    data = binary_file(table)
+    assert_problem(load_raw(client, data), 422, "ply_invalid", "vertex.x", 5)
+    scene = load_raw(client, data, drop_invalid="true").json()
+    assert scene["dropped"] == [{"reason": "invalid x", "count": 1}]
+    assert (scene["gaussians"]["count"], scene["file"]["rows"]) == (59, 60)
+    messages = [warning["message"] for warning in scene["warnings"]]
+    assert messages == ["properties passed over: label", "1 of 60 Gaussians dropped, invalid in x (1)"]
+    other = load_raw(client, binary_file(columns(ply_bytes(moderate(60, 4, 0)))), rotation="xyzw").json()
+    assert other["id"] != scene["id"]
+    assert other["warnings"] == []
+
+
+def test_a_stored_scene_is_not_guessed_at_again(client: TestClient) -> None:
+    """Opacities that are told to be linear may lie between 0.5 and 0.73: their logits look like opacities."""
+    table = columns(ply_bytes(moderate(60, 6, 0))) | {"opacity": np.linspace(0.51, 0.72, 60, dtype=np.float32)}
+    scene = load_raw(client, binary_file(table), opacity="linear").json()
+    kept = client.app.state.runtime.store.gaussians(scene["id"])  # type: ignore[attr-defined]
+    assert np.abs(kept.opacities - table["opacity"]).max() <= 1e-6
+
+
+@pytest.mark.parametrize(
+    ("data", "query", "status", "code", "field"),
+    [
+        (b"", {}, 422, "invalid_input", "format"),
+        (b"no such file", {}, 422, "invalid_input", "format"),
+        (b"ply\nno header", {}, 422, "ply_invalid", "header"),
+        (bytes(33), {"format": "splat"}, 422, "format_invalid", "splat"),
+        (b"", {"format": "splat"}, 422, "format_invalid", "file"),
+        (spz_file(0), {}, 422, "format_invalid", "file"),
+        (spz_file(2**32 - 1, body=b""), {}, 413, "too_many_gaussians", "spz"),
+        (spz_file(3_000_000, body=b""), {}, 413, "too_many_gaussians", "spz"),
+        (bytes(64), {"format": "obj"}, 422, "parameter_invalid", "format"),
+        (bytes(64), {"opacity": "maybe"}, 422, "parameter_invalid", "opacity"),
+        (bytes(64), {"colour": "red"}, 422, "parameter_invalid", "colour"),
+        (bytes(64), {"near": "nan"}, 422, "parameter_invalid", "near"),
+        (file_of("ply"), {"near": "5", "far": "2"}, 422, "depth_range_invalid", "near"),
+        (bytes(MAX_UPLOAD + 1), {}, 413, "upload_too_large", "body"),
+    ],
+)
+def test_what_is_refused_leaves_nothing(
+    client: TestClient, settings: Settings, data: bytes, query: dict[str, str], status: int, code: str, field: str
+) -> None:
+    before = stored(settings)
+    assert_problem(load_raw(client, data, **query), status, code, field)
+    assert stored(settings) == before
+
+
+def test_forms_that_are_none(client: TestClient) -> None:
+    data = file_of("ply")
+    assert_problem(client.post("/scenes", content=data), 415, "unsupported_media_type", "body")
+    assert_problem(client.post("/scenes", files=[("cameras", (None, "{}"))]), 422, "invalid_input", "file")
+    assert_problem(client.post("/scenes", files=[("file", (None, "text"))]), 422, "invalid_input", "file")
+    twice = [("file", ("a.ply", data)), ("file", ("b.ply", data))]
+    assert_problem(client.post("/scenes", files=twice), 422, "invalid_input", "file")
+    assert_problem(load_form(client, data, axes="xyz"), 422, "parameter_invalid", "axes")
+    assert_problem(load_form(client, data, colour="red"), 422, "parameter_invalid", "colour")
+    assert_problem(load_form(client, data, cameras={"views": []}), 422, "camera_invalid")
+    assert_problem(load_form(client, data, cameras=camera_object(101)), 422, "invalid_input", "cameras")
+    beside = client.post("/scenes", params={"axes": "rdf"}, files=[("file", ("a.ply", data))])
+    assert_problem(beside, 422, "invalid_input", "axes")
+
+
+def test_the_store_keeps_its_limit(standin_model: Any, tmp_path: Any) -> None:
+    """A loaded scene counts like any other, and the one that was read longest ago makes room for it."""
+    size = len(ply_bytes(moderate(300, 0, 1)))
+    limited = Settings(model=standin_model, store=tmp_path / "scenes", threads=1, store_bytes=int(2.9 * size))
+    with TestClient(create_app(limited), raise_server_exceptions=False) as client:
+        ids = [load_raw(client, file_of("ply", seed)).json()["id"] for seed in range(3)]
+        assert [client.get(f"/scenes/{scene_id}").status_code for scene_id in ids] == [404, 200, 200]
+        assert_problem(load_raw(client, ply_bytes(moderate(900, 0, 1))), 507, "storage_full", "store")
+
+
+def test_the_default_framing_holds_most_and_turns_about_the_middle() -> None:
+    """Far strays and a far origin change nothing but where the camera stands."""
+    source = moderate(2000, 9, 0)
+    views = default_views(source)
+    [camera] = views.cameras
+    pixels, depth = camera.project(source.means)
+    inside = ((pixels >= 0) & (pixels < 512)).all(axis=1) & (depth > 0)
+    assert source.opacities[inside].sum() >= 0.8 * source.opacities.sum()
+    assert views.near is not None
+    assert views.far is not None
+    pivot = camera.center + np.sqrt(views.near * views.far) * camera.rotation[:, 2]
+    for degrees in (-90, 30, 180):
+        turned = views.resolve(f"orbit:{degrees}")
+        seen, _ = turned.project(pivot[None])
+        assert np.abs(seen - 256).max() < 1e-6
+    shift = np.array([4e6, -3e6, 1e5])
+    strays = np.vstack([source.means + shift, np.array([[1e9, 0, 0], [0, -1e9, 5]]) + shift])
+    pad = [np.concatenate([getattr(source, name), getattr(source, name)[:2]]) for name in ("scales", "rotations_wxyz")]
+    faint = np.concatenate([source.opacities, [1e-3, 1e-3]])
+    moved = Gaussians.make(strays, *pad, faint, np.concatenate([source.harmonics, source.harmonics[:2]]))
+    assert np.abs(default_views(moved).cameras[0].center - shift - camera.center).max() < 0.02
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.3])
+def test_a_single_gaussian_is_framed_by_its_size(scale: float) -> None:
+    one = Gaussians.make([[1.0, 2.0, 3.0]], np.full((1, 3), scale), [[1, 0, 0, 0]], [0.0], np.zeros((1, 1, 3)))
+    views = default_views(one)
+    assert views.near is not None
+    assert views.far is not None
+    assert 0 < views.near < views.far
+    assert np.allclose(views.cameras[0].center[:2], [1, 2])
