@@ -14,6 +14,8 @@ from http_requests import camera_object, photograph
 from page_service import pixels_of, rendered, serving, write_scene
 from standin_model import METADATA, write_standin
 
+from gapmes.service.formats.registry import FORMATS
+from gapmes.service.gaussians import Gaussians
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.settings import Settings
 
@@ -48,6 +50,7 @@ def test_sample_end_to_end_with_the_shipped_network(browser: Any, tmp_path: Path
         assert "expert 5" in page.inner_text("#about")
         for title in ("What was left out", "How far to trust it", "Cameras and timings"):
             page.click(f"summary:has-text('{title}')")
+        page.wait_for_selector("#about meter")
         text = page.inner_text("#about")
         assert f"{document['left_out'][0]['count']:,}" in text
         assert "network" in text
@@ -80,6 +83,27 @@ def test_own_photographs(tab: Any, tmp_path: Path) -> None:
     assert page.locator("#scenes li.chosen").get_attribute("data-id") == scene
     page.locator("#scenes li button >> nth=2").click()  # the second one's picture
     page.wait_for_url(lambda url: not url.endswith(scene))
+
+
+def test_a_file_of_gaussians_is_shown_as_it_is(tab: Any, tmp_path: Path) -> None:
+    """A .splat from elsewhere: into the store, on the stage, on the shelf; one that is none is refused by name."""
+    gaussians = Gaussians.make(
+        np.random.default_rng(1).normal(size=(500, 3)), np.full((500, 3), 0.05), [[1.0, 0, 0, 0]] * 500,
+        np.full(500, 0.9), np.full((500, 1, 3), 0.5),
+    )  # fmt: skip
+    path = tmp_path / "cloud.splat"
+    path.write_bytes(FORMATS["splat"].write(gaussians).data)
+    page = tab.open()
+    before = page.url
+    page.set_input_files("#files", path)
+    scene = made(page, before)
+    page.wait_for_selector("#picture[src^='blob:']")
+    assert (pixels_of(page, "#picture") == rendered(tab.address, scene=scene, view="0")).all()
+    assert pixels_of(page, "#picture").max() > 100
+    assert "from a .splat" in page.inner_text(f"li[data-id='{scene}']")
+    (tmp_path / "mesh.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n")
+    page.set_input_files("#files", tmp_path / "mesh.ply")
+    page.wait_for_selector("#problem:has-text('properties are missing')")
 
 
 def bent(change: Any) -> Any:
