@@ -50,6 +50,9 @@ class RenderQuery(BaseModel):
     height: int | None = Field(None, ge=1, le=65_535, description="px; another aspect crops about the middle")
     channel: Channel = Field("rgb", description="colour, opacity or z-depth")
     format: Format = Field("png", description="alpha and depth: png or webp; depth has 16 bits in png, 8 in webp")
+    depth_scale: float | None = Field(
+        None, gt=0, description="of depth: the cameras' units per grey level; default: what the picture's depths need"
+    )
     alpha_min: float = Field(
         ALPHA_MIN,
         ge=LIMITS["alpha_min"][0],
@@ -89,7 +92,11 @@ async def render(
     def work() -> tuple[Picture, dict[str, Any], float]:
         drawn = draw(runtime, asked.scene_id, asked.camera, asked.views, query.channel, effort, background)
         start = time.perf_counter()
-        return encode(drawn, query.channel, query.format), plain(drawn.stats), time.perf_counter() - start
+        return (
+            encode(drawn, query.channel, query.format, query.depth_scale),
+            plain(drawn.stats),
+            time.perf_counter() - start,
+        )
 
     start = time.perf_counter()
     picture, stats, encoding = await runtime.pictures.run(work, request.is_disconnected)
@@ -99,8 +106,8 @@ async def render(
         STAGES.labels(stage).observe(seconds)
     timing = server_timing({"wait": max(total - drawing - encoding, 0.0), "draw": drawing, "encode": encoding})
     headers = {"X-Gapmes-Scene": asked.scene_id, "X-Gapmes-Stats": json.dumps(stats), "Server-Timing": timing, **cache}
-    if picture.depth_range is not None:
-        headers["X-Gapmes-Depth-Min"], headers["X-Gapmes-Depth-Max"] = map(repr, picture.depth_range)
+    if picture.depth is not None:
+        headers |= {f"X-Gapmes-Depth-{name}": repr(value) for name, value in picture.depth.named().items()}
     return Response(picture.data, media_type=picture.media_type, headers=headers)
 
 
@@ -123,7 +130,7 @@ def _asked(runtime: Runtime, query: RenderQuery) -> _Asked:
     else:
         camera = views.resolve(query.view if query.view is not None else "0")
     camera = check_size(frame(camera, query.width, query.height), runtime.settings.max_render_pixels, query.samples)
-    check_format(camera.width, camera.height, query.channel, query.format)
+    check_format(camera.width, camera.height, query.channel, query.format, query.depth_scale)
     with runtime.store.reading(scene_id) as path:
         scene = etag_of(path)
     parts = [scene, version("gapmes"), query.model_dump_json(exclude={"scene"})]
