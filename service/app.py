@@ -11,7 +11,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from starlette.middleware.cors import CORSMiddleware
 
-from .http import health, jobs, metrics, models, page, problems, reconstruct, render, scenes
+from .http import health, jobs, metrics, models, page, preview, problems, reconstruct, render, scenes
 from .http.access import KeyNeeded
 from .http.limits import BodyLimit
 from .http.observe import Observed
@@ -21,6 +21,7 @@ from .settings import Settings
 
 # What scripts of other origins may read of an answer, where they may call at all.
 EXPOSED = ["ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID", "X-Gapmes-Scene", "X-Gapmes-Stats"]
+EXPOSED += [f"X-Gapmes-Depth-{name}" for name in ("Min", "Max", "Scale", "Offset")]
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
@@ -45,7 +46,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.runtime = runtime
     app.openapi = lambda: _schema(app)  # type: ignore[method-assign]
     problems.install(app)
-    for module in (health, metrics, models, page, reconstruct, jobs, render, scenes):
+    for module in (health, metrics, models, page, reconstruct, jobs, render, preview, scenes):
         app.include_router(module.router)
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     key = settings.key()

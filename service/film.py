@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import GifImagePlugin, Image
 
-from .errors import GapmesError, InputError
+from .errors import InputError
 
 FilmFormat = Literal["webp", "gif", "mp4"]
 FILM_FORMATS: tuple[FilmFormat, ...] = get_args(FilmFormat)
@@ -45,9 +45,9 @@ class FilmShape:
 
 
 def check_film(shape: FilmShape) -> None:
-    """Refuse what `write_film` could not write, before anything is drawn. Raises `InputError` or `GapmesError`."""
+    """Refuse what `write_film` could not write, before anything is drawn. Raises `InputError`."""
     if shape.format == "mp4" and find_spec("av") is None:
-        raise GapmesError("MP4 needs PyAV", field="format", cure="pip install 'gapmes[video]', or ask for webp")
+        raise InputError("MP4 needs PyAV here", field="format", cure="pip install 'gapmes[video]', or ask for webp")
     if shape.frames < 2:
         raise InputError(f"{shape.frames} is no film, need 2 or more", field="frames", cure="ask for more seconds")
     if not 0 < shape.fps <= MAX_FPS:

@@ -12,7 +12,7 @@ import numpy as np
 from av.video.reformatter import ColorRange, Colorspace
 from numpy.typing import NDArray
 
-from .errors import GapmesError
+from .errors import InputError
 
 ENCODER = "libx264"
 CRF = "18"  # a step or two of 8 bits in most pixels; 23, the encoder's own, shows in flat areas
@@ -20,9 +20,9 @@ BT709 = 1  # ITU-T H.273, of primaries, transfer and matrix
 
 
 def write_mp4(path: Path, width: int, height: int, fps: float, frames: Iterable[NDArray[np.uint8]]) -> None:
-    """Encode frames (H, W, 3) of even sides at `fps` per second. Raises `GapmesError` without an encoder."""
+    """Encode frames (H, W, 3) of even sides at `fps` per second. Raises `InputError` without an encoder."""
     if ENCODER not in av.codecs_available:
-        raise GapmesError(
+        raise InputError(
             f"this PyAV has no {ENCODER}", field="format", cure="install PyAV from its wheel, or ask for webp"
         )
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:

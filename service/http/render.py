@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from dataclasses import dataclass
-from importlib.metadata import version
 from typing import Annotated, Any
 
 import anyio.to_thread
@@ -22,8 +20,8 @@ from ..metrics import STAGES
 from ..picture import Channel, Format, Picture, check_format, encode, parse_background
 from ..problem_document import plain
 from ..scene_views import SceneViews
-from .drawing import check_size, draw
-from .files import etag_of, matches, not_modified
+from .drawing import check_size, draw, picture_tag
+from .files import matches, not_modified
 from .limits import parse_json
 from .responses import server_timing
 from .runtime import Runtime, runtime_of
@@ -118,7 +116,7 @@ class _Asked:
     scene_id: str
     views: SceneViews
     camera: Camera
-    etag: str  # of the picture: it depends on the scene's file, on what is asked, and on the splatter of this release
+    etag: str
 
 
 def _asked(runtime: Runtime, query: RenderQuery) -> _Asked:
@@ -131,8 +129,4 @@ def _asked(runtime: Runtime, query: RenderQuery) -> _Asked:
         camera = views.resolve(query.view if query.view is not None else "0")
     camera = check_size(frame(camera, query.width, query.height), runtime.settings.max_render_pixels, query.samples)
     check_format(camera.width, camera.height, query.channel, query.format, query.depth_scale)
-    with runtime.store.reading(scene_id) as path:
-        scene = etag_of(path)
-    parts = [scene, version("gapmes"), query.model_dump_json(exclude={"scene"})]
-    etag = f'"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}"'
-    return _Asked(scene_id, views, camera, etag)
+    return _Asked(scene_id, views, camera, picture_tag(runtime, scene_id, query))

@@ -81,6 +81,8 @@ def links(scene_id: str, views: int) -> dict[str, Any]:
     return {
         "self": f"/scenes/{scene_id}",
         "ply": f"/scenes/{scene_id}.ply",
+        "preview": f"/scenes/{scene_id}/preview",
+        "sheet": f"/scenes/{scene_id}/sheet",
         "views": [_render_link(scene_id, str(index)) for index in range(views)],
     }
 

@@ -41,6 +41,8 @@ class SceneLinks(BaseModel):
 
     self: str
     ply: str
+    preview: str = Field(description="a small film of it")
+    sheet: str = Field(description="its inputs drawn again, in one picture")
     views: list[str] = Field(description="pictures from the inputs' cameras")
     renders: list[str] = Field([], description="those that were asked for with `views`")
 
@@ -71,7 +73,8 @@ class SceneDocument(BaseModel):
             "id": _SCENE, "created": "2026-01-31T12:00:00+00:00", "model": {"preset": "tiny"}, "near": 1.0, "far": 10.0,
             "cameras": [], "view_cameras": [], "gaussians": {"count": 131072, "sh_degree": 0}, "warnings": [],
             "check": {}, "timings": {"network": 0.6},
-            "links": {"self": f"/scenes/{_SCENE}", "ply": f"/scenes/{_SCENE}.ply", "views": []},
+            "links": {"self": f"/scenes/{_SCENE}", "ply": f"/scenes/{_SCENE}.ply",
+                      "preview": f"/scenes/{_SCENE}/preview", "sheet": f"/scenes/{_SCENE}/sheet", "views": []},
         },
         more=True,
     )  # fmt: skip

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from PIL import Image, ImageSequence
 
 from gapmes.service import film
-from gapmes.service.errors import GapmesError, InputError
+from gapmes.service.errors import InputError
 from gapmes.service.film import FILM_FORMATS, FilmShape, check_film, times_ms, write_film
 from gapmes.service.picture_error import psnr
 
@@ -177,7 +177,7 @@ def test_what_cannot_be_written_is_refused(format: Any, changes: dict[str, Any],
 def test_without_its_library_mp4_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(film, "find_spec", lambda _: None)
     check_film(shape("webp"))
-    with pytest.raises(GapmesError) as caught:
+    with pytest.raises(InputError) as caught:
         check_film(shape("mp4"))
     assert "gapmes[video]" in (caught.value.cure or "")
 
@@ -187,5 +187,5 @@ def test_without_its_encoder_mp4_is_refused(monkeypatch: pytest.MonkeyPatch, tmp
     from gapmes.service import film_mp4
 
     monkeypatch.setattr(film_mp4, "ENCODER", "no such encoder")
-    with pytest.raises(GapmesError, match="has no no such encoder"):
+    with pytest.raises(InputError, match="has no no such encoder"):
         write_film(tmp_path / "film.mp4", shape("mp4"), map(drawn, range(FRAMES)))

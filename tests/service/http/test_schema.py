@@ -19,7 +19,7 @@ from gapmes.service.http.form import CAMERAS
 from gapmes.service.view_checks import check_views
 
 # What a photograph, a camera, a view or a place in the list is, a schema cannot say: some that fits it is refused.
-SAID_IN_WORDS = ("POST /reconstruct", "GET /render", "GET /scenes")
+SAID_IN_WORDS = ("POST /reconstruct", "GET /render", "GET /scenes", "GET /scenes/{scene_id}/preview")
 
 
 @pytest.fixture(scope="module")
