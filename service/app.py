@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AbstractContextManager, asynccontextmanager
 from importlib.metadata import version
 from typing import Any
 
@@ -17,6 +17,7 @@ from .http.limits import BodyLimit
 from .http.observe import Observed
 from .http.runtime import Runtime
 from .http.schemas import Problem
+from .progress import Listener
 from .settings import Settings
 
 # What scripts of other origins may read of an answer, where they may call at all.
@@ -24,10 +25,13 @@ EXPOSED = ["ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID", "
 EXPOSED += [f"X-Gapmes-Depth-{name}" for name in ("Min", "Max", "Scale", "Offset")]
 
 
-def create_app(settings: Settings | None = None) -> FastAPI:
-    """Build the application; the model is loaded and the kernels warmed when the server starts it, see /readyz."""
+def create_app(settings: Settings | None = None, bars: AbstractContextManager[Listener] | None = None) -> FastAPI:
+    """Build the application; the model is loaded and the kernels warmed when the server starts it, see /readyz.
+
+    `bars` is entered for as long as that takes, and told about it.
+    """
     settings = settings or Settings()
-    runtime = Runtime(settings)
+    runtime = Runtime(settings, bars)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
