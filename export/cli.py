@@ -16,7 +16,7 @@ from gapmes.model.architectures import ARCHITECTURES
 from gapmes.model.checkpoint import CheckpointError, read_config, shipped_checkpoint
 from gapmes.model.config import PRESETS
 from gapmes.model.depthsplat.config import Compatibility
-from gapmes.service.terminal import ProgressBars
+from gapmes.service.terminal import ProgressBars, Quiet
 
 from .measurements import write_tables
 from .model_file import data_files
@@ -65,6 +65,7 @@ def export(
         list[Path] | None, typer.Option(help="A folder for --report, beside the sample scene; repeat for several.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Export, verify against torch in a process of its own, and write OUT with its report beside it.
 
@@ -81,7 +82,7 @@ def export(
                 "nothing is exported with --report and --stability, which measure the shipped network",
                 param_hint=wrong[0],
             )
-        write_tables(report, stability, scene or (), quick)
+        write_tables(report, stability, scene or (), quick, as_json=as_json, quiet=quiet)
         return
     if out is None:
         raise typer.BadParameter("is missing", param_hint="--out")
@@ -93,7 +94,7 @@ def export(
         raise typer.BadParameter("is of gapmes networks: depthsplat has no experts", param_hint="--top-k, --keep-all")
     try:
         source, variant = _what(architecture, preset, checkpoint, compatibility)
-        with ProgressBars() as bars:
+        with ProgressBars(quiet=quiet) as bars:
             result = export_checkpoint(
                 source,
                 out,
@@ -113,7 +114,7 @@ def export(
             errors.print(f"  {failure}", soft_wrap=True)
         errors.print(f"file: {rejected.rejected}\nreport: {rejected.report_path}", soft_wrap=True)
         raise typer.Exit(REJECTED) from rejected
-    _show(result, as_json)
+    _show(result, as_json, bars)
 
 
 def _one_of(value: str, choices: Collection[str], option: str) -> None:
@@ -153,7 +154,7 @@ def _size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def _show(result: Exported, as_json: bool) -> None:
+def _show(result: Exported, as_json: bool, bars: ProgressBars) -> None:
     worst = result.report.worst()
     if as_json:
         body = {
@@ -169,10 +170,10 @@ def _show(result: Exported, as_json: bool) -> None:
         return
     files = [result.model, *data_files(result.model)]
     megabytes = sum(path.stat().st_size for path in files) / 1e6
-    errors.print(f"{' + '.join(map(str, files))}  ({megabytes:.1f} MB), {len(result.report.cases)} cases passed")
-    errors.print("largest error of every output, in units of its largest value:")
+    bars.say(f"{' + '.join(map(str, files))}  ({megabytes:.1f} MB), {len(result.report.cases)} cases passed")
+    bars.say("largest error of every output, in units of its largest value:")
     for name, value in worst.items():
-        errors.print(
+        bars.say(
             f"  {name:15s} p99 {value['p99']:.1e}  mean {value['mean']:.1e}  "
             f"max {value['max']:.1e}  jumps {value['jumps']:.1e}"
         )

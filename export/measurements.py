@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import typer
+from rich.console import Console
 
 from gapmes.service.errors import InputError
 from gapmes.service.terminal import ProgressBars
@@ -13,30 +16,40 @@ from gapmes.service.terminal import ProgressBars
 FAILED = 3
 
 
-def write_tables(report: Path | None, stability: Path | None, scenes: Sequence[Path], quick: bool) -> None:
-    """Run what has a folder. Exit status 1 for a folder that is no scene, 3 where a case is beyond its tolerance."""
+def write_tables(
+    report: Path | None, stability: Path | None, scenes: Sequence[Path], quick: bool, *, as_json: bool, quiet: bool
+) -> None:
+    """Run what has a folder; `as_json` prints what was found in numbers to stdout.
+
+    Exit status 1 for a folder that is no scene, 3 where a case is beyond its tolerance.
+    """
     from gapmes.service.shipped import sample_folder
 
     from .evaluation.lpips import default_weights
 
     failed = 0
-    with ProgressBars() as bars:
+    document: dict[str, Any] = {}
+    with ProgressBars(quiet=quiet) as bars:
         if stability is not None:
             from .stability.table import stability_table
 
             rows = stability_table(stability, bars)
             failed = sum(not row.passed for row in rows)
             bars.say(f"{len(rows)} cases, {failed} beyond tolerance: {stability / 'stability.md'}")
+            document["stability"] = {"folder": str(stability), "cases": len(rows), "beyond_tolerance": failed}
         if report is not None:
             from .tradeoff.run import report as measure
 
             try:
                 found = measure([sample_folder(), *scenes], report, quick=quick, lpips=default_weights(), listener=bars)
             except InputError as error:
-                bars.say(f"refused: {error}")
+                Console(stderr=True, soft_wrap=True).print(f"refused: {error}", markup=False)
                 raise typer.Exit(1) from error
             bars.say(
                 f"{len(found.rows)} settings in {found.seconds:.0f} s: {report / 'report.md'}, {report / 'pareto.png'}"
             )
+            document["report"] = {"folder": str(report), "settings": len(found.rows), "seconds": found.seconds}
+    if as_json:
+        typer.echo(json.dumps(document))
     if failed:
         raise typer.Exit(FAILED)

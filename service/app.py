@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AbstractContextManager, asynccontextmanager
 from importlib.metadata import version
 from typing import Any
 
@@ -11,31 +11,42 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from starlette.middleware.cors import CORSMiddleware
 
-from .http import check, health, jobs, load, metrics, models, page, problems, reconstruct, render, scenes, viewer
+from .http import (
+    check,
+    health,
+    jobs,
+    load,
+    metrics,
+    models,
+    page,
+    preview,
+    problems,
+    reconstruct,
+    render,
+    scenes,
+    viewer,
+)
 from .http.access import KeyNeeded
 from .http.limits import BodyLimit
 from .http.observe import Observed
 from .http.runtime import Runtime
 from .http.schemas import Problem
+from .progress import Listener
 from .settings import Settings
 
 # What scripts of other origins may read of an answer, where they may call at all.
-EXPOSED = [
-    "ETag",
-    "Location",
-    "Retry-After",
-    "Server-Timing",
-    "X-Request-ID",
-    "X-Gapmes-Scene",
-    "X-Gapmes-Stats",
-    "X-Gapmes-Notes",
-]
+EXPOSED = ["ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID"]
+EXPOSED += [f"X-Gapmes-{name}" for name in ("Scene", "Stats", "Notes")]
+EXPOSED += [f"X-Gapmes-Depth-{name}" for name in ("Min", "Max", "Scale", "Offset")]
 
 
-def create_app(settings: Settings | None = None) -> FastAPI:
-    """Build the application; the model is loaded and the kernels warmed when the server starts it, see /readyz."""
+def create_app(settings: Settings | None = None, bars: AbstractContextManager[Listener] | None = None) -> FastAPI:
+    """Build the application; the model is loaded and the kernels warmed when the server starts it, see /readyz.
+
+    `bars` is entered for as long as that takes, and told about it.
+    """
     settings = settings or Settings()
-    runtime = Runtime(settings)
+    runtime = Runtime(settings, bars)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -54,7 +65,9 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.runtime = runtime
     app.openapi = lambda: _schema(app)  # type: ignore[method-assign]
     problems.install(app)
-    for module in (health, metrics, models, page, check, reconstruct, jobs, render, viewer, load, scenes):
+    for module in (
+        health, metrics, models, page, check, reconstruct, jobs, render, viewer, preview, load, scenes,
+    ):  # fmt: skip
         app.include_router(module.router)
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
     key = settings.key()

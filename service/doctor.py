@@ -7,9 +7,9 @@ import platform
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 State = Literal["ok", "warning", "failure"]
 
 PACKAGES = ("gapmes", "numpy", "numba", "onnxruntime", "pillow", "fastapi")
+EXTRAS = {"openvino": "openvino", "video": "av", "export": "torch"}  # and the package that each is for
 BF16_FLAGS = ("avx512_bf16", "amx_bf16", "bf16")
 LEAST_MEMORY_MB = 1000.0  # a process takes about half of it for two views, three quarters for three
 LEAST_DISK_MB = 500.0  # some fifty scenes of two views
@@ -48,21 +49,27 @@ class Doctor:
         self._settings = settings
         self._engine: Engine | None = None
 
+    @property
+    def looks(self) -> dict[str, Callable[[], tuple[State, str]]]:
+        """By their names in their order; the last one takes the sample from photographs to a picture."""
+        further = {"models": self._models} if self._settings.models else {}
+        return {
+            "versions": self._versions,
+            "extras": self._extras,
+            "processor": self._processor,
+            "threads": self._threads,
+            "memory": self._memory,
+            "model": self._model,
+            **further,
+            "kernels": self._kernels,
+            "store": self._store,
+            "caches": self._caches,
+            "sample": self._sample,
+        }
+
     def findings(self) -> Iterator[Finding]:
-        """Versions, processor, threads, memory, model, kernels, store, and the sample from photographs to a picture."""
-        looks: list[tuple[str, Callable[[], tuple[State, str]]]] = [
-            ("versions", self._versions),
-            ("processor", self._processor),
-            ("threads", self._threads),
-            ("memory", self._memory),
-            ("model", self._model),
-            ("kernels", self._kernels),
-            ("store", self._store),
-            ("sample", self._sample),
-        ]
-        if self._settings.models:
-            looks.insert(5, ("models", self._models))
-        for name, look in looks:
+        """What each of `looks` finds."""
+        for name, look in self.looks.items():
             try:
                 yield Finding(name, *look())
             except Exception as error:
@@ -70,9 +77,10 @@ class Doctor:
 
     def _versions(self) -> tuple[State, str]:
         found = [f"{name} {version(name)}" for name in PACKAGES]
-        with suppress(PackageNotFoundError):  # it is an extra
-            found.append(f"openvino {version('openvino')}")
         return "ok", ", ".join([*found, f"Python {platform.python_version()}"])
+
+    def _extras(self) -> tuple[State, str]:
+        return "ok", ", ".join(f"{extra}: {_installed(package)}" for extra, package in EXTRAS.items())
 
     def _processor(self) -> tuple[State, str]:
         name, flags = processor()
@@ -136,6 +144,14 @@ class Doctor:
         there = "" if nearest == folder else ", will be made"
         return ("ok" if free >= LEAST_DISK_MB else "warning"), text + there
 
+    def _caches(self) -> tuple[State, str]:
+        """Both are made anew where they are missing."""
+        from .http.runtime import MODELS
+        from .splat.kernel_cache import KERNELS
+
+        folders = {"kernels": KERNELS, "optimised models": self._settings.store / MODELS}
+        return "ok", ", ".join(f"{name}: {folder} {_size(folder)}" for name, folder in folders.items())
+
     def _sample(self) -> tuple[State, str]:
         """Two photographs to a scene, and its picture beside a third."""
         from .camera_file import load_scene_folder
@@ -165,6 +181,19 @@ class Doctor:
 
 def _described(info: ModelInfo) -> str:
     return f"{info.preset}, {info.width} x {info.height} px, {info.precision}, weights {info.weights_sha256[:12]}"
+
+
+def _installed(package: str) -> str:
+    try:
+        return f"{package} {version(package)}"
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _size(folder: Path) -> str:
+    if not folder.is_dir():
+        return "(not there yet)"
+    return f"({sum(path.stat().st_size for path in folder.rglob('*') if path.is_file()) / 2**20:,.1f} MB)"
 
 
 def verdict(findings: list[Finding]) -> str:

@@ -40,6 +40,19 @@ def square(camera: Camera) -> Camera:
     return frame(camera, side, side)
 
 
+def within(camera: Camera, side: int) -> Camera:
+    """The same view with no side longer than `side` px."""
+    if max(camera.width, camera.height) <= side:
+        return camera
+    return frame(camera, width=side) if camera.width >= camera.height else frame(camera, height=side)
+
+
+def even(camera: Camera) -> Camera:
+    """The view without its last row and column of pixels where their number is odd, as a film in MP4 needs it."""
+    width, height = (side - side % 2 if side > 1 else side for side in (camera.width, camera.height))
+    return frame(camera, width, height) if (width, height) != (camera.width, camera.height) else camera
+
+
 def parse_size(text: str) -> tuple[int, int]:
     """`WxH` in pixels, such as 640x480."""
     match = re.fullmatch(r"([1-9]\d{0,4})[x×]([1-9]\d{0,4})", text.strip().lower())

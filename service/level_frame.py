@@ -15,7 +15,7 @@ from .camera import Camera
 from .gaussians import Gaussians
 from .harmonics import rotate_harmonics
 from .rotations import quaternion_from_matrix, quaternion_product
-from .views import mean_camera, up_direction
+from .views import mean_camera, vertical
 
 F64 = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class LevelFrame:
     @classmethod
     def of(cls, cameras: Sequence[Camera], pivot_depth: float) -> LevelFrame:
         """For cameras that look at a pivot `pivot_depth` (caller's units) ahead of their mean."""
-        middle, up = mean_camera(cameras), up_direction(cameras)
+        middle, up = mean_camera(cameras), vertical(cameras)
         ahead = middle.rotation[:, 2]
         right = np.cross(ahead, up)
         if np.linalg.norm(right) < 1e-6:  # straight up or down: any direction is level

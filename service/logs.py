@@ -13,18 +13,29 @@ REQUEST_ID: contextvars.ContextVar[str | None] = contextvars.ContextVar("request
 _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "color_message", "request_id"}
 
 
-def configure(form: Literal["text", "json"]) -> None:
-    """Log of this process to stderr; the server's own lines about requests give way to those of `http/observe.py`."""
-    handler = logging.StreamHandler(sys.stderr)
+def configure(form: Literal["text", "json"], *, quiet: bool = False) -> None:
+    """Log of this process to stderr; the server's own lines about requests give way to those of `http/observe.py`.
+
+    `quiet`: warnings and errors alone.
+    """
+    handler = _Stderr()
     handler.setFormatter(_Json() if form == "json" else _Text())
     handler.addFilter(_with_request)
     root = logging.getLogger()
     root.handlers[:] = [handler]
-    root.setLevel(logging.INFO)
+    root.setLevel(logging.WARNING if quiet else logging.INFO)
     for name in ("uvicorn", "uvicorn.error", "uvicorn.access"):
         logger = logging.getLogger(name)
         logger.handlers.clear()
         logger.propagate = name != "uvicorn.access"
+
+
+class _Stderr(logging.StreamHandler):
+    """To what stderr is at that moment: while bars are drawn, lines appear above them."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.stream = sys.stderr
+        super().emit(record)
 
 
 def _with_request(record: logging.LogRecord) -> bool:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from .depth_levels import DepthCode, depth_levels, png_text
 from .errors import InputError, ViewError
 
 if TYPE_CHECKING:
@@ -34,19 +36,24 @@ MAX_SIDE: dict[str, int] = {"png": 2**31 - 1, "webp": 16_383, "jpeg": 65_500}  #
 
 @dataclass(frozen=True)
 class Picture:
-    """An encoded picture; `depth_range` gives the depths that the lowest and the highest grey level stand for."""
+    """An encoded picture; `depth` says what the grey levels of a depth picture mean."""
 
     data: bytes
     media_type: str
-    depth_range: tuple[float, float] | None = None
+    depth: DepthCode | None = None
 
 
-def check_format(width: int, height: int, channel: Channel, format: Format) -> None:
+def check_format(width: int, height: int, channel: Channel, format: Format, depth_scale: float | None = None) -> None:
     """Refuse what `encode` could not write, before anything is drawn. Raises `InputError`."""
     if format == "jpeg" and channel != "rgb":
         raise InputError(
             f"{channel} in JPEG would lose its levels", field="format", cure="ask for png or webp, which are exact"
         )
+    if depth_scale is not None:
+        if channel != "depth":
+            raise InputError(f"goes with channel depth, not with {channel}", field="depth_scale", cure="leave it out")
+        if not 0 < depth_scale < math.inf:
+            raise InputError(f"is {depth_scale:g}, need more than 0", field="depth_scale")
     for field, side in (("width", width), ("height", height)):
         if side > MAX_SIDE[format]:
             raise InputError(
@@ -56,23 +63,33 @@ def check_format(width: int, height: int, channel: Channel, format: Format) -> N
             )
 
 
-def encode(render: Render, channel: Channel = "rgb", format: Format = "png") -> Picture:
+def encode(
+    render: Render, channel: Channel = "rgb", format: Format = "png", depth_scale: float | None = None
+) -> Picture:
     """Encode one channel of a render; what `check_format` refuses is not for here.
 
-    Depth: grey level 0 means nothing there; level 1 to the highest (65535 in PNG, else 255) is linear from
-    `depth_range[0]` to `depth_range[1]`, the smallest and largest depth of this picture, in the caller's units.
+    Depth has 16 bits in PNG, else 8; `depth_scale` is as in `depth_levels`, which may refuse it. A PNG carries the
+    meaning of its levels as text of its own.
     """
-    depth_range = None
+    code: DepthCode | None = None
+    more: dict[str, Any] = {}
     if channel == "rgb":
         pixels = render.rgb8()
     elif channel == "alpha":
         pixels = np.rint(np.clip(render.alpha, 0.0, 1.0) * 255).astype(np.uint8)
     else:
-        pixels, depth_range = _depth_levels(render, 65535 if format == "png" else 255)
+        pixels, code = depth_levels(render.depth, render.alpha > 0, 65535 if format == "png" else 255, depth_scale)
+        if format == "png":
+            more["pnginfo"] = png_text(code)
+    data = encode_image(Image.fromarray(pixels), format, exact=channel != "rgb", **more)
+    return Picture(data, f"image/{format}", code)
+
+
+def encode_image(image: Image.Image, format: Format, *, exact: bool = False, **options: Any) -> bytes:
+    """The bytes of a file; `exact`: WebP without loss. `options` are further ones of Pillow."""
     buffer = io.BytesIO()
-    options = _EXACT_WEBP if format == "webp" and channel != "rgb" else _SAVE[format]
-    Image.fromarray(pixels).save(buffer, format.upper(), **options)
-    return Picture(buffer.getvalue(), f"image/{format}", depth_range)
+    image.save(buffer, format.upper(), **(_EXACT_WEBP if exact and format == "webp" else _SAVE[format]), **options)
+    return buffer.getvalue()
 
 
 def png(pixels: NDArray[np.uint8]) -> bytes:
@@ -95,14 +112,3 @@ def parse_background(text: str) -> tuple[float, float, float]:
         )
     red, green, blue = bytes.fromhex(match[1])
     return red / 255, green / 255, blue / 255
-
-
-def _depth_levels(render: Render, top: int) -> tuple[np.ndarray, tuple[float, float]]:
-    dtype = np.uint16 if top > 255 else np.uint8
-    there = render.alpha > 0
-    if not there.any():
-        return np.zeros(render.depth.shape, dtype), (0.0, 0.0)
-    depth = render.depth.astype(np.float64)
-    low, high = float(depth[there].min()), float(depth[there].max())
-    levels = 1 + (top - 1) * (depth - low) / max(high - low, np.finfo(np.float64).tiny)
-    return np.where(there, np.rint(levels), 0).astype(dtype), (low, high)

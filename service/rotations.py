@@ -71,6 +71,20 @@ def about_axis(axis: F64, angle: float) -> F64:
     return matrix_from_quaternion(np.concatenate([[np.cos(half)], np.sin(half) * np.asarray(axis, dtype=np.float64)]))
 
 
+def rotation_vector(rotation: F64) -> F64:
+    """(3,) axis of a rotation (3, 3) times its angle in radians, at most pi."""
+    q = quaternion_from_matrix(rotation)
+    sine = float(np.linalg.norm(q[1:]))
+    return 2.0 * q[1:] if sine < 1e-12 else q[1:] * (2.0 * float(np.arctan2(sine, q[0])) / sine)
+
+
+def quaternion_from_vector(vectors: F64) -> F64:
+    """(..., 4) unit quaternions wxyz of rotation vectors (..., 3): the inverse of `rotation_vector`."""
+    half = 0.5 * np.asarray(vectors, dtype=np.float64)
+    angle = np.linalg.norm(half, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(angle), half * np.sinc(angle / np.pi)], axis=-1)
+
+
 def slerp(start: F64, end: F64, fraction: float) -> F64:
     """(3, 3) rotation on the shortest arc from `start` (fraction 0) to `end` (fraction 1)."""
     q = quaternion_from_matrix(np.asarray(start).T @ np.asarray(end))

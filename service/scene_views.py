@@ -10,6 +10,7 @@ from typing import Any, TypedDict
 import numpy as np
 
 from .camera import Camera
+from .camera_path import Path, PathName, camera_path
 from .errors import ViewError
 from .views import resolve_view
 
@@ -39,16 +40,20 @@ class SceneViews:
         return cls(cameras, document["near"], document["far"])
 
     def resolve(self, spec: str, *, field: str = "view") -> Camera:
-        """The camera of "2", "1.5" or "orbit:30"."""
+        """The camera of "2", "1.5" or "orbit:30"; an orbit turns about the pivot."""
         try:
             return resolve_view(spec, self.cameras, pivot_depth=self.pivot_depth)
         except ViewError as error:
             error.field = field
             raise
 
+    def path(self, name: PathName, swing: float | None = None) -> Path:
+        """A camera path among these cameras, about the pivot. Raises `ViewError`."""
+        return camera_path(name, self.cameras, pivot_depth=self.pivot_depth, swing=swing)
+
     @property
     def pivot_depth(self) -> float:
-        """z-depth that an orbit turns about: the geometric mean of near and far."""
+        """z-depth of what the scene turns about: the geometric mean of near and far, 1 where they are unknown."""
         return math.sqrt(self.near * self.far) if self.near and self.far else 1.0
 
     @property

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from types import TracebackType
+from typing import Annotated
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
 from rich.text import Text
 
 from .progress import Stage
+
+QUIET_HELP = "write nothing to stderr but errors"
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help=QUIET_HELP)]  # of every command
 
 NAME_WIDTH = 14  # the longest stage name, so that all bars begin in one column
 
@@ -26,11 +31,14 @@ def _seconds(value: float) -> str:
 
 
 class ProgressBars:
-    """A listener for `Stages`; use it as a context manager. Writes to stderr, so that stdout stays for results."""
+    """A listener for `Stages`; use it as a context manager. Writes to stderr, so that stdout stays for results.
 
-    def __init__(self, console: Console | None = None) -> None:
-        self.console = console or Console(stderr=True, highlight=False, soft_wrap=True)
-        self._live = self.console.is_terminal
+    `quiet`: neither bars nor lines are written, only what somebody prints past this.
+    """
+
+    def __init__(self, console: Console | None = None, *, quiet: bool = False) -> None:
+        self.console = console or Console(stderr=True, highlight=False, soft_wrap=True, quiet=quiet)
+        self._live = self.console.is_terminal and not quiet
         self._progress = Progress(
             TextColumn(f"{{task.description:{NAME_WIDTH}}}"),
             BarColumn(bar_width=30),

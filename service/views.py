@@ -8,11 +8,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .camera import Camera
 from .errors import ViewError
-from .rotations import about_axis, mean_rotation, slerp
+from .rotations import F64, about_axis, mean_rotation, slerp
 
 _LENS = ("fx", "fy", "cx", "cy")
 _NUMBER = re.compile(r"[0-9]{1,4}(\.[0-9]{1,9})?")
@@ -70,23 +69,24 @@ def mean_camera(cameras: Sequence[Camera]) -> Camera:
     return replace(first, world_from_cam=pose, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
-def up_direction(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """(3,) unit vector: the mean of the cameras' own up directions; that of the mean camera where they have none."""
-    up = -np.mean([camera.rotation[:, 1] for camera in cameras], axis=0)
-    length = float(np.linalg.norm(up))
-    return up / length if length > 1e-6 else -mean_camera(cameras).rotation[:, 1]  # upside down to each other
-
-
 def orbit_camera(cameras: Sequence[Camera], angle: float, pivot_depth: float) -> Camera:
     """The mean camera moved by `angle` radians on a circle about the vertical through its pivot.
 
-    The vertical is the mean up direction of the cameras (up is -y in the camera); a positive angle moves the camera to
-    its right, and it keeps looking at the pivot.
+    A positive angle moves the camera to its right, and it keeps looking at the pivot.
     """
-    middle, up = mean_camera(cameras), up_direction(cameras)
+    middle = mean_camera(cameras)
     to_pivot = pivot_depth * middle.rotation[:, 2]
-    turn = about_axis(up, angle)
+    turn = about_axis(vertical(cameras), angle)
     pose = np.eye(4)
     pose[:3, :3] = turn @ middle.rotation
     pose[:3, 3] = middle.center + to_pivot - turn @ to_pivot
     return middle.posed(pose)
+
+
+def vertical(cameras: Sequence[Camera]) -> F64:
+    """(3,) the mean up direction of the cameras as a unit vector in the world; up is -y in the camera."""
+    up = -np.mean([camera.rotation[:, 1] for camera in cameras], axis=0)
+    length = float(np.linalg.norm(up))
+    if length > 1e-6:
+        return up / length
+    return -mean_rotation(np.stack([camera.rotation for camera in cameras]))[:, 1]  # upside down to each other

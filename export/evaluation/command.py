@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from gapmes.service.errors import GapmesError, ModelError
-from gapmes.service.terminal import ProgressBars
+from gapmes.service.terminal import ProgressBars, Quiet
 
 NEEDED = ("torch", "transformers", "onnx", "onnxscript", "safetensors")  # of the extra `export`
 FLOOR_MISSED = 1
@@ -36,6 +36,7 @@ def evaluate(
     check: Annotated[bool, typer.Option("--check", help="exit code 1 when a floor is missed")] = False,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the report to stdout as JSON")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Measure PSNR, SSIM and LPIPS on held-out views, beside baselines that learn nothing.
 
@@ -58,7 +59,7 @@ def evaluate(
     if threads is not None:
         torch.set_num_threads(threads)
     plans = evaluation_plans(scenes or (), generated, inputs or (), size or (), model or ())
-    with ProgressBars() as bars:
+    with ProgressBars(quiet=quiet) as bars:
         try:
             report = run(
                 plans,

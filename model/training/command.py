@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import sys
 from dataclasses import dataclass, replace
@@ -10,13 +11,16 @@ from pathlib import Path
 
 import torch
 
+from gapmes.service.terminal import QUIET_HELP, ProgressBars
+
 from ..checkpoint import CheckpointError
 from ..config import PRESETS, ModelConfig, preset
 from ..pretrained.backbones import BackboneSources
 from ..pretrained.sources import resolve
+from .log_rows import read_rows
 from .loop import train
 from .recipe import Recipe
-from .run_folder import WEIGHTS
+from .run_folder import LOG, WEIGHTS
 from .workers import Worker, run_workers
 
 
@@ -45,6 +49,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--threads", type=int, default=1, help="per process; one is fastest on shared cores")
     parser.add_argument("--device", default="auto", help="cpu, cuda, or auto: cuda when there is one")
     parser.add_argument("--validate-every", type=int, default=250, metavar="STEPS")
+    parser.add_argument("--json", action="store_true", help="print the run's last figures to stdout as one JSON object")
+    parser.add_argument("-q", "--quiet", action="store_true", help=QUIET_HELP)
     for switch in ("without-depth", "without-experts", "without-tasks"):
         parser.add_argument(f"--{switch}", action="store_true", help="ablation")
     for part in PARTS:
@@ -86,7 +92,12 @@ def main(arguments: list[str] | None = None) -> int:
         options.validate_every,
         device,
         backbones,
+        options.quiet,
     )
+    if options.json:
+        log = options.out / LOG
+        rows = read_rows(log) if log.is_file() else []  # a run of no steps has none
+        sys.stdout.write(json.dumps({"weights": str(options.out / WEIGHTS), "last": rows[-1] if rows else None}) + "\n")
     return 0
 
 
@@ -98,8 +109,19 @@ def _train(
     validate_every: int,
     device: str,
     backbones: BackboneSources | None,
+    quiet: bool,
 ) -> None:
-    level = logging.INFO if worker.leads else logging.WARNING
-    logging.basicConfig(level=level, format="%(asctime)s %(message)s", stream=sys.stderr)
-    train(config, recipe, folder, validate_every=validate_every, device=device, worker=worker, backbones=backbones)
-    logging.getLogger(__name__).info("weights: %s", folder / WEIGHTS)
+    level = logging.INFO if worker.leads and not quiet else logging.WARNING
+    with ProgressBars(quiet=quiet or not worker.leads) as bars:
+        logging.basicConfig(level=level, format="%(asctime)s %(message)s", stream=sys.stderr)  # above the bar
+        train(
+            config,
+            recipe,
+            folder,
+            validate_every=validate_every,
+            device=device,
+            worker=worker,
+            backbones=backbones,
+            listener=bars,
+        )
+        logging.getLogger(__name__).info("weights: %s", folder / WEIGHTS)

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gapmes.service.progress import Listener, Stage, silent
+
 from ..config import ModelConfig
 from ..network import GaPMeS
 from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
@@ -39,12 +41,13 @@ def train(
     device: torch.device | str = "cpu",
     worker: Worker = Worker(),  # noqa: B008 - a frozen value
     backbones: BackboneSources | None = None,
+    listener: Listener = silent,
 ) -> GaPMeS:
     """Run the recipe to its end in `folder` and return the averaged weights; continues from what is there.
 
     Every random number of a step comes from (seed, step, worker), so a resumed run sees what an unbroken one would
-    have seen. `backbones` gives the frozen parts of a preset that has them. Several workers divide each step's scenes
-    between them: raises `ValueError` when they cannot.
+    have seen. `backbones` gives the frozen parts of a preset that has them; `listener` hears of every step. Several
+    workers divide each step's scenes between them: raises `ValueError` when they cannot.
     """
     for phase in recipe.phases:
         if phase.scenes % worker.count:
@@ -52,7 +55,18 @@ def train(
                 f"processes: {worker.count} cannot share the {phase.scenes} scenes of a step at {phase.size} px evenly"
             )
     with claimed(folder) if worker.leads else nullcontext():
-        return _run(config, recipe, folder, validate_every, validation_scenes, save_seconds, device, worker, backbones)
+        return _run(
+            config,
+            recipe,
+            folder,
+            validate_every,
+            validation_scenes,
+            save_seconds,
+            device,
+            worker,
+            backbones,
+            listener,
+        )
 
 
 def _run(
@@ -65,6 +79,7 @@ def _run(
     device: torch.device | str,
     worker: Worker,
     backbones: BackboneSources | None,
+    listener: Listener,
 ) -> GaPMeS:
     torch.manual_seed(recipe.seed)
     model = GaPMeS(config)
@@ -94,6 +109,7 @@ def _run(
         rate, parts = _step(model, optimiser, trained, recipe, step, worker)
         if not worker.leads:
             continue
+        listener(Stage("train", step + 1, recipe.steps))
         _average(average, model, min(recipe.ema, (step + 1) / (step + 20)))
         for key, value in parts.items():
             sums[key] = sums.get(key, 0.0) + value

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from ..terminal import ProgressBars
+from ..terminal import ProgressBars, Quiet
 
 
 def demo(
@@ -20,13 +20,14 @@ def demo(
         bool, typer.Option("--keep", help="leave the service running [also: KEEP=1 in the environment]")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="print the result to stdout as one JSON object")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Start the service, reconstruct the sample scene, render novel views and compare them with the truth."""
     from ..demo import run_demo
 
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # unwinds, so that the service is stopped then as well
     keep = keep or os.environ.get("KEEP", "") not in ("", "0")
-    with ProgressBars() as bars:
+    with ProgressBars(quiet=quiet) as bars:
         result = run_demo(output, bars, keep=keep)
     scores = ", ".join(f"{score:.1f}" for score in result.psnr)
     bars.say(f"PSNR of the novel views: {scores} dB")

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from ..backends.choice import ENGINES, checked_engine
+from ..terminal import ProgressBars, Quiet
 
 
 def doctor(
@@ -21,11 +22,11 @@ def doctor(
     store: Annotated[Path | None, typer.Option(help="folder of the scenes [default: GAPMES_STORE]")] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the findings to stdout as one JSON object")] = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Look at versions, processor, threads, memory, model, kernels and store, and reconstruct the sample."""
-    from rich.console import Console
-
+    """Look at versions, extras, processor, threads, memory, model, kernels, store, caches; reconstruct the sample."""
     from ..doctor import Doctor, verdict
+    from ..progress import Stages
     from ..settings import Settings
 
     given: dict[str, Any] = {
@@ -35,13 +36,16 @@ def doctor(
         "threads": threads,
     }
     settings = Settings(**{name: value for name, value in given.items() if value is not None})
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    examination = Doctor(settings)
     findings = []
-    for finding in Doctor(settings).findings():
-        findings.append(finding)
-        console.print(f"{finding.state:8} {finding.name:10} {finding.text}", markup=False)
-    said = verdict(findings)
-    console.print(said, markup=False)
+    with ProgressBars(quiet=quiet) as bars:
+        with Stages(bars).stage("doctor", len(examination.looks)) as step:
+            for finding in examination.findings():
+                findings.append(finding)
+                bars.say(f"{finding.state:8} {finding.name:10} {finding.text}")
+                step(len(findings))
+        said = verdict(findings)
+        bars.say(said)
     if as_json:
         document = {"verdict": said, "findings": [asdict(finding) for finding in findings]}
         sys.stdout.write(json.dumps(document) + "\n")

@@ -13,7 +13,7 @@ import typer
 from ..backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from ..budget import DEFAULT_CERTIFY
 from ..foretold import DEFAULT_OTHERS, checked_others
-from ..terminal import ProgressBars
+from ..terminal import ProgressBars, Quiet
 from .selection import view_indices
 from .summary import check_line, left_out_lines
 
@@ -44,6 +44,7 @@ def reconstruct(
     ] = DEFAULT_ENGINE,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Reconstruct a scene from some of the views of a folder."""
     from ..budget import Budget, parse_max_error
@@ -61,7 +62,7 @@ def reconstruct(
     chosen = checked_engine(engine)
     budget = Budget(parse_max_error(max_error), certify, min_opacity=min_opacity, stride=stride)
     folder = load_scene_folder(scene_dir, None if views is None else partial(view_indices, views))
-    with ProgressBars() as bars:
+    with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("load model"):
             reconstructor = Reconstructor(model, threads=threads, engine=chosen)

@@ -1,17 +1,19 @@
-"""`gapmes render`: pictures of a file of Gaussians from the cameras of a file, by index or between two."""
+"""`gapmes render`: pictures, a film or a contact sheet of a file of Gaussians, from the cameras of a file."""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ..effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort, draw
-from ..terminal import ProgressBars
+from ..camera_path import PathName
+from ..effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort
+from ..terminal import ProgressBars, Quiet
 from .dialect_options import AxesOption, DropInvalidOption, OpacityOption, RotationOption, ScalesOption
 from .selection import view_specs
 
@@ -23,11 +25,29 @@ if TYPE_CHECKING:
 def render(
     ply: Annotated[Path, typer.Argument(metavar="SCENE", help=".ply, .compressed.ply, .splat or .spz")],
     cameras: Annotated[Path, typer.Option(help="cameras.json or transforms.json")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="folder for the pictures, made where it is missing")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", help="folder for pictures, made where it is missing; or file of a film or sheet"
+        ),
+    ],
     views: Annotated[str | None, typer.Option(help="such as 5,6,7 or 5.5 between two [default: all]")] = None,
     size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in px; another aspect is cropped to")] = None,
     crop: Annotated[Literal["none", "square"], typer.Option(help="square: the centred square of each view")] = "none",
+    path: Annotated[
+        PathName | None, typer.Option(help="of a film: about the scene, through the views and back, or all round it")
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, max=600, help="of a film [default: 4]")] = None,
+    fps: Annotated[float | None, typer.Option(min=1, max=50, help="of a film: frames per second [default: 24]")] = None,
+    swing: Annotated[
+        float | None, typer.Option(help="of a turntable: degrees each way [default: as far as the views reach]")
+    ] = None,
+    sheet: Annotated[bool, typer.Option("--sheet", help="all views in one picture, .png, .jpg or .webp")] = False,
     channel: Annotated[Literal["rgb", "alpha", "depth"], typer.Option(help="colour, opacity or z-depth")] = "rgb",
+    depth_scale: Annotated[
+        float | None,
+        typer.Option(help="of depth: units per grey level, such as 0.001 [default: what the picture's depths need]"),
+    ] = None,
     background: Annotated[str, typer.Option(help="rrggbb in hex, black, white or grey")] = "black",
     alpha_min: Annotated[float, typer.Option(help="layers below this opacity are not drawn")] = ALPHA_MIN,
     stop: Annotated[float, typer.Option(help="what lies behind so little light is not drawn")] = STOP,
@@ -42,8 +62,9 @@ def render(
     drop_invalid: DropInvalidOption = False,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Render views of a scene as PNG files named view_<view>.png.
+    """Render views of a scene as PNG files named view_<view>.png, or a film where OUTPUT ends in .mp4, .webp or .gif.
 
     Where the camera file lacks near or far, the depths of the Gaussians that its cameras see stand in for them.
     """
@@ -53,10 +74,11 @@ def render(
     from ..formats.dialect import Dialect
     from ..formats.registry import inspect_gaussians
     from ..framing import frame, parse_size, square
-    from ..picture import encode, parse_background
+    from ..picture import check_format, parse_background
     from ..progress import Stages
     from ..scene_views import SceneViews
     from ..seen_depths import seen_depths
+    from .outputs import SHEET_FORMATS, Drawing, FilmPlan, write_moving, write_pictures, write_sheet
 
     effort = Effort(alpha_min, stop, sh_degree, samples)
     file = read_camera_file(cameras)
@@ -65,14 +87,29 @@ def render(
     if in_file:
         depth_range(file.cameras, file.near, file.far)  # refuses what is no range
     scene = SceneViews(file.cameras, file.near, file.far) if in_file else SceneViews(file.cameras)
-    for spec in specs:  # what is no view is said before the work
-        scene.resolve(spec, field="views")
     sides = None if size is None else parse_size(size)
+    moving: dict[str, Any] = {"path": path, "seconds": seconds, "fps": fps, "swing": swing}
+    plan = FilmPlan.asked(output, channel, sheet, sides is not None, **moving)
+    if sheet and (channel != "rgb" or output.suffix.lower() not in SHEET_FORMATS):
+        wanted = ", ".join(SHEET_FORMATS)
+        raise InputError(f"is {channel} in {output.name!r}, need rgb in one of {wanted}", field="sheet")
+
+    def fit(camera: Camera) -> Camera:
+        cropped = square(camera) if crop == "square" else camera
+        return cropped if sides is None else frame(cropped, *sides)
+
+    for spec in specs:  # what cannot be drawn or written is said before the work
+        shot = fit(scene.resolve(spec, field="views"))
+        check_format(shot.width, shot.height, channel, "png", depth_scale)
+    if plan is not None:
+        replace(scene, cameras=[scene.resolve(spec, field="views") for spec in specs]).path(plan.path, plan.swing)
+        plan.shape(plan.fit(fit(scene.resolve(specs[0], field="views"))))
+    if (plan is not None or sheet) and not output.parent.is_dir():
+        raise InputError(f"{output.parent} is not a folder", field="output")
     options = {"background": parse_background(background), "threads": threads}
     if not ply.is_file():
         raise InputError(f"{ply} is not a file", field="SCENE")
-    written = []
-    with ProgressBars() as bars:
+    with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("read"):
             dialect = Dialect(opacity, scales, rotation, axes)
@@ -80,29 +117,20 @@ def render(
             gaussians = reading.gaussians
         if not in_file:
             scene = SceneViews(file.cameras, *(seen_depths(gaussians, file.cameras) or (None, None)))
-        shots = [scene.resolve(spec, field="views") for spec in specs]
-        if crop == "square":
-            shots = [square(camera) for camera in shots]
-        if sides is not None:
-            shots = [frame(camera, *sides) for camera in shots]
-        output.mkdir(parents=True, exist_ok=True)
-        with stages.stage("render", len(shots)) as step:
-            for spec, camera in zip(specs, shots, strict=True):
-                drawn = draw(gaussians, camera, channel, effort, **options, **scene.near_plane)
-                picture = encode(drawn, channel)
-                path = output / f"view_{spec.replace(':', '_')}.png"
-                path.write_bytes(picture.data)
-                entry = {"view": spec, "file": str(path), "width": camera.width, "height": camera.height}
-                if picture.depth_range is not None:
-                    entry["depth_range"] = picture.depth_range
-                written.append(entry)
-                step(len(written))
-    warnings = [*reading.notes(), *_precision(gaussians, shots, scene.near)]
-    bars.say(f"{len(written)} pictures in {output}")
+        drawing = Drawing(gaussians, scene, specs, fit, channel, effort, options)
+        written: dict[str, Any]
+        if plan is not None:
+            written = {"film": write_moving(drawing, output, plan, stages)}
+        elif sheet:
+            written = {"sheet": write_sheet(drawing, output, stages)}
+        else:
+            written = {"views": write_pictures(drawing, output, depth_scale, stages)}
+    warnings = [*reading.notes(), *_precision(gaussians, drawing.shots, scene.near)]
+    bars.say(f"{len(written['views'])} pictures in {output}" if "views" in written else f"wrote {output}")
     for warning in warnings:
         bars.say(f"warning: {warning}")
     if as_json:
-        document = {"gaussians": len(gaussians), "views": written, "warnings": warnings, "timings": stages.timings}
+        document = {"gaussians": len(gaussians), **written, "warnings": warnings, "timings": stages.timings}
         sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")
 
 

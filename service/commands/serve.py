@@ -13,6 +13,7 @@ import typer
 
 from ..backends.choice import ENGINES
 from ..errors import InputError
+from ..terminal import Quiet
 
 SHARED_MEMORY = "/dev/shm"
 
@@ -37,6 +38,7 @@ def serve(
     workers: Annotated[
         int | None, typer.Option(min=1, max=256, help="processes [default: GAPMES_WORKERS or 1]")
     ] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Start the service; /readyz answers 200 once the model is loaded and the kernels are warm."""
     import uvicorn
@@ -47,7 +49,7 @@ def serve(
 
     given: dict[str, Any] = {
         "host": host, "port": port, "model": model, "models": models, "engine": engine, "store": store,
-        "threads": threads, "workers": workers,
+        "threads": threads, "workers": workers, "quiet": quiet or None,
     }  # fmt: skip
     given = {name: value for name, value in given.items() if value is not None}
     try:

@@ -1,16 +1,28 @@
-"""Drawing a stored scene within the service's bounds, on a worker thread."""
+"""Drawing a stored scene within the service's bounds, on a worker thread: one picture, or one after the other."""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import time
 from collections.abc import Sequence
+from functools import partial
+from importlib.metadata import version
 from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from ..camera import Camera
 from ..effort import Effort
 from ..effort import draw as effort_draw
 from ..errors import InputError
+from ..metrics import STAGES
 from ..picture import Channel
 from ..scene_views import SceneViews
+from .files import etag_of
+from .gate import Pause
 from .runtime import Runtime
 
 if TYPE_CHECKING:
@@ -43,3 +55,35 @@ def draw(
     gaussians = runtime.store.gaussians(scene_id)
     options = {"background": background, "threads": runtime.settings.threads, **views.near_plane}
     return effort_draw(gaussians, camera, channel, effort, **options)
+
+
+class Sitting:
+    """Pictures of one scene in one turn of the lane, between which it pauses; `seconds` has what it took."""
+
+    def __init__(self, runtime: Runtime, scene_id: str, views: SceneViews, background: Sequence[float], pause: Pause):
+        self._draw = partial(draw, runtime, scene_id, views=views, background=background)
+        self._pause = pause
+        self._begun = False
+        self.seconds = {"wait": 0.0, "draw": 0.0}
+
+    def pixels(self, camera: Camera) -> NDArray[np.uint8]:
+        """The next picture, (H, W, 3)."""
+        start = time.perf_counter()
+        if self._begun:
+            self._pause()
+        self._begun = True
+        turn = time.perf_counter()
+        pixels = self._draw(camera=camera).rgb8()
+        drawn = time.perf_counter() - turn
+        STAGES.labels("draw").observe(drawn)
+        self.seconds["wait"] += turn - start
+        self.seconds["draw"] += drawn
+        return pixels
+
+
+def picture_tag(runtime: Runtime, scene_id: str, query: BaseModel) -> str:
+    """Of a picture or film: it depends on the scene's file, on what is asked, and on the splatter of this release."""
+    with runtime.store.reading(scene_id) as path:
+        scene = etag_of(path)
+    parts = [scene, version("gapmes"), type(query).__name__, query.model_dump_json(exclude={"scene"})]
+    return f'"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}"'

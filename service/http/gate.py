@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import TypeVar
 
+import anyio.from_thread
 import anyio.to_thread
 from starlette.requests import ClientDisconnect
 
@@ -15,6 +16,7 @@ from ..errors import ServiceBusy
 
 T = TypeVar("T")
 Gone = Callable[[], Awaitable[bool]]  # whether the client has gone away
+Pause = Callable[[], None]  # for the worker thread
 
 GLANCE_S = 0.1  # between two looks whether it has
 
@@ -56,12 +58,29 @@ class Lane:
 
         Raises `ServiceBusy` where the lane is full or the wait too long, and `ClientDisconnect` where nobody waits.
         """
+        return await self.run_in_steps(lambda _: function(), gone)
+
+    async def run_in_steps(self, function: Callable[[Pause], T], gone: Gone) -> T:
+        """As `run`, for work of several steps, which calls what it is given between two of them: there those come first
+        who have waited meanwhile, and `ClientDisconnect` or `ServiceBusy` ends it as they would before the first."""
         async with self.places.place():
             await self._turn(gone)
-            try:
-                return await anyio.to_thread.run_sync(function)
-            finally:
+            held = True
+
+            async def pause() -> None:
+                nonlocal held
                 self._turns.release()
+                held = False
+                if await gone():
+                    raise ClientDisconnect
+                await self._turn(gone)
+                held = True
+
+            try:
+                return await anyio.to_thread.run_sync(function, lambda: anyio.from_thread.run(pause))
+            finally:
+                if held:
+                    self._turns.release()
 
     async def _turn(self, gone: Gone) -> None:
         turn = asyncio.ensure_future(self._turns.acquire())  # one wait, so that the order of arrival is kept

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from dataclasses import dataclass
-from importlib.metadata import version
 from typing import Annotated, Any
 
 import anyio.to_thread
@@ -22,8 +20,8 @@ from ..metrics import STAGES
 from ..picture import Channel, Format, Picture, check_format, encode, parse_background
 from ..problem_document import plain
 from ..scene_views import SceneViews
-from .drawing import check_size, draw
-from .files import etag_of, matches, not_modified
+from .drawing import check_size, draw, picture_tag
+from .files import matches, not_modified
 from .limits import parse_json
 from .responses import server_timing
 from .runtime import Runtime, runtime_of
@@ -50,6 +48,9 @@ class RenderQuery(BaseModel):
     height: int | None = Field(None, ge=1, le=65_535, description="px; another aspect crops about the middle")
     channel: Channel = Field("rgb", description="colour, opacity or z-depth")
     format: Format = Field("png", description="alpha and depth: png or webp; depth has 16 bits in png, 8 in webp")
+    depth_scale: float | None = Field(
+        None, gt=0, description="of depth: the cameras' units per grey level; default: what the picture's depths need"
+    )
     alpha_min: float = Field(
         ALPHA_MIN,
         ge=LIMITS["alpha_min"][0],
@@ -89,7 +90,11 @@ async def render(
     def work() -> tuple[Picture, dict[str, Any], float]:
         drawn = draw(runtime, asked.scene_id, asked.camera, asked.views, query.channel, effort, background)
         start = time.perf_counter()
-        return encode(drawn, query.channel, query.format), plain(drawn.stats), time.perf_counter() - start
+        return (
+            encode(drawn, query.channel, query.format, query.depth_scale),
+            plain(drawn.stats),
+            time.perf_counter() - start,
+        )
 
     start = time.perf_counter()
     picture, stats, encoding = await runtime.pictures.run(work, request.is_disconnected)
@@ -99,8 +104,8 @@ async def render(
         STAGES.labels(stage).observe(seconds)
     timing = server_timing({"wait": max(total - drawing - encoding, 0.0), "draw": drawing, "encode": encoding})
     headers = {"X-Gapmes-Scene": asked.scene_id, "X-Gapmes-Stats": json.dumps(stats), "Server-Timing": timing, **cache}
-    if picture.depth_range is not None:
-        headers["X-Gapmes-Depth-Min"], headers["X-Gapmes-Depth-Max"] = map(repr, picture.depth_range)
+    if picture.depth is not None:
+        headers |= {f"X-Gapmes-Depth-{name}": repr(value) for name, value in picture.depth.named().items()}
     return Response(picture.data, media_type=picture.media_type, headers=headers)
 
 
@@ -111,7 +116,7 @@ class _Asked:
     scene_id: str
     views: SceneViews
     camera: Camera
-    etag: str  # of the picture: it depends on the scene's file, on what is asked, and on the splatter of this release
+    etag: str
 
 
 def _asked(runtime: Runtime, query: RenderQuery) -> _Asked:
@@ -123,9 +128,5 @@ def _asked(runtime: Runtime, query: RenderQuery) -> _Asked:
     else:
         camera = views.resolve(query.view if query.view is not None else "0")
     camera = check_size(frame(camera, query.width, query.height), runtime.settings.max_render_pixels, query.samples)
-    check_format(camera.width, camera.height, query.channel, query.format)
-    with runtime.store.reading(scene_id) as path:
-        scene = etag_of(path)
-    parts = [scene, version("gapmes"), query.model_dump_json(exclude={"scene"})]
-    etag = f'"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}"'
-    return _Asked(scene_id, views, camera, etag)
+    check_format(camera.width, camera.height, query.channel, query.format, query.depth_scale)
+    return _Asked(scene_id, views, camera, picture_tag(runtime, scene_id, query))

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import AbstractContextManager, asynccontextmanager, contextmanager, nullcontext
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,7 @@ from ..errors import ModelNotReady
 from ..jobs.desk import Desk
 from ..model_names import DEFAULT
 from ..priority import give_way
+from ..progress import Listener, Stages, silent
 from ..settings import Settings
 from ..store import SceneStore
 from .gate import Lane, Places
@@ -36,8 +37,9 @@ TIDY_S = 60.0  # between two looks for scenes that are too old, and for jobs to 
 class Runtime:
     """Built with the application; the lifespan runs the application inside `running`."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, bars: AbstractContextManager[Listener] | None = None) -> None:
         self.settings = settings
+        self._bars = bars or nullcontext(silent)
         self.store = SceneStore(
             settings.store,
             cache_bytes=settings.cache_bytes,
@@ -59,7 +61,7 @@ class Runtime:
         self.uploads = Places(settings.max_uploads, "sending their photographs")
         self.stage = "start"
         self._told: float | None = None  # when the process was told to end
-        self.timings: dict[str, float] = {}
+        self._stages = Stages()
         self._loading: asyncio.Future[None] | None = None
         self._models: Models | None = None
 
@@ -127,15 +129,17 @@ class Runtime:
 
     def _load(self) -> None:
         """Import the heavy libraries, load the model, compile or load the kernels."""
-        with self._timed("import"):
-            from ..models import Models
-            from ..splat import warm_up
-        with self._timed("model"):
-            models = Models(self.settings, prepare=self.settings.store / MODELS)
-            with models.using(DEFAULT):  # the others when one is first asked for
-                pass
-        with self._timed("kernels"):
-            warm_up()
+        with self._bars as listener:
+            self._stages = Stages(listener)
+            with self._timed("import"):
+                from ..models import Models
+                from ..splat import warm_up
+            with self._timed("model"):
+                models = Models(self.settings, prepare=self.settings.store / MODELS)
+                with models.using(DEFAULT):  # the others when one is first asked for
+                    pass
+            with self._timed("kernels"):
+                warm_up()
         self.desk.open(models)
         self.stage = "ready"
         self._models = models
@@ -143,9 +147,13 @@ class Runtime:
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
         self.stage = stage
-        start = time.perf_counter()
-        yield
-        self.timings[stage] = time.perf_counter() - start
+        with self._stages.stage(stage):
+            yield
+
+    @property
+    def timings(self) -> dict[str, float]:
+        """Seconds per stage of loading."""
+        return self._stages.timings
 
     @property
     def failure(self) -> BaseException | None:

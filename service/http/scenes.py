@@ -124,6 +124,8 @@ def links(scene_id: str, views: int) -> dict[str, Any]:
         "self": f"/scenes/{scene_id}",
         "ply": f"/scenes/{scene_id}.ply",
         "files": {extension: f"/scenes/{scene_id}.{extension}" for extension in FORMATS},
+        "preview": f"/scenes/{scene_id}/preview",
+        "sheet": f"/scenes/{scene_id}/sheet",
         "views": [_render_link(scene_id, str(index)) for index in range(views)],
     }
 

@@ -42,6 +42,8 @@ class SceneLinks(BaseModel):
     self: str
     ply: str
     files: dict[str, str] = Field(description="by format: ply, compressed.ply, splat, spz")
+    preview: str = Field(description="a small film of it")
+    sheet: str = Field(description="its inputs drawn again, in one picture")
     views: list[str] = Field(description="pictures from the inputs' cameras")
     inputs: list[str] = Field([], description="the photographs as the network saw them")
     renders: list[str] = Field([], description="those that were asked for with `views`")
@@ -85,7 +87,8 @@ class SceneDocument(BaseModel):
             "check": {}, "timings": {"network": 0.6},
             "links": {
                 "self": f"/scenes/{_SCENE}", "ply": f"/scenes/{_SCENE}.ply",
-                "files": {"splat": f"/scenes/{_SCENE}.splat"}, "views": [],
+                "files": {"splat": f"/scenes/{_SCENE}.splat"}, "preview": f"/scenes/{_SCENE}/preview",
+                "sheet": f"/scenes/{_SCENE}/sheet", "views": [],
             },
         },
         more=True,

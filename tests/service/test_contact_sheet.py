@@ -1,10 +1,10 @@
-"""The comparison sheet of the demonstration."""
+"""Sheets of labelled pictures: the demonstration's comparison, and all views of a scene."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from gapmes.service.contact_sheet import Cell, Row, contact_sheet
+from gapmes.service.contact_sheet import CELL, GAP, LABEL, TITLE, Cell, Row, contact_sheet, rows_of
 
 
 def test_comparison_holds_every_picture() -> None:
@@ -13,3 +13,13 @@ def test_comparison_holds_every_picture() -> None:
     sheet = np.asarray(contact_sheet([Row("One", cells[:1]), Row("Two", cells[1:])]))
     for colour in colours:
         assert (sheet == colour).all(axis=2).sum() == 256 * 256
+
+
+def test_many_cells_go_into_several_rows_as_high_as_their_pictures() -> None:
+    cells = [Cell(np.full((90, 160, 3), 10 + index, np.uint8), str(index)) for index in range(8)]
+    rows = rows_of("Views", cells, columns=3)
+    assert [(row.title, len(row.cells)) for row in rows] == [("Views", 3), ("", 3), ("", 2)]
+    sheet = np.asarray(contact_sheet(rows))
+    assert sheet.shape == (3 * (TITLE + 90 + LABEL + GAP) + GAP, 3 * (CELL + GAP) + GAP, 3)
+    for index in range(8):
+        assert (sheet == 10 + index).all(axis=2).sum() >= 90 * 160  # text has greys of its own

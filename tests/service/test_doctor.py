@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from gapmes.service.doctor import Doctor, Finding, verdict
 from gapmes.service.errors import ModelError
 from gapmes.service.settings import Settings
 
-NAMES = ["versions", "processor", "threads", "memory", "model", "kernels", "store", "sample"]
+NAMES = ["versions", "extras", "processor", "threads", "memory", "model", "kernels", "store", "caches", "sample"]
 
 
 def run(*arguments: object) -> int:
@@ -37,6 +39,8 @@ def test_a_machine_where_all_is_well(tmp_path: Path, capfd: pytest.CaptureFixtur
     assert "tiny, 256 x 256 px, fp32" in found["model"]["text"]
     assert "dB beside the photograph" in found["sample"]["text"]
     assert "will be made" in found["store"]["text"]
+    assert re.fullmatch(r"openvino: .+, video: .+, export: .+", found["extras"]["text"])
+    assert re.search(r"kernels: /\S+ \([\d.]+ MB\), optimised models: /\S+ \(not there yet\)", found["caches"]["text"])
     assert err.splitlines()[-1] == document["verdict"]
     assert list(tmp_path.iterdir()) == []
 
@@ -79,6 +83,15 @@ def test_the_verdict_names_what_to_look_at() -> None:
     assert verdict([fine]) == "works here"
     assert verdict([fine, doubt]) == "works here, but look at: b"
     assert verdict([bad, fine, doubt, bad]) == "does not work here: c, c"
+
+
+def test_extras_and_caches_are_told_with_version_and_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "EXTRAS", {"one": "numpy", "other": "no-such-package"})
+    (tmp_path / ".models" / "x").mkdir(parents=True)
+    (tmp_path / ".models" / "x" / "model.onnx").write_bytes(bytes(3 * 2**20))
+    looked = Doctor(Settings(store=tmp_path))
+    assert looked._extras() == ("ok", f"one: numpy {version('numpy')}, other: not installed")
+    assert looked._caches()[1].endswith(f"optimised models: {tmp_path / '.models'} (3.0 MB)")
 
 
 def test_further_models_are_looked_at_and_summed(tmp_path: Path, standin_model: Path) -> None:

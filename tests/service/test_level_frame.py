@@ -12,7 +12,7 @@ from gapmes.service.gaussians import Gaussians
 from gapmes.service.level_frame import LevelFrame
 from gapmes.service.rotations import about_axis
 from gapmes.service.splat import render
-from gapmes.service.views import mean_camera, up_direction
+from gapmes.service.views import mean_camera, vertical
 
 
 def cameras(turn: np.ndarray, shift: np.ndarray, unit: float) -> list[Camera]:
@@ -39,7 +39,7 @@ def test_it_is_level_and_looks_at_the_pivot(turn: np.ndarray, shift: np.ndarray,
     frame = LevelFrame.of(views, 4 * unit)
     assert np.allclose(frame.rotation.T @ frame.rotation, np.eye(3), atol=1e-14)
     assert np.linalg.det(frame.rotation) == pytest.approx(1)
-    assert np.allclose(frame.rotation[:, 1], -up_direction(views), atol=1e-12)  # y is down
+    assert np.allclose(frame.rotation[:, 1], -vertical(views), atol=1e-12)  # y is down
     middle = frame.camera(mean_camera(views))
     assert np.allclose(middle.center, -middle.rotation[:, 2], atol=1e-8)  # one unit before the origin, looking at it
     assert abs(middle.rotation[0, 2]) < 1e-12  # neither to the left nor to the right

@@ -37,14 +37,13 @@ export function showAbout(target, scene) {
 }
 
 function files(scene) {
-  const found = scene.links.files ?? { ply: scene.links.ply };
-  const links = Object.entries(found).map(([kind, path]) => bring(make("a", { href: path, download: `${scene.id}.${kind}` }, `.${kind}`)));
-  const moving = scene.links.preview ? [bring(make("a", { href: scene.links.preview, download: `${scene.id}.webp` }, "moving picture"))] : [];
-  const sheet = scene.links.sheet ? [bring(make("a", { href: scene.links.sheet, download: `${scene.id}.png` }, "contact sheet"))] : [];
+  const link = (path, name, text) => bring(make("a", { href: path, download: name }, text));
+  const links = Object.entries(scene.links.files).map(([kind, path]) => link(path, `${scene.id}.${kind}`, `.${kind}`));
+  links.push(link(scene.links.preview, `${scene.id}.webp`, "moving picture"), link(scene.links.sheet, `${scene.id}.png`, "contact sheet"));
   const cameras = URL.createObjectURL(new Blob([JSON.stringify({ near: scene.near, far: scene.far, views: scene.cameras }, null, 1)], { type: "application/json" }));
-  const more = [make("a", { href: cameras, download: "cameras.json" }, "cameras.json"), bring(make("a", { href: scene.links.self, download: `${scene.id}.json` }, "scene document"))];
+  links.push(make("a", { href: cameras, download: "cameras.json" }, "cameras.json"), link(scene.links.self, `${scene.id}.json`, "scene document"));
   const list = make("p", { id: "downloads" }, "Download: ");
-  [...links, ...moving, ...sheet, ...more].forEach((link, index) => list.append(index ? " · " : "", link));
+  links.forEach((one, index) => list.append(index ? " · " : "", one));
   list.append(make("br"), `${count(scene.gaussians.count)} Gaussians, harmonics of degree ${scene.gaussians.sh_degree}`);
   return list;
 }

@@ -12,6 +12,7 @@ from http_requests import camera_object, photograph, post
 from starlette.testclient import TestClient
 
 from gapmes.service import errors
+from gapmes.service.http.preview import PreviewQuery, SheetQuery
 from gapmes.service.http.problems import FRAMEWORK_CODES
 from gapmes.service.http.render import RenderQuery
 from gapmes.service.http.upload import FIELDS
@@ -38,7 +39,7 @@ def test_every_route_and_parameter_is_documented(client: TestClient) -> None:
         shown = re.sub(r"\{(scene|job)_id\}", "{id}", path)
         for method in methods:
             assert re.search(rf"`{method.upper()} {re.escape(shown)}`", TEXT), (method, path)
-    for name in (*RenderQuery.model_fields, *FIELDS):
+    for name in (*RenderQuery.model_fields, *PreviewQuery.model_fields, *SheetQuery.model_fields, *FIELDS):
         assert f"`{name}`" in TEXT, name
 
 

@@ -80,6 +80,29 @@ def test_depth_levels_mean_what_the_headers_say(client: TestClient, scene: dict[
     assert levels.dtype == np.uint16 or levels.dtype == np.int32
     assert levels.max() == 65535 or low == high
     assert 0.5 * scene["near"] < low <= high < 2 * scene["far"]
+    scale, offset = (float(answer.headers[f"x-gapmes-depth-{name}"]) for name in ("scale", "offset"))
+    assert offset + scale == pytest.approx(low)
+    assert offset + 65535 * scale == pytest.approx(high)
+
+
+def test_depth_at_a_given_scale(client: TestClient, scene: dict[str, Any]) -> None:
+    fine = client.get("/render?channel=depth")
+    scale, offset = (float(fine.headers[f"x-gapmes-depth-{name}"]) for name in ("scale", "offset"))
+    depths = offset + scale * picture(fine).astype(np.float64)
+    answer = client.get("/render?channel=depth&depth_scale=0.01")
+    levels = picture(answer).astype(np.float64)
+    assert (answer.headers["x-gapmes-depth-scale"], answer.headers["x-gapmes-depth-offset"]) == ("0.01", "0.0")
+    there = picture(fine) > 0
+    assert np.abs(0.01 * levels - depths)[there].max() <= 0.5001 * (0.01 + scale)
+    with Image.open(io.BytesIO(answer.content)) as image:
+        assert image.text["gapmes:depth_scale"] == "0.01"
+        assert image.text["gapmes:depth_max"] == answer.headers["x-gapmes-depth-max"]
+    body = assert_problem(client.get("/render?channel=depth&depth_scale=1e-6"), 422, "invalid_input", "depth_scale")
+    assert "65535" in body["detail"]
+    assert_problem(client.get("/render?channel=depth&depth_scale=1e9"), 422, "invalid_input", "depth_scale")
+    assert_problem(client.get("/render?depth_scale=0.01"), 422, "invalid_input", "depth_scale")
+    assert_problem(client.get("/render?channel=depth&depth_scale=0"), 422, "parameter_invalid", "depth_scale")
+    assert_problem(client.get("/render?channel=depth&depth_scale=inf"), 422, "invalid_input", "depth_scale")
 
 
 def test_alpha_and_depth_are_exact_in_webp(client: TestClient, scene: dict[str, Any]) -> None:

@@ -21,6 +21,7 @@ from gapmes.service.view_checks import check_views
 # What a photograph, a file of Gaussians, a camera, a view or a place in the list is, a schema cannot say: some that
 # fits it is refused.
 SAID_IN_WORDS = ("POST /reconstruct", "POST /check", "POST /scenes", "GET /render", "GET /scenes")
+SAID_IN_WORDS += ("GET /scenes/{scene_id}/preview",)
 
 
 @pytest.fixture(scope="module")

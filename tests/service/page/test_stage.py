@@ -20,7 +20,7 @@ from gapmes.service.http.page import STATIC
 from gapmes.service.rotations import about_axis
 from gapmes.service.scene_views import SceneViews
 from gapmes.service.settings import Settings
-from gapmes.service.views import up_direction
+from gapmes.service.views import vertical
 
 NEED_DB = 25.0  # measured 28.4: at 2.9 times the size that the Gaussians were made for, gaps are drawn otherwise
 
@@ -60,7 +60,7 @@ def turned_view(address: str, scene: str, azimuth: float, elevation: float) -> s
     views = SceneViews.of_document(document)
     camera = views.cameras[0]
     pivot = camera.center + views.pivot_depth * camera.rotation[:, 2]
-    turn = about_axis(up_direction(views.cameras), math.radians(azimuth)) @ about_axis(
+    turn = about_axis(vertical(views.cameras), math.radians(azimuth)) @ about_axis(
         camera.rotation[:, 0], math.radians(-elevation)
     )
     pose = np.eye(4)

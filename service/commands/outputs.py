@@ -1,0 +1,134 @@
+"""What `gapmes render` writes: pictures in a folder, a film, or a contact sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..camera_path import PathName, loop
+from ..effort import Effort, draw
+from ..errors import InputError
+from ..film import FILM_FORMATS, FilmFormat, FilmShape, check_film, write_film
+from ..framing import even, within
+from ..picture import Channel, Format, encode, encode_image
+from ..progress import Stages
+from ..scene_views import SceneViews
+
+if TYPE_CHECKING:
+    from ..camera import Camera
+    from ..gaussians import Gaussians
+    from ..splat import Render
+
+SECONDS, FPS = 4.0, 24.0
+SHEET_FORMATS: dict[str, Format] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp"}
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A scene, the cameras of the views that were asked for, and how to draw them."""
+
+    gaussians: Gaussians
+    scene: SceneViews
+    specs: Sequence[str]
+    fit: Callable[[Camera], Camera]  # crop and size that were asked for
+    channel: Channel
+    effort: Effort
+    options: dict[str, Any]
+
+    @property
+    def shots(self) -> list[Camera]:
+        """The cameras of the views, as they are drawn."""
+        return [self.fit(self.scene.resolve(spec, field="views")) for spec in self.specs]
+
+    def draw(self, camera: Camera) -> Render:
+        """One picture."""
+        return draw(self.gaussians, camera, self.channel, self.effort, **self.options, **self.scene.near_plane)
+
+
+@dataclass(frozen=True)
+class FilmPlan:
+    """A film that was asked for."""
+
+    format: FilmFormat
+    path: PathName = "turntable"
+    seconds: float = SECONDS
+    fps: float = FPS
+    swing: float | None = None
+    even: bool = False  # whether the size may be cropped to what the format needs
+
+    @classmethod
+    def asked(cls, output: Path, channel: Channel, sheet: bool, sized: bool, **given: Any) -> FilmPlan | None:
+        """None where neither the name of the file nor an option asks for one. Raises `InputError`."""
+        given = {name: value for name, value in given.items() if value is not None}
+        ending = output.suffix.lower().removeprefix(".")
+        if sheet or ending not in FILM_FORMATS:
+            if given:
+                raise InputError(
+                    f"goes with a film, and {output.name!r} is {'a sheet' if sheet else 'none'}",
+                    field=next(iter(given)),
+                    cure=f"name a file that ends in one of {', '.join(f'.{name}' for name in FILM_FORMATS)}",
+                )
+            return None
+        if channel != "rgb":
+            raise InputError(f"a film shows rgb, not {channel}", field="channel", cure="draw pictures into a folder")
+        return cls(ending, even=ending == "mp4" and not sized, **given)
+
+    def fit(self, camera: Camera) -> Camera:
+        """The frame of this format."""
+        return even(camera) if self.even else camera
+
+    def shape(self, camera: Camera) -> FilmShape:
+        """Of the film whose frames are those of `camera`. Raises `InputError` for what cannot be written."""
+        shape = FilmShape(self.format, camera.width, camera.height, round(self.seconds * self.fps), self.seconds)
+        check_film(shape)
+        return shape
+
+
+def write_pictures(drawing: Drawing, folder: Path, depth_scale: float | None, stages: Stages) -> list[dict[str, Any]]:
+    """A PNG for each view, named view_<view>.png; returns what each is."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written: list[dict[str, Any]] = []
+    with stages.stage("render", len(drawing.specs)) as step:
+        for spec, camera in zip(drawing.specs, drawing.shots, strict=True):
+            picture = encode(drawing.draw(camera), drawing.channel, depth_scale=depth_scale)
+            path = folder / f"view_{spec.replace(':', '_')}.png"
+            path.write_bytes(picture.data)
+            entry = {"view": spec, "file": str(path), "width": camera.width, "height": camera.height}
+            if picture.depth is not None:
+                entry |= {"depth_range": (picture.depth.low, picture.depth.high)}
+                entry |= {"depth_scale": picture.depth.scale, "depth_offset": picture.depth.offset}
+            written.append(entry)
+            step(len(written))
+    return written
+
+
+def write_moving(drawing: Drawing, output: Path, plan: FilmPlan, stages: Stages) -> dict[str, Any]:
+    """The film of a path among the views; frames go into the file as they are drawn. Returns what it is."""
+    among = replace(drawing.scene, cameras=[drawing.scene.resolve(spec, field="views") for spec in drawing.specs])
+    path = among.path(plan.path, plan.swing)
+    shape = plan.shape(plan.fit(drawing.fit(path(0.0))))
+
+    def frames(step: Callable[[int], None]) -> Iterator[Any]:
+        for number, camera in enumerate(loop(path, shape.frames), 1):
+            yield drawing.draw(plan.fit(drawing.fit(camera))).rgb8()
+            step(number)
+
+    with stages.stage("render film", shape.frames) as step:
+        write_film(output, shape, frames(step))
+    return {"file": str(output), "path": plan.path, "fps": shape.fps, **vars(shape)}
+
+
+def write_sheet(drawing: Drawing, output: Path, stages: Stages) -> dict[str, Any]:
+    """All views in one picture. Returns what it is."""
+    from ..contact_sheet import CELL, Cell, contact_sheet, rows_of
+
+    cells = []
+    with stages.stage("render", len(drawing.specs)) as step:
+        for spec, camera in zip(drawing.specs, drawing.shots, strict=True):
+            cells.append(Cell(drawing.draw(within(camera, CELL)).rgb8(), f"view {spec}"))
+            step(len(cells))
+    sheet = contact_sheet(rows_of("Views", cells))
+    output.write_bytes(encode_image(sheet, SHEET_FORMATS[output.suffix.lower()]))
+    return {"file": str(output), "views": list(drawing.specs), "width": sheet.width, "height": sheet.height}

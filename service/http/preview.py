@@ -1,0 +1,176 @@
+"""`GET /scenes/{id}/preview` and `/sheet`: a small film of a scene, and its inputs drawn again in one picture."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import anyio.to_thread
+from fastapi import APIRouter, Depends, Query, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..camera import Camera
+from ..camera_path import PathName, loop
+from ..contact_sheet import CELL, Cell, contact_sheet, rows_of
+from ..disk import full_is_refused
+from ..errors import InputError
+from ..film import MEDIA_TYPES, FilmFormat, FilmShape, check_film, write_film
+from ..framing import even, frame, within
+from ..picture import Format, encode_image, parse_background
+from ..scene_views import SceneViews
+from .drawing import Sitting, picture_tag
+from .files import matches, not_modified
+from .gate import Pause
+from .render import KEPT
+from .responses import server_timing
+from .runtime import Runtime, runtime_of
+
+router = APIRouter(tags=["views"])
+
+Held = Annotated[Runtime, Depends(runtime_of)]
+Colour = tuple[float, float, float]
+
+SIDE = 256  # px, the longer side of a film that nobody asked to be larger
+MAX_FRAMES = 120
+
+
+class _SceneQuery(BaseModel):
+    """One parameter that is not among these is refused, so that a slip of the pen is noticed."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    background: str = Field(
+        "black", max_length=50, description="rrggbb in hex, or a name", examples=["white", "204080"]
+    )
+
+
+class PreviewQuery(_SceneQuery):
+    """A film."""
+
+    path: PathName = Field("turntable", description="about the scene, through the inputs and back, or all round it")
+    format: FilmFormat = Field("webp", description="webp and gif begin anew by themselves")
+    frames: int = Field(24, ge=2, le=MAX_FRAMES, description="how many pictures")
+    seconds: float = Field(2.0, ge=0.5, le=20, description="how long it lasts")
+    width: int | None = Field(None, ge=2, le=4096, description="px; with height alone the aspect stays")
+    height: int | None = Field(None, ge=2, le=4096, description="px; another aspect crops about the middle")
+    swing: float | None = Field(
+        None, gt=0, le=180, description="of a turntable: degrees each way; default: as far as the inputs reach"
+    )
+
+
+class SheetQuery(_SceneQuery):
+    """A contact sheet."""
+
+    format: Format = Field("png", description="of the picture")
+
+
+@router.get(
+    "/scenes/{scene_id:path}/preview",
+    response_class=Response,
+    responses={
+        200: {"content": {kind: {} for kind in MEDIA_TYPES.values()}},
+        304: {"description": "`If-None-Match` has the film's tag"},
+    },
+)
+async def preview(request: Request, scene_id: str, query: Annotated[PreviewQuery, Query()], runtime: Held) -> Response:
+    """Draw a film of the scene on the CPU, a picture after the other; it ends where nobody waits for it any more."""
+
+    def asked() -> tuple[SceneViews, FilmShape, list[Camera], Colour, str]:
+        views = SceneViews.of_document(runtime.store.document(scene_id))
+        background = parse_background(query.background)
+        cameras = [_framed(camera, query) for camera in loop(views.path(query.path, query.swing), query.frames)]
+        shape = FilmShape(query.format, cameras[0].width, cameras[0].height, query.frames, query.seconds)
+        check_film(shape)
+        _check_cost(shape, runtime.settings.max_render_pixels)
+        return views, shape, cameras, background, picture_tag(runtime, scene_id, query)
+
+    runtime.models  # noqa: B018  refuses until the kernels are warm
+    views, shape, cameras, background, etag = await anyio.to_thread.run_sync(asked)
+
+    def work(sitting: Sitting) -> bytes:
+        with tempfile.TemporaryDirectory(prefix="gapmes-") as folder, full_is_refused("the film"):
+            path = Path(folder) / f"film.{shape.format}"
+            write_film(path, shape, map(sitting.pixels, cameras))
+            return path.read_bytes()
+
+    begin = partial(Sitting, runtime, scene_id, views, background)
+    return await _answer(request, runtime, etag, MEDIA_TYPES[shape.format], begin, work)
+
+
+@router.get(
+    "/scenes/{scene_id:path}/sheet",
+    response_class=Response,
+    responses={
+        200: {"content": {"image/png": {}, "image/webp": {}, "image/jpeg": {}}},
+        304: {"description": "`If-None-Match` has the picture's tag"},
+    },
+)
+async def sheet(request: Request, scene_id: str, query: Annotated[SheetQuery, Query()], runtime: Held) -> Response:
+    """Draw the scene from the cameras of its inputs, side by side, each with how like the photograph it is."""
+
+    def asked() -> tuple[dict[str, Any], Colour, str]:
+        document = runtime.store.document(scene_id)
+        return document, parse_background(query.background), picture_tag(runtime, scene_id, query)
+
+    runtime.models  # noqa: B018  refuses until the kernels are warm
+    document, background, etag = await anyio.to_thread.run_sync(asked)
+    views = SceneViews.of_document(document)
+    scores = [view["psnr"] for view in document["check"]["input_views"]]
+
+    def work(sitting: Sitting) -> bytes:
+        cells = []
+        for index, (camera, score) in enumerate(zip(views.cameras, scores, strict=True)):
+            like = "" if score is None else f"   {score:.1f} dB PSNR"  # nothing to compare: its mask keeps nothing
+            cells.append(Cell(sitting.pixels(within(camera, CELL)), f"view {index}{like}"))
+        return encode_image(contact_sheet(rows_of("Inputs, drawn again", cells)), query.format)
+
+    begin = partial(Sitting, runtime, scene_id, views, background)
+    return await _answer(request, runtime, etag, f"image/{query.format}", begin, work)
+
+
+async def _answer(
+    request: Request,
+    runtime: Runtime,
+    etag: str,
+    media_type: str,
+    begin: Callable[[Pause], Sitting],
+    work: Callable[[Sitting], bytes],
+) -> Response:
+    """What `work` draws in the lane of the pictures, or 304."""
+    cache = {"ETag": etag, "Cache-Control": KEPT}
+    if matches(request, etag):
+        return not_modified(etag, cache)
+
+    def timed(pause: Pause) -> tuple[bytes, dict[str, float]]:
+        sitting, start = begin(pause), time.perf_counter()
+        data = work(sitting)
+        seconds = sitting.seconds
+        return data, seconds | {"encode": time.perf_counter() - start - sum(seconds.values())}
+
+    start = time.perf_counter()
+    data, seconds = await runtime.pictures.run_in_steps(timed, request.is_disconnected)
+    seconds["wait"] += max(time.perf_counter() - start - sum(seconds.values()), 0.0)
+    return Response(data, media_type=media_type, headers={"Server-Timing": server_timing(seconds), **cache})
+
+
+def _framed(camera: Camera, query: PreviewQuery) -> Camera:
+    """At the size that is asked for; MP4 has even sides, and what is asked to be odd is not for here."""
+    sides = query.width, query.height
+    framed = within(camera, SIDE) if sides == (None, None) else frame(camera, *sides)
+    odd = any(side is not None and side % 2 for side in sides)
+    return even(framed) if query.format == "mp4" and not odd else framed
+
+
+def _check_cost(shape: FilmShape, max_pixels: int) -> None:
+    """A film may have as many pixels as one picture."""
+    pixels = shape.frames * shape.width * shape.height
+    if pixels > max_pixels:
+        raise InputError(
+            f"{shape.frames} pictures of {shape.width} x {shape.height} are {pixels} px, the limit is {max_pixels}",
+            field="frames",
+            cure="ask for fewer, or smaller ones",
+        )

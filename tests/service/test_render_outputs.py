@@ -1,0 +1,143 @@
+"""`gapmes render` as a user calls it: films, contact sheets and depth, and what it refuses before it draws."""
+
+from __future__ import annotations
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+from test_cli import assert_refusal, run
+from test_film import decoded, planes
+from test_pruning import cloud
+
+from gapmes.service.camera_file import read_camera_file
+from gapmes.service.camera_path import loop
+from gapmes.service.effort import draw
+from gapmes.service.picture_error import psnr
+from gapmes.service.ply import read_ply, write_ply
+from gapmes.service.scene_views import SceneViews
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A scene of a few hundred Gaussians, and three cameras of odd size that look at it."""
+    write_ply(tmp_path / "scene.ply", cloud(300, 3, degree=0))
+    views = []
+    for index in range(3):
+        pose = np.eye(4)
+        pose[0, 3] = 0.2 * index
+        camera = {"width": 95, "height": 63, "fx": 80.0, "fy": 80.0, "cx": 47.5, "cy": 31.5}
+        views.append(camera | {"c2w": pose.tolist()})
+    (tmp_path / "cameras.json").write_text(json.dumps({"near": 1.0, "far": 10.0, "views": views}))
+    return tmp_path
+
+
+def render(folder: Path, output: str, *more: object) -> int:
+    arguments = ("--cameras", folder / "cameras.json", "-o", folder / output, "--threads", 1)
+    return run("render", folder / "scene.ply", *arguments, *more)
+
+
+def shown(path: Path, frames: int, seconds: float) -> list[np.ndarray]:
+    """What a player shows in the middle of each frame's time: WebP keeps equal neighbours as one, for longer."""
+    found = decoded(path)
+    if path.suffix == ".mp4":
+        assert len(found) == frames
+        return found
+    with Image.open(path) as image:
+        times = []
+        for frame in ImageSequence.Iterator(image):
+            frame.load()
+            times.append(frame.info["duration"])
+    ends = np.cumsum(times)
+    assert ends[-1] == round(1000 * seconds)
+    middles = (np.arange(frames) + 0.5) * ends[-1] / frames
+    return [found[index] for index in np.searchsorted(ends, middles)]
+
+
+FORMATS = ["webp", "gif", pytest.param("mp4", marks=pytest.mark.skipif(find_spec("av") is None, reason="[video]"))]
+
+
+@pytest.mark.parametrize("format", FORMATS)
+@pytest.mark.parametrize("path", ["turntable", "inputs", "orbit"])
+def test_a_film_shows_its_path(folder: Path, format: str, path: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    assert render(folder, f"film.{format}", "--path", path, "--seconds", 0.5, "--fps", 12, "--json") == 0
+    film = json.loads(capfd.readouterr().out)["film"]
+    size = (94, 62) if format == "mp4" else (95, 63)  # MP4 has even sides
+    assert (film["width"], film["height"], film["frames"], film["path"]) == (*size, 6, path)
+    file = read_camera_file(folder / "cameras.json")
+    views = SceneViews(file.cameras, file.near, file.far)
+    gaussians = read_ply(folder / "scene.ply")
+    frames = shown(folder / f"film.{format}", 6, 0.5)
+    for found, camera in zip(frames, loop(views.path(path), 6), strict=True):
+        expected = draw(gaussians, camera, threads=1, **views.near_plane).rgb8()
+        cut = expected[: size[1], : size[0]] if format == "mp4" else expected
+        # measured at worst: 26.6 in MP4, 32.4 in WebP, 34.3 in GIF; another frame of the path has at most 18.9
+        assert psnr(planes(found), planes(cut)) > 25.5
+
+
+def test_a_turntable_is_what_a_film_shows_unasked(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    options = ("--seconds", 0.4, "--fps", 10, "--views", "0,2", "--size", "40x30", "--json")
+    assert render(folder, "film.webp", *options) == 0
+    film = json.loads(capfd.readouterr().out)["film"]
+    assert film["path"] == "turntable"
+    assert [frame.shape for frame in shown(folder / "film.webp", 4, 0.4)] == [(30, 40, 3)] * 4
+
+
+@pytest.mark.parametrize("name", ["sheet.png", "sheet.jpg", "sheet.webp"])
+def test_a_sheet_has_every_view(folder: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    assert render(folder, name, "--sheet", "--views", "0,1.5,orbit:5", "--json") == 0
+    sheet = json.loads(capfd.readouterr().out)["sheet"]
+    assert sheet["views"] == ["0", "1.5", "orbit:5"]
+    with Image.open(folder / name) as image:
+        assert image.size == (sheet["width"], sheet["height"])
+        assert image.format == {"png": "PNG", "jpg": "JPEG", "webp": "WEBP"}[name.split(".")[1]]
+
+
+def test_depth_at_a_given_scale(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """16 bits; half a level at most from the depths that are drawn."""
+    assert render(folder, "views", "--channel", "depth", "--depth-scale", 0.001, "--views", "1", "--json") == 0
+    (entry,) = json.loads(capfd.readouterr().out)["views"]
+    assert (entry["depth_scale"], entry["depth_offset"]) == (0.001, 0.0)
+    file = read_camera_file(folder / "cameras.json")
+    views = SceneViews(file.cameras, file.near, file.far)
+    drawn = draw(read_ply(folder / "scene.ply"), file.cameras[1], "depth", threads=1, **views.near_plane)
+    with Image.open(entry["file"]) as image:
+        levels = np.asarray(image).astype(np.float64)
+    there = drawn.alpha > 0
+    assert levels.max() > 255
+    assert np.abs(0.001 * levels - drawn.depth)[there].max() <= 0.0005001
+    assert not levels[~there].any()
+    assert render(folder, "views", "--channel", "depth", "--depth-scale", 1e-6, "--json") == 1
+    assert "65535" in assert_refusal(capfd, "depth_scale")["detail"]
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "words"),
+    [
+        ("views", ("--path", "orbit"), "path: goes with a film, and 'views' is none"),
+        ("views", ("--seconds", 2), "seconds: goes with a film"),
+        ("film.avi", ("--fps", 20), "fps: goes with a film"),
+        ("film.webp", ("--channel", "depth"), "channel: a film shows rgb, not depth"),
+        ("film.webp", ("--path", "orbit", "--swing", 20), "swing: goes with the path turntable"),
+        ("film.webp", ("--path", "inputs", "--views", "1"), "path: 1 place of a camera is no path"),
+        ("film.webp", ("--seconds", 0.1, "--fps", 1), "frames: 0 is no film"),
+        ("film.mp4", ("--size", "33x32"), "width: 33 px, MP4 needs an even number"),
+        ("film.webp", ("--size", "16384x10"), "width: 16384 px, the limit of webp is 16383"),
+        ("no/folder/film.webp", (), "is not a folder"),
+        ("sheet.gif", ("--sheet",), "sheet: is rgb in 'sheet.gif', need rgb in one of .png, .jpg"),
+        ("sheet.webp", ("--sheet", "--fps", 20), "fps: goes with a film, and 'sheet.webp' is a sheet"),
+        ("sheet.png", ("--sheet", "--channel", "alpha"), "sheet: is alpha in 'sheet.png'"),
+        ("views", ("--depth-scale", 0.1), "depth_scale: goes with channel depth, not with rgb"),
+    ],
+)
+def test_refusals_before_the_work(
+    folder: Path, output: str, options: tuple[object, ...], words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "scene.ply").unlink()  # it is not looked at
+    assert render(folder, output, *options, "--json") == 1
+    assert_refusal(capfd, words)
+    assert sorted(path.name for path in folder.iterdir()) == ["cameras.json"]
