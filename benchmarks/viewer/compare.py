@@ -24,7 +24,7 @@ import numpy as np
 from PIL import Image
 
 from gapmes.service.camera import Camera
-from gapmes.service.camera_file import read_camera_file
+from gapmes.service.captures.capture import read_camera_file
 from gapmes.service.ply import read_ply
 from gapmes.service.shipped import sample_folder
 from gapmes.service.splat import render

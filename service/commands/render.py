@@ -45,7 +45,7 @@ def render(
 
     Where the camera file lacks near or far, the depths of the Gaussians that its cameras see stand in for them.
     """
-    from ..camera_file import read_camera_file
+    from ..captures.capture import read_camera_file
     from ..depth_range import depth_range
     from ..errors import PlyError
     from ..framing import frame, parse_size, square
