@@ -118,4 +118,6 @@ def view_through(image: str | None, lens: Lens, pose: Pose, *, field: str, index
         window = pinhole_window(lens)
     except IntrinsicsError as error:
         raise IntrinsicsError(error.message, field=f"{field}.distortion", index=index, cure=error.cure) from error
-    return NamedView(image, camera.cropped(window.left, window.top, window.width, window.height), lens)
+    center = lens.cx - window.left, lens.cy - window.top
+    camera = Camera.make(window.width, window.height, lens.fx, lens.fy, *center, pose, index=index, field=field)
+    return NamedView(image, camera, lens)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from tokenize import TokenError
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ def _rows(data: bytes, source: str) -> NDArray[np.float64]:
             shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
         else:
             raise ValueError(f"its version is {version}")
-    except (ValueError, SyntaxError, MemoryError, RecursionError) as error:
+    except (ValueError, SyntaxError, TypeError, OverflowError, MemoryError, RecursionError, TokenError) as error:
         raise CameraError(f"{source} is not a readable .npy file: {error}", field="cameras") from error
     if dtype.kind != "f" or len(shape) != 2 or shape[1] != COLUMNS:
         need = f"need floating-point numbers of shape (N, {COLUMNS}), as LLFF writes them"

@@ -46,22 +46,23 @@ def named_views(text: str, names: Sequence[str | None], *, field: str) -> list[i
 
 
 def _index_of(part: str, names: Sequence[str | None], field: str) -> int:
+    shown = part[:100]
     found = [index for index, name in enumerate(names) if part and name == part]
     found = found or [index for index, name in enumerate(names) if part and same_file(part, name)]
     if len(found) == 1:
         return found[0]
     if found:
-        raise ViewError(f"{len(found)} views are named {part!r}", field=field, cure="give their indices")
+        raise ViewError(f"{len(found)} views are named {shown!r}", field=field, cure="give their indices")
     count = len(names)
     if part.isascii() and part.isdigit():
         if len(part) < 10 and int(part) < count:
             return int(part)
         raise ViewError(
-            f"view {part} does not exist, the file has {count} views", field=field, cure=f"0 to {count - 1}"
+            f"view {shown} does not exist, the file has {count} views", field=field, cure=f"0 to {count - 1}"
         )
     known = ", ".join(name for name in names[:5] if name)
     raise ViewError(
-        f"{part!r} is not a view index" + (", nor the name of a view" if known else ""),
+        f"{shown!r} is not a view index" + (", nor the name of a view" if known else ""),
         field=field,
         cure="give indices such as 0,2" + (f", or names such as {known}" if known else ""),
     )
