@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from gapmes.service.camera_file import load_scene_folder
+from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.depth_range import depth_range
 from gapmes.service.images import decode_image, fit_view
 from gapmes.service.shipped import sample_folder

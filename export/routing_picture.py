@@ -21,7 +21,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from gapmes.service.camera_file import load_scene_folder
+from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.commands.selection import view_indices
 from gapmes.service.engine import Arrays, Engine
 from gapmes.service.errors import GapmesError, InputError, ModelError

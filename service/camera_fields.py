@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
-from .errors import CameraError
+from .distortion import MAX_SHIFT_PX, Lens, pinhole_window
+from .errors import CameraError, IntrinsicsError
 from .pose import Pose, checked_pose, inverted_pose
 
 F64 = NDArray[np.float64]
@@ -27,6 +28,8 @@ class NamedView:
 
     image: str | None
     camera: Camera
+    lens: Lens | None = None  # what the photograph is resampled from to the camera's pinhole, None where it shows it
+    bounds: tuple[float, float] | None = None  # nearest and farthest depth of this view, where the file has them
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,20 @@ class CameraFile:
     @property
     def cameras(self) -> tuple[Camera, ...]:
         return tuple(view.camera for view in self.views)
+
+    @classmethod
+    def bounded(cls, views: Sequence[NamedView]) -> CameraFile:
+        """Of views with bounds of their own: from the nearest of the near ones to the farthest of the far ones."""
+        bounds = [view.bounds for view in views if view.bounds is not None]
+        near, far = (min(near for near, _ in bounds), max(far for _, far in bounds)) if bounds else (None, None)
+        return cls(tuple(views), near, far)
+
+    def chosen(self, indices: Sequence[int]) -> CameraFile:
+        """These views in this order; where views have bounds, near and far are those of the chosen ones."""
+        views = tuple(self.views[index] for index in indices)
+        if any(view.bounds is not None for view in views):
+            return self.bounded(views)
+        return CameraFile(views, self.near, self.far)
 
 
 def number_of(entry: Mapping, name: str, *, field: str, index: int | None = None) -> float:
@@ -87,3 +104,20 @@ def opencv_pose(matrix: object, *, axes: str, pose: str, field: str, index: int 
     parse = inverted_pose if pose == "w2c" else checked_pose
     world_from_cam, given = parse(matrix, field=field, index=index)
     return Pose(world_from_cam @ OPENCV_FROM_OPENGL if axes == "opengl" else world_from_cam, given)
+
+
+def view_through(image: str | None, lens: Lens, pose: Pose, *, field: str, index: int | None = None) -> NamedView:
+    """The view of a photograph through a lens: as a pinhole where no point moves by 0.5 px, else as the pinhole that
+    its photograph is to be resampled to. Raises `IntrinsicsError` for intrinsics that no lens has, and for distortion
+    that no pinhole can show.
+    """
+    camera = Camera.make(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, pose, index=index, field=field)
+    if lens.largest_shift() < MAX_SHIFT_PX:
+        return NamedView(image, camera)
+    try:
+        window = pinhole_window(lens)
+    except IntrinsicsError as error:
+        raise IntrinsicsError(error.message, field=f"{field}.distortion", index=index, cure=error.cure) from error
+    center = lens.cx - window.left, lens.cy - window.top
+    camera = Camera.make(window.width, window.height, lens.fx, lens.fy, *center, pose, index=index, field=field)
+    return NamedView(image, camera, lens)

@@ -1,37 +1,17 @@
-"""Read camera files: the service's own cameras.json and, through transforms_file, a nerfstudio transforms.json."""
+"""Parse camera files that are JSON: the service's own cameras.json and, through transforms_file, transforms.json."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-
-from PIL import Image
+from collections.abc import Mapping, Sequence
 
 from .camera import Camera
 from .camera_fields import CameraFile as CameraFile
 from .camera_fields import NamedView as NamedView
 from .camera_fields import SizeOf, image_name, list_of, number_of, opencv_pose, optional_number
-from .errors import CameraError, ImageError, ImageUnreadable
+from .errors import CameraError
 from .transforms_file import parse_transforms
 
-# Which views of a file to read, given how many it has; the order is kept.
-Choice = Callable[[int], Sequence[int]]
-
-_FILE_NAMES = ("cameras.json", "transforms.json")
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
-_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG")  # a Blender file names images without one
-
-
-@dataclass(frozen=True)
-class SceneFolder:
-    """A folder with a camera file and the photographs of its chosen views, one path per view."""
-
-    root: Path
-    file: CameraFile  # the chosen views alone
-    image_paths: tuple[Path, ...]
-    indices: tuple[int, ...]  # the chosen views' places in the file
 
 
 def parse_camera_file(
@@ -49,28 +29,13 @@ def parse_camera_file(
     return parse_transforms(document, size_of=size_of, indices=indices)
 
 
-def load_scene_folder(path: str | Path, choose: Choice | None = None) -> SceneFolder:
-    """Read `cameras.json`, else `transforms.json`, of a folder, or the named file; images are found, not decoded.
-
-    `choose` says which views are wanted: the others' photographs need not be there. Raises `CameraError` for a missing
-    or malformed file and `ImageError` for a photograph that is not there.
-    """
-    path = Path(path)
-    source = path if path.is_file() else next((path / name for name in _FILE_NAMES if (path / name).is_file()), None)
-    if source is None:
-        raise CameraError(f"{path} holds neither {' nor '.join(_FILE_NAMES)}", field="cameras")
-    root = source.parent
-    file, indices = _read(source, choose)
-    paths = (_find_image(root, view.image, index) for index, view in zip(indices, file.views, strict=True))
-    return SceneFolder(root, file, tuple(paths), indices)
-
-
-def read_camera_file(path: str | Path) -> CameraFile:
-    """Read a cameras.json or transforms.json; its photographs are needed only where it leaves their sizes out.
-
-    Raises `CameraError` for a missing or malformed file and `ImageError` for a photograph whose size is needed.
-    """
-    return _read(Path(path), None)[0]
+def view_names(obj: object) -> tuple[str, tuple[str | None, ...]]:
+    """Which of the two formats a decoded file is, and the names of its photographs. Raises `CameraError`."""
+    document = _json_object(obj)
+    entries = _list_name(document)
+    kind, name = ("cameras.json", "image") if entries == "views" else ("transforms.json", "file_path")
+    listed = list_of(document, entries)
+    return kind, tuple(image_name(entry, name, field=entries, index=index) for index, entry in enumerate(listed))
 
 
 def camera_document(camera: Camera, image: str | None = None) -> dict[str, object]:
@@ -97,21 +62,6 @@ def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int |
     world_from_cam = opencv_pose(matrix, axes=axes, pose=pose, field=f"{field}.c2w", index=index)
     camera = Camera.make(width, height, fx, fy, cx, cy, world_from_cam, index=index, field=field)
     return NamedView(image_name(entry, "image", field=field, index=index), camera)
-
-
-def _read(path: Path, choose: Choice | None) -> tuple[CameraFile, tuple[int, ...]]:
-    """The parsed file and which of its views these are."""
-    try:
-        obj = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise CameraError(f"{path} is not readable JSON: {error}", field="cameras") from error
-    count = len(list_of(obj, _list_name(_json_object(obj))))
-    indices = tuple(range(count) if choose is None else choose(count))
-
-    def size_of(name: str | None, index: int) -> tuple[int, int]:
-        return _size_in_file(_find_image(path.parent, name, index), index)
-
-    return parse_camera_file(obj, size_of=size_of, indices=indices), indices
 
 
 def _json_object(obj: object) -> Mapping:
@@ -161,21 +111,3 @@ def _choice(obj: Mapping, name: str, choices: tuple[str, str], field: str) -> st
     if value not in choices:
         raise CameraError(f"{name} = {value!r}, need one of {', '.join(choices)}", field=f"{field}.{name}")
     return value
-
-
-def _find_image(root: Path, name: str | None, index: int) -> Path:
-    if name is None:
-        raise ImageError("the camera file names no photograph for this view", field="views.image", index=index)
-    for suffix in _SUFFIXES:
-        candidate = root / (name + suffix)
-        if candidate.is_file():
-            return candidate
-    raise ImageError(f"{root / name} does not exist", field="views.image", index=index)
-
-
-def _size_in_file(path: Path, index: int) -> tuple[int, int]:
-    try:
-        with Image.open(path) as image:
-            return image.size
-    except OSError as error:
-        raise ImageUnreadable(f"{path} is not an image: {error}", field="views.image", index=index) from error

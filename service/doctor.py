@@ -154,7 +154,7 @@ class Doctor:
 
     def _sample(self) -> tuple[State, str]:
         """Two photographs to a scene, and its picture beside a third."""
-        from .camera_file import load_scene_folder
+        from .captures.capture import load_scene_folder
         from .images import decode_image, fit_view
         from .picture_error import psnr
         from .reconstruct import Reconstructor

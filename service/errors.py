@@ -12,6 +12,7 @@ GapmesError                     500 internal_error
 │   ├── ImageError              422 image_invalid
 │   │   ├── ImageUnreadable     415 image_unreadable
 │   │   └── ImageTooLarge       413 image_too_large
+│   ├── CaptureError            422 capture_invalid
 │   ├── ViewCountError          422 view_count
 │   ├── ViewError               422 view_unknown
 │   ├── ModelUnknown            422 model_unknown
@@ -109,6 +110,10 @@ class ImageUnreadable(ImageError):
 class ImageTooLarge(ImageError):
     status = 413
     code = "image_too_large"
+
+
+class CaptureError(InputError):
+    code = "capture_invalid"
 
 
 class ViewCountError(InputError):

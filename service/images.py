@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from .camera import Camera
+from .distortion import Lens
 from .errors import ImageError
 from .image_files import DAMAGED, MAX_PIXELS, damaged, open_image
 
@@ -101,6 +102,7 @@ class EncodedPhoto:
 
     data: bytes
     max_pixels: int = MAX_PIXELS
+    lens: Lens | None = None  # what it is resampled from to its camera; None where it shows that pinhole's picture
 
     def decode(self, *, index: int) -> Photo:
         """Raises as `decode_image`."""
@@ -154,6 +156,12 @@ def fit_view(photo: Photo, camera: Camera, height: int, width: int) -> FittedVie
     rgb, mask = _resampled(photo, (width, height), box)
     image = np.ascontiguousarray(rgb.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
     return FittedView(image, mask, fitted, window_w * window_h / (photo.width * photo.height))
+
+
+def resized(photo: Photo, width: int, height: int) -> Photo:
+    """The whole photograph at another size, as it is stored: its orientation stays."""
+    rgb, mask = _resampled(photo, (width, height), (0, 0, photo.width, photo.height))
+    return Photo(rgb, mask, photo.orientation)
 
 
 def _resampled(

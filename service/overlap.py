@@ -25,7 +25,7 @@ def shared_shares(cameras: Sequence[Camera], depths: Sequence[float] | F64) -> F
         points = np.concatenate([one.unproject(pixels, np.full(len(pixels), z)) for z in depths])
         for j, other in enumerate(cameras):
             if i != j:
-                shares[i, j] = _seen(other, points).reshape(len(depths), -1).mean(axis=1)
+                shares[i, j] = seen(other, points).reshape(len(depths), -1).mean(axis=1)
     return shares
 
 
@@ -42,7 +42,8 @@ def inverse_depth_steps(near: float, far: float, count: int) -> F64:
     return 1.0 / np.linspace(1.0 / near, 1.0 / far, count)
 
 
-def _seen(camera: Camera, points: F64) -> NDArray[np.bool_]:
+def seen(camera: Camera, points: F64) -> NDArray[np.bool_]:
+    """(N,) which of the world points (N, 3) lie in front of the camera and inside its picture."""
     pixels, z = camera.project(points)
     inside = (pixels >= 0) & (pixels < (camera.width, camera.height))  # NaN behind the camera compares as False
     return inside.all(axis=1) & (z > 0)

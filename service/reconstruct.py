@@ -15,6 +15,7 @@ from .budget import Budget
 from .camera import Camera
 from .depth_range import DepthRange, depth_range
 from .depth_sweep import narrowed
+from .distortion import Lens, pinhole_window
 from .document import scene_document
 from .engine import Arrays, Engine
 from .errors import CameraError, ViewCountError
@@ -31,6 +32,7 @@ from .scene_views import SceneViews
 from .self_check import ambiguous_routes, drawn_again, from_others, self_check
 from .splat import render
 from .stride import thinned
+from .undistort import undistorted
 from .view_checks import MIN_VIEWS, Notice, check_count, check_views
 from .world_frame import WorldFrame
 
@@ -79,7 +81,8 @@ class Reconstructor:
     ) -> Scene:
         """2..6 photographs, uint8 (H, W, 3 or 4), `Photo` or `EncodedPhoto`, with one camera each -> `Scene`.
 
-        An `EncodedPhoto` is decoded in its turn and dropped once it is fitted: one at a time is in memory.
+        An `EncodedPhoto` is decoded in its turn and dropped once it is fitted: one at a time is in memory; one with a
+        lens is resampled to its camera, which is the pinhole that `pinhole_window` names.
         `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
         a warning. `budget` says what may be left out of the scene and for which views that is proved. With three
@@ -199,10 +202,23 @@ def _fitted(
         photo = image.decode(index=index)
     else:
         photo = image if isinstance(image, Photo) else Photo.from_array(image, index=index)
-    notices = _photo_notices(photo, camera, index)
+    if isinstance(image, EncodedPhoto) and image.lens is not None:
+        photo, notices = undistorted(photo, image.lens, index=index), [_lens_notice(image.lens, index)]
+    else:
+        notices = _photo_notices(photo, camera, index)
     view = fit_view(*match_photo(photo, camera, index=index), info.height, info.width)
     check_kept(view, index)
     return view, notices
+
+
+def _lens_notice(lens: Lens, index: int) -> Notice:
+    """The photograph is not what the network saw: how much it was bent, and what is left of it."""
+    window = pinhole_window(lens)
+    message = (
+        f"the lens moves points by up to {lens.largest_shift():.3g} px: resampled to a pinhole of {window.width} x "
+        f"{window.height} px, which holds {window.kept_share:.1%} of the photograph's pixels"
+    )
+    return {"code": "undistorted", "field": "images", "index": index, "message": message}
 
 
 def _photo_notices(photo: Photo, camera: Camera, index: int) -> list[Notice]:

@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-from .camera import MAX_SIDE, Camera
-from .camera_fields import CameraFile, NamedView, SizeOf, image_name, list_of, number_of, opencv_pose, optional_number
-from .distortion import COEFFICIENTS, largest_shift
+from .camera import MAX_SIDE
+from .camera_fields import (
+    CameraFile,
+    SizeOf,
+    image_name,
+    list_of,
+    number_of,
+    opencv_pose,
+    optional_number,
+    view_through,
+)
+from .distortion import Lens
 from .errors import CameraError, IntrinsicsError
 
-# With all coefficients zero each of these is a pinhole.
+# Pinholes, and what can be undistorted to one.
 _MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
-MAX_SHIFT_PX = 0.5  # what distortion may move a point; more than that and a match is off by a pixel between two views
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 
 
 def parse_transforms(
@@ -22,8 +32,9 @@ def parse_transforms(
 
     Focal lengths are `fl_x`, `fl_y` (the latter defaults to the former) or `camera_angle_x`, `camera_angle_y`; the
     principal point defaults to the image centre, the size to `size_of`. Distortion that moves no point of the picture
-    by 0.5 px is left out. Raises `IntrinsicsError` for a lens that is not a pinhole (more distortion, fisheye) and
-    `CameraError` for what is missing.
+    by 0.5 px is left out; with more the view has its lens, and the pinhole that this becomes. `applied_transform` says
+    what was done to the poses that are in the file: they are taken as they are. Raises `IntrinsicsError` for a lens
+    that does not become a pinhole (fisheye, folds) and `CameraError` for what is missing.
     """
     views = []
     frames = list_of(obj, "frames")
@@ -43,9 +54,8 @@ def parse_transforms(
         pose = opencv_pose(
             frame["transform_matrix"], axes="opengl", pose="c2w", field="frames.transform_matrix", index=index
         )
-        camera = Camera.make(width, height, fx, fy, cx, cy, pose, index=index, field="frames")
-        _require_little_distortion(values, camera, index)
-        views.append(NamedView(name, camera))
+        lens = _lens(values, (width, height), (fx, fy), (cx, cy), index)
+        views.append(view_through(name, lens, pose, field="frames", index=index))
     return CameraFile(tuple(views), optional_number(obj, "near"), optional_number(obj, "far"))
 
 
@@ -61,18 +71,16 @@ def _require_known_model(values: Mapping, index: int) -> None:
         )
 
 
-def _require_little_distortion(values: Mapping, camera: Camera, index: int) -> None:
-    given = {name: number_of(values, name, field="frames", index=index) for name in COEFFICIENTS if name in values}
-    given = {name: value for name, value in given.items() if value != 0}
-    shift = largest_shift(camera, given)
-    if shift >= MAX_SHIFT_PX:
-        listed = ", ".join(f"{name} = {value:g}" for name, value in given.items())
-        raise IntrinsicsError(
-            f"distortion {listed} moves a point of the picture by {shift:.3g} px, need less than {MAX_SHIFT_PX:g} px",
-            field=f"frames.{next(iter(given))}",
-            index=index,
-            cure="undistort the photographs first, for example with colmap image_undistorter",
-        )
+def _lens(
+    values: Mapping, size: tuple[int, int], focal: tuple[float, float], center: tuple[float, float], index: int
+) -> Lens:
+    """With k5 or k6 the coefficient k4 is one of the denominator; without them that of r^8, as nerfstudio has it."""
+    given: dict[str, Any] = {
+        name: number_of(values, name, field="frames", index=index) for name in COEFFICIENTS if name in values
+    }
+    if not (given.get("k5") or given.get("k6")) and values.get("camera_model") != "FULL_OPENCV":
+        given["r8"] = given.pop("k4", 0.0)
+    return Lens(*size, *focal, *center, **given)
 
 
 def _size(values: Mapping, name: str | None, size_of: SizeOf | None, index: int) -> tuple[int, int]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numba
 
 from gapmes.service.camera import Camera
-from gapmes.service.camera_file import read_camera_file
+from gapmes.service.captures.capture import read_camera_file
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.ply import read_ply
 from gapmes.service.splat import warm_up

@@ -25,7 +25,7 @@ import numpy as np
 from PIL import Image
 
 from gapmes.service.camera import Camera
-from gapmes.service.camera_file import read_camera_file
+from gapmes.service.captures.capture import read_camera_file
 from gapmes.service.http.page import STATIC
 from gapmes.service.http.viewer import viewer_settings
 from gapmes.service.ply import read_ply

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gapmes.model.training.scenes import SceneBatch, SceneSampler
 from gapmes.service.camera import Camera
-from gapmes.service.camera_file import load_scene_folder
+from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.errors import InputError
 from gapmes.service.images import FittedView, Photo, decode_image, fit_view, match_photo
 

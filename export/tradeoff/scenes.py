@@ -39,7 +39,7 @@ def _given(case: Case) -> Given:
 
 
 def _more(folder: Path, case: Case) -> dict[int, Given]:
-    from gapmes.service.camera_file import load_scene_folder
+    from gapmes.service.captures.capture import load_scene_folder
     from gapmes.service.images import decode_image, match_photo
 
     context, targets = suggested_views(folder, 2)

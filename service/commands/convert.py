@@ -40,7 +40,7 @@ def convert(
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
 ) -> None:
     """Convert Gaussians between formats; says their count, the bytes, what was lost, and the PSNR of pictures."""
-    from ..camera_file import read_camera_file
+    from ..captures.capture import read_camera_file
     from ..errors import InputError
     from ..formats.cost import picture_psnr
     from ..formats.dialect import STANDARD, Dialect

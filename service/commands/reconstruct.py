@@ -1,10 +1,9 @@
-"""`gapmes reconstruct`: a folder of posed photographs into a .ply."""
+"""`gapmes reconstruct`: a capture of posed photographs into a .ply."""
 
 from __future__ import annotations
 
 import json
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,16 +13,25 @@ from ..backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from ..budget import DEFAULT_CERTIFY
 from ..foretold import DEFAULT_OTHERS, checked_others
 from ..terminal import ProgressBars, Quiet
-from .selection import view_indices
-from .summary import check_line, left_out_lines
+from .summary import check_line, left_out_lines, selection_line
 
 
 def reconstruct(
-    scene_dir: Annotated[
-        Path, typer.Argument(metavar="SCENE_DIR", help="folder with cameras.json or transforms.json and its images")
+    capture: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CAPTURE",
+            help="folder, .zip or camera file with its photographs: cameras.json, transforms.json, COLMAP, LLFF,"
+            " RealEstate10K",
+        ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help=".ply to write")],
-    views: Annotated[str | None, typer.Option(help="2 to 6 view indices such as 4,8 [default: all]")] = None,
+    views: Annotated[
+        str | None, typer.Option(help="2 to 6 views by index or name, such as 4,8 [default: all, of more than 6 some]")
+    ] = None,
+    context: Annotated[
+        int | None, typer.Option(help="how many views to choose, 2 to 6 [default: 3 where there are more than 6]")
+    ] = None,
     near: Annotated[float | None, typer.Option(help="nearest depth, in the cameras' units")] = None,
     far: Annotated[float | None, typer.Option(help="farthest depth, in the cameras' units")] = None,
     trust_poses: Annotated[bool, typer.Option(help="only warn where photographs or overlap oppose the poses")] = False,
@@ -46,11 +54,13 @@ def reconstruct(
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Reconstruct a scene from some of the views of a folder."""
+    """Reconstruct a scene from some of the views of a capture."""
     from ..budget import Budget, parse_max_error
-    from ..camera_file import load_scene_folder
+    from ..captures.capture import open_capture
+    from ..captures.select import Wish, checked_wish
     from ..errors import InputError
-    from ..images import decode_image
+    from ..image_files import image_size
+    from ..images import EncodedPhoto
     from ..ply import write_ply
     from ..progress import Stages
     from ..reconstruct import Reconstructor
@@ -61,23 +71,26 @@ def reconstruct(
     checked_others(leave_one_out)
     chosen = checked_engine(engine)
     budget = Budget(parse_max_error(max_error), certify, min_opacity=min_opacity, stride=stride)
-    folder = load_scene_folder(scene_dir, None if views is None else partial(view_indices, views))
+    wish = checked_wish(Wish(views, context, field="views"))
+    found = open_capture(capture).choose(wish, near, far)
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("load model"):
             reconstructor = Reconstructor(model, threads=threads, engine=chosen)
         with stages.stage("kernels"):  # compiled the first time, then loaded
             warm_up()
-        with stages.stage("read images", len(folder.indices)) as step:
+        with stages.stage("read images", len(found.indices)) as step:
             photos = []
-            for index, path in zip(folder.indices, folder.image_paths, strict=True):
-                photos.append(decode_image(path.read_bytes(), index=index))
+            for place, (index, view) in enumerate(zip(found.indices, found.file.views, strict=True)):
+                data = found.read(place)
+                image_size(data, index=index)  # what is no photograph is said with its index in the file
+                photos.append(EncodedPhoto(data, lens=view.lens))
                 step(len(photos))
         scene = reconstructor.reconstruct(
             photos,
-            folder.file.cameras,
-            near=folder.file.near if near is None else near,
-            far=folder.file.far if far is None else far,
+            found.file.cameras,
+            near=found.file.near if near is None else near,
+            far=found.file.far if far is None else far,
             trust_poses=trust_poses,
             budget=budget,
             leave_one_out=leave_one_out,
@@ -86,11 +99,13 @@ def reconstruct(
         with stages.stage("write .ply"):
             write_ply(output, scene.gaussians)
     bars.say(f"{len(scene.gaussians)} Gaussians in {output}")
+    bars.say(selection_line(found.selection))
     bars.say(check_line(scene.document["check"]))
     for line in left_out_lines(scene.document):
         bars.say(line)
     for warning in scene.document.get("warnings", ()):
         bars.say(f"warning: {warning['message']}")
     if as_json:
-        document = {"ply": str(output), "selected_views": list(folder.indices), **scene.document}
+        said = {"ply": str(output), "selected_views": list(found.indices), "selection": found.selection}
+        document = {**said, **scene.document}
         sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 def render(
     ply: Annotated[Path, typer.Argument(metavar="SCENE", help=".ply, .compressed.ply, .splat or .spz")],
-    cameras: Annotated[Path, typer.Option(help="cameras.json or transforms.json")],
+    cameras: Annotated[Path, typer.Option(help="a camera file, or the folder or .zip of a capture")],
     output: Annotated[
         Path,
         typer.Option(
@@ -68,7 +68,7 @@ def render(
 
     Where the camera file lacks near or far, the depths of the Gaussians that its cameras see stand in for them.
     """
-    from ..camera_file import read_camera_file
+    from ..captures.capture import read_camera_file
     from ..depth_range import depth_range
     from ..errors import InputError
     from ..formats.dialect import Dialect

@@ -4,24 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..captures.select import named_views
 from ..errors import ViewError
 
 
 def view_indices(text: str, count: int) -> list[int]:
     """Indices such as `4,8`. Raises `ViewError` for anything else, for a missing one and for a repeated one."""
-    indices = []
-    for part in text.split(","):
-        part = part.strip()
-        if not part.isascii() or not part.isdigit():
-            raise ViewError(f"{part!r} is not a view index", field="views", cure="give indices such as 0,2")
-        if int(part) >= count:
-            raise ViewError(
-                f"view {part} does not exist, the file has {count} views", field="views", cure=f"0 to {count - 1}"
-            )
-        if int(part) in indices:
-            raise ViewError(f"view {part} is given twice", field="views")
-        indices.append(int(part))
-    return indices
+    return named_views(text, (None,) * count, field="views")
 
 
 def view_specs(text: str) -> Sequence[str]:

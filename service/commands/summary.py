@@ -25,6 +25,18 @@ def check_line(check: Mapping[str, Any]) -> str:
     return "; ".join(parts)
 
 
+def selection_line(said: Mapping[str, Any]) -> str:
+    """Which views were used, of how many, and by what they were chosen."""
+    why = {"all": "all there are", "select": "as asked for", "photographs": "those with a photograph"}
+    reason = why.get(said["by"])
+    if reason is None:
+        reason = f"chosen for overlap ({said['overlap']:.0%}) and parallax ({said['parallax_degrees']:.1f} degrees)"
+    views = ", ".join(map(str, said["views"]))
+    missing = said.get("without_photograph")
+    without = f"; {missing} have no photograph" if missing else ""
+    return f"views {views} of {said['of']} in {said['cameras']} ({said['format']}): {reason}{without}"
+
+
 def left_out_lines(document: Mapping[str, Any]) -> list[str]:
     """A table of what was left out, at which error, and what it saved; one line where it is nothing."""
     rows, pruned = document["left_out"], document["pruning"]

@@ -56,6 +56,7 @@ def _understood(upload: Upload, settings: Settings) -> dict[str, Any]:
     return {
         "images": images,
         "paired_by": pairing.by,
+        "selection": upload.selection,
         "near": depths.near,
         "far": depths.far,
         "depth_range_source": depths.source,

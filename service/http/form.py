@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..budget import DEFAULT_CERTIFY, MAX_CERTIFY
+from ..captures.select import DEFAULT_CONTEXT
 from ..foretold import DEFAULT_OTHERS
 from ..model_names import DEFAULT
 from ..stride import STRIDES
@@ -20,13 +21,30 @@ CAMERAS = (
 )
 FORM: dict[str, Any] = {
     "type": "object",
-    "required": ["images", "cameras"],
+    "anyOf": [{"required": ["images", "cameras"]}, {"required": ["capture"]}],
     "properties": {
-        "images": {"type": "array", "items": {"type": "string", "format": "binary"}, "minItems": 2, "maxItems": 6},
+        "images": {"type": "array", "items": {"type": "string", "format": "binary"}, "minItems": 2},
         "cameras": {
             "type": "string",
-            "description": "cameras.json or transforms.json, as a field or as a file part",
+            "description": "cameras.json, transforms.json or a RealEstate10K text, as a field or as a file part;"
+            " poses_bounds.npy or a zipped COLMAP model as a file part",
             "examples": [CAMERAS],
+        },
+        "capture": {
+            "type": "string",
+            "format": "binary",
+            "description": "instead of images and cameras: a zip of both",
+        },
+        "select": {
+            "type": "string",
+            "description": "which views to use, by index or by name, comma separated",
+            "examples": ["0,4"],
+        },
+        "context": {
+            "type": "integer",
+            "minimum": MIN_VIEWS,
+            "maximum": MAX_VIEWS,
+            "description": f"how many views to choose; of a capture of more than 6 without it {DEFAULT_CONTEXT}",
         },
         "near": {"type": "number", "exclusiveMinimum": 0, "description": "nearest depth, in the cameras' units"},
         "far": {"type": "number", "exclusiveMinimum": 0, "description": "farthest depth, in the cameras' units"},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
@@ -34,10 +34,10 @@ def wanted_async(preferences: Sequence[str]) -> bool:
     return "respond-async" in tokens
 
 
-def accepted_job(runtime: Runtime, job: Job) -> Response:
-    """202 with the job."""
+def accepted_job(runtime: Runtime, job: Job, selection: Mapping[str, Any]) -> Response:
+    """202 with the job, and which of the views that were sent it uses: that belongs to the request."""
     headers = {"Location": f"/jobs/{job.id}", "Preference-Applied": "respond-async", "Vary": "Accept, Prefer"}
-    return json_response(job_document(runtime, job), 202, headers)
+    return json_response({**job_document(runtime, job), "selection": dict(selection)}, 202, headers)
 
 
 def why_not(job: Job) -> dict[str, Any]:

@@ -11,14 +11,14 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.datastructures import FormData, UploadFile
 
-from ..camera_file import CameraFile, parse_camera_file
+from ..camera_fields import CameraFile
 from ..errors import InputError, UnsupportedMediaType, UploadTooLarge
 from ..formats.dialect import Dialect
 from ..formats.registry import MEDIA_TYPE, NAMES
 from ..loaded_scene import LoadedFile, load
 from ..settings import Settings
 from .form import CAMERAS
-from .limits import parse_json
+from .inputs import camera_table
 from .posted import FORM, in_time, media_type, posted_form, single, text
 from .responses import json_response, server_timing
 from .runtime import Runtime, runtime_of
@@ -89,7 +89,7 @@ async def load_scene(
         elif kind == MEDIA_TYPE:
             with in_time(settings):
                 data = await request.body()
-            file = await anyio.to_thread.run_sync(lambda: _file(data, None, query, None))
+            file = await anyio.to_thread.run_sync(lambda: _file(data, None, query, None, settings))
         else:
             raise UnsupportedMediaType(
                 f"the body is {kind[:100] or 'of no declared type'}, need {FORM} or {MEDIA_TYPE}",
@@ -120,7 +120,7 @@ async def _of_form(form: FormData, settings: Settings) -> LoadedFile:
     document = await cameras.read() if isinstance(cameras, UploadFile) else cameras
     fields = _checked({name: text(form, name) for name in form if name not in ("file", "cameras")})
     data, name = await part.read(), part.filename
-    return await anyio.to_thread.run_sync(lambda: _file(data, name, fields, document))
+    return await anyio.to_thread.run_sync(lambda: _file(data, name, fields, document, settings))
 
 
 def _checked(texts: Mapping[str, str]) -> LoadFields:
@@ -131,11 +131,18 @@ def _checked(texts: Mapping[str, str]) -> LoadFields:
         raise RequestValidationError([{**item, "loc": ("body", *item["loc"])} for item in error.errors()]) from error
 
 
-def _file(data: bytes, name: str | None, fields: LoadFields, document: str | bytes | None) -> LoadedFile:
+def _cameras(document: str | bytes, settings: Settings) -> CameraFile:
+    table = camera_table(document, settings)
+    if len(table.names) > MAX_VIEWS:
+        raise InputError(f"has {len(table.names)} views, the limit is {MAX_VIEWS}", field="cameras")
+    return table.parse(range(len(table.names)), None)
+
+
+def _file(
+    data: bytes, name: str | None, fields: LoadFields, document: str | bytes | None, settings: Settings
+) -> LoadedFile:
     """Parse the cameras and tell the format; call it on a worker thread."""
-    found = CameraFile((), None, None) if not document else parse_camera_file(parse_json(document, "cameras"))
-    if len(found.views) > MAX_VIEWS:
-        raise InputError(f"has {len(found.views)} views, the limit is {MAX_VIEWS}", field="cameras")
+    found = _cameras(document, settings) if document else CameraFile((), None, None)
     return LoadedFile.of(
         data,
         fields.format,

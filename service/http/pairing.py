@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import PurePosixPath
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ..camera import Camera
-from ..camera_file import NamedView
+from ..camera_fields import NamedView
+from ..captures.photographs import same_file, sorted_places
 from ..errors import CameraError, ViewCountError
 from ..image_files import image_size
 
@@ -23,34 +23,48 @@ class NamedImage:
 
 @dataclass(frozen=True)
 class Pairing:
-    """Images with their cameras, in the order of the images; `by` is "name" or "order"."""
+    """Images with their views, in the order of the images; `by` is "name", "order" or "sorted name"."""
 
     images: tuple[NamedImage, ...]
-    cameras: tuple[Camera, ...]
+    views: tuple[NamedView, ...]
     by: str
     warnings: tuple[dict[str, Any], ...] = ()
 
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        return tuple(view.camera for view in self.views)
 
-def pair(images: Sequence[NamedImage], views: Sequence[NamedView]) -> Pairing:
+    def chosen(self, places: Sequence[int]) -> Pairing:
+        """These images alone, in this order."""
+        images, views = tuple(self.images[place] for place in places), tuple(self.views[place] for place in places)
+        return replace(self, images=images, views=views)
+
+
+def pair(images: Sequence[NamedImage], views: Sequence[NamedView], *, by_sorted_name: bool = False) -> Pairing:
     """Match by name when every view names its image and each posted name is the name of exactly one view.
 
-    A camera file may then hold more views than were posted. Otherwise the counts must agree and order decides.
+    A camera file may then hold more views than were posted. Otherwise the counts must agree and order decides: that of
+    the images as they were sent, or with `by_sorted_name` that of their names.
     """
     named = all(view.image for view in views)
-    matches = [[view for view in views if _same_file(image.name, view.image)] for image in images]
+    matches = [[view for view in views if same_file(image.name, view.image)] for image in images]
     if named and all(len(match) == 1 for match in matches):
-        cameras = [match[0].camera for match in matches]
-        if len({id(camera) for camera in cameras}) == len(images):
-            return Pairing(tuple(images), tuple(cameras), "name")
+        found = [match[0] for match in matches]
+        if len({id(view) for view in found}) == len(images):
+            return Pairing(tuple(images), tuple(found), "name")
     if len(images) != len(views):
         cure = "send one camera per image, or name each view's image as its file is named"
         raise ViewCountError(f"{len(views)} cameras for {len(images)} images", field="cameras", cure=cure)
+    if by_sorted_name:
+        order = sorted_places([image.name for image in images])
+        place_of = {place: row for row, place in enumerate(order)}
+        return Pairing(tuple(images), tuple(views[place_of[place]] for place in range(len(images))), "sorted name")
     warnings: tuple[dict[str, Any], ...] = ()
     if named:
         posted, wanted = [image.name for image in images], [view.image for view in views]
         message = f"images are named {posted}, the cameras name {wanted}; they were paired by order"
         warnings = ({"code": "names_differ", "message": message},)
-    return Pairing(tuple(images), tuple(view.camera for view in views), "order", warnings)
+    return Pairing(tuple(images), tuple(views), "order", warnings)
 
 
 class PostedSizes:
@@ -63,7 +77,7 @@ class PostedSizes:
 
     def __call__(self, name: str | None, index: int) -> tuple[int, int]:
         """(width, height) in px of the image that the camera at `index` belongs to. Raises `CameraError`."""
-        places = [place for place, image in enumerate(self._images) if _same_file(image.name, name)]
+        places = [place for place, image in enumerate(self._images) if same_file(image.name, name)]
         if len(places) != 1:
             places = [index] if index < len(self._images) else []
         if not places:
@@ -73,9 +87,3 @@ class PostedSizes:
         if place not in self._sizes:
             self._sizes[place] = image_size(self._images[place].data, index=place, max_pixels=self._max_pixels)
         return self._sizes[place]
-
-
-def _same_file(posted: str, wanted: str | None) -> bool:
-    """Whether the last parts of both paths agree; a wanted name without a suffix (Blender's files) matches any."""
-    have, want = (PurePosixPath((name or "").replace("\\", "/").lower()) for name in (posted, wanted))
-    return bool(want.name) and (have.name == want.name or (not want.suffix and have.stem == want.name))

@@ -64,7 +64,7 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
                 del submit
             del work  # and with it the photographs: they are on disk now
         if job is not None and kept:
-            return accepted_job(runtime, job)
+            return accepted_job(runtime, job, told.selection)
         if job is not None:
             job = await ended(runtime.desk, job, runtime.settings.wait_seconds, request.is_disconnected)
             if job.state != "done":
@@ -78,6 +78,7 @@ async def _answer(request: Request, runtime: Runtime, scene_id: str, form: str, 
     document |= {
         "images": list(told.images),
         "paired_by": told.paired_by,
+        "selection": told.selection,
         "warnings": [*told.warnings, *document["warnings"]],
     }
     headers = {"Location": document["links"]["self"], "Vary": "Accept, Prefer"}

@@ -123,6 +123,7 @@ class Understood(BaseModel):
 
     images: list[UnderstoodImage]
     paired_by: str
+    selection: dict[str, Any] = Field(description="which of the views that were sent, and by what they were chosen")
     near: float
     far: float
     depth_range_source: str
@@ -165,6 +166,7 @@ class Job(BaseModel):
     ahead: int = Field(ge=0, description="jobs that run or wait before it")
     stage: Step | None = Field(description="where it is, while it runs")
     problem: Problem | None = Field(None, description="why it failed or was cancelled")
+    selection: dict[str, Any] = Field({}, description="in the answer to the request alone: which views are used")
     links: JobLinks
 
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import anyio.to_thread
 from fastapi import Request
 from starlette.datastructures import FormData, UploadFile
 
 from ..budget import DEFAULT_CERTIFY, DEFAULT_MAX_ERROR, Budget, parse_max_error
-from ..camera_file import CameraFile, parse_camera_file
+from ..captures.archive import SIGNATURES
+from ..captures.select import Wish, checked_wish
 from ..errors import (
     DepthRangeError,
     InputError,
@@ -25,16 +26,19 @@ from ..model_names import DEFAULT, checked_name
 from ..settings import Settings
 from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
-from .limits import parse_json
-from .pairing import NamedImage, Pairing, PostedSizes, pair
+from .inputs import Inputs, captured, posted
+from .pairing import NamedImage, Pairing
 from .posted import MAX_PARTS, posted_form
 from .posted import single as _single
 from .posted import text as _text
 
-MAX_FRAMES = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
+_Otherwise = TypeVar("_Otherwise", int, None)
 FIELDS = (
     "images",
     "cameras",
+    "capture",
+    "select",
+    "context",
     "near",
     "far",
     "views",
@@ -53,6 +57,7 @@ class Upload:
     """What was posted: the images still encoded, each with its camera."""
 
     pairing: Pairing
+    selection: dict[str, Any]
     work: Work
     views: tuple[str, ...]  # to be drawn, such as "1.5"
 
@@ -63,6 +68,7 @@ class Told:
 
     images: tuple[str, ...]  # file names
     paired_by: str
+    selection: dict[str, Any]  # which of the views that were sent were used, and by what they were chosen
     warnings: tuple[dict[str, Any], ...]
     views: tuple[str, ...]
 
@@ -70,7 +76,8 @@ class Told:
     def of(cls, upload: Upload) -> Told:
         """Without the photographs."""
         pairing = upload.pairing
-        return cls(tuple(image.name for image in pairing.images), pairing.by, pairing.warnings, upload.views)
+        names = tuple(image.name for image in pairing.images)
+        return cls(names, pairing.by, upload.selection, pairing.warnings, upload.views)
 
 
 async def read_upload(request: Request, settings: Settings, models: Sequence[str] = (DEFAULT,)) -> Upload:
@@ -89,22 +96,23 @@ async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> U
         if name not in FIELDS:
             raise InputError("is not a field of this route", field=name[:100], cure=f"fields: {', '.join(FIELDS)}")
     model = checked_name(_text(form, "model") or DEFAULT, models)
-    images = await _images(form)
-    document = await _cameras(form, settings.max_camera_bytes)
-    sizes = PostedSizes(images, settings.max_image_pixels)
-    cameras, pairing = await anyio.to_thread.run_sync(lambda: _paired(document, images, sizes))
-    near, far = (_number(form, name, given) for name, given in (("near", cameras.near), ("far", cameras.far)))
+    wish = checked_wish(Wish(_text(form, "select") or None, _whole(form, "context", None)))
+    near, far = _number(form, "near"), _number(form, "far")
+    inputs = await _inputs(form, settings, wish, near, far)
+    pairing = inputs.pairing
+    lenses = tuple(view.lens for view in pairing.views)
     work = Work(
         images=tuple(image.data for image in pairing.images),
         cameras=pairing.cameras,
-        near=near,
-        far=far,
+        lenses=lenses if any(lens is not None for lens in lenses) else (),
+        near=inputs.near,
+        far=inputs.far,
         trust_poses=_flag(form, "trust_poses"),
         leave_one_out=checked_others(_whole(form, "leave_one_out", DEFAULT_OTHERS)),
         budget=_budget(form),
         model=model,
     )
-    return Upload(pairing, work, _views(form))
+    return Upload(pairing, inputs.selection, work, _views(form))
 
 
 def _budget(form: FormData) -> Budget:
@@ -121,21 +129,22 @@ def _budget(form: FormData) -> Budget:
     )
 
 
-def _paired(document: str | bytes, images: list[NamedImage], sizes: PostedSizes) -> tuple[CameraFile, Pairing]:
-    obj = parse_json(document, "cameras")
-    for name in ("views", "frames"):
-        count = len(obj[name]) if isinstance(obj, dict) and isinstance(obj.get(name), list) else 0
-        if count > MAX_FRAMES:
-            raise InputError(
-                f"has {count} {name}, the limit is {MAX_FRAMES}",
-                field="cameras",
-                cure="send the cameras of the posted images alone",
-            )
-    cameras = parse_camera_file(obj, size_of=sizes)
-    return cameras, pair(images, cameras.views)
+async def _inputs(form: FormData, settings: Settings, wish: Wish, near: float | None, far: float | None) -> Inputs:
+    capture = _single(form, "capture")
+    if capture is None:
+        images = await _images(form, wish)
+        document = await _cameras(form, settings.max_camera_bytes)
+        return await anyio.to_thread.run_sync(lambda: posted(document, images, wish, settings, near, far))
+    for name in ("images", "cameras"):
+        if form.getlist(name):
+            raise InputError(f"is given beside {name}", field="capture", cure="it holds photographs and cameras")
+    if not isinstance(capture, UploadFile):
+        raise InputError("is a text field, need a file part", field="capture", cure="curl -F capture=@capture.zip")
+    stream = capture.file
+    return await anyio.to_thread.run_sync(lambda: captured(stream, wish, settings, near, far))
 
 
-async def _images(form: FormData) -> list[NamedImage]:
+async def _images(form: FormData, wish: Wish) -> list[NamedImage]:
     parts = form.getlist("images")
     files = []
     for index, part in enumerate(parts):
@@ -144,11 +153,14 @@ async def _images(form: FormData) -> list[NamedImage]:
                 "is a text field, need a file part", field="images", index=index, cure="curl -F images=@a.jpg"
             )
         files.append(part)
-    if not MIN_VIEWS <= len(parts) <= MAX_VIEWS:
+    few = len(parts) < MIN_VIEWS
+    if few or (len(parts) > MAX_VIEWS and wish.select is None and wish.context is None):
         raise ViewCountError(
             f"{len(parts)} images, need {MIN_VIEWS} to {MAX_VIEWS}",
             field="images",
-            cure="repeat the part `images`, once per photograph",
+            cure="repeat the part `images`, once per photograph, or send a `capture`"
+            if few
+            else "of more, say with `context` how many to choose or with `select` which; or send a `capture`",
         )
     return [NamedImage(_encodable(file.filename or ""), await file.read()) for file in files]
 
@@ -162,22 +174,26 @@ async def _cameras(form: FormData, max_bytes: int) -> str | bytes:
     part = _single(form, "cameras")
     if part is None:
         raise InputError(
-            "is missing", field="cameras", cure="send cameras.json or transforms.json as a field or as a file part"
+            "is missing",
+            field="cameras",
+            cure="send cameras.json, transforms.json, poses_bounds.npy, a RealEstate10K .txt or a zipped COLMAP model",
         )
+    if isinstance(part, UploadFile) and await part.read(4) in SIGNATURES:
+        max_bytes = part.size or 0  # it is read in pieces, of which the reader bounds each
+    if isinstance(part, UploadFile):
+        await part.seek(0)
     size = (part.size or 0) if isinstance(part, UploadFile) else len(part)
     if size > max_bytes:
         raise UploadTooLarge(f"{size} bytes, the limit is {max_bytes}", field="cameras")
     return await part.read() if isinstance(part, UploadFile) else part
 
 
-def _number(form: FormData, name: str, otherwise: float | None) -> float | None:
+def _number(form: FormData, name: str) -> float | None:
     text = _text(form, name)
-    if not text:
-        return otherwise
-    return _finite(text, name, DepthRangeError)
+    return _finite(text, name, DepthRangeError) if text else None
 
 
-def _whole(form: FormData, name: str, otherwise: int) -> int:
+def _whole(form: FormData, name: str, otherwise: _Otherwise) -> int | _Otherwise:
     text = _text(form, name)
     if text and not (text.isascii() and text.isdigit() and len(text) < 9):
         raise InputError(f"{text[:50]!r} is not a whole number", field=name)

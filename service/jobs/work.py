@@ -12,6 +12,7 @@ import numpy as np
 from ..budget import Budget
 from ..camera import Camera
 from ..camera_file import camera_document
+from ..distortion import Lens
 from ..image_files import check_total
 from ..images import EncodedPhoto
 from ..model_names import DEFAULT
@@ -40,13 +41,14 @@ class Work:
     leave_one_out: int
     budget: Budget
     model: str = DEFAULT  # the name that the service has for it
+    lenses: tuple[Lens | None, ...] = ()  # what the photographs are resampled from; empty where none is
 
     def scene_id(self, identity: str) -> str:
         """Everything that the stored scene depends on, and nothing else: file names are the request's own, and so is
         the model's name; `identity` is that of its file and of the engine."""
         budget = self.budget
         bounded = budget.max_error is not None or budget.min_opacity > 0
-        options = {
+        options: dict[str, Any] = {
             "near": self.near,
             "far": self.far,
             "trust_poses": self.trust_poses,
@@ -58,20 +60,28 @@ class Work:
             "leave_one_out": min(self.leave_one_out, len(self.images) - 1) if len(self.images) > MIN_VIEWS else 0,
             "algorithm_revision": ALGORITHM_REVISION,
         }
+        if self.lenses:
+            options["lenses"] = [_lens_entry(lens) for lens in self.lenses]
         return SceneStore.scene_id(identity, self.images, [_camera_entry(camera) for camera in self.cameras], options)
 
     def document(self) -> dict[str, Any]:
         """All but the images as plain JSON; `of_document` reads it back to the bit."""
-        rest = {name: getattr(self, name) for name in ("near", "far", "trust_poses", "leave_one_out", "model")}
-        return {"cameras": [_camera_entry(camera) for camera in self.cameras], "budget": asdict(self.budget), **rest}
+        names = ("near", "far", "trust_poses", "leave_one_out", "model")
+        rest: dict[str, Any] = {name: getattr(self, name) for name in names}
+        cameras, lenses = (
+            [_camera_entry(camera) for camera in self.cameras],
+            [_lens_entry(lens) for lens in self.lenses],
+        )
+        return {"cameras": cameras, "lenses": lenses, "budget": asdict(self.budget), **rest}
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any], images: Sequence[bytes]) -> Work:
-        """What `document` wrote, with its images; one of a release that knew one model only has the default one."""
+        """What `document` wrote, with its images; one of an earlier release has the default model and no lenses."""
         budget = {**document["budget"], "asked": tuple(document["budget"]["asked"])}
         cameras = tuple(_camera_of(entry) for entry in document["cameras"])
-        rest = {name: value for name, value in document.items() if name not in ("cameras", "budget")}
-        return cls(images=tuple(images), cameras=cameras, budget=Budget(**budget), **rest)
+        lenses = tuple(None if entry is None else Lens(**entry) for entry in document.get("lenses", ()))
+        rest = {name: value for name, value in document.items() if name not in ("cameras", "lenses", "budget")}
+        return cls(images=tuple(images), cameras=cameras, lenses=lenses, budget=Budget(**budget), **rest)
 
 
 def compute(
@@ -80,7 +90,10 @@ def compute(
     """Decode, reconstruct and store; the store keeps the whole scene or nothing. Returns its document."""
     check_total(work.images, max_pixels=settings.max_image_pixels, max_total=settings.max_request_pixels)
     scene = reconstructor.reconstruct(
-        [EncodedPhoto(data, settings.max_image_pixels) for data in work.images],
+        [
+            EncodedPhoto(data, settings.max_image_pixels, lens)
+            for data, lens in zip(work.images, work.lenses or (None,) * len(work.images), strict=True)
+        ],
         work.cameras,
         near=work.near,
         far=work.far,
@@ -97,6 +110,10 @@ def compute(
 
 def _camera_entry(camera: Camera) -> dict[str, Any]:
     return {**camera_document(camera), "given": list(camera.given)}
+
+
+def _lens_entry(lens: Lens | None) -> dict[str, Any] | None:
+    return None if lens is None else asdict(lens)
 
 
 def _camera_of(entry: Mapping[str, Any]) -> Camera:

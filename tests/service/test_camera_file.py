@@ -9,9 +9,10 @@ from camera_documents import FLIP, broken, our_file, pose, transforms
 from PIL import Image
 
 from gapmes.service.camera import Camera
-from gapmes.service.camera_file import camera_document, load_scene_folder, parse_camera_file, read_camera_file
+from gapmes.service.camera_file import camera_document, parse_camera_file
 from gapmes.service.camera_json import camera_from_json
-from gapmes.service.errors import CameraError, ImageError, ImageUnreadable, IntrinsicsError, PoseError
+from gapmes.service.captures.capture import load_scene_folder, read_camera_file
+from gapmes.service.errors import CameraError, CaptureError, ImageError, ImageUnreadable, IntrinsicsError, PoseError
 from gapmes.service.pose import rigid_inverse
 from gapmes.service.rotations import about_axis
 
@@ -199,7 +200,7 @@ def test_a_blender_folder_without_sizes_and_suffixes(tmp_path):
 
 
 def test_folders_without_a_camera_file(tmp_path):
-    with pytest.raises(CameraError, match=r"holds neither cameras\.json nor transforms\.json"):
+    with pytest.raises(CaptureError, match="holds no cameras, only nothing"):
         load_scene_folder(tmp_path)
     (tmp_path / "cameras.json").write_text("{")
     with pytest.raises(CameraError, match="is not readable JSON"):

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from capture_scenes import arc, write_colmap, write_transforms, zipped
 from PIL import Image
 from ply_cases import binary_file, columns, gaussians
 
@@ -115,6 +116,67 @@ def test_transforms_json_without_sizes(scene_dir: Path, standin_model: Path) -> 
     assert (scene_dir / "out.ply").read_bytes() == expected
 
 
+def test_a_zip_and_a_folder_are_the_same_scene(
+    scene_dir: Path, tmp_path: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """By names or by indices; the answer says what was used, of what."""
+    assert reconstruct(scene_dir, standin_model, "--views", "0,2") == 0
+    expected = (scene_dir / "out.ply").read_bytes()
+    (scene_dir / "out.ply").unlink()
+    packed = tmp_path / "capture.zip"
+    packed.write_bytes(zipped(scene_dir, inside="scene/"))
+    arguments = ("--model", standin_model, "--threads", 1, "-o", tmp_path / "out.ply", "--json")
+    capfd.readouterr()
+    for views in ("0,2", "000.png,images/002.png"):
+        assert run("reconstruct", packed, *arguments, "--views", views) == 0
+        assert (tmp_path / "out.ply").read_bytes() == expected
+        out, err = capfd.readouterr()
+        assert json.loads(out)["selection"] == {
+            "by": "select",
+            "format": "cameras.json",
+            "cameras": "scene/cameras.json",
+            "of": 4,
+            "views": [0, 2],
+            "images": ["scene/images/000.png", "scene/images/002.png"],
+        }
+        assert "views 0, 2 of 4 in scene/cameras.json (cameras.json): as asked for" in err
+
+
+def test_of_many_views_some_are_chosen(tmp_path: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """COLMAP's model of nine photographs, of which three are used, or as many as are asked for."""
+    (tmp_path / "scene").mkdir()
+    write_colmap(tmp_path / "scene", arc(9))
+    more = ("--near", 2, "--far", 8, "--trust-poses", "--leave-one-out", 0, "--json")
+    for asked, count in (((), 3), (("--context", 2), 2), (("--context", 4), 4)):
+        assert reconstruct(tmp_path / "scene", standin_model, *asked, *more) == 0
+        out, err = capfd.readouterr()
+        document = json.loads(out)
+        assert len(document["selected_views"]) == len(document["cameras"]) == count
+        said = document["selection"]
+        assert (said["by"], said["of"], said["compared"], said["format"]) == ("score", 9, 9, "colmap")
+        assert said["views"] == document["selected_views"]
+        assert f"of 9 in sparse/0/images.bin (colmap): chosen for overlap ({said['overlap']:.0%})" in err
+
+
+def test_photographs_through_a_lens_are_resampled(
+    tmp_path: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "scene").mkdir()
+    write_transforms(tmp_path / "scene", arc(2))
+    path = tmp_path / "scene" / "transforms.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"k1": -0.1}))
+    more = ("--near", 2, "--far", 8, "--trust-poses", "--json")
+    assert reconstruct(tmp_path / "scene", standin_model, *more) == 0
+    out, err = capfd.readouterr()
+    document = json.loads(out)
+    width, height = (document["cameras"][0][name] for name in ("width", "height"))
+    told = [warning for warning in document["warnings"] if warning["code"] == "undistorted"]
+    assert [warning["index"] for warning in told] == [0, 1]
+    assert f"resampled to a pinhole of {width} x {height} px, which holds 9" in told[0]["message"]
+    assert (width, height) != (96, 72)
+    assert told[1]["message"] in err
+
+
 def test_views_that_are_not_wanted_need_no_photograph(scene_dir: Path, standin_model: Path) -> None:
     (scene_dir / "images" / "001.png").unlink()
     assert reconstruct(scene_dir, standin_model, "--views", "0,2") == 0
@@ -168,7 +230,9 @@ def test_render_takes_sizes_from_the_photographs(scene_dir: Path, standin_model:
         (("--views", "0,9"), "view 9 does not exist"),
         (("--views", "0"), "need 2 to 6"),
         (("--views", "0,0"), "given twice"),
-        (("--views", "a,b"), "is not a view index"),
+        (("--views", "a,b"), "is not a view index, nor the name of a view"),
+        (("--views", "0,1", "--context", "3"), "context: is given beside views"),
+        (("--context", "7"), "context: 7 views, need 2 to 6"),
         (("--near", "5", "--far", "2"), "near"),
         (("--model", "missing.onnx"), "missing.onnx"),
     ],
@@ -176,7 +240,7 @@ def test_render_takes_sizes_from_the_photographs(scene_dir: Path, standin_model:
 def test_refusals_of_reconstruct(
     scene_dir: Path, standin_model: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
 ) -> None:
-    if "--views" not in arguments:
+    if not {"--views", "--context"} & set(arguments):
         arguments = (*arguments, "--views", "0,1")
     assert reconstruct(scene_dir, standin_model, *arguments, "--json") == 1
     assert_refusal(capfd, words)

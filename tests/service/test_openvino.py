@@ -19,7 +19,7 @@ from gapmes.service import cli
 from gapmes.service.backends import choice, openvino_session
 from gapmes.service.backends.choice import ENGINES, checked_engine, identity, made_by
 from gapmes.service.budget import Budget
-from gapmes.service.camera_file import load_scene_folder
+from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.contract import AMBIGUOUS_MARGIN
 from gapmes.service.engine import Arrays, Engine
 from gapmes.service.errors import ModelError

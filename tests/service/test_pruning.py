@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gapmes.service import pruning
 from gapmes.service.budget import KEEP_ALL, Budget, parse_max_error
 from gapmes.service.camera import Camera
-from gapmes.service.camera_file import load_scene_folder
+from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.certified import certified_views
 from gapmes.service.errors import InputError
 from gapmes.service.gaussians import Gaussians

@@ -14,8 +14,8 @@ from test_cli import assert_refusal, run
 from test_film import decoded, planes
 from test_pruning import cloud
 
-from gapmes.service.camera_file import read_camera_file
 from gapmes.service.camera_path import loop
+from gapmes.service.captures.capture import read_camera_file
 from gapmes.service.effort import draw
 from gapmes.service.picture_error import psnr
 from gapmes.service.ply import read_ply, write_ply

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from camera_documents import broken, pose, transforms
 
-from gapmes.service.camera import Camera
 from gapmes.service.camera_file import parse_camera_file
-from gapmes.service.distortion import largest_shift
+from gapmes.service.distortion import Lens
 from gapmes.service.errors import CameraError, IntrinsicsError
 
 
@@ -43,12 +42,37 @@ def test_blender_field_of_view_and_defaults():
 
 
 @pytest.mark.parametrize("name", ["k1", "k2", "k3", "k4", "p1", "p2"])
-def test_distortion_is_refused_by_name(name):
-    assert parse_camera_file(transforms(**{name: 0.0})).views
-    with pytest.raises(IntrinsicsError, match=rf"distortion {name} = 0.05 moves .* by \d+(\.\d+)? px") as caught:
-        parse_camera_file(transforms(**{name: 0.05}))
+def test_a_lens_that_bends_is_given_with_the_pinhole_it_becomes(name):
+    assert parse_camera_file(transforms(**{name: 0.0})).views[0].lens is None
+    view = parse_camera_file(transforms(**{name: 0.05})).views[0]
+    assert getattr(view.lens, "r8" if name == "k4" else name) == 0.05
+    assert (view.lens.width, view.lens.height, view.lens.cx) == (640, 480, 322.0)
+    assert (view.camera.fx, view.camera.fy) == (500.0, 510.0)
+    assert (view.camera.width, view.camera.height) != (640, 480)
+    np.testing.assert_allclose(view.camera.world_from_cam, pose(0), atol=1e-14)
+
+
+def test_frames_have_lenses_of_their_own():
+    """As nerfstudio writes several cameras: intrinsics per frame, and the transform that the poses have had already."""
+    file = transforms(3, k1=0.0, camera_model="OPENCV", applied_transform=[[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]])
+    file["frames"][1] |= {"k1": -0.1, "fl_x": 400.0, "cx": 300.0}
+    plain, bent, last = parse_camera_file(file).views
+    assert (plain.lens, last.lens) == (None, None)
+    assert (bent.lens.k1, bent.lens.fx, bent.lens.cx) == (-0.1, 400.0, 300.0)
+    np.testing.assert_allclose(plain.camera.world_from_cam, pose(0), atol=1e-14)
+
+
+def test_k4_is_of_the_denominator_where_k5_or_the_model_says_so():
+    for more in ({"k5": 1e-9}, {"camera_model": "FULL_OPENCV"}):
+        lens = parse_camera_file(transforms(k4=0.05, **more)).views[0].lens
+        assert (lens.k4, lens.r8) == (0.05, 0.0)
+
+
+def test_a_lens_that_folds_is_refused():
+    with pytest.raises(IntrinsicsError, match="folds the picture") as caught:
+        parse_camera_file(transforms(k1=-1.0))
     assert "undistort" in caught.value.cure
-    assert caught.value.field == f"frames.{name}"
+    assert (caught.value.field, caught.value.index) == ("frames.distortion", 0)
 
 
 def test_distortion_below_half_a_pixel_is_left_out():
@@ -56,23 +80,23 @@ def test_distortion_below_half_a_pixel_is_left_out():
     pinhole = parse_camera_file(transforms(fl_y=500.0)).cameras[0]
     r = math.hypot(322, 480 - 236.5) / 500
     limit = 0.5 / (500 * r**3)
-    assert parse_camera_file(transforms(fl_y=500.0, k1=-0.99 * limit)).cameras[0].fx == pinhole.fx
-    with pytest.raises(IntrinsicsError, match=r"by 0\.505 px, need less than 0\.5 px"):
-        parse_camera_file(transforms(fl_y=500.0, k1=1.01 * limit))
+    small = parse_camera_file(transforms(fl_y=500.0, k1=-0.99 * limit)).views[0]
+    assert (small.lens, small.camera.fx, small.camera.width) == (None, pinhole.fx, 640)
+    large = parse_camera_file(transforms(fl_y=500.0, k1=1.01 * limit)).views[0].lens
+    assert large.largest_shift() == pytest.approx(0.505)
 
 
 def test_distortion_is_the_model_of_opencv():
     """One point worked out by hand: x = 0.6, y = 0.4 at the corner, r^2 = 0.52."""
-    camera = Camera.make(600, 400, 500, 500, 0, 0, np.eye(4))
-    camera = camera.cropped(0, 0, 300, 200)
+    intrinsics = (300, 200, 500.0, 500.0, 0.0, 0.0)
     k1, k2, p1, p2 = 0.1, 0.02, 0.003, 0.004
     radial = k1 * 0.52 + k2 * 0.52**2
     dx = 0.6 * radial + 2 * p1 * 0.24 + p2 * (0.52 + 0.72)
     dy = 0.4 * radial + 2 * p2 * 0.24 + p1 * (0.52 + 0.32)
-    shift = largest_shift(camera, {"k1": k1, "k2": k2, "p1": p1, "p2": p2})
+    shift = Lens(*intrinsics, k1=k1, k2=k2, p1=p1, p2=p2).largest_shift()
     assert shift == pytest.approx(500 * math.hypot(dx, dy))
-    assert largest_shift(camera, {"k5": -1 / 0.52**2}) == math.inf  # the denominator is zero at the corner
-    assert largest_shift(camera, {"k1": 1e308}) == math.inf
+    assert Lens(*intrinsics, k5=-1 / 0.52**2).largest_shift() == math.inf  # the denominator is zero at the corner
+    assert Lens(*intrinsics, k1=1e308).largest_shift() == math.inf
 
 
 @pytest.mark.parametrize("model", ["PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"])

@@ -134,7 +134,7 @@ function show({ images: found, near, far, depth_range_source: source, paired_by:
     make("ul", { class: "cards" }, ...cards),
     plan(found.map((image) => image.camera), near, far),
     make("p", {}, `Cameras paired by ${by}. Depth from ${digits(near)} to ${digits(far)} (${source}), in the cameras' units.`),
-    ...(selection ? [make("p", {}, `${found.length} of ${selection.of} photographs, chosen by ${selection.by}.`)] : []),
+    ...(selection.by === "score" ? [make("p", {}, `${found.length} of ${selection.of} photographs, chosen for their overlap and baselines.`)] : []),
     ...warnings.map((warning) => make("p", { class: "warning" }, make("strong", {}, "Note: "), warning.message)),
   );
 }

@@ -17,7 +17,7 @@ from starlette.testclient import TestClient
 from gapmes.service.app import create_app
 from gapmes.service.database import Database
 from gapmes.service.errors import StorageFull
-from gapmes.service.http import pairing, upload
+from gapmes.service.http import inputs, pairing
 from gapmes.service.settings import Settings
 from gapmes.service.store import SceneStore
 
@@ -44,7 +44,7 @@ def test_too_many_cameras(client: TestClient, kind: str) -> None:
     camera = camera_object(1)["views"][0] | {"c2w": 0}
     cameras = transforms(2001) if kind == "frames" else {"views": [camera] * 2001}
     body = assert_problem(post(client, cameras=cameras), 422, "invalid_input", "cameras")
-    assert body["detail"] == f"has 2001 {kind}, the limit is 2000"
+    assert body["detail"] == "has 2001 views, the limit is 2000"
 
 
 def test_parsing_and_hashing_leave_the_event_loop_alone(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,11 +63,11 @@ def test_parsing_and_hashing_leave_the_event_loop_alone(client: TestClient, monk
 
         monkeypatch.setattr(owner, name, watched)
 
-    for owner, name in ((upload, "parse_json"), (upload, "parse_camera_file"), (upload, "pair")):
+    for owner, name in ((inputs, "parse_json"), (inputs, "table_of_bytes"), (inputs, "pair")):
         watch(owner, name)
     watch(SceneStore, "scene_id")
     assert post(client).status_code in (200, 201)
-    assert on_loop == dict.fromkeys(("parse_json", "parse_camera_file", "pair", "scene_id"), False)
+    assert on_loop == dict.fromkeys(("parse_json", "table_of_bytes", "pair", "scene_id"), False)
 
 
 def test_a_full_queue_answers_before_the_body_is_read(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,161 @@
+"""A capture in a .zip, read in memory within bounds: names, counts and sizes are checked before unpacking."""
+
+from __future__ import annotations
+
+import io
+import posixpath
+import struct
+import zipfile
+import zlib
+from collections.abc import Sequence
+from typing import BinaryIO, cast
+
+from ..errors import CaptureError
+from .files import is_clutter
+
+MAX_MEMBERS = 20_000  # 2,000 photographs at several sizes, and a model; each costs about a kilobyte of memory
+MAX_DIRECTORY = 8 * 2**20  # bytes of the archive's own list, which has to be read whole
+MAX_MEMBER_BYTES = 512 * 2**20  # of one file unpacked; a COLMAP model of 2,000 photographs has less
+MAX_UNPACKED_BYTES = 4 * 2**30  # of all that is read of one archive
+
+SIGNATURES = (b"PK\x03\x04", b"PK\x05\x06")  # of an archive's first file, and of an empty archive
+_ARCHIVES = (".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".7z", ".rar", ".zst")
+_END, _END64, _LOCATOR64 = b"PK\x05\x06", b"PK\x06\x06", b"PK\x06\x07"  # APPNOTE 4.3.14 to 4.3.16
+_LONGEST_END = 22 + 65_535  # the last record with its comment
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError, ValueError)
+
+
+class ZipFiles:
+    """The files of a zip; `max_bytes` bounds all that is unpacked of it."""
+
+    def __init__(self, stream: BinaryIO, label: str = "the zip", *, max_bytes: int = MAX_UNPACKED_BYTES) -> None:
+        """Raises `CaptureError` for what is no zip, or one that is not taken: too many files or bytes, encrypted, a
+        path that leads out of it, a file twice, another archive inside, a compression other than deflate."""
+        self._label = label
+        self._max_bytes = max_bytes
+        self._read = 0
+        try:
+            _check_directory(stream)
+            self._zip = zipfile.ZipFile(stream)
+            infos = self._zip.infolist()
+        except _DAMAGED as error:
+            raise CaptureError(f"is not a readable zip: {error}", field="capture") from error
+        self._infos: dict[str, zipfile.ZipInfo] = {}
+        self._folders: dict[str, set[str]] = {"": set()}
+        self._files: dict[str, set[str]] = {"": set()}
+        for info in infos:
+            self._add(info)
+
+    @property
+    def label(self) -> str:
+        return self._label
+
+    def files(self, folder: str) -> Sequence[str]:
+        return sorted(self._files.get(folder, ()))
+
+    def folders(self, folder: str) -> Sequence[str]:
+        return sorted(self._folders.get(folder, ()))
+
+    def has(self, path: str) -> bool:
+        return path in self._infos
+
+    def size(self, path: str) -> int:
+        return self._infos[path].file_size
+
+    def open(self, path: str) -> BinaryIO:
+        try:
+            stream = self._zip.open(self._infos[path])
+        except _DAMAGED as error:
+            raise CaptureError(f"{path} cannot be unpacked: {error}", field="capture") from error
+        return cast(BinaryIO, io.BufferedReader(_Counted(self, path, cast(BinaryIO, stream))))
+
+    def count(self, size: int) -> None:
+        """Raises `CaptureError` once more was unpacked than the limit."""
+        self._read += size
+        if self._read > self._max_bytes:
+            raise CaptureError(f"unpacks to more than {self._max_bytes} bytes, the limit", field="capture")
+
+    def _add(self, info: zipfile.ZipInfo) -> None:
+        name = info.filename
+        parts = name.rstrip("/").split("/")
+        if not name or name.startswith("/") or "\\" in name or ":" in parts[0] or {"", ".", ".."} & set(parts):
+            raise CaptureError(f"has a file at {name!r}: paths must stay inside the zip", field="capture")
+        if any(is_clutter(part) for part in parts):
+            return
+        for depth in range(1, len(parts)):
+            self._folders.setdefault("/".join(parts[: depth - 1]), set()).add(parts[depth - 1])
+        folder = "/".join(parts[:-1])
+        if info.is_dir():
+            self._folders.setdefault(folder, set()).add(parts[-1])
+            return
+        refusal = _refusal(info)
+        if name in self._infos:
+            refusal = "is there twice"
+        if refusal:
+            raise CaptureError(f"{name!r} {refusal}", field="capture", cure="zip the photographs and cameras alone")
+        self._infos[name] = info
+        self._files.setdefault(folder, set()).add(parts[-1])
+
+
+class _Counted(io.RawIOBase):
+    """A member as it is unpacked, counted for its archive."""
+
+    def __init__(self, owner: ZipFiles, path: str, stream: BinaryIO) -> None:
+        self._owner, self._path, self._stream = owner, path, stream
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: object) -> int:
+        view = memoryview(buffer)  # type: ignore[arg-type]
+        try:
+            data = self._stream.read(len(view))
+        except _DAMAGED as error:
+            raise CaptureError(f"{self._path} cannot be unpacked: {error}", field="capture") from error
+        self._owner.count(len(data))
+        view[: len(data)] = data
+        return len(data)
+
+    def close(self) -> None:
+        self._stream.close()
+        super().close()
+
+
+def _refusal(info: zipfile.ZipInfo) -> str | None:
+    if info.flag_bits & 0x1:
+        return "is encrypted"
+    if posixpath.splitext(info.filename)[1].lower() in _ARCHIVES:
+        return "is another archive"
+    if info.compress_type not in _METHODS:
+        return f"is compressed by method {info.compress_type}, need 0 (stored) or 8 (deflate)"
+    if info.file_size > MAX_MEMBER_BYTES:
+        return f"unpacks to {info.file_size} bytes, the limit is {MAX_MEMBER_BYTES}"
+    return None
+
+
+def _check_directory(stream: BinaryIO) -> None:
+    """Bound the archive's list of files by what its last record says of it, before the list is read."""
+    size = stream.seek(0, io.SEEK_END)
+    start = max(0, size - _LONGEST_END)
+    stream.seek(start)
+    tail = stream.read(_LONGEST_END)
+    place = tail.rfind(_END)
+    if place < 0 or len(tail) < place + 22:
+        raise zipfile.BadZipFile("it has no list of files at its end; is it complete?")
+    count, bytes_ = struct.unpack_from("<HI", tail, place + 10)
+    locator = start + place - 20
+    if locator >= 0:
+        stream.seek(locator)
+        record = stream.read(20)
+        if record[:4] == _LOCATOR64:
+            stream.seek(min(struct.unpack_from("<Q", record, 8)[0], size))
+            record = stream.read(56)
+            if len(record) < 56 or record[:4] != _END64:
+                raise zipfile.BadZipFile("its zip64 record is not where it should be")
+            count, bytes_ = struct.unpack_from("<QQ", record, 32)
+    if count > MAX_MEMBERS:
+        raise CaptureError(f"holds {count} files, the limit is {MAX_MEMBERS}", field="capture")
+    if bytes_ > MAX_DIRECTORY:
+        raise CaptureError(f"its list of files has {bytes_} bytes, the limit is {MAX_DIRECTORY}", field="capture")
+    stream.seek(0)

@@ -1,0 +1,182 @@
+"""A capture opened and its views chosen: cameras, where their photographs are, and why these."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..camera_fields import CameraFile
+from ..distortion import MAX_SHIFT_PX
+from ..errors import CaptureError, ImageError, IntrinsicsError
+from ..image_files import MAX_PIXELS
+from ..view_checks import MAX_VIEWS, MIN_VIEWS
+from .archive import SIGNATURES, ZipFiles
+from .choose import chosen_views
+from .files import Files, FolderFiles
+from .photographs import Photographs
+from .recognise import recognised, table_of_file
+from .select import DEFAULT_CONTEXT, Wish, named_views
+from .table import CameraTable
+
+# Which views of a file to read, given how many it has; the order is kept.
+Choice = Callable[[int], Sequence[int]]
+
+
+@dataclass(frozen=True)
+class ChosenViews:
+    """The views of a capture that are to be used, their photographs still in their files."""
+
+    file: CameraFile  # the chosen views alone
+    paths: tuple[str, ...]  # of their photographs in the capture
+    photographs: Photographs
+    indices: tuple[int, ...]  # the views' places in the file
+    selection: dict[str, Any]  # plain JSON values: by what they were chosen, of how many
+
+    def read(self, place: int) -> bytes:
+        """The encoded photograph of a chosen view."""
+        return self.photographs.read(self.paths[place])
+
+
+class Capture:
+    """Cameras, and files among which their photographs are."""
+
+    def __init__(self, files: Files, base: str, table: CameraTable, *, max_pixels: int = MAX_PIXELS) -> None:
+        beside = table.source.rpartition("/")[0]
+        self.table = table
+        self._photographs = Photographs(files, base, beside, max_pixels)
+        self._paths: list[str] | None = None  # where the file names none
+
+    @classmethod
+    def of(cls, files: Files, *, max_pixels: int = MAX_PIXELS) -> Capture:
+        """Recognised by content. Raises `CaptureError` and `CameraError`."""
+        return cls(files, *recognised(files), max_pixels=max_pixels)
+
+    @property
+    def names(self) -> tuple[str | None, ...]:
+        """Of the views' photographs: the file's, else those of the photographs that belong to them by order. Raises
+        `CaptureError` where these are not as many."""
+        return tuple(self._in_order()) if self.table.by_sorted_name else self.table.names
+
+    def cameras(self, indices: Sequence[int]) -> CameraFile:
+        """The cameras of these views, as they are in the file; photographs are read where it lacks their sizes."""
+        return self.table.parse(indices, self._size_of)
+
+    def path_of(self, index: int) -> str:
+        """Where the photograph of a view is. Raises `ImageError` where it is not there."""
+        if self.table.by_sorted_name:
+            return self._in_order()[index]
+        try:
+            return self._photographs.find(self.table.names[index], index)
+        except ImageError:
+            if self.table.kind != "realestate10k":
+                raise
+        return self._in_order()[index]
+
+    def choose(self, wish: Wish, near: float | None = None, far: float | None = None) -> ChosenViews:
+        """The views that are wished for; `near` and `far` are the user's, which win over the file's.
+
+        Without a wish all of a capture of up to six. Of more, those that have a photograph are chosen from. Raises
+        `ViewError`, `ImageError`, `CameraError` and `CaptureError`.
+        """
+        count = len(self.table.names)
+        said: dict[str, Any] = {"format": self.table.kind, "cameras": self.table.source, "of": count}
+        if wish.select is not None:
+            indices = named_views(wish.select, self.names, field=wish.field)
+            return self._chosen(self.cameras(indices), indices, {"by": "select", **said})
+        if wish.context is None and count <= MAX_VIEWS:
+            indices = list(range(count))
+            return self._chosen(self.cameras(indices), indices, {"by": "all", **said})
+        there = self._with_photograph()
+        said["without_photograph"] = count - len(there)
+        if wish.context is None and len(there) <= MAX_VIEWS:
+            return self._chosen(self.cameras(there), there, {"by": "photographs", **said})
+        file = self.cameras(there)
+        near, far = (file.near if near is None else near), (file.far if far is None else far)
+        choice = chosen_views(file.cameras, wish.context or DEFAULT_CONTEXT, near, far)
+        indices = [there[place] for place in choice.places]
+        return self._chosen(file.chosen(choice.places), indices, {"by": "score", **said, **choice.said})
+
+    def _chosen(self, file: CameraFile, indices: Sequence[int], said: dict[str, Any]) -> ChosenViews:
+        paths = tuple(self.path_of(index) for index in indices)
+        said = {**said, "views": list(indices), "images": list(paths)}
+        return ChosenViews(file, paths, self._photographs, tuple(indices), said)
+
+    def _with_photograph(self) -> list[int]:
+        there, first = [], None
+        for index in range(len(self.table.names)):
+            try:
+                self.path_of(index)
+                there.append(index)
+            except ImageError as error:
+                first = first or error
+        if len(there) < MIN_VIEWS and first is not None:
+            raise first
+        return there
+
+    def _in_order(self) -> list[str]:
+        if self._paths is None:
+            self._paths = self._photographs.in_order(len(self.table.names))
+        return self._paths
+
+    def _size_of(self, name: str | None, index: int) -> tuple[int, int]:
+        return self._photographs.size_of(self.path_of(index), index)
+
+
+def open_capture(path: str | Path) -> Capture:
+    """A folder, a .zip or a camera file with its photographs beside it, by content and not by name.
+
+    A zip stays open as long as the capture is used. Raises `CaptureError` and `CameraError`.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return Capture.of(FolderFiles(path))
+    if not path.is_file():
+        raise CaptureError(f"{path} does not exist", field="capture", cure="give a folder, a .zip or a camera file")
+    try:
+        stream = path.open("rb")
+    except OSError as error:
+        raise CaptureError(f"{path} cannot be read: {error.strerror}", field="capture") from error
+    if stream.read(4) in SIGNATURES:
+        return Capture.of(ZipFiles(stream, str(path)))
+    stream.close()
+    files = FolderFiles(path.parent)
+    return Capture(files, "", table_of_file(files, path.name))
+
+
+def read_camera_file(path: str | Path) -> CameraFile:
+    """All cameras of a camera file, a folder or a .zip; its photographs are needed only where it leaves their sizes
+    out. Raises `CameraError`, `CaptureError` and `ImageError`.
+    """
+    capture = open_capture(path)
+    return capture.cameras(range(len(capture.table.names)))
+
+
+@dataclass(frozen=True)
+class SceneFolder:
+    """A folder with a camera file and the photographs of its chosen views, one path per view."""
+
+    file: CameraFile  # the chosen views alone
+    image_paths: tuple[Path, ...]
+    indices: tuple[int, ...]  # the chosen views' places in the file
+
+
+def load_scene_folder(path: str | Path, choose: Choice | None = None) -> SceneFolder:
+    """The views of a folder or a camera file whose photographs show what their pinholes see; found, not decoded.
+
+    `choose` says which views are wanted: the others' photographs need not be there. Raises `CameraError` for a missing
+    or malformed file, `IntrinsicsError` for a lens that bends, and `ImageError` for a photograph that is not there.
+    """
+    path = Path(path)
+    capture = open_capture(path)
+    count = len(capture.table.names)
+    indices = tuple(range(count) if choose is None else choose(count))
+    file = capture.cameras(indices)
+    for index, view in zip(indices, file.views, strict=True):
+        if view.lens is not None:
+            shift = view.lens.largest_shift()
+            message = f"distortion moves a point of the picture by {shift:.3g} px, need less than {MAX_SHIFT_PX:g} px"
+            raise IntrinsicsError(message, field="cameras.distortion", index=index, cure="undistort the photographs")
+    root = path if path.is_dir() else path.parent
+    return SceneFolder(file, tuple(root / capture.path_of(index) for index in indices), indices)

@@ -1,0 +1,90 @@
+"""From a COLMAP model to cameras: which models are pinholes, which can be undistorted, and which are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..camera_fields import CameraFile, SizeOf, view_through
+from ..distortion import Lens
+from ..errors import CameraError, IntrinsicsError
+from ..pose import inverted_pose
+from . import colmap_binary, colmap_text
+from .colmap_model import ColmapCamera, ColmapModel
+from .files import Files, joined
+from .table import CameraTable, check_listed
+
+# The parameters in the order of the file; `f` is both focal lengths.
+PARAMETERS = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+}
+_READERS = {"bin": colmap_binary, "txt": colmap_text}
+
+
+def has_colmap(files: Files, folder: str) -> str | None:
+    """`bin` or `txt`, the first of the two in which cameras and images are there; None where they are in neither."""
+    for form in _READERS:
+        if all(files.has(joined(folder, f"{name}.{form}")) for name in ("cameras", "images")):
+            return form
+    return None
+
+
+def read_colmap(files: Files, folder: str, form: str) -> CameraTable:
+    """The model in a folder, its images in the order of their names. Raises `CameraError`."""
+    model = _model(files, folder, form)
+    source = joined(folder, f"images.{form}")
+    check_listed(len(model.images), source)
+    ids = sorted(model.images, key=lambda image_id: (model.images[image_id].name, image_id))
+    poses = model.poses()
+
+    def parse(indices: Sequence[int], size_of: SizeOf | None) -> CameraFile:
+        views = []
+        for index in indices:
+            image = model.images[ids[index]]
+            camera = model.cameras.get(image.camera_id)
+            if camera is None:
+                message = f"{source}: {image.name!r} is of camera {image.camera_id}, which is missing"
+                raise CameraError(message, field="cameras", index=index)
+            pose = inverted_pose(poses[ids[index]], field="cameras", index=index)
+            lens = lens_of(camera, image.camera_id, index)
+            views.append(view_through(image.name, lens, pose, field="cameras", index=index))
+        return CameraFile(tuple(views))
+
+    return CameraTable("colmap", source, tuple(model.images[image_id].name for image_id in ids), parse)
+
+
+def lens_of(camera: ColmapCamera, camera_id: int, index: int) -> Lens:
+    """Raises `IntrinsicsError` for a model that no pinhole shows well, by its name."""
+    names = PARAMETERS.get(camera.model)
+    if names is None:
+        raise IntrinsicsError(
+            f"camera {camera_id} is {camera.model}, need one of {', '.join(PARAMETERS)}",
+            field="cameras.model",
+            index=index,
+            cure="undistort the photographs first, for example with colmap image_undistorter",
+        )
+    values = dict(zip(names, camera.params, strict=True))
+    if "f" in values:
+        values["fx"] = values["fy"] = values.pop("f")
+    return Lens(camera.width, camera.height, **values)
+
+
+def _model(files: Files, folder: str, form: str) -> ColmapModel:
+    """The points are not read. Rigs and frames count only together."""
+    reader = _READERS[form]
+    paths = {name: joined(folder, f"{name}.{form}") for name in ("cameras", "images", "rigs", "frames")}
+    model = ColmapModel()
+    with files.open(paths["cameras"]) as stream:
+        model.cameras = reader.read_cameras(stream, paths["cameras"])
+    with files.open(paths["images"]) as stream:
+        model.images = reader.read_images(stream, paths["images"])
+    if files.has(paths["rigs"]) and files.has(paths["frames"]):
+        with files.open(paths["rigs"]) as stream:
+            model.rigs = reader.read_rigs(stream, paths["rigs"])
+        with files.open(paths["frames"]) as stream:
+            model.frames = reader.read_frames(stream, paths["frames"])
+    return model

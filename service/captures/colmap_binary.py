@@ -1,0 +1,114 @@
+"""Read COLMAP's binary files as a stream: what is not needed (points) is passed over and never held."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, BinaryIO
+
+from ..errors import CameraError
+from .colmap_model import MODELS, ColmapCamera, ColmapFrame, ColmapImage, Sensor
+from .table import MAX_LISTED
+
+_IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_POINT2D = 24  # bytes of x, y and the point's id
+_LONGEST_NAME = 4096
+_CHUNK = 2**20
+
+
+class _Bytes:
+    """A little-endian stream that says where it ends too early."""
+
+    def __init__(self, stream: BinaryIO, source: str) -> None:
+        self._stream, self._source, self._place = stream, source, 0
+
+    def take(self, size: int) -> bytes:
+        data = self._stream.read(size)
+        self._place += len(data)
+        if len(data) < size:
+            message = f"{self._source} ends after {self._place} bytes, in the middle of an entry"
+            raise CameraError(message, field="cameras", cure="is the file complete?")
+        return data
+
+    def unpack(self, layout: str) -> tuple[Any, ...]:
+        return struct.unpack(f"<{layout}", self.take(struct.calcsize(f"<{layout}")))
+
+    def skip(self, size: int) -> None:
+        while size > 0:
+            size -= len(self.take(min(size, _CHUNK)))
+
+    def count(self, what: str) -> int:
+        return self.checked(self.unpack("Q")[0], what)
+
+    def checked(self, count: int, what: str) -> int:
+        if count > MAX_LISTED:
+            message = f"{self._source} says that it has {count} {what}, the limit is {MAX_LISTED}"
+            raise CameraError(message, field="cameras", cure="is it a file of COLMAP, and complete?")
+        return count
+
+    def name(self) -> str:
+        name = bytearray()
+        while (byte := self.take(1)) != b"\0":
+            name += byte
+            if len(name) > _LONGEST_NAME:
+                message = f"{self._source} has a name of more than {_LONGEST_NAME} bytes"
+                raise CameraError(message, field="cameras", cure="is it a file of COLMAP, and complete?")
+        return name.decode("utf-8", "replace")
+
+
+def read_cameras(stream: BinaryIO, source: str) -> dict[int, ColmapCamera]:
+    """cameras.bin."""
+    data = _Bytes(stream, source)
+    cameras = {}
+    for _ in range(data.count("cameras")):
+        camera_id, model, width, height = data.unpack("IiQQ")
+        if model not in MODELS:
+            message = f"{source}: camera {camera_id} has model number {model}, need 0 to {max(MODELS)}"
+            raise CameraError(message, field="cameras", cure="is it a file of COLMAP?")
+        name, params = MODELS[model]
+        cameras[camera_id] = ColmapCamera(name, width, height, data.unpack(f"{params}d"))
+    return cameras
+
+
+def read_images(stream: BinaryIO, source: str) -> dict[int, ColmapImage]:
+    """images.bin without its points."""
+    data = _Bytes(stream, source)
+    images = {}
+    for _ in range(data.count("images")):
+        image_id, *pose, camera_id = data.unpack("I7dI")
+        name = data.name()
+        data.skip(_POINT2D * data.unpack("Q")[0])
+        images[image_id] = ColmapImage(name, camera_id, tuple(pose))
+    return images
+
+
+def read_rigs(stream: BinaryIO, source: str) -> dict[int, dict[Sensor, tuple[float, ...] | None]]:
+    """rigs.bin; the first sensor of a rig is its origin."""
+    data = _Bytes(stream, source)
+    rigs, total = {}, 0
+    for _ in range(data.count("rigs")):
+        rig_id, count = data.unpack("II")
+        total = data.checked(total + count, "sensors")
+        sensors: dict[Sensor, tuple[float, ...] | None] = {}
+        for place in range(count):
+            sensor: Sensor = data.unpack("iI")
+            if place == 0:
+                sensors[sensor] = _IDENTITY
+            else:
+                sensors[sensor] = data.unpack("7d") if data.unpack("B")[0] else None
+        rigs[rig_id] = sensors
+    return rigs
+
+
+def read_frames(stream: BinaryIO, source: str) -> dict[int, ColmapFrame]:
+    """frames.bin."""
+    data = _Bytes(stream, source)
+    frames, total = {}, 0
+    for _ in range(data.count("frames")):
+        frame_id, rig_id, *pose, count = data.unpack("II7dI")
+        total = data.checked(total + count, "images of frames")
+        images = []
+        for _ in range(count):
+            kind, sensor_id, image_id = data.unpack("iIQ")
+            images.append(((kind, sensor_id), image_id))
+        frames[frame_id] = ColmapFrame(rig_id, tuple(pose), tuple(images))
+    return frames

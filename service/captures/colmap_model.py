@@ -1,0 +1,112 @@
+"""A COLMAP model as its files have it: cameras, images, and the rigs and frames of newer releases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import CameraError, PoseError
+from ..rotations import matrix_from_quaternion
+
+F64 = NDArray[np.float64]
+
+CAMERA = 0  # the kind of sensor that is a camera
+SENSORS = ("CAMERA", "IMU")
+
+# Number, name and count of parameters of every camera model (colmap/sensor/models.h).
+MODELS = {
+    0: ("SIMPLE_PINHOLE", 3),
+    1: ("PINHOLE", 4),
+    2: ("SIMPLE_RADIAL", 4),
+    3: ("RADIAL", 5),
+    4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
+}
+
+
+@dataclass(frozen=True)
+class ColmapCamera:
+    """The intrinsics that images share."""
+
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ColmapImage:
+    """A registered photograph; the seven numbers are qw qx qy qz tx ty tz of camera from world."""
+
+    name: str
+    camera_id: int
+    cam_from_world: tuple[float, ...]
+
+
+Sensor = tuple[int, int]  # kind and id
+
+
+@dataclass(frozen=True)
+class ColmapFrame:
+    """A rig at one moment, and the images that its sensors took."""
+
+    rig_id: int
+    rig_from_world: tuple[float, ...]
+    images: tuple[tuple[Sensor, int], ...]  # sensor, image id
+
+
+@dataclass
+class ColmapModel:
+    """Everything by its id; ids have gaps."""
+
+    cameras: dict[int, ColmapCamera] = field(default_factory=dict)
+    images: dict[int, ColmapImage] = field(default_factory=dict)
+    # per rig its sensors' poses from the rig, None where it is not known
+    rigs: dict[int, dict[Sensor, tuple[float, ...] | None]] = field(default_factory=dict)
+    frames: dict[int, ColmapFrame] = field(default_factory=dict)
+
+    def poses(self) -> dict[int, F64]:
+        """Image id -> (4, 4) camera from world: through the frame and its rig where they tell, as COLMAP does, else as
+        the image has it. Raises `PoseError` for quaternions that are none, `CameraError` for a rig that is not there.
+        """
+        found = {}
+        for frame_id, frame in self.frames.items():
+            rig = self.rigs.get(frame.rig_id)
+            if rig is None:
+                raise CameraError(f"frame {frame_id} is of rig {frame.rig_id}, which is missing", field="cameras")
+            for sensor, image_id in frame.images:
+                sensor_from_rig = rig.get(sensor)
+                if sensor[0] == CAMERA and image_id in self.images and sensor_from_rig is not None:
+                    name = self.images[image_id].name
+                    found[image_id] = rigid(sensor_from_rig, name) @ rigid(frame.rig_from_world, name)
+        for image_id, image in self.images.items():
+            if image_id not in found:
+                found[image_id] = rigid(image.cam_from_world, image.name)
+        return found
+
+
+def rigid(numbers: tuple[float, ...], name: str) -> F64:
+    """(4, 4) of qw qx qy qz tx ty tz; the quaternion is brought to length 1, as COLMAP does."""
+    wxyz = np.array(numbers[:4])
+    with np.errstate(over="ignore"):
+        length = float(np.linalg.norm(wxyz))
+    if not (np.isfinite(length) and length > 0):
+        raise PoseError(f"image {name!r} has a quaternion of length {length:g}, need 1", field="cameras")
+    matrix = np.eye(4)
+    matrix[:3, :3] = matrix_from_quaternion(wxyz / length)
+    matrix[:3, 3] = numbers[4:]
+    return matrix

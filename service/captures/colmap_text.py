@@ -1,0 +1,135 @@
+"""Read COLMAP's text files line by line: comments and empty lines, names with spaces, points passed over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import BinaryIO, TypeVar
+
+from ..errors import CameraError
+from .colmap_model import MODELS, SENSORS, ColmapCamera, ColmapFrame, ColmapImage, Sensor
+from .table import MAX_LISTED
+
+_Entry = TypeVar("_Entry")
+
+_IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_LONGEST_LINE = 2**20  # bytes, of a line that is looked at; those with points may be longer
+_PARAMS = {name: count for name, count in MODELS.values()}
+
+
+def read_cameras(stream: BinaryIO, source: str) -> dict[int, ColmapCamera]:
+    """cameras.txt: id, model, width, height, parameters."""
+
+    def camera(words: list[str]) -> tuple[int, ColmapCamera]:
+        model, params = words[1], tuple(map(float, words[4:]))
+        if model not in _PARAMS or len(params) != _PARAMS[model]:
+            need = f"need {_PARAMS[model]}" if model in _PARAMS else f"need one of {', '.join(_PARAMS)}"
+            raise ValueError(f"camera model {model} with {len(params)} parameters, {need}")
+        return int(words[0]), ColmapCamera(model, int(words[2]), int(words[3]), params)
+
+    return _entries(_lines(stream, source), source, camera)
+
+
+def read_images(stream: BinaryIO, source: str) -> dict[int, ColmapImage]:
+    """images.txt: two lines each, of which the second, with the points, may be empty."""
+
+    def image(words: list[str]) -> tuple[int, ColmapImage]:
+        image_id, *pose, camera_id, name = words
+        return int(image_id), ColmapImage(name, int(camera_id), tuple(map(float, pose)))
+
+    return _entries(_lines(stream, source, every_second=True), source, image, most=10)
+
+
+def read_rigs(stream: BinaryIO, source: str) -> dict[int, dict[Sensor, tuple[float, ...] | None]]:
+    """rigs.txt: id, number of sensors, the one that is the origin, and each other with or without its pose."""
+
+    total = _Total()
+
+    def rig(words: list[str]) -> tuple[int, dict[Sensor, tuple[float, ...] | None]]:
+        rest = iter(words[2:])
+        sensors: dict[Sensor, tuple[float, ...] | None] = {}
+        for place in range(total.with_more(words[1])):
+            sensor = _sensor(rest)
+            if place == 0:
+                sensors[sensor] = _IDENTITY
+            else:
+                sensors[sensor] = _floats(rest, 7) if int(next(rest)) else None
+        return int(words[0]), sensors
+
+    return _entries(_lines(stream, source), source, rig)
+
+
+def read_frames(stream: BinaryIO, source: str) -> dict[int, ColmapFrame]:
+    """frames.txt: id, rig, its pose, number of images, and each with its sensor."""
+
+    total = _Total()
+
+    def frame(words: list[str]) -> tuple[int, ColmapFrame]:
+        rest = iter(words[9:])
+        images = tuple((_sensor(rest), int(next(rest))) for _ in range(total.with_more(next(rest))))
+        return int(words[0]), ColmapFrame(int(words[1]), _floats(iter(words[2:]), 7), images)
+
+    return _entries(_lines(stream, source), source, frame)
+
+
+def _entries(
+    lines: Iterator[tuple[int, str]],
+    source: str,
+    parse: Callable[[list[str]], tuple[int, _Entry]],
+    most: int = 0,
+) -> dict[int, _Entry]:
+    """Entries by id; `most` columns, the last of which may have spaces. Raises `CameraError` naming the line."""
+    entries: dict[int, _Entry] = {}
+    for number, line in lines:
+        try:
+            key, entry = parse(line.split(maxsplit=most - 1))
+        except (ValueError, IndexError, StopIteration, RuntimeError, OverflowError) as error:
+            reason = str(error) if isinstance(error, ValueError) else "has too few columns"
+            raise CameraError(f"{source}, line {number}: {reason}", field="cameras") from error
+        entries[key] = entry
+        if len(entries) > MAX_LISTED:
+            raise CameraError(f"{source} lists more than {MAX_LISTED} entries, the limit", field="cameras")
+    return entries
+
+
+def _lines(stream: BinaryIO, source: str, *, every_second: bool = False) -> Iterator[tuple[int, str]]:
+    """Number and text of the lines that hold something; with `every_second` the line below each is passed over."""
+    number = 0
+    while data := stream.readline(_LONGEST_LINE):
+        number += 1
+        if len(data) == _LONGEST_LINE and not data.endswith(b"\n"):
+            message = f"{source}, line {number} has more than {_LONGEST_LINE} bytes"
+            raise CameraError(message, field="cameras", cure="is it a file of COLMAP?")
+        line = data.decode("utf-8", "replace").strip()
+        if not line or line.startswith("#"):
+            continue
+        yield number, line
+        if every_second:
+            number += 1
+            while (data := stream.readline(_LONGEST_LINE)) and not data.endswith(b"\n"):
+                pass
+
+
+def _sensor(words: Iterator[str]) -> Sensor:
+    kind, number = next(words), next(words)
+    if kind not in SENSORS:
+        raise ValueError(f"sensor {kind!r}, need one of {', '.join(SENSORS)}")
+    return SENSORS.index(kind), int(number)
+
+
+def _floats(words: Iterator[str], count: int) -> tuple[float, ...]:
+    return tuple(float(next(words)) for _ in range(count))
+
+
+class _Total:
+    """Counts that lines announce, bounded together."""
+
+    def __init__(self) -> None:
+        self._sum = 0
+
+    def with_more(self, word: str) -> int:
+        """The count itself. Raises `ValueError` where it is negative, or the sum is above the limit."""
+        count = int(word)
+        self._sum += count
+        if count < 0 or self._sum > MAX_LISTED:
+            raise ValueError(f"a count of {count}, {self._sum} with those before it, the limit is {MAX_LISTED}")
+        return count

@@ -1,0 +1,69 @@
+"""Read LLFF's poses_bounds.npy: a row per photograph, photographs in the order of their names."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from tokenize import TokenError
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import Camera
+from ..camera_fields import CameraFile, NamedView, SizeOf
+from ..errors import CameraError
+from ..pose import checked_pose
+from .table import CameraTable, check_listed
+
+SIGNATURE = b"\x93NUMPY"
+COLUMNS = 17  # 3 rows of (R | t | height, width, focal), then the nearest and the farthest depth
+
+
+def read_llff(data: bytes, source: str) -> CameraTable:
+    """The poses are camera to world, the columns of R point down, right and backwards; the size and the focal length
+    are in px, the principal point is the centre. Raises `CameraError` for any other array.
+    """
+    rows = _rows(data, source)
+    check_listed(len(rows), source)
+
+    def parse(indices: Sequence[int], size_of: SizeOf | None) -> CameraFile:
+        return CameraFile.bounded([_view(rows[index], index) for index in indices])
+
+    return CameraTable("llff", source, (None,) * len(rows), parse, by_sorted_name=True)
+
+
+def _view(row: NDArray[np.float64], index: int) -> NamedView:
+    matrix = row[:15].reshape(3, 5)
+    down, right, back, center = matrix[:, :4].T
+    height, width, focal = matrix[:, 4]
+    pose = checked_pose(np.stack([right, down, -back, center], axis=1), field="cameras", index=index)
+    camera = Camera.make(width, height, focal, focal, width / 2, height / 2, pose, field="cameras", index=index)
+    near, far = float(row[15]), float(row[16])
+    if not (np.isfinite([near, far]).all() and 0 < near < far):
+        message = f"bounds are {near:g} and {far:g}, need 0 < near < far"
+        raise CameraError(message, field="cameras", index=index)
+    return NamedView(None, camera, bounds=(near, far))
+
+
+def _rows(data: bytes, source: str) -> NDArray[np.float64]:
+    """(N, 17). The header is checked against the bytes that are there before any array is made."""
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        if version == (1, 0):
+            shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+        elif version == (2, 0):
+            shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
+        else:
+            raise ValueError(f"its version is {version}")
+    except (ValueError, SyntaxError, TypeError, OverflowError, MemoryError, RecursionError, TokenError) as error:
+        raise CameraError(f"{source} is not a readable .npy file: {error}", field="cameras") from error
+    if dtype.kind != "f" or len(shape) != 2 or shape[1] != COLUMNS:
+        need = f"need floating-point numbers of shape (N, {COLUMNS}), as LLFF writes them"
+        raise CameraError(f"{source} holds {dtype} of shape {shape}, {need}", field="cameras")
+    body = data[stream.tell() :]
+    if shape[0] * COLUMNS * dtype.itemsize != len(body):
+        message = f"{source} has {len(body)} bytes of numbers, its header says {shape[0]} x {COLUMNS} of {dtype}"
+        raise CameraError(message, field="cameras", cure="is the file complete?")
+    rows = np.frombuffer(body, dtype=dtype).reshape(shape, order="F" if fortran else "C")
+    return rows.astype(np.float64)

@@ -1,0 +1,108 @@
+"""Recognise a capture by its content: which file has the cameras, and in which format."""
+
+from __future__ import annotations
+
+import json
+import posixpath
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ..camera_fields import CameraFile, SizeOf
+from ..camera_file import parse_camera_file, view_names
+from ..errors import CameraError, CaptureError
+from .colmap import has_colmap, read_colmap
+from .files import Files, joined, read_bounded
+from .llff import SIGNATURE, read_llff
+from .realestate10k import looks_like_realestate10k, read_realestate10k
+from .table import CameraTable
+
+JSON_NAMES = ("cameras.json", "transforms.json", "transforms_train.json")
+COLMAP_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "")
+LLFF_NAME = "poses_bounds.npy"
+MAX_CAMERA_BYTES = 64 * 2**20  # of a camera file that is read whole
+
+KNOWN = f"{', '.join(JSON_NAMES)}, a COLMAP model (sparse/0), {LLFF_NAME} or a RealEstate10K .txt"
+
+Parse = Callable[[bytes], Any]  # a decoded JSON file. Raises `ValueError` or `RecursionError`, or an error of the tree
+
+
+def recognised(files: Files) -> tuple[str, CameraTable]:
+    """The folder of the capture, which is the root or one of its folders, and its cameras.
+
+    In a folder the first of these counts: cameras.json, transforms.json, transforms_train.json, a COLMAP model,
+    poses_bounds.npy, a single RealEstate10K text. Raises `CaptureError` where there is none, or in several folders.
+    """
+    table = _table_in(files, "")
+    if table is not None:
+        return "", table
+    found = [(folder, table) for folder in files.folders("") if (table := _table_in(files, folder)) is not None]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        listed = ", ".join(folder for folder, _ in found[:5])
+        raise CaptureError(
+            f"{files.label} holds {len(found)} captures: {listed}", field="capture", cure="give one of them"
+        )
+    there = [f"{name}/" for name in files.folders("")] + list(files.files(""))
+    raise CaptureError(
+        f"{files.label} holds no cameras, only {', '.join(there[:8]) or 'nothing'}",
+        field="capture",
+        cure=f"it needs one of {KNOWN}",
+    )
+
+
+def table_of_file(files: Files, path: str) -> CameraTable:
+    """The cameras of a named file, whatever its name is; a file of a COLMAP model stands for the model. Raises
+    `CameraError`.
+    """
+    folder, name = posixpath.split(path)
+    stem, _, form = name.rpartition(".")
+    if stem in ("cameras", "images", "rigs", "frames", "points3D") and form in ("bin", "txt"):
+        if has_colmap(files, folder) is None:
+            need = "need cameras and images, both .bin or both .txt"
+            raise CameraError(f"{path} is not in a whole COLMAP model, {need}", field="cameras")
+        return read_colmap(files, folder, form if has_colmap(files, folder) != "bin" else "bin")
+    return table_of_bytes(read_bounded(files, path, MAX_CAMERA_BYTES), path)
+
+
+def table_of_bytes(data: bytes, source: str, parse: Parse = json.loads) -> CameraTable:
+    """The cameras of a file by its content: .npy, text of RealEstate10K, else JSON. Raises `CameraError`, or what
+    `parse` raises of its own.
+    """
+    if data.startswith(SIGNATURE):
+        return read_llff(data, source)
+    if looks_like_realestate10k(data):
+        return read_realestate10k(data, source)
+    try:
+        obj = parse(data)
+    except (ValueError, RecursionError) as error:
+        raise CameraError(f"{source} is not readable JSON: {error}", field="cameras") from error
+    kind, names = view_names(obj)
+
+    def cameras(indices: Sequence[int], size_of: SizeOf | None) -> CameraFile:
+        return parse_camera_file(obj, size_of=size_of, indices=indices)
+
+    return CameraTable(kind, source, names, cameras)
+
+
+def _table_in(files: Files, base: str) -> CameraTable | None:
+    for name in JSON_NAMES:
+        if files.has(joined(base, name)):
+            return table_of_file(files, joined(base, name))
+    for folder in COLMAP_FOLDERS:
+        form = has_colmap(files, joined(base, folder))
+        if form is not None:
+            return read_colmap(files, joined(base, folder), form)
+    if files.has(joined(base, LLFF_NAME)):
+        return table_of_file(files, joined(base, LLFF_NAME))
+    texts = [joined(base, name) for name in files.files(base) if name.endswith(".txt")]
+    texts = [path for path in texts if _is_realestate10k(files, path)]
+    if len(texts) > 1:
+        message = f"{files.label} holds {len(texts)} RealEstate10K files: {', '.join(texts[:5])}"
+        raise CaptureError(message, field="capture", cure="keep one of them")
+    return table_of_file(files, texts[0]) if texts else None
+
+
+def _is_realestate10k(files: Files, path: str) -> bool:
+    with files.open(path) as stream:
+        return looks_like_realestate10k(stream.read(4096))

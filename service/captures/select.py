@@ -1,0 +1,68 @@
+"""Which views of a capture are wanted: those that are named, those that are counted, or as many as are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..errors import InputError, ViewCountError, ViewError
+from ..view_checks import MAX_VIEWS, MIN_VIEWS
+from .photographs import same_file
+
+DEFAULT_CONTEXT = 3  # views of a capture that has more than six; each costs as much time again as the second
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the user said of the choice; nothing: all views of up to six, else three that are chosen."""
+
+    select: str | None = None  # names or indices, separated by commas
+    context: int | None = None  # how many to choose
+    field: str = "select"  # what the user knows the first of them as
+
+
+def checked_wish(wish: Wish) -> Wish:
+    """Raises `ViewCountError` for a number outside 2..6, and `InputError` for views that are both named and counted."""
+    if wish.context is not None and not MIN_VIEWS <= wish.context <= MAX_VIEWS:
+        raise ViewCountError(f"{wish.context} views, need {MIN_VIEWS} to {MAX_VIEWS}", field="context")
+    if wish.context is not None and wish.select is not None:
+        raise InputError(f"is given beside {wish.field}", field="context", cure="name the views, or say how many")
+    return wish
+
+
+def named_views(text: str, names: Sequence[str | None], *, field: str) -> list[int]:
+    """Indices of the views in `text`, such as `4,8` or `a.jpg,b.jpg`; a name wins over the same text as an index.
+
+    A name is the file's own, or its last part where only one view has it. Raises `ViewError` for anything else, for a
+    view that does not exist and for one that is given twice.
+    """
+    indices: list[int] = []
+    for part in text.split(","):
+        index = _index_of(part.strip(), names, field)
+        if index in indices:
+            raise ViewError(f"view {part.strip()} is given twice", field=field)
+        indices.append(index)
+    return indices
+
+
+def _index_of(part: str, names: Sequence[str | None], field: str) -> int:
+    shown = part[:100]
+    found = [index for index, name in enumerate(names) if part and name == part]
+    found = found or [index for index, name in enumerate(names) if part and same_file(part, name)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise ViewError(f"{len(found)} views are named {shown!r}", field=field, cure="give their indices")
+    count = len(names)
+    if part.isascii() and part.isdigit():
+        if len(part) < 10 and int(part) < count:
+            return int(part)
+        raise ViewError(
+            f"view {shown} does not exist, the file has {count} views", field=field, cure=f"0 to {count - 1}"
+        )
+    known = ", ".join(name for name in names[:5] if name)
+    raise ViewError(
+        f"{shown!r} is not a view index" + (", nor the name of a view" if known else ""),
+        field=field,
+        cure="give indices such as 0,2" + (f", or names such as {known}" if known else ""),
+    )

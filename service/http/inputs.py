@@ -1,0 +1,101 @@
+"""The photographs and cameras of a request: `images` with `cameras`, or both in one `capture`; and which are used."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, BinaryIO
+
+from ..captures.archive import SIGNATURES, ZipFiles
+from ..captures.capture import Capture
+from ..captures.choose import chosen_views
+from ..captures.recognise import recognised, table_of_bytes
+from ..captures.select import Wish, named_views
+from ..captures.table import CameraTable
+from ..errors import CaptureError, InputError
+from ..settings import Settings
+from ..view_checks import check_count
+from .limits import parse_json
+from .pairing import NamedImage, Pairing, PostedSizes, pair
+
+MAX_FRAMES = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
+UNPACKED = 8  # times the largest body that a zip may unpack to; photographs do not shrink, models do by some 3
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Up to six photographs, still encoded, with their views."""
+
+    pairing: Pairing
+    near: float | None
+    far: float | None
+    selection: dict[str, Any]  # plain JSON values: which of what was sent these are, and why
+
+
+def posted(
+    document: str | bytes,
+    images: Sequence[NamedImage],
+    wish: Wish,
+    settings: Settings,
+    near: float | None,
+    far: float | None,
+) -> Inputs:
+    """Of `images` parts and a `cameras` part of any format; `near` and `far` win over those of the file."""
+    table = camera_table(document, settings)
+    _check_frames(table, "cameras")
+    file = table.parse(range(len(table.names)), PostedSizes(images, settings.max_image_pixels))
+    pairing = pair(images, file.views, by_sorted_name=table.by_sorted_name)
+    names = [image.name for image in images]
+    said: dict[str, Any] = {"by": "all", "format": table.kind, "cameras": table.source, "of": len(images)}
+    places: Sequence[int] = range(len(images))
+    if wish.select is not None:
+        places, said = named_views(wish.select, names, field=wish.field), said | {"by": "select"}
+    elif wish.context is not None:
+        ours = (file.near if near is None else near), (file.far if far is None else far)
+        choice = chosen_views(pairing.cameras, wish.context, *ours)
+        places, said = choice.places, said | {"by": "score", **choice.said}
+    check_count(len(places))
+    pairing = pairing.chosen(places)
+    file = replace(file, views=pairing.views).chosen(range(len(places)))
+    near, far = (file.near if near is None else near), (file.far if far is None else far)
+    said |= {"views": list(places), "images": [image.name for image in pairing.images]}
+    return Inputs(pairing, near, far, said)
+
+
+def captured(stream: BinaryIO, wish: Wish, settings: Settings, near: float | None, far: float | None) -> Inputs:
+    """Of a zip with photographs and cameras; `near` and `far` win over those of the camera file."""
+    if stream.read(4) not in SIGNATURES:
+        raise CaptureError("is not a zip", field="capture", cure="zip the photographs with their camera file")
+    files = ZipFiles(stream, max_bytes=UNPACKED * settings.max_upload_bytes)
+    capture = Capture.of(files, max_pixels=settings.max_image_pixels)
+    _check_frames(capture.table, "capture")
+    found = capture.choose(wish, near, far)
+    check_count(len(found.indices))
+    images = [NamedImage(path, found.read(place)) for place, path in enumerate(found.paths)]
+    by = "sorted name" if capture.table.by_sorted_name else "name"
+    pairing = Pairing(tuple(images), found.file.views, by)
+    near, far = (found.file.near if near is None else near), (found.file.far if far is None else far)
+    return Inputs(pairing, near, far, found.selection)
+
+
+def camera_table(document: str | bytes, settings: Settings) -> CameraTable:
+    """The cameras of a `cameras` part of any format, which may be a zip with a COLMAP model."""
+    data = document.encode("utf-8", "replace") if isinstance(document, str) else document
+    if not data.startswith(SIGNATURES):
+        return table_of_bytes(data, "cameras", lambda _: parse_json(document, "cameras"))
+    try:
+        files = ZipFiles(io.BytesIO(data), max_bytes=UNPACKED * settings.max_upload_bytes)
+        return recognised(files)[1]
+    except CaptureError as error:
+        error.field = "cameras"
+        raise
+
+
+def _check_frames(table: CameraTable, field: str) -> None:
+    if len(table.names) > MAX_FRAMES:
+        raise InputError(
+            f"has {len(table.names)} views, the limit is {MAX_FRAMES}",
+            field=field,
+            cure="send the cameras of the posted images alone",
+        )

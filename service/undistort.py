@@ -1,0 +1,68 @@
+"""Photographs through a lens that bends rays, resampled to the pinhole that their camera is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .distortion import Lens, pinhole_window
+from .images import Photo, match_photo, resized
+
+MAX_SIDE = 2048  # px of the result; far above the 256 to 512 px that a network sees
+_STRIP = 64  # rows that are resampled at a time
+HALF = 0.5  # of a pixel's weight in the mask keeps it
+
+
+def undistorted(photo: Photo, lens: Lens, *, index: int | None = None) -> Photo:
+    """What the pinhole of `pinhole_window(lens)` shows of the photograph, bilinear, at its resolution or below.
+
+    The photograph may have another resolution than `lens` and may be turned, as for `match_photo`. Under a mask colours
+    are weighted by it. Raises `ImageError` where sizes do not fit and `IntrinsicsError` where there is no such pinhole.
+    """
+    window = pinhole_window(lens)
+    raw = Camera.make(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, np.eye(4), index=index)
+    photo, _ = match_photo(photo, raw, index=index)
+    shrink = min(1.0, MAX_SIDE / (max(window.width, window.height) * photo.width / lens.width))
+    if shrink < 1.0:
+        photo = resized(photo, max(1, round(photo.width * shrink)), max(1, round(photo.height * shrink)))
+    scale_x, scale_y = photo.width / lens.width, photo.height / lens.height
+    width, height = max(1, round(window.width * scale_x)), max(1, round(window.height * scale_y))
+    x = (window.left + (np.arange(width) + 0.5) * (window.width / width) - lens.cx) / lens.fx
+    y = (window.top + (np.arange(height) + 0.5) * (window.height / height) - lens.cy) / lens.fy
+    rgb = np.empty((height, width, 3), dtype=np.uint8)
+    mask = None if photo.mask is None else np.empty((height, width), dtype=np.bool_)
+    for top in range(0, height, _STRIP):
+        rows = slice(top, min(top + _STRIP, height))
+        to_x, to_y = lens.bent(*np.meshgrid(x, y[rows]))
+        column, row = (lens.fx * to_x + lens.cx) * scale_x - 0.5, (lens.fy * to_y + lens.cy) * scale_y - 0.5
+        if photo.mask is None or mask is None:
+            rgb[rows] = _levels(_between(photo.rgb, column, row))
+            continue
+        weights = photo.mask.astype(np.float32)[:, :, None]
+        weight = _between(weights, column, row)
+        mask[rows] = weight[:, :, 0] >= HALF
+        colours = _between(photo.rgb * weights, column, row) / np.maximum(weight, HALF)
+        rgb[rows] = np.where(mask[rows, :, None], _levels(colours), 0)
+    return Photo(rgb, mask, photo.orientation)
+
+
+def _between(values: NDArray, column: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(H, W, C) values at real-valued pixel indices, bilinear; beyond the border the outermost pixel goes on."""
+    left, over = _parts(column, values.shape[1])
+    upper, down = _parts(row, values.shape[0])
+    right, lower = np.minimum(left + 1, values.shape[1] - 1), np.minimum(upper + 1, values.shape[0] - 1)
+    above = values[upper, left] * (1 - over) + values[upper, right] * over
+    below = values[lower, left] * (1 - over) + values[lower, right] * over
+    return above * (1 - down) + below * down
+
+
+def _parts(places: NDArray[np.float64], size: int) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """Whole and fractional parts of places clipped to 0..size - 1."""
+    places = np.clip(places, 0.0, size - 1.0)
+    whole = places.astype(np.intp)
+    return whole, (places - whole).astype(np.float32)[:, :, None]
+
+
+def _levels(colours: NDArray) -> NDArray[np.uint8]:
+    return np.rint(np.clip(colours, 0.0, 255.0)).astype(np.uint8)
