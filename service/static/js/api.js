@@ -41,11 +41,13 @@ export const askJson = async (path, options) => (await ask(path, options)).json(
 /** What a path gives, as the address of a picture; the caller revokes it. */
 export const askPicture = async (path, options) => URL.createObjectURL(await (await ask(path, options)).blob());
 
-/** Put what a path gives into an image, and let go of what it showed. */
-export async function showPicture(image, path, options) {
-  const address = await askPicture(path, options);
+/** Put what a path gives into an image, and let go of what it showed; not where it is no longer wanted then. */
+export async function showPicture(image, path, wanted = () => true) {
+  const address = await askPicture(path);
+  if (!wanted()) return URL.revokeObjectURL(address);
   if (image.src.startsWith("blob:")) URL.revokeObjectURL(image.src);
   image.src = address;
+  return undefined;
 }
 
 /** Server-sent events of a path, one after the other, as {id, event, data}. */

@@ -100,7 +100,7 @@ async function draw(path, of) {
   }
   busy = true;
   try {
-    await showPicture($("picture"), path);
+    await showPicture($("picture"), path, () => of === scene?.id);
     tell($("view-problem"), null);
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
