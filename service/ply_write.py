@@ -59,7 +59,7 @@ def ply_bytes(gaussians: Gaussians, *, positions: Positions = "auto") -> bytes:
     columns[:, -8] = _logit(gaussians.opacities)
     columns[:, -7:-4] = _log_scales(gaussians.scales)
     columns[:, -4:] = gaussians.rotations_wxyz
-    return b"".join(["\n".join(header).encode("ascii"), rows.view(np.uint8)])
+    return b"".join(["\n".join(header).encode("ascii"), rows.view(np.uint8).data])
 
 
 def ply_size(gaussians: Gaussians) -> int:
