@@ -52,20 +52,14 @@ def ply_bytes(gaussians: Gaussians, *, positions: Positions = "auto") -> bytes:
     header += ["end_header", ""]
     rows = np.zeros(len(gaussians), record)
     rows["xyz"] = gaussians.means
+    columns = rows["rest"]  # filled in place: a second table of doubles would be larger than the file; normals stay 0
+    columns[:, 3:6] = gaussians.harmonics[:, 0]
     # Channel-major, as in the 3DGS code: all higher coefficients of red, then green, then blue.
-    higher = gaussians.harmonics[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), 3 * rest)
-    rows["rest"] = np.concatenate(
-        [
-            np.zeros((len(gaussians), 3)),
-            gaussians.harmonics[:, 0],
-            higher,
-            _logit(gaussians.opacities)[:, None],
-            _log_scales(gaussians.scales),
-            gaussians.rotations_wxyz,
-        ],
-        axis=1,
-    )
-    return "\n".join(header).encode("ascii") + rows.tobytes()
+    columns[:, 6:-8] = gaussians.harmonics[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), 3 * rest)
+    columns[:, -8] = _logit(gaussians.opacities)
+    columns[:, -7:-4] = _log_scales(gaussians.scales)
+    columns[:, -4:] = gaussians.rotations_wxyz
+    return b"".join(["\n".join(header).encode("ascii"), rows.view(np.uint8).data])
 
 
 def ply_size(gaussians: Gaussians) -> int:

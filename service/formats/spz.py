@@ -151,11 +151,11 @@ def _inflated(stream: zlib._Decompress, data: bytes, size: int) -> bytes:
 
 
 def _more(stream: zlib._Decompress) -> bool:
-    """Whether bytes follow; where none do, the checksum was there and right."""
+    """Whether bytes follow, packed or not; where none do, the checksum was there and right."""
     found = _decompressed(stream, stream.unconsumed_tail, 1)
     if not found and not stream.eof:
         raise FormatError("ends before its checksum", field="spz", cure="is it truncated?")
-    return bool(found)
+    return bool(found or stream.unused_data)
 
 
 def _decompressed(stream: zlib._Decompress, data: bytes, most: int) -> bytes:

@@ -23,13 +23,12 @@ from .posted import FORM, in_time, media_type, posted_form, single, text
 from .responses import json_response, server_timing
 from .runtime import Runtime, runtime_of
 from .scenes import with_links
-from .schemas import SceneDocument
+from .schemas import FormatName, SceneDocument
 
 router = APIRouter(tags=["scenes"])
 
 MAX_VIEWS = 100  # of a loaded scene: each is a link in every list
 EXAMPLE = "curl -F file=@scene.splat, or curl --data-binary @scene.ply -H 'Content-Type: application/octet-stream'"
-FormatName = Literal["ply", "compressed.ply", "splat", "spz"]
 
 
 class LoadFields(BaseModel):

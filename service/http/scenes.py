@@ -23,6 +23,8 @@ router = APIRouter(tags=["scenes"])
 
 Held = Annotated[Runtime, Depends(runtime_of)]
 
+_KEPT = "; ".join(f".{extension} {entry.keeps}" for extension, entry in FORMATS.items())
+
 # Ids are matched as paths: a slash in one, encoded or not, is an unknown scene and not another route.
 
 
@@ -44,7 +46,7 @@ def list_scenes(
     "/scenes/{scene_id:path}.{extension}",
     response_class=Response,
     responses={
-        200: {"description": "the file", "content": {MEDIA_TYPE: {}}},
+        200: {"description": f"the file; what each format keeps: {_KEPT}", "content": {MEDIA_TYPE: {}}},
         206: {"description": "the part of the .ply that `Range` asks for", "content": {MEDIA_TYPE: {}}},
         304: {"description": "`If-None-Match` has its tag"},
     },

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+FormatName = Literal["ply", "compressed.ply", "splat", "spz"]  # of a file of Gaussians
 _SCENE = "3f0c1e5a9b7d42868a1f0e2d4c6b8a90"
 _JOB = "9d1e6c2b4f8a40d7b3e59c0a7f1d2e64"
 
@@ -71,7 +72,7 @@ class SceneList(BaseModel):
 class LoadedFile(BaseModel):
     """The file that a scene was loaded from."""
 
-    format: Literal["ply", "compressed.ply", "splat", "spz"]
+    format: FormatName
     bytes: int
     sha256: str
     rows: int = Field(description="before invalid ones were dropped")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +125,21 @@ def test_gsply_reads_our_spz_as_we_do(tmp_path: Path, degree: int) -> None:
     assert rotation_distance(ours.rotations_wxyz, theirs.rotations_wxyz).max() <= ROUNDING
     assert np.abs(ours.opacities - theirs.opacities).max() <= 2e-6
     assert np.abs(ours.harmonics - theirs.harmonics).max() <= ROUNDING
+
+
+def test_a_splat_is_what_its_definition_says_row_by_row() -> None:
+    """Read with nothing but the layout: six floats, then colour, opacity and rotation as bytes."""
+    source = moderate(50, 6, 0)
+    data = FORMATS["splat"].write(source).data
+    assert len(data) == 50 * 32
+    for row, values in enumerate(struct.iter_unpack("<6f8B", data)):
+        assert np.abs(np.array(values[:3]) - source.means[row]).max() == 0
+        assert np.abs(np.array(values[3:6]) - source.scales[row]).max() == 0
+        colour = np.clip(0.5 + C0 * source.harmonics[row, 0].astype(float), 0, 1)
+        assert np.abs(np.array(values[6:9]) / 255 - colour).max() <= 0.5001 / 255
+        assert abs(values[9] / 255 - source.opacities[row]) <= 0.5001 / 255
+        turned = (np.array(values[10:]) - 128) / 128
+        assert np.abs(turned - source.rotations_wxyz[row]).max() <= 1 / 128
 
 
 @pytest.mark.parametrize("degree", [0, 3])

@@ -83,6 +83,7 @@ def test_a_spz_is_read_no_further_than_its_header_says() -> None:
     assert len(reading.gaussians) == 2
     assert "what behind the Gaussians was passed over" in reading.notes()
     assert peak < 2**20  # 0.3 MB measured
+    assert inspect_gaussians(SPZ + b"\n")[0].notes()[0] == "what behind the Gaussians was passed over"
     assert "an extension behind" in inspect_gaussians(spz_file(2, body=bytes(40), flags=2))[0].notes()[0]
     with pytest.raises(TooManyGaussians, match="has 3000000 Gaussians, the limit is 1000000"):
         inspect_gaussians(spz_file(3_000_000, body=bytes(2**20)), max_count=1_000_000)

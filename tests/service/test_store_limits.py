@@ -145,7 +145,7 @@ def test_the_index_follows_the_folders(tmp_path: Path) -> None:
     (tmp_path / "index.sqlite").unlink()
     again = SceneStore(tmp_path)
     assert listed(again) == {IDS[2], IDS[8]}
-    assert again.page(1)[0].summary == {"id": IDS[8], "created": "then", "gaussians": 7, "views": 2}
+    assert again.page(1)[0].summary == {"id": IDS[8], "created": "then", "gaussians": 7, "views": 2, "file": None}
     assert again.totals() == (2, again.totals()[1])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,6 +100,7 @@ def test_conversions_wait_for_their_turn(client: TestClient, monkeypatch: pytest
         nonlocal at_once, most
         with lock:
             at_once, most = at_once + 1, max(most, at_once + 1)
+        time.sleep(0.05)  # so that two would meet
         found = real(gaussians)  # type: ignore[arg-type]
         with lock:
             at_once -= 1

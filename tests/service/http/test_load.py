@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ from gapmes.service.default_framing import default_views
 from gapmes.service.formats.dialect import STANDARD
 from gapmes.service.formats.registry import FORMATS
 from gapmes.service.gaussians import Gaussians
+from gapmes.service.http.schemas import FormatName
 from gapmes.service.ply import inspect_ply, ply_bytes
 from gapmes.service.settings import Settings
 
@@ -200,6 +201,10 @@ def test_the_default_framing_holds_most_and_turns_about_the_middle() -> None:
     faint = np.concatenate([source.opacities, [1e-3, 1e-3]])
     moved = Gaussians.make(strays, *pad, faint, np.concatenate([source.harmonics, source.harmonics[:2]]))
     assert np.abs(default_views(moved).cameras[0].center - shift - camera.center).max() < 0.02
+
+
+def test_the_schema_names_the_formats_that_there_are() -> None:
+    assert get_args(FormatName) == tuple(FORMATS)
 
 
 @pytest.mark.parametrize("scale", [0.0, 0.3])
