@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,11 @@ from PIL import Image, ImageSequence
 from test_cli import assert_refusal, run
 from test_film import decoded, planes
 from test_pruning import cloud
+from typer.main import get_command
 
 from gapmes.service.camera_path import loop
 from gapmes.service.captures.capture import read_camera_file
+from gapmes.service.cli import app
 from gapmes.service.effort import draw
 from gapmes.service.picture_error import psnr
 from gapmes.service.ply import read_ply, write_ply
@@ -113,6 +116,31 @@ def test_depth_at_a_given_scale(folder: Path, capfd: pytest.CaptureFixture[str])
     assert not levels[~there].any()
     assert render(folder, "views", "--channel", "depth", "--depth-scale", 1e-6, "--json") == 1
     assert "65535" in assert_refusal(capfd, "depth_scale")["detail"]
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "rendering.md").read_text(encoding="utf-8")
+
+
+def test_the_page_names_options_that_exist_and_every_one_of_a_film() -> None:
+    known = {option for parameter in get_command(app).commands["render"].params for option in parameter.opts}  # type: ignore[attr-defined]
+    named = set(re.findall(r"(?<!\S)`?(--[a-z-]+)", PAGE))
+    assert named <= known
+    assert {"--path", "--swing", "--seconds", "--fps", "--sheet", "--depth-scale"} <= named
+
+
+def test_depth_is_read_as_the_page_says(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert render(folder, "views", "--channel", "depth", "--views", "0", "-q") == 0
+    (snippet,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    monkeypatch.chdir(folder / "views")
+    names: dict[str, Any] = {}
+    exec(snippet, names)
+    file = read_camera_file(folder / "cameras.json")
+    near = SceneViews(file.cameras, file.near, file.far).near_plane
+    drawn = draw(read_ply(folder / "scene.ply"), file.cameras[0], "depth", threads=1, **near)
+    np.testing.assert_array_equal(np.isnan(names["depth"]), drawn.alpha == 0)
+    there = drawn.alpha > 0
+    span = float(drawn.depth[there].max() - drawn.depth[there].min())
+    assert np.abs(names["depth"] - drawn.depth)[there].max() <= 0.5001 * span / 65534
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,10 @@ from gapmes.service.rotations import (
     matrix_from_quaternion,
     mean_rotation,
     quaternion_from_matrix,
+    quaternion_from_vector,
     quaternion_product,
     rotation_angle,
+    rotation_vector,
     slerp,
 )
 
@@ -32,6 +34,20 @@ def test_matrix_to_quaternion_and_back(angle):
         assert np.linalg.norm(q) == pytest.approx(1, abs=1e-15)
         np.testing.assert_allclose(matrix_from_quaternion(q), rotation, atol=2e-15)
         assert rotation_angle(rotation) == pytest.approx(angle, abs=1e-14 if angle < 3 else 1e-7)
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_rotation_vectors_are_axis_times_angle_and_back(angle):
+    for axis in axes():
+        q = quaternion_from_vector(angle * axis)
+        assert np.linalg.norm(q) == pytest.approx(1, abs=1e-15)
+        np.testing.assert_allclose(matrix_from_quaternion(q), about_axis(axis, angle), atol=2e-15)
+        found = rotation_vector(about_axis(axis, angle))
+        if angle > math.pi - 1e-9:  # either end of the axis
+            found = found * np.sign(found @ axis)
+        np.testing.assert_allclose(found, angle * axis, atol=1e-14)
+    batch = np.stack([angle * axis for axis in axes()])
+    np.testing.assert_array_equal(quaternion_from_vector(batch), [quaternion_from_vector(one) for one in batch])
 
 
 def test_product_is_the_matrix_product_and_conjugation_inverts():
