@@ -44,6 +44,7 @@ class Capture:
 
     def __init__(self, files: Files, base: str, table: CameraTable, *, max_pixels: int = MAX_PIXELS) -> None:
         beside = table.source.rpartition("/")[0]
+        self.files = files
         self.table = table
         self._photographs = Photographs(files, base, beside, max_pixels)
         self._paths: list[str] | None = None  # where the file names none
@@ -170,6 +171,8 @@ def load_scene_folder(path: str | Path, choose: Choice | None = None) -> SceneFo
     """
     path = Path(path)
     capture = open_capture(path)
+    if not isinstance(capture.files, FolderFiles):
+        raise CaptureError(f"{path} is a zip, need a folder or a camera file", field="capture", cure="unpack it")
     count = len(capture.table.names)
     indices = tuple(range(count) if choose is None else choose(count))
     file = capture.cameras(indices)
@@ -178,5 +181,5 @@ def load_scene_folder(path: str | Path, choose: Choice | None = None) -> SceneFo
             shift = view.lens.largest_shift()
             message = f"distortion moves a point of the picture by {shift:.3g} px, need less than {MAX_SHIFT_PX:g} px"
             raise IntrinsicsError(message, field="cameras.distortion", index=index, cure="undistort the photographs")
-    root = path if path.is_dir() else path.parent
+    root = capture.files.root
     return SceneFolder(file, tuple(root / capture.path_of(index) for index in indices), indices)

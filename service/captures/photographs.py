@@ -74,11 +74,12 @@ class Photographs:
         return image_size(self.read(path), index=index, max_pixels=self._max_pixels)
 
     def _at(self, name: str) -> str | None:
+        suffixes = ("",) if name.endswith(SUFFIXES) else ("", *SUFFIXES)
         for place in self._places:
             path = joined(place, name)
-            for candidate in (path, *(path + suffix for suffix in SUFFIXES)):
-                if self._files.has(candidate):
-                    return candidate
+            for suffix in suffixes:
+                if self._files.has(path + suffix):
+                    return path + suffix
         for place in self._places:
             folder, last = posixpath.split(joined(place, name))
             found = self._by_key(folder).get(last.lower(), [])

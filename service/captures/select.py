@@ -25,6 +25,9 @@ def checked_wish(wish: Wish) -> Wish:
     """Raises `ViewCountError` for a number outside 2..6, and `InputError` for views that are both named and counted."""
     if wish.context is not None and not MIN_VIEWS <= wish.context <= MAX_VIEWS:
         raise ViewCountError(f"{wish.context} views, need {MIN_VIEWS} to {MAX_VIEWS}", field="context")
+    if wish.select is not None and wish.select.count(",") >= MAX_VIEWS:
+        count = wish.select.count(",") + 1
+        raise ViewCountError(f"{count} views, need {MIN_VIEWS} to {MAX_VIEWS}", field=wish.field)
     if wish.context is not None and wish.select is not None:
         raise InputError(f"is given beside {wish.field}", field="context", cure="name the views, or say how many")
     return wish

@@ -90,7 +90,7 @@ def colmap_model(cameras: Sequence[Camera], named: Sequence[str]) -> pycolmap.Re
         params = [camera.fx, camera.fy, camera.cx, camera.cy]
         size = {"width": camera.width, "height": camera.height}
         model.add_camera_with_trivial_rig(pycolmap.Camera(camera_id=camera_id, model="PINHOLE", params=params, **size))
-        image = pycolmap.Image(name=name, camera_id=camera_id, image_id=1000 - 7 * index)
+        image = pycolmap.Image(name=name, camera_id=camera_id, image_id=7 * (len(cameras) - index) + 3)
         image.points2D = pycolmap.Point2DList([pycolmap.Point2D(np.array([index + 0.5, 2.0]))] * (index % 3))
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(camera.cam_from_world[:3]))
     return model

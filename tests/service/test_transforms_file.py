@@ -62,6 +62,16 @@ def test_frames_have_lenses_of_their_own():
     np.testing.assert_allclose(plain.camera.world_from_cam, pose(0), atol=1e-14)
 
 
+def test_a_file_of_instant_ngp():
+    """Both angles and both focal lengths, a lens, and members of its own: focal lengths win."""
+    file = transforms(2, camera_angle_x=1.1, camera_angle_y=0.9, k1=0.04, k2=-0.05, p1=-0.001, p2=0.0005, aabb_scale=16)
+    for frame in file["frames"]:
+        frame |= {"file_path": f"./{frame['file_path']}", "sharpness": 20.4}
+    view = parse_camera_file(file).views[1]
+    assert (view.image, view.camera.fx, view.camera.fy) == ("./images/1.png", 500.0, 510.0)
+    assert (view.lens.k1, view.lens.k2, view.lens.p1, view.lens.p2) == (0.04, -0.05, -0.001, 0.0005)
+
+
 def test_k4_is_of_the_denominator_where_k5_or_the_model_says_so():
     for more in ({"k5": 1e-9}, {"camera_model": "FULL_OPENCV"}):
         lens = parse_camera_file(transforms(k4=0.05, **more)).views[0].lens

@@ -161,6 +161,15 @@ def test_a_scene_folder_has_pinholes_only(tmp_path: Path) -> None:
         load_scene_folder(tmp_path)
 
 
+def test_a_scene_folder_is_no_zip(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    write_cameras_json(tmp_path / "a", arc(2))
+    (tmp_path / "a.zip").write_bytes(zipped(tmp_path / "a"))
+    assert len(read_camera_file(tmp_path / "a.zip").views) == 2
+    with pytest.raises(CaptureError, match="is a zip, need a folder"):
+        load_scene_folder(tmp_path / "a.zip")
+
+
 def test_what_is_beside_a_capture_does_not_matter(tmp_path: Path) -> None:
     write_llff(tmp_path, arc(3))
     (tmp_path / "readme.txt").write_text("19 words\n" * 3)

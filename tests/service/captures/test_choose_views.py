@@ -196,5 +196,7 @@ def test_wishes_that_cannot_be() -> None:
     for count in (0, 1, 7):
         with pytest.raises(ViewCountError, match=f"{count} views, need 2 to 6"):
             checked_wish(Wish(context=count))
+    with pytest.raises(ViewCountError, match="100001 views, need 2 to 6"):
+        checked_wish(Wish("," * 100_000))
     with pytest.raises(InputError, match="is given beside select"):
         checked_wish(Wish("0,1", 2))
