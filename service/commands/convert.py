@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..terminal import ProgressBars
+from ..terminal import ProgressBars, Quiet
 from .dialect_options import AxesOption, DropInvalidOption, OpacityOption, RotationOption, ScalesOption
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def convert(
     ] = "around",
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Convert Gaussians between formats; says their count, the bytes, what was lost, and the PSNR of pictures."""
     from ..captures.capture import read_camera_file
@@ -54,7 +55,7 @@ def convert(
     if not output.parent.is_dir():
         raise InputError(f"{output.parent} is not a folder", field="OUT")
     dialect = Dialect(opacity, scales, rotation, axes)
-    with ProgressBars() as bars:
+    with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("read"):
             reading, found = inspect_gaussians(source, format=source_format, dialect=dialect, drop_invalid=drop_invalid)
