@@ -60,7 +60,6 @@ def chosen_views(cameras: Sequence[Camera], count: int, near: float | None, far:
         quality = overlap * np.minimum(1.0, np.minimum(angles / SMALL_ANGLE, LARGE_ANGLE / angles))
         covered = overlap * np.minimum(1.0, NEAR_ANGLE / angles)
     np.fill_diagonal(quality, 0.0)
-    np.fill_diagonal(covered, 1.0)
     chosen = _grown(_best_pair(quality, covered), quality, covered, min(count, len(some)))
     pairs = [(i, j) for place, i in enumerate(chosen) for j in chosen[:place]]
     said = {

@@ -48,16 +48,16 @@ def pinhole_camera(lens: Lens) -> Camera:
 
 @pytest.mark.parametrize("name", LENSES)
 def test_the_picture_is_the_pinholes(name: str) -> None:
-    """Worst difference 1.9 levels: bilinear sampling between waves, and rounding twice. A shift by 0.1 px gives 1.5
-    more, by half a pixel 8."""
+    """Worst difference 2.5 levels, mean 0.35: bilinear sampling between waves, and rounding twice. A shift by a tenth
+    of a pixel has a mean of 0.66, by half a pixel one of 2.9."""
     lens = LENSES[name]
     camera, photo = pinhole_camera(lens), undistorted(through(lens), lens)
     assert (photo.width, photo.height) == (camera.width, camera.height)
     assert photo.mask is None
     slopes = pixel_slopes(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     difference = np.abs(photo.rgb - scene(*slopes))
-    assert difference.max() < 2.5
-    assert difference.mean() < 0.6
+    assert difference.max() < 3.5
+    assert difference.mean() < 0.45
 
 
 @pytest.mark.parametrize("name", LENSES)
@@ -108,7 +108,7 @@ def test_photographs_at_another_resolution_and_turned() -> None:
     assert abs(small.height - whole.height / 2) <= 0.5
     even = whole.rgb[: 2 * (whole.height // 2), : 2 * (whole.width // 2)].astype(float)
     mean = even.reshape(whole.height // 2, 2, whole.width // 2, 2, 3).mean(axis=(1, 3))
-    assert np.abs(mean - small.rgb[: mean.shape[0], : mean.shape[1]]).mean() < 3
+    assert np.abs(mean - small.rgb[: mean.shape[0], : mean.shape[1]]).mean() < 3  # 2.5; a pixel off it is 12
     lying = Photo(np.ascontiguousarray(np.rot90(through(lens).rgb)), orientation=6)
     np.testing.assert_array_equal(undistorted(lying, lens).rgb, whole.rgb)
     with pytest.raises(ImageError, match="the aspects differ"):
@@ -126,13 +126,13 @@ def test_masks_are_bent_with_the_colours_and_let_none_through() -> None:
     across, down = pixel_slopes(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     assert (result.mask == (across < 0.1))[np.abs(across - 0.1) > 1.0 / lens.fx].all()
     inside = np.abs(result.rgb - scene(across, down))[result.mask]
-    assert inside.max() < 12  # next to the mask a colour is that of the kept neighbours
-    assert inside.mean() < 0.6
+    assert inside.max() < 10  # 6.4: next to the mask a colour is that of the kept neighbours
+    assert inside.mean() < 0.45  # 0.33
     assert (result.rgb[~result.mask] == 0).all()
 
 
 def test_large_photographs_are_scaled_down_first() -> None:
-    """Of 24 megapixels no more than a strip of coordinates is held at a time."""
+    """Of 24 megapixels no more than a strip of coordinates is held at a time beside the scaled photograph: 32 MB."""
     lens = Lens(6000, 4000, 5000.0, 5000.0, 3000.0, 2000.0, k1=-0.1)
     photo = Photo(np.zeros((4000, 6000, 3), np.uint8))
     tracemalloc.start()
@@ -142,7 +142,7 @@ def test_large_photographs_are_scaled_down_first() -> None:
     assert max(result.width, result.height) <= MAX_SIDE
     window = pinhole_window(lens)
     assert result.width / result.height == pytest.approx(window.width / window.height, rel=1e-3)
-    assert peak < 120e6  # the photograph alone has 72 MB, which Pillow copies
+    assert peak < 50e6
 
 
 @pytest.mark.parametrize(

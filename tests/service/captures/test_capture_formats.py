@@ -25,7 +25,7 @@ from gapmes.service.captures.capture import load_scene_folder, open_capture, rea
 from gapmes.service.captures.select import Wish
 from gapmes.service.errors import CameraError, CaptureError, ImageError, IntrinsicsError
 
-RAYS_PX = 1e-4  # worst 7e-13 px over all formats: each writes and reads float64
+RAYS_PX = 1e-4  # what is promised; worst 1.4e-14 px over all formats: each writes and reads float64
 
 
 @pytest.mark.parametrize("form", WRITERS)

@@ -36,7 +36,9 @@ def test_scene_document(client: TestClient) -> None:
     assert body["model"]
     for link in (body["links"]["self"], body["links"]["ply"], *body["links"]["views"]):
         assert client.get(link).status_code == 200
-    own = {"images": ["0.png", "1.png"], "paired_by": "order"}  # of this request, not of the scene
+    used = {"by": "all", "format": "cameras.json", "cameras": "cameras", "of": 2, "views": [0, 1]}
+    names = ["0.png", "1.png"]  # of this request, not of the scene, as are the next two
+    own = {"images": names, "paired_by": "order", "selection": {**used, "images": names}}
     assert client.get(body["links"]["self"]).json() | own == body
 
 
