@@ -65,7 +65,8 @@ def write_scene(folder: Path, images: list[bytes], cameras: Any) -> list[Path]:
 
 def pixels_of(page: Any, selector: str) -> NDArray[np.uint8]:
     """(H, W, 3) of what an image element shows, at its own size."""
-    code = """image => {
+    code = """async image => {
+      await image.decode();
       const canvas = document.createElement("canvas");
       canvas.width = image.naturalWidth; canvas.height = image.naturalHeight;
       canvas.getContext("2d").drawImage(image, 0, 0);
