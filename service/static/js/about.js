@@ -49,7 +49,7 @@ function files(scene) {
 }
 
 async function inputs(body, scene) {
-  const table = make("table", { class: "inputs" }, head("photograph", "drawn again", "depth", "routing"));
+  const table = make("table", { class: "inputs" }, head("photograph", "drawn again", "depth", "experts", "tasks"));
   body.append(wide(table));
   const maps = scene.routing?.maps;
   for (const [index, camera] of scene.view_cameras.entries()) {
@@ -58,27 +58,27 @@ async function inputs(body, scene) {
     const photograph = make("img", { ...size, alt: `Photograph ${index}` });
     const again = make("img", { ...size, alt: `Photograph ${index}, drawn again` });
     const depth = make("img", { ...size, alt: `Depth from view ${index}` });
-    const routes = make("span");
+    const [experts, tasks] = [make("span"), make("span")];
     const figure = (picture, text) => make("figure", {}, picture, make("figcaption", {}, text));
     table.append(row(
       scene.links.inputs ? figure(photograph, `input ${index}`) : "–",
       figure(again, found ? decibels(found) : ""),
       figure(depth, "near is dark"),
-      routes,
+      experts,
+      tasks,
     ));
     try {
       if (scene.links.inputs) await showPicture(photograph, scene.links.inputs[index]);
       await showPicture(again, scene.links.views[index]);
       await showPicture(depth, `${scene.links.views[index]}&channel=depth`);
     } catch (error) {
-      routes.append(error.problem?.detail ?? error.message);
+      experts.append(error.problem?.detail ?? error.message);
       continue;
     }
-    if (maps?.experts) {
-      await photograph.decode().catch(() => undefined);
-      routes.append(figure(routingPicture(maps.experts[index], camera, photograph, `Experts of the patches of view ${index}`), "experts"));
+    await photograph.decode().catch(() => undefined);
+    for (const [place, kind] of [[experts, "experts"], [tasks, "tasks"]]) {
+      if (maps?.[kind]) place.append(figure(routingPicture(maps[kind][index], camera, photograph, `${kind} of the patches of view ${index}`), kind));
     }
-    if (maps?.tasks) routes.append(figure(routingPicture(maps.tasks[index], camera, photograph, `Tasks of the patches of view ${index}`), "tasks"));
   }
   if (maps?.experts) body.append(make("p", {}, "Experts: "), legend(maps.experts));
   if (maps?.tasks) body.append(make("p", {}, "Tasks: "), legend(maps.tasks, TASKS));

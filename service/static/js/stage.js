@@ -116,7 +116,8 @@ async function draw(path, of) {
 function look(small) {
   if (!scene) return;
   const turn = orbit.moved ? `, turned by ${orbit.azimuth.toFixed(0)}° and ${orbit.elevation.toFixed(0)}°` : "";
-  const place = `${scene.file ? "" : "input "}view ${orbit.view}${turn}`;
+  const begin = mode === "webgl" ? "beginning at " : "";
+  const place = `${begin}${scene.file ? "" : "input "}view ${orbit.view}${turn}`;
   const how = mode === "webgl" ? "Drag, pinch or scroll in the picture." : "Drag the picture, or use the arrow keys, to orbit; + and − to come nearer.";
   $("caption").textContent = `${place[0].toUpperCase()}${place.slice(1)}. ${how}`;
   $("picture").alt = `Scene ${scene.id}, ${place}`;

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 import threading
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +177,24 @@ def test_sixty_photographs_at_once(tab: Any, tmp_path: Path) -> None:
     page.select_option("#context", "3")
     page.wait_for_selector(".cards li >> nth=2")
     assert page.locator(".cards li").count() == 3
+    before = page.url
+    page.click("#go")
+    scene = made(page, before)
+    assert len(httpx.get(f"{tab.address}/scenes/{scene}").json()["view_cameras"]) == 3
+
+
+def test_a_zip_of_a_capture(tab: Any, tmp_path: Path) -> None:
+    """Eight views in one file, and three of them chosen, which the page says."""
+    cameras = camera_object(8)
+    with zipfile.ZipFile(tmp_path / "capture.zip", "w") as bundle:
+        for index, view in enumerate(cameras["views"]):
+            view["image"] = f"images/{index}.png"
+            bundle.writestr(view["image"], photograph(80 + index))
+        bundle.writestr("cameras.json", json.dumps(cameras))
+    page = tab.open()
+    page.set_input_files("#files", tmp_path / "capture.zip")
+    page.wait_for_selector(".cards li >> nth=2")
+    assert "3 of 8 photographs" in page.inner_text("#understood")
     before = page.url
     page.click("#go")
     scene = made(page, before)
