@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,12 +53,17 @@ def choose(folder: Path) -> Path:
     for name in PREFERRED:
         if (folder / name).is_file():
             return folder / name
-    files = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix in (SAFETENSORS, *TORCH))
-    if len(files) == 1:
-        return files[0]
-    listed = ", ".join(p.name for p in files or sorted(folder.iterdir())) or "nothing"
-    wrong = "more than one weights file" if files else "no weights file"
-    raise CheckpointError(f"{folder} holds {wrong} ({listed}); name the file, or leave one of {', '.join(PREFERRED)}")
+    return folder / _only(str(folder), sorted(p.name for p in folder.iterdir() if p.is_file()))
+
+
+def _only(place: str, names: Sequence[str]) -> str:
+    """The one weights file among the names of files."""
+    weights = [name for name in names if Path(name).suffix in (SAFETENSORS, *TORCH)]
+    if len(weights) == 1:
+        return weights[0]
+    listed = ", ".join(weights or names) or "nothing"
+    wrong = "more than one weights file" if weights else "no weights file"
+    raise CheckpointError(f"{place} holds {wrong} ({listed}); name the file, or leave one of {', '.join(PREFERRED)}")
 
 
 def _beside(path: Path) -> Path | None:
@@ -68,7 +73,7 @@ def _beside(path: Path) -> Path | None:
 
 def _from_hub(given: str, repository: str, revision: str | None, cache: Path | None) -> Source:
     # Imported here: it takes a while, and a local file needs none of it.
-    from huggingface_hub import hf_hub_download, snapshot_download
+    from huggingface_hub import hf_hub_download, list_repo_files, snapshot_download
     from huggingface_hub.errors import (
         EntryNotFoundError,
         HfHubHTTPError,
@@ -95,20 +100,16 @@ def _from_hub(given: str, repository: str, revision: str | None, cache: Path | N
     try:
         config = file(CONFIG)
         path = next((found for name in PREFERRED if (found := file(name)) is not None), None)
-        if path is None:
-            patterns = [f"*{suffix}" for suffix in TORCH]
-            folder = Path(
-                snapshot_download(
-                    repository,
-                    revision=revision,
-                    cache_dir=cache,
-                    local_files_only=offline,
-                    allow_patterns=patterns,
-                )
-            )
-            if offline and not any(p.suffix in TORCH for p in folder.iterdir()):
+        if path is None and offline:
+            folder = Path(snapshot_download(repository, revision=revision, cache_dir=cache, local_files_only=True))
+            if not any(p.suffix in TORCH for p in folder.iterdir()):
                 raise LocalEntryNotFoundError(f"{folder} holds no weights")
             path = choose(folder)
+        elif path is None:  # one of several files may be meant: they are listed before any is downloaded
+            listed = [name for name in list_repo_files(repository, revision=revision) if "/" not in name]
+            path = file(_only(f"the hub's {given}", sorted(listed)))
+            if path is None:
+                raise LocalEntryNotFoundError(f"{given} cannot be downloaded")
         elif path.name.endswith(INDEX):
             _fetch_shards(path, file)
     except LocalEntryNotFoundError as error:

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import huggingface_hub.constants
+import huggingface_hub.errors
 import pytest
 from layouts import SMALL, equal, random_vit, write
 
@@ -115,6 +116,30 @@ def test_without_a_connection_the_cure_is_named(tmp_path: Path) -> None:
     cached(tmp_path, "owner/bare").joinpath("config.json").write_text("{}")
     with pytest.raises(CheckpointError, match=r"owner/bare .*cannot be reached"):
         resolve("owner/bare", cache=tmp_path)
+
+
+def test_of_several_files_on_the_hub_none_is_downloaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A repository of one file in torch's format gives it; one of two is refused by their names alone."""
+    asked: list[str] = []
+
+    def download(_: str, name: str, **options: object) -> str:
+        asked.append(name)
+        if not name.endswith(".pth"):
+            raise huggingface_hub.errors.EntryNotFoundError(name)
+        (tmp_path / name).touch()
+        return str(tmp_path / name)
+
+    there = ["README.md", "small.pth", "old/other.pth"]
+    monkeypatch.setattr(huggingface_hub, "hf_hub_download", download)
+    monkeypatch.setattr(huggingface_hub, "list_repo_files", lambda *_, **__: there)
+    assert resolve("owner/name").path == tmp_path / "small.pth"
+    there.append("large.pth")
+    asked.clear()
+    with pytest.raises(
+        CheckpointError, match=r"owner/name holds more than one weights file \(large\.pth, small\.pth\)"
+    ):
+        resolve("owner/name")
+    assert not any(name.endswith(".pth") for name in asked)
 
 
 def test_the_hub_s_own_settings_are_obeyed(tmp_path: Path) -> None:
