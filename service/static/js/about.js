@@ -1,7 +1,7 @@
 // Beside the view: inputs next to their pictures, what was left out and what it cost, how far to trust it, files, timings.
 
 import { bring, showPicture } from "./api.js";
-import { count, digits, make, percent } from "./dom.js";
+import { $, count, digits, discard, make, percent, tell } from "./dom.js";
 import { plan } from "./plan.js";
 import { legend, routingPicture, TASKS } from "./routing.js";
 
@@ -26,7 +26,7 @@ function part(title, fill, open = false) {
 
 /** Fill the place beside the view with all that a scene document tells. */
 export function showAbout(target, scene) {
-  target.replaceChildren();
+  discard(target);
   if (!scene) return;
   for (const warning of scene.warnings ?? []) target.append(make("p", { class: "warning" }, make("strong", {}, "Note: "), warning.message));
   target.append(files(scene));
@@ -37,7 +37,7 @@ export function showAbout(target, scene) {
 }
 
 function files(scene) {
-  const link = (path, name, text) => bring(make("a", { href: path, download: name }, text));
+  const link = (path, name, text) => bring(make("a", { href: path, download: name }, text), (error) => tell($("view-problem"), error));
   const links = Object.entries(scene.links.files).map(([kind, path]) => link(path, `${scene.id}.${kind}`, `.${kind}`));
   links.push(link(scene.links.preview, `${scene.id}.webp`, "moving picture"), link(scene.links.sheet, `${scene.id}.png`, "contact sheet"));
   const cameras = URL.createObjectURL(new Blob([JSON.stringify({ near: scene.near, far: scene.far, views: scene.cameras }, null, 1)], { type: "application/json" }));
@@ -60,6 +60,7 @@ async function inputs(body, scene) {
     const depth = make("img", { ...size, alt: `Depth from view ${index}` });
     const [experts, tasks] = [make("span"), make("span")];
     const figure = (picture, text) => make("figure", {}, picture, make("figcaption", {}, text));
+    if (!body.isConnected) return; // another scene is on show
     table.append(row(
       scene.links.inputs ? figure(photograph, `input ${index}`) : "–",
       figure(again, found ? decibels(found) : ""),
@@ -72,7 +73,7 @@ async function inputs(body, scene) {
       await showPicture(again, scene.links.views[index]);
       await showPicture(depth, `${scene.links.views[index]}&channel=depth`);
     } catch (error) {
-      experts.append(error.problem?.detail ?? error.message);
+      experts.append(error.message);
       continue;
     }
     await photograph.decode().catch(() => undefined);
@@ -92,8 +93,9 @@ function leftOut(body, scene) {
   body.append(wide(table));
   const pruning = scene.pruning;
   if (!pruning) return;
-  const proved = `No colour of the certified views changes by more than ${digits(pruning.bound)} (of 1); found in the inputs' pictures: ${digits(pruning.actual)}.`;
-  body.append(make("p", {}, `${proved} ${count(pruning.bytes_saved)} bytes less, decided in ${digits(pruning.seconds)} s.`));
+  const found = pruning.actual === null ? "" : ` Found in the inputs' pictures: ${digits(pruning.actual)}.`;
+  const proved = pruning.bound === null ? "" : `No colour of the certified views changes by more than ${digits(pruning.bound)} (of 1).${found} `;
+  body.append(make("p", {}, `${proved}${count(pruning.bytes_saved)} bytes less, decided in ${digits(pruning.seconds)} s.`));
 }
 
 function trust(body, scene) {

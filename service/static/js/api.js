@@ -41,13 +41,12 @@ export const askJson = async (path, options) => (await ask(path, options)).json(
 /** What a path gives, as the address of a picture; the caller revokes it. */
 export const askPicture = async (path, options) => URL.createObjectURL(await (await ask(path, options)).blob());
 
-/** Put what a path gives into an image, and let go of what it showed; not where it is no longer wanted then. */
-export async function showPicture(image, path, wanted = () => true) {
+/** Put what a path gives into an image, and let go of what it showed. */
+export async function showPicture(image, path) {
   const address = await askPicture(path);
-  if (!wanted()) return URL.revokeObjectURL(address);
   if (image.src.startsWith("blob:")) URL.revokeObjectURL(image.src);
   image.src = address;
-  return undefined;
+  if (!image.isConnected) URL.revokeObjectURL(address); // it was taken away meanwhile
 }
 
 /** Server-sent events of a path, one after the other, as {id, event, data}. */
@@ -69,17 +68,21 @@ export async function* events(path, signal) {
   }
 }
 
-/** A link that brings a file, also where a key must go with it. */
-export function bring(link) {
+/** A link that brings a file, also where a key must go with it; `failed` hears why it could not. */
+export function bring(link, failed) {
   link.addEventListener("click", async (event) => {
     if (!hasKey() || link.href.startsWith("blob:")) return;
     event.preventDefault();
-    const address = await askPicture(link.getAttribute("href"));
-    const copy = document.createElement("a");
-    copy.href = address;
-    copy.download = link.download;
-    copy.click();
-    setTimeout(() => URL.revokeObjectURL(address), 60000);
+    try {
+      const address = await askPicture(link.getAttribute("href"));
+      const copy = document.createElement("a");
+      copy.href = address;
+      copy.download = link.download;
+      copy.click();
+      setTimeout(() => URL.revokeObjectURL(address), 60000);
+    } catch (error) {
+      failed(error);
+    }
   });
   return link;
 }

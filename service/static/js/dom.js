@@ -20,8 +20,9 @@ export function button(text, act, attributes = {}) {
   return node;
 }
 
-/** Show a problem document in a place for it, or nothing. */
-export function tell(target, problem) {
+/** Show a problem document, or an error that holds one, in a place for it; nothing clears it. */
+export function tell(target, said) {
+  const problem = said instanceof Error ? said.problem ?? { title: "Error", detail: said.message } : said;
   target.replaceChildren();
   if (!problem) return;
   const at = problem.index === undefined ? "" : ` ${problem.index}`;
@@ -30,9 +31,27 @@ export function tell(target, problem) {
   if (problem.cure) target.append(make("br"), `What helps: ${problem.cure}`);
 }
 
+const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442", "#999999"];
+
+/** A colour for each of eight kinds (Okabe and Ito's, which can be told apart by most eyes); then they repeat. */
+export const colourOf = (kind) => COLOURS[kind % COLOURS.length];
+
+/** A dot of a colour, beside its name. */
+export function swatch(colour) {
+  const svg = make("svg:svg", { viewBox: "0 0 12 12", width: 12, height: 12, "aria-hidden": "true" });
+  svg.append(make("svg:rect", { width: 12, height: 12, rx: 3, fill: colour }));
+  return svg;
+}
+
+/** Empty an element, and let go of the pictures and files that its images and links hold. */
+export function discard(target) {
+  for (const node of target.querySelectorAll("img[src^='blob:'], a[href^='blob:']")) URL.revokeObjectURL(node.src ?? node.href);
+  target.replaceChildren();
+}
+
 /** Three significant digits, whatever the units. */
 export const digits = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(3))) : "–");
 
 export const count = (value) => value.toLocaleString("en");
 
-export const percent = (share) => `${digits(100 * share)} %`;
+export const percent = (share) => (typeof share === "number" ? `${digits(100 * share)} %` : "–");

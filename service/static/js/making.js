@@ -1,17 +1,20 @@
 // A new scene: photographs and cameras that were dropped or chosen, what the service understood of them, and the job.
 
 import { ask, askJson, Refused } from "./api.js";
-import { $, digits, make, tell } from "./dom.js";
-import { follow } from "./job.js";
-import { colourOf, plan } from "./plan.js";
+import { $, discard, make, tell } from "./dom.js";
+import { Ended, follow } from "./job.js";
+import { understood } from "./understood.js";
 
 const GAUSSIANS = /\.(ply|splat|spz)$/i;
-const CAPTURE = /\.zip$/i;
+const ZIP = /\.zip$/i;
 const CAMERAS = /\.(json|npy|txt)$/i;
-const MOST = 6;
+const MOST = 6;       // photographs of a scene
+const MOST_SENT = 60; // photographs that may be sent one by one
 
 let chosen = [];       // files
-let checking = null;   // aborts the check of files that are no longer chosen
+let turn = 0;          // of checks: a late answer to an earlier one is passed over
+let ready = false;     // what is chosen has passed its check
+let running = false;   // a job is followed
 let opened = () => {}; // called with a scene's id
 
 export function prepareMaking(open) {
@@ -24,14 +27,13 @@ export function prepareMaking(open) {
     });
   }
   document.addEventListener("dragleave", (event) => event.relatedTarget === null && $("drop").classList.remove("over"));
-  document.addEventListener("drop", (event) => {
-    event.preventDefault();
-    $("drop").classList.remove("over");
-    add([...event.dataTransfer.files]);
-  });
+  document.addEventListener("drop", dropped);
   $("clear").addEventListener("click", clear);
   $("sample").addEventListener("click", sample);
-  $("upload").addEventListener("submit", send);
+  $("upload").addEventListener("submit", (event) => {
+    event.preventDefault();
+    if (ready && !running) send();
+  });
   for (const name of ["near", "far", "trust_poses"]) $(name).addEventListener("change", () => chosen.length && check());
 }
 
@@ -41,34 +43,54 @@ export async function prepareModels() {
   $("model-row").hidden = models.length < 2;
 }
 
+function state(next) {
+  ({ ready = ready, running = running } = next);
+  $("go").disabled = !ready || running;
+  $("sample").disabled = running;
+  $("clear").hidden = chosen.length === 0;
+}
+
+function dropped(event) {
+  event.preventDefault();
+  $("drop").classList.remove("over");
+  const folder = [...event.dataTransfer.items].map((item) => item.webkitGetAsEntry?.()).find((entry) => entry?.isDirectory);
+  if (!folder) return void add([...event.dataTransfer.files]);
+  tell($("problem"), { title: "A folder", detail: `${folder.name} is a folder`, cure: "drop its photographs with the camera file, or one zip of it" });
+}
+
 /** Files in addition to those that are there; one of the same name takes its place. */
 function add(files) {
   $("files").value = "";
   const names = new Set(files.map((file) => file.name));
   chosen = [...chosen.filter((file) => !names.has(file.name)), ...files];
-  check();
+  return check();
 }
 
 function clear() {
-  checking?.abort();
+  turn += 1;
   chosen = [];
-  $("understood").replaceChildren();
-  $("go").disabled = true;
-  $("clear").hidden = true;
+  discard($("understood"));
   tell($("problem"), null);
+  state({ ready: false });
 }
 
-const images = () => chosen.filter((file) => ![GAUSSIANS, CAPTURE, CAMERAS].some((kind) => kind.test(file.name)));
+const named = (pattern) => chosen.filter(({ name }) => pattern.test(name));
+const images = () => chosen.filter(({ name }) => ![GAUSSIANS, ZIP, CAMERAS].some((pattern) => pattern.test(name)));
 
-/** The form of POST /reconstruct for what is chosen. */
+/** Fields that are filled in go into a form. */
+function fill(data, names) {
+  for (const name of names) if ($(name).value.trim()) data.set(name, $(name).value.trim());
+  return data;
+}
+
+/** The form of POST /reconstruct for what is chosen; a zip beside photographs holds a model of cameras. */
 function form() {
   const data = new FormData();
   for (const file of images()) data.append("images", file, file.name);
-  for (const file of chosen.filter(({ name }) => CAPTURE.test(name))) data.append("capture", file, file.name);
-  for (const file of chosen.filter(({ name }) => CAMERAS.test(name))) data.append("cameras", file, file.name);
-  const context = $("context")?.value;
-  if (context) data.set("context", context);
-  for (const name of ["near", "far", "max_error"]) if ($(name).value.trim()) data.set(name, $(name).value.trim());
+  for (const file of named(ZIP)) data.append(images().length ? "cameras" : "capture", file, file.name);
+  for (const file of named(CAMERAS)) data.append("cameras", file, file.name);
+  if ($("context")?.value) data.set("context", $("context").value);
+  fill(data, ["near", "far", "max_error"]);
   if ($("trust_poses").checked) data.set("trust_poses", "true");
   if (!$("model-row").hidden) data.set("model", $("model").value);
   return data;
@@ -76,133 +98,124 @@ function form() {
 
 /** What is still missing, as a sentence; null where all is there. */
 function missing() {
-  if (chosen.some(({ name }) => CAPTURE.test(name))) return null;
-  const photographs = images().length;
-  if (!chosen.some(({ name }) => CAMERAS.test(name))) return `${photographs} photographs. Add their camera file: cameras.json, transforms.json, poses_bounds.npy or a RealEstate10K .txt, or a zip of a COLMAP model.`;
-  if (photographs < 2) return `${photographs} of 2 to ${MOST} photographs.`;
-  return null;
+  const count = images().length;
+  if (named(ZIP).length && !count) return null;
+  if (!named(CAMERAS).length && !named(ZIP).length) {
+    return `${count} photographs. Add their camera file: cameras.json, transforms.json, poses_bounds.npy or a RealEstate10K .txt, or a zip of a COLMAP model.`;
+  }
+  return count < 2 ? `${count} of 2 to ${MOST} photographs.` : null;
 }
 
-async function check() {
-  checking?.abort();
-  tell($("problem"), null);
-  $("go").disabled = true;
-  $("clear").hidden = chosen.length === 0;
-  const gaussians = chosen.find(({ name }) => GAUSSIANS.test(name));
-  if (gaussians) return load(gaussians);
-  const wish = missing();
-  const context = $("context")?.value;
-  $("understood").replaceChildren(make("p", {}, wish ?? "Looking at the cameras …"));
-  if (images().length > MOST) $("understood").append(choice(context));
-  if (wish) return undefined;
-  checking = new AbortController();
-  try {
-    show(await askJson("/check", { method: "POST", body: form(), signal: checking.signal }));
-    $("go").disabled = false;
-  } catch (error) {
-    if (error.name === "AbortError") return undefined;
-    $("understood").replaceChildren(make("p", {}, `${chosen.length} files: ${chosen.slice(0, 8).map(({ name }) => name).join(", ")}${chosen.length > 8 ? ", …" : ""}`));
-    if (images().length > MOST) $("understood").append(choice(context));
-    refused(error);
+/** What this page itself refuses. */
+function impossible() {
+  const count = images().length;
+  if (named(GAUSSIANS).length && count) {
+    return { title: "Two kinds of files", detail: `${count} photographs beside ${named(GAUSSIANS)[0].name}, which is a scene already`, cure: "start over with one kind of them" };
   }
-  return undefined;
+  if (count <= MOST_SENT) return null;
+  return { title: "View count", detail: `${count} photographs, one by one at most ${MOST_SENT}`, cure: "send them as one zip with their camera file: the best few are chosen" };
+}
+
+/** Ask what the service understands; gives whether a reconstruction may begin. */
+async function check() {
+  const mine = (turn += 1);
+  state({ ready: false });
+  tell($("problem"), impossible());
+  if (impossible()) return false;
+  if (named(GAUSSIANS).length) return load(named(GAUSSIANS)[0]);
+  const wish = missing();
+  const several = images().length > MOST ? choice($("context")?.value) : null;
+  say(make("p", {}, wish ?? "Looking at the cameras …"), several);
+  if (wish) return false;
+  try {
+    const found = await askJson("/check", { method: "POST", body: form() });
+    if (mine !== turn) return false;
+    say(several, ...understood(found));
+    state({ ready: true });
+    return true;
+  } catch (error) {
+    if (mine !== turn) return false;
+    const names = chosen.slice(0, 8).map(({ name }) => name).join(", ");
+    say(make("p", {}, `${chosen.length} files: ${names}${chosen.length > 8 ? ", …" : ""}`), several);
+    tell($("problem"), error);
+    return false;
+  }
+}
+
+function say(...nodes) {
+  discard($("understood"));
+  $("understood").append(...nodes.filter(Boolean));
 }
 
 /** More photographs than a scene takes: how many of them may be chosen for the user. */
-function choice(context) {
+function choice(value) {
   const select = make("select", { id: "context" }, make("option", { value: "" }, "none: I take some away"),
     ...[2, 3, 4, 5, 6].map((number) => make("option", { value: String(number) }, `the best ${number}`)));
-  select.value = context ?? "";
+  select.value = value ?? "";
   select.addEventListener("change", check);
   return make("p", {}, make("label", {}, `${images().length} photographs, and a scene takes 2 to ${MOST}. Use `, select));
-}
-
-function show({ images: found, near, far, depth_range_source: source, paired_by: by, warnings, selection }) {
-  const cards = found.map((image, index) => {
-    const { fx, width, height } = image.camera;
-    const angle = (2 * Math.atan((0.5 * width) / fx) * 180) / Math.PI;
-    const picture = make("img", { alt: "" });
-    picture.addEventListener("load", () => URL.revokeObjectURL(picture.src), { once: true });
-    picture.src = thumbnail(image.thumbnail);
-    const number = make("svg:svg", { viewBox: "0 0 12 12", width: 12, height: 12, "aria-hidden": "true" });
-    number.append(make("svg:circle", { cx: 6, cy: 6, r: 6, fill: colourOf(index) }));
-    return make("li", {}, picture, make("p", {}, number, ` ${index}: ${image.name}`), make("p", { class: "small" }, `${width} × ${height} px, ${angle.toFixed(0)}° wide`));
-  });
-  const several = $("context")?.closest("p");
-  $("understood").replaceChildren(
-    ...(several ? [several] : []),
-    make("ul", { class: "cards" }, ...cards),
-    plan(found.map((image) => image.camera), near, far),
-    make("p", {}, `Cameras paired by ${by}. Depth from ${digits(near)} to ${digits(far)} (${source}), in the cameras' units.`),
-    ...(selection.by === "score" ? [make("p", {}, `${found.length} of ${selection.of} photographs, chosen for their overlap and baselines.`)] : []),
-    ...warnings.map((warning) => make("p", { class: "warning" }, make("strong", {}, "Note: "), warning.message)),
-  );
-}
-
-function thumbnail(base64) {
-  const bytes = Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
-  return URL.createObjectURL(new Blob([bytes], { type: "image/jpeg" }));
-}
-
-function refused(error) {
-  if (!(error instanceof Refused)) throw error;
-  tell($("problem"), error.problem);
 }
 
 async function sample() {
   clear();
   try {
     const names = ["images/001.png", "images/005.png", "cameras.json"];
-    add(await Promise.all(names.map(async (name) => {
+    const files = await Promise.all(names.map(async (name) => {
       const blob = await (await ask(`/static/sample/${name}`)).blob();
       return new File([blob], name.split("/").pop(), { type: blob.type });
-    })));
-    await until(() => !$("go").disabled || $("problem").textContent !== "");
-    if (!$("go").disabled) $("upload").requestSubmit();
+    }));
+    if (!chosen.length && (await add(files))) await send();
   } catch (error) {
-    refused(error);
+    tell($("problem"), error);
   }
 }
 
-async function until(true_) {
-  while (!true_()) await new Promise((resolve) => setTimeout(resolve, 50));
-}
-
-/** A file of Gaussians goes into the store as it is. */
+/** A file of Gaussians goes into the store as it is, with cameras where there are any. */
 async function load(file) {
-  $("understood").replaceChildren(make("p", {}, `Loading ${file.name} …`));
-  const data = new FormData();
+  const mine = turn;
+  say(make("p", {}, `Loading ${file.name} …`));
+  const data = fill(new FormData(), ["near", "far", "opacity", "scales", "rotation"]);
   data.append("file", file, file.name);
+  for (const cameras of [...named(CAMERAS), ...named(ZIP)]) data.append("cameras", cameras, cameras.name);
   try {
     const scene = await askJson("/scenes", { method: "POST", body: data });
+    if (mine !== turn) return false;
     clear();
     await opened(scene.id);
   } catch (error) {
-    refused(error);
+    if (mine !== turn) return false;
+    chosen = chosen.filter((one) => one !== file);
+    discard($("understood"));
+    tell($("problem"), error);
+    state({});
   }
+  return false;
 }
 
-async function send(event) {
-  event.preventDefault();
+async function send() {
   tell($("problem"), null);
-  $("go").disabled = true;
+  state({ running: true });
   try {
     const job = await askJson("/reconstruct", { method: "POST", body: form(), headers: { Prefer: "respond-async" } });
-    history.replaceState(null, "", `/?job=${job.id}`);
+    history.pushState(null, "", `/?job=${job.id}`);
     await attend(job.id);
   } catch (error) {
-    refused(error);
+    tell($("problem"), error);
   } finally {
-    $("go").disabled = chosen.length === 0;
+    state({ running: false });
   }
 }
 
-/** Wait for a job and open its scene. */
+/** Wait for a job and open its scene; the address names the job until it has ended. */
 export async function attend(id) {
+  state({ running: true });
   try {
     await opened(await follow(id));
   } catch (error) {
-    history.replaceState(null, "", "/");
-    refused(error);
+    if (!(error instanceof Refused)) throw error;
+    if (error instanceof Ended) history.replaceState(null, "", "/");
+    tell($("problem"), error);
+  } finally {
+    state({ running: false });
   }
 }

@@ -1,18 +1,6 @@
 // The camera of the view that the service draws: an input's camera, turned about the scene's pivot and moved along its axis.
 
-const add = (a, b, scale = 1) => a.map((value, i) => value + scale * b[i]);
-const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
-const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-const unit = (a) => a.map((value) => value / Math.hypot(...a));
-
-/** Rodrigues: `v` turned by `angle` (radians) about a unit axis. */
-function turned(v, axis, angle) {
-  const cosine = Math.cos(angle), sine = Math.sin(angle);
-  const across = cross(axis, v), along = dot(axis, v);
-  return v.map((value, i) => value * cosine + across[i] * sine + axis[i] * along * (1 - cosine));
-}
-
-const column = (pose, i) => [pose[0][i], pose[1][i], pose[2][i]];
+import { add, column, dot, turned, vertical } from "./vectors.js";
 
 const MOST_UP = (80 * Math.PI) / 180; // nearer to the vertical right and left would change places
 
@@ -21,9 +9,7 @@ export class Orbit {
   constructor(cameras, near, far) {
     this.cameras = cameras;
     this.pivotDepth = Math.sqrt(near * far);
-    const ups = cameras.map((camera) => column(camera.c2w, 1));
-    const up = ups.reduce((sum, one) => add(sum, one), [0, 0, 0]).map((value) => -value);
-    this.up = Math.hypot(...up) > 1e-6 ? unit(up) : column(cameras[0].c2w, 1).map((value) => -value);
+    this.up = vertical(cameras);
     this.reset(0);
   }
 

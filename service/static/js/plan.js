@@ -1,26 +1,16 @@
 // A small plan of the cameras from above: where each stands, where it looks, between which depths.
 
-import { digits, make } from "./dom.js";
+import { colourOf, digits, make } from "./dom.js";
+import { add, column, cross, dot, minus, unit, vertical } from "./vectors.js";
 
 const SIZE = 240;
-const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
-
-export const colourOf = (index) => COLOURS[index % COLOURS.length];
-
-const column = (pose, i) => [pose[0][i], pose[1][i], pose[2][i]];
-const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
-const minus = (a, b, scale = 1) => a.map((value, i) => value - scale * b[i]);
-const unit = (a) => a.map((value) => value / (Math.hypot(...a) || 1));
-
 /** Two axes across the mean up direction: right, and ahead of the first camera. */
 function ground(cameras) {
-  const down = unit(cameras.map((camera) => column(camera.c2w, 1)).reduce((sum, one) => sum.map((value, i) => value + one[i])));
+  const up = vertical(cameras);
   const first = column(cameras[0].c2w, 2);
-  let ahead = minus(first, down, dot(first, down));
-  if (Math.hypot(...ahead) < 1e-6) ahead = column(cameras[0].c2w, 0);
-  ahead = unit(ahead);
-  const right = [down[1] * ahead[2] - down[2] * ahead[1], down[2] * ahead[0] - down[0] * ahead[2], down[0] * ahead[1] - down[1] * ahead[0]];
-  return { right, ahead };
+  const level = add(first, up, -dot(first, up));
+  const ahead = unit(Math.hypot(...level) > 1e-6 ? level : column(cameras[0].c2w, 0));
+  return { right: cross(ahead, up), ahead };
 }
 
 /** An SVG of the frusta between near and far, from above; the first camera looks upwards. */
@@ -32,9 +22,9 @@ export function plan(cameras, near, far) {
     const centre = column(camera.c2w, 3);
     const ray = (u) => {
       const x = (u - camera.cx) / camera.fx;
-      return column(camera.c2w, 2).map((value, i) => value + x * column(camera.c2w, 0)[i]);
+      return add(column(camera.c2w, 2), column(camera.c2w, 0), x);
     };
-    const at = (u, depth) => place(minus(centre, ray(u), -depth));
+    const at = (u, depth) => place(add(centre, ray(u), depth));
     const shown = Math.min(far, 6 * near);
     return { centre: place(centre), corners: [at(0, near), at(0, shown), at(camera.width, shown), at(camera.width, near)] };
   });

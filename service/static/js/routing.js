@@ -1,11 +1,8 @@
 // The routing picture: which expert, or which task, weighs most for each patch of an input.
 
-import { make } from "./dom.js";
+import { colourOf, make, swatch } from "./dom.js";
 
-const EXPERTS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442", "#999999"];
 export const TASKS = ["mean", "opacity", "covariance", "colour"];
-
-const colour = (kind) => EXPERTS[kind % EXPERTS.length];
 
 /** Colours of the patches over the photograph's grey, as a canvas of the view's size. */
 export function routingPicture(digits, camera, photograph, label) {
@@ -21,7 +18,7 @@ export function routingPicture(digits, camera, photograph, label) {
   }
   context.globalAlpha = 0.55;
   kinds.forEach((kind, patch) => {
-    context.fillStyle = colour(kind);
+    context.fillStyle = colourOf(kind);
     context.fillRect((patch % columns) * side, Math.floor(patch / columns) * side, side, side);
   });
   return canvas;
@@ -34,8 +31,6 @@ export function legend(maps, names) {
   return make("ul", { class: "legend" }, ...kinds.map((digit) => {
     const kind = parseInt(digit, 36);
     const share = [...all].filter((one) => one === digit).length / all.length;
-    const swatch = make("svg:svg", { viewBox: "0 0 12 12", width: 12, height: 12, "aria-hidden": "true" });
-    swatch.append(make("svg:rect", { width: 12, height: 12, fill: colour(kind) }));
-    return make("li", {}, swatch, ` ${names ? names[kind] : `expert ${kind}`} ${Math.round(100 * share)} %`);
+    return make("li", {}, swatch(colourOf(kind)), ` ${names ? names[kind] : `expert ${kind}`} ${Math.round(100 * share)} %`);
   }));
 }

@@ -1,17 +1,22 @@
 // The list of stored scenes, newest first, with a small picture of each.
 
 import { ask, askJson, showPicture } from "./api.js";
-import { $, button, count, make } from "./dom.js";
+import { $, button, count, discard, make } from "./dom.js";
 
 const PAGE = 12;
 let next = null;
+let turn = 0; // of lists: a late page of an earlier one is passed over
 let chosen = null;
 let act = {};
 
 /** `open(id)` and `removed(id)` are called for what is chosen and deleted. */
 export function prepareShelf(acts) {
   act = acts;
-  $("more").addEventListener("click", () => list(next));
+  $("more").addEventListener("click", async () => {
+    $("more").disabled = true;
+    await list(next).catch(act.failed);
+    $("more").disabled = false;
+  });
 }
 
 export const markChosen = (id) => {
@@ -21,13 +26,16 @@ export const markChosen = (id) => {
 
 /** The newest scenes anew; returns the id of the first, or null. */
 export async function refreshShelf() {
-  $("scenes").replaceChildren();
+  turn += 1;
   return list(null);
 }
 
 async function list(after) {
+  const mine = turn;
   const query = new URLSearchParams({ limit: String(PAGE), ...(after ? { after } : {}) });
   const page = await askJson(`/scenes?${query}`);
+  if (mine !== turn) return page.scenes[0]?.id ?? null;
+  if (!after) discard($("scenes"));
   next = page.next;
   $("more").hidden = next === null;
   $("scenes").append(...page.scenes.map(item));

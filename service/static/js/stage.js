@@ -1,20 +1,24 @@
-// The large view: drawn by the service while it is dragged, or by WebGL in a frame where both are there.
+// The large view: drawn by the service while it is turned, or by WebGL in a frame where both are there.
 
-import { ask, Refused, showPicture } from "./api.js";
+import { ask, askPicture, Refused } from "./api.js";
 import { $, button, tell } from "./dom.js";
 import { Orbit } from "./orbit.js";
+import { turnBy } from "./turning.js";
 
-const DEGREES_PER_PX = 0.3; // a drag over 300 px turns by a quarter
-const SMALL = 128;          // px, longer side while it moves
-const SETTLE_MS = 150;      // after the last movement the full picture is drawn
-const PATIENCE_MS = 30000;  // for the first picture of the frame
+const SMALL = 128;         // px, longer side while it moves
+const SETTLE_MS = 150;     // after the last movement the full picture is drawn
+const PATIENCE_MS = 30000; // for the first picture of the frame
+const LABELS = {
+  server: "The scene. Drag, or press the arrow keys, to orbit; plus and minus to come nearer and to go back",
+  webgl: "The scene, in an interactive frame",
+};
 
 let scene = null;
 let orbit = null;
 let busy = false;   // one request in flight
 let wanted = null;  // the newest picture that was asked for meanwhile
+let complained = false; // whether the problem on show is one of drawing
 let settle = 0;
-let webgl = false;  // whether the frame can draw
 let mode = "server";
 let frameWait = 0;
 
@@ -36,19 +40,24 @@ export async function prepareStage() {
     try {
       await ask("/viewer");
     } catch (error) {
-      reason = error.status === 404 ? "the service was built without the WebGL viewer" : error.problem.detail;
+      reason = error.status === 404 ? "the service was built without the WebGL viewer" : error.message;
     }
   }
-  webgl = reason === "";
-  $("mode-webgl").disabled = !webgl;
-  $("mode-webgl").title = webgl ? "" : `Not here: ${reason}`;
-  setMode(webgl && !slow ? "webgl" : "server");
+  $("mode-webgl").disabled = reason !== "";
+  note(reason);
+  setMode(reason === "" && !slow ? "webgl" : "server");
+}
+
+/** Why WebGL does not draw. */
+function note(reason) {
+  $("mode-note").textContent = reason ? `Without WebGL: ${reason}.` : "";
 }
 
 function setMode(next) {
   mode = next;
   for (const name of ["webgl", "server"]) $(`mode-${name}`).setAttribute("aria-pressed", String(name === mode));
-  $("channel").disabled = mode === "webgl";
+  for (const id of ["channel", "nearer", "farther"]) $(id).disabled = mode === "webgl";
+  $("stage").setAttribute("aria-label", LABELS[mode]);
   showFrame();
   look(false);
 }
@@ -60,16 +69,17 @@ function showFrame() {
   if (frame.dataset.address !== address) {
     frame.dataset.address = address;
     frame.dataset.drawn = "";
-    frame.src = address;
+    frame.contentWindow.location.replace(address); // `src` would add a step to the page's history
   }
-  frame.hidden = address === "about:blank" || frame.dataset.drawn === "";
-  if (address !== "about:blank" && frame.dataset.drawn === "") frameWait = setTimeout(() => giveUp("it drew nothing in time"), PATIENCE_MS);
+  const waits = address !== "about:blank" && frame.dataset.drawn === "";
+  frame.hidden = address === "about:blank" || waits;
+  if (waits) frameWait = setTimeout(() => giveUp("it drew nothing in time"), PATIENCE_MS);
 }
 
 function giveUp(reason) {
   if (mode !== "webgl") return;
+  note(reason);
   setMode("server");
-  tell($("view-problem"), { title: "WebGL viewer", detail: reason, cure: "the service draws instead" });
 }
 
 window.addEventListener("message", (event) => {
@@ -78,6 +88,7 @@ window.addEventListener("message", (event) => {
     clearTimeout(frameWait);
     $("frame").dataset.drawn = "yes";
     $("frame").hidden = false;
+    note("");
   } else if (event.data.viewer === "failed") {
     giveUp(event.data.reason);
   }
@@ -93,6 +104,13 @@ function pictureOf(small) {
   return `/render?${query}`;
 }
 
+function show(address) {
+  const picture = $("picture");
+  if (picture.src.startsWith("blob:")) URL.revokeObjectURL(picture.src);
+  if (address) picture.src = address;
+  else picture.removeAttribute("src");
+}
+
 async function draw(path, of) {
   if (busy) {
     wanted = [path, of];
@@ -100,11 +118,13 @@ async function draw(path, of) {
   }
   busy = true;
   try {
-    await showPicture($("picture"), path, () => of === scene?.id);
-    tell($("view-problem"), null);
+    const address = await askPicture(path);
+    if (of === scene?.id) show(address);
+    else URL.revokeObjectURL(address); // another scene was chosen meanwhile
+    complain(null);
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    tell($("view-problem"), error.problem);
+    if (of === scene?.id) complain(error);
   } finally {
     busy = false;
   }
@@ -113,22 +133,21 @@ async function draw(path, of) {
   if (next && next[1] === scene?.id) draw(...next);
 }
 
+/** Tell a problem of drawing, or clear it; those of others stay. */
+function complain(error) {
+  if (error || complained) tell($("view-problem"), error);
+  complained = error !== null;
+}
+
 function look(small) {
   if (!scene) return;
+  draw(pictureOf(small), scene.id);
+  if (small) return; // what is read aloud waits until it is still
   const turn = orbit.moved ? `, turned by ${orbit.azimuth.toFixed(0)}° and ${orbit.elevation.toFixed(0)}°` : "";
-  const begin = mode === "webgl" ? "beginning at " : "";
-  const place = `${begin}${scene.file ? "" : "input "}view ${orbit.view}${turn}`;
+  const place = `${mode === "webgl" ? "beginning at " : ""}${scene.file ? "" : "input "}view ${orbit.view}${turn}`;
   const how = mode === "webgl" ? "Drag, pinch or scroll in the picture." : "Drag the picture, or use the arrow keys, to orbit; + and − to come nearer.";
   $("caption").textContent = `${place[0].toUpperCase()}${place.slice(1)}. ${how}`;
   $("picture").alt = `Scene ${scene.id}, ${place}`;
-  draw(pictureOf(small), scene.id);
-}
-
-function move(right, up, factor) {
-  orbit.move(right, up, factor);
-  look(true);
-  clearTimeout(settle);
-  settle = setTimeout(() => look(false), SETTLE_MS);
 }
 
 /** Show a scene document, or nothing. */
@@ -139,7 +158,7 @@ export function showScene(document_) {
   $("controls").hidden = !scene;
   $("empty").hidden = Boolean(scene);
   $("caption").textContent = "";
-  $("picture").removeAttribute("src");
+  show(null);
   tell($("view-problem"), null);
   if (scene) {
     $("stage").style.aspectRatio = `${scene.view_cameras[0].width} / ${scene.view_cameras[0].height}`;
@@ -153,34 +172,21 @@ export function showScene(document_) {
   look(false);
 }
 
-/** The picture on show, for others to compare with: its path. */
-export const shownPicture = () => (scene ? pictureOf(false) : null);
+/** Degrees to the right and upwards, and a factor by which it comes nearer. */
+function move(right, up, factor) {
+  if (!scene || mode === "webgl") return false;
+  orbit.move(right, up, factor);
+  look(true);
+  clearTimeout(settle);
+  settle = setTimeout(() => look(false), SETTLE_MS);
+  return true;
+}
 
+turnBy($("stage"), move);
+$("nearer").addEventListener("click", () => move(0, 0, 1.2));
+$("farther").addEventListener("click", () => move(0, 0, 1 / 1.2));
 $("full").hidden = !document.fullscreenEnabled;
 $("full").addEventListener("click", () => $("stage").requestFullscreen());
 $("mode-webgl").addEventListener("click", () => setMode("webgl"));
 $("mode-server").addEventListener("click", () => setMode("server"));
 $("channel").addEventListener("change", () => look(false));
-$("stage").addEventListener("pointerdown", (event) => {
-  if (!scene || mode === "webgl") return;
-  $("stage").setPointerCapture(event.pointerId);
-  $("stage").classList.add("dragging");
-});
-$("stage").addEventListener("pointermove", (event) => {
-  if (!scene || mode === "webgl" || !event.buttons || !(event.movementX || event.movementY)) return;
-  move(-event.movementX * DEGREES_PER_PX, event.movementY * DEGREES_PER_PX);
-});
-for (const name of ["pointerup", "pointercancel"]) {
-  $("stage").addEventListener(name, () => $("stage").classList.remove("dragging"));
-}
-$("stage").addEventListener("wheel", (event) => {
-  if (!scene || mode === "webgl") return;
-  event.preventDefault();
-  move(0, 0, Math.exp(-event.deltaY * 0.001));
-}, { passive: false });
-$("stage").addEventListener("keydown", (event) => {
-  const step = { ArrowLeft: [-3, 0], ArrowRight: [3, 0], ArrowUp: [0, 3], ArrowDown: [0, -3], "+": [0, 0, 1.1], "-": [0, 0, 1 / 1.1] }[event.key];
-  if (!step || !scene || mode === "webgl") return;
-  event.preventDefault();
-  move(...step);
-});

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import re
 import socket
 import threading
 import time
@@ -90,3 +91,10 @@ def rendered(address: str, **query: str) -> NDArray[np.uint8]:
     answer = httpx.get(f"{address}/render", params=query, timeout=60)
     assert answer.status_code == 200, answer.text
     return decoded(answer.content)
+
+
+def made(page: Any, before: str) -> str:
+    """The id of the scene on show, once it is another one than at the address `before`."""
+    page.wait_for_url(lambda url: url != before and re.search(r"/\?scene=[0-9a-f]{32}$", url))
+    page.wait_for_selector("#picture[src^='blob:']")
+    return page.url.rpartition("=")[2]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import threading
 import zipfile
 from pathlib import Path
@@ -12,8 +11,9 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import pixels_of, rendered, serving, write_scene
+from page_service import made, pixels_of, rendered, serving, write_scene
 from standin_model import METADATA, write_standin
 
 from gapmes.service.formats.registry import FORMATS
@@ -22,17 +22,8 @@ from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.settings import Settings
 
 
-def made(page: Any, before: str) -> str:
-    """The id of the scene on show, once it is another one than at the address `before`."""
-    page.wait_for_url(lambda url: url != before and re.search(r"/\?scene=[0-9a-f]{32}$", url))
-    page.wait_for_selector("#picture[src^='blob:']")
-    return page.url.rpartition("=")[2]
-
-
 def test_sample_end_to_end_with_the_shipped_network(browser: Any, tmp_path: Path) -> None:
     """From one press to a scene that shows what `/render` draws, and everything beside it."""
-    from conftest import Tab
-
     with serving(Settings(store=tmp_path / "scenes", threads=1)) as address:
         tab = Tab(browser, address)
         page = tab.open()
@@ -58,9 +49,7 @@ def test_sample_end_to_end_with_the_shipped_network(browser: Any, tmp_path: Path
         assert "network" in text
         assert page.locator("#about svg.plan").count() == 1
         page.screenshot(path=tmp_path / "sample.png", full_page=True)
-        tab.context.close()
-        assert tab.faults == []
-        assert tab.elsewhere == []
+        tab.done()
 
 
 def test_own_photographs(tab: Any, tmp_path: Path) -> None:
@@ -103,84 +92,6 @@ def test_a_file_of_gaussians_is_shown_as_it_is(tab: Any, tmp_path: Path) -> None
     assert (pixels_of(page, "#picture") == rendered(tab.address, scene=scene, view="0")).all()
     assert pixels_of(page, "#picture").max() > 100
     assert "from a .splat" in page.inner_text(f"li[data-id='{scene}']")
-    (tmp_path / "mesh.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n")
-    page.set_input_files("#files", tmp_path / "mesh.ply")
-    page.wait_for_selector("#problem:has-text('properties are missing')")
-
-
-def bent(change: Any) -> Any:
-    cameras = camera_object(2)
-    change(cameras)
-    return cameras
-
-
-MIRRORED = bent(lambda c: c["views"][1]["c2w"][0].__setitem__(0, -1.0))
-SAME_PLACE = bent(lambda c: c["views"][1].__setitem__("c2w", c["views"][0]["c2w"]))
-SWAPPED = bent(lambda c: c.update(near=10.0, far=1.0))
-FISHEYE = {
-    "camera_model": "OPENCV_FISHEYE",
-    "frames": [{"file_path": "0.png"}, {"file_path": "1.png"}],
-}
-
-
-@pytest.mark.parametrize(
-    ("images", "cameras", "told"),
-    [
-        ([photograph(0), photograph(1)], MIRRORED, r"det\(R\) = -1"),
-        ([photograph(0), photograph(1)], SAME_PLACE, "baseline|same"),
-        ([photograph(0), photograph(1)], SWAPPED, "near = 10, far = 1"),
-        ([photograph(0), photograph(1)], FISHEYE, "FISHEYE"),
-        ([photograph(0), photograph(1)], "{no json", "JSON"),
-        ([photograph(0), photograph(1)], {"views": []}, "views"),
-        ([photograph(0), b"\x89PNG\r\n\x1a\n broken"], camera_object(2), "image"),
-        ([photograph(0), photograph(1), photograph(2)], camera_object(2), "2 cameras for 3 images"),
-        ([photograph(0), photograph(1, 16, 16)], camera_object(2), "16"),
-    ],
-)
-def test_every_refusal_is_shown_with_what_helps(
-    tab: Any, tmp_path: Path, images: list[bytes], cameras: Any, told: str
-) -> None:
-    page = tab.open()
-    page.set_input_files("#files", write_scene(tmp_path, images, cameras))
-    page.wait_for_selector("#problem strong")
-    assert re.search(told, page.inner_text("#problem")), page.inner_text("#problem")
-    assert page.is_disabled("#go")
-    page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
-    if len(images) == 2:  # files of the same names take the place of the wrong ones
-        page.wait_for_selector("#go:not([disabled])")
-        assert page.inner_text("#problem") == ""
-
-
-def test_what_is_missing_is_said(tab: Any, tmp_path: Path) -> None:
-    page = tab.open()
-    files = write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2))
-    page.set_input_files("#files", files[:2])
-    page.wait_for_selector("#understood:has-text('Add their camera file')")
-    page.click("#clear")
-    page.set_input_files("#files", files[1:])
-    page.wait_for_selector("#understood:has-text('1 of 2 to 6 photographs')")
-    page.set_input_files("#files", files[:1])
-    page.wait_for_selector("#go:not([disabled])")
-
-
-def test_sixty_photographs_at_once(tab: Any, tmp_path: Path) -> None:
-    """They are refused by their number, with a way on: the best few of them."""
-    page = tab.open()
-    cameras = camera_object(60)
-    for index, view in enumerate(cameras["views"]):
-        view["image"] = f"{index}.png"
-        view["c2w"][0][3] = 0.05 * index
-    page.set_input_files("#files", write_scene(tmp_path, [photograph(k) for k in range(60)], cameras))
-    page.wait_for_selector("#problem strong")
-    assert "60" in page.inner_text("#problem")
-    assert page.is_disabled("#go")
-    page.select_option("#context", "3")
-    page.wait_for_selector(".cards li >> nth=2")
-    assert page.locator(".cards li").count() == 3
-    before = page.url
-    page.click("#go")
-    scene = made(page, before)
-    assert len(httpx.get(f"{tab.address}/scenes/{scene}").json()["view_cameras"]) == 3
 
 
 def test_a_zip_of_a_capture(tab: Any, tmp_path: Path) -> None:
@@ -199,6 +110,41 @@ def test_a_zip_of_a_capture(tab: Any, tmp_path: Path) -> None:
     page.click("#go")
     scene = made(page, before)
     assert len(httpx.get(f"{tab.address}/scenes/{scene}").json()["view_cameras"]) == 3
+
+
+def test_photographs_with_a_zipped_model_of_their_cameras(tab: Any, tmp_path: Path) -> None:
+    """A COLMAP model comes as a zip beside the photographs."""
+    poses = [(0.0, "0.png"), (-0.2, "1.png")]  # world to camera: the second camera stands 0.2 to the right
+    lines = "".join(f"{k} 1 0 0 0 {x} 0 0 1 {name}\n\n" for k, (x, name) in enumerate(poses, 1))
+    with zipfile.ZipFile(tmp_path / "model.zip", "w") as bundle:
+        bundle.writestr("sparse/0/cameras.txt", "1 PINHOLE 96 72 80 80 48 36\n")
+        bundle.writestr("sparse/0/images.txt", lines)
+        bundle.writestr("sparse/0/points3D.txt", "")
+    photos = write_scene(tmp_path, [photograph(95), photograph(96)], {})[:2]
+    page = tab.open()
+    page.set_input_files("#files", [*photos, tmp_path / "model.zip"])
+    page.wait_for_selector(".cards li >> nth=1")
+    assert page.inner_text("#problem") == ""
+
+
+def test_back_leads_out_of_a_scene_and_starting_over_starts_nothing(tab: Any, tmp_path: Path) -> None:
+    """Steps of the history are scenes; a job is none. "Try the sample", given up, does not send what comes later."""
+    page = tab.open()
+    page.wait_for_load_state("networkidle")
+    first = page.url
+    page.click("#sample")
+    page.click("#clear")
+    page.set_input_files("#files", write_scene(tmp_path, [photograph(97), photograph(98)], camera_object(2)))
+    page.wait_for_selector("#go:not([disabled])")
+    page.wait_for_timeout(500)
+    assert page.url == first
+    page.click("#go")
+    scene = made(page, first)
+    page.wait_for_timeout(500)
+    page.go_back()
+    page.wait_for_url(lambda url: scene not in url and "job" not in url)
+    page.go_forward()
+    page.wait_for_url(lambda url: url.endswith(scene))
 
 
 @pytest.fixture
@@ -223,6 +169,8 @@ def test_reload_in_the_middle_of_a_job(tab: Any, tmp_path: Path, held_network: t
     page.click("#go")
     page.wait_for_selector("#stage-name:has-text('network')")
     assert "/?job=" in page.url
+    assert page.is_disabled("#go")
+    assert page.is_disabled("#sample")
     page.reload()
     page.wait_for_selector("#stage-name:has-text('network')")
     assert page.locator("#stages li").count() >= 2  # cameras and images are told again
@@ -259,14 +207,7 @@ def test_a_scene_is_deleted_once_that_is_confirmed(tab: Any, tmp_path: Path) -> 
     assert page.locator(f"li[data-id='{scene}']").count() == 0
 
 
-def test_a_link_that_leads_nowhere(tab: Any) -> None:
-    page = tab.open(f"/?scene={'0' * 32}")
-    page.wait_for_selector("#view-problem:has-text('no scene')")
-
-
 def test_a_key_is_asked_for_and_goes_with_everything(browser: Any, standin_model: Path, tmp_path: Path) -> None:
-    from conftest import Tab
-
     settings = Settings(model=standin_model, store=tmp_path / "scenes", threads=1, api_key="open sesame")
     with serving(settings) as address:
         tab = Tab(browser, address)
@@ -280,13 +221,10 @@ def test_a_key_is_asked_for_and_goes_with_everything(browser: Any, standin_model
         with page.expect_download() as download:
             page.click("#downloads a:has-text('.ply')")
         assert Path(download.value.path()).read_bytes()[:4] == b"ply\n"
-        tab.context.close()
-        assert tab.faults == []
+        tab.done()
 
 
 def test_the_network_can_be_chosen(browser: Any, standin_model: Path, tmp_path: Path) -> None:
-    from conftest import Tab
-
     other = write_standin(tmp_path / "other.onnx", METADATA | {"preset": "second"})
     models = f"other={other}"
     settings = Settings(model=standin_model, models=models, store=tmp_path / "scenes", threads=1)
@@ -299,4 +237,4 @@ def test_the_network_can_be_chosen(browser: Any, standin_model: Path, tmp_path: 
         page.click("#sample")
         scene = made(page, before)
         assert httpx.get(f"{address}/scenes/{scene}").json()["model"]["preset"] == "second"
-        tab.context.close()
+        tab.done()

@@ -12,7 +12,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from conftest import PHONE, Tab, launched
+from browser_tab import PHONE, Tab, launched
 from http_requests import camera_object, photograph
 from page_service import decoded, pixels_of, rendered, serving, write_scene
 
@@ -145,9 +145,19 @@ def test_webgl_shows_the_same_scene(browser: Any, viewer: None, tmp_path: Path) 
         inner = slice(12, -12)  # without the rounded corners
         error = np.mean((frame[inner, inner] / 255.0 - drawn[inner, inner] / 255.0) ** 2)
         assert -10 * np.log10(error) > NEED_DB
-        tab.context.close()
-        assert tab.faults == []
-        assert tab.elsewhere == []
+        tab.done()
+
+
+def test_a_viewer_that_fails_is_told_and_the_service_draws(tab: Tab, scene: str, viewer: None) -> None:
+    page = tab.open(f"/?scene={scene}")
+    page.route("**/viewer.ply", lambda route: route.fulfill(status=500, json={"title": "Broken", "detail": "no .ply"}))
+    page.click("#mode-webgl")
+    page.wait_for_selector("#mode-server[aria-pressed=true]", timeout=60_000)
+    assert "Without WebGL" in page.inner_text("#mode-note")
+    page.wait_for_selector("#picture[src^='blob:']")
+    settled(page)
+    assert "Without WebGL" in page.inner_text("#mode-note")
+    tab.faults.clear()  # the frame's own: its scene was withheld
 
 
 def test_without_webgl_the_service_draws(playwright: Any, address: str, scene: str) -> None:
@@ -157,7 +167,7 @@ def test_without_webgl_the_service_draws(playwright: Any, address: str, scene: s
         page = tab.open(f"/?scene={scene}")
         page.wait_for_selector("#picture[src^='blob:']")
         assert page.is_disabled("#mode-webgl")
-        assert "no WebGL 2" in page.get_attribute("#mode-webgl", "title")
+        assert "no WebGL 2" in page.inner_text("#mode-note")
         assert (pixels_of(page, "#picture") == rendered(address, scene=scene, view="0")).all()
         assert tab.faults == []
     finally:
@@ -168,8 +178,7 @@ def test_without_webgl_the_service_draws(playwright: Any, address: str, scene: s
 def phone(browser: Any, address: str) -> Iterator[Tab]:
     tab = Tab(browser, address, viewport=PHONE, is_mobile=True, has_touch=True, color_scheme="dark")
     yield tab
-    tab.context.close()
-    assert tab.faults == []
+    tab.done()
 
 
 def test_a_phone_in_the_dark(phone: Tab, scene: str, tmp_path: Path) -> None:
@@ -187,6 +196,41 @@ def test_a_phone_in_the_dark(phone: Tab, scene: str, tmp_path: Path) -> None:
     )
     assert colour is True
     assert min(int(part) for part in re.findall(r"\d+", background)[:3]) > 180  # light letters
+
+
+def test_fingers_turn_and_come_nearer(phone: Tab, scene: str) -> None:
+    """One finger turns both ways and does not scroll the page, two change the distance, and so do the buttons."""
+    page = opened(phone, scene)
+    settled(page)
+    box = page.locator("#stage").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    touch = phone.context.new_cdp_session(page)
+
+    def fingers(kind: str, *places: tuple[float, float]) -> None:
+        points = [{"x": px, "y": py, "id": number} for number, (px, py) in enumerate(places)]
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    before = page.evaluate("scrollY")
+    fingers("touchStart", (x, y))
+    for step in range(1, 11):
+        fingers("touchMove", (x - 3 * step, y + 4 * step))
+    fingers("touchEnd")
+    settled(page)
+    assert "turned by 9° and 12°" in page.inner_text("#caption")
+    assert page.evaluate("scrollY") == before
+    turned_only = pixels_of(page, "#picture")
+    fingers("touchStart", (x - 20, y), (x + 20, y))
+    for step in range(1, 6):
+        fingers("touchMove", (x - 20 - 4 * step, y), (x + 20 + 4 * step, y))
+    fingers("touchEnd")
+    settled(page)
+    nearer = pixels_of(page, "#picture")
+    assert "turned by 9° and 12°" in page.inner_text("#caption")
+    assert np.abs(nearer.astype(int) - turned_only).mean() > 5
+    for _ in range(4):
+        page.tap("#farther")
+    settled(page)
+    assert np.abs(pixels_of(page, "#picture").astype(int) - nearer).mean() > 5
 
 
 def test_everything_can_be_reached_by_keyboard(tab: Tab, scene: str) -> None:

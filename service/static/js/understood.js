@@ -1,0 +1,24 @@
+// What the service understood of photographs and cameras, as cards, a plan and sentences.
+
+import { colourOf, digits, make, swatch } from "./dom.js";
+import { plan } from "./plan.js";
+
+/** Elements for an answer of POST /check. */
+export function understood({ images, near, far, depth_range_source: source, paired_by: by, warnings, selection }) {
+  const chosen = selection.by === "score" ? `${images.length} of ${selection.of} photographs, chosen for their overlap and baselines. ` : "";
+  return [
+    make("ul", { class: "cards" }, ...images.map(card)),
+    plan(images.map((image) => image.camera), near, far),
+    make("p", { role: "status" }, `${chosen}Cameras paired by ${by}. Depth from ${digits(near)} to ${digits(far)} (${source}), in the cameras' units.`),
+    ...warnings.map((warning) => make("p", { class: "warning" }, make("strong", {}, "Note: "), warning.message)),
+  ];
+}
+
+function card({ name, width, height, camera, thumbnail }, index) {
+  const angle = (2 * Math.atan((0.5 * camera.width) / camera.fx) * 180) / Math.PI;
+  const bytes = Uint8Array.from(atob(thumbnail), (letter) => letter.charCodeAt(0));
+  const picture = make("img", { alt: "", src: URL.createObjectURL(new Blob([bytes], { type: "image/jpeg" })) });
+  return make("li", {}, picture,
+    make("p", {}, swatch(colourOf(index)), ` ${index}: ${name}`),
+    make("p", { class: "small" }, `${width} × ${height} px, ${angle.toFixed(0)}° wide`));
+}

@@ -1,0 +1,162 @@
+"""What the page says when something is wrong, and that it goes on from there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from browser_tab import Tab
+from http_requests import camera_object, photograph
+from page_service import made, serving, write_scene
+
+from gapmes.service.settings import Settings
+
+
+def bent(change: Any) -> Any:
+    cameras = camera_object(2)
+    change(cameras)
+    return cameras
+
+
+MIRRORED = bent(lambda c: c["views"][1]["c2w"][0].__setitem__(0, -1.0))
+SAME_PLACE = bent(lambda c: c["views"][1].__setitem__("c2w", c["views"][0]["c2w"]))
+SWAPPED = bent(lambda c: c.update(near=10.0, far=1.0))
+FISHEYE = {
+    "camera_model": "OPENCV_FISHEYE",
+    "frames": [{"file_path": "0.png"}, {"file_path": "1.png"}],
+}
+
+
+@pytest.mark.parametrize(
+    ("images", "cameras", "told"),
+    [
+        ([photograph(0), photograph(1)], MIRRORED, r"det\(R\) = -1"),
+        ([photograph(0), photograph(1)], SAME_PLACE, r"^No baseline"),
+        ([photograph(0), photograph(1)], SWAPPED, "near = 10, far = 1"),
+        ([photograph(0), photograph(1)], FISHEYE, "FISHEYE"),
+        ([photograph(0), photograph(1)], "{no json", "JSON"),
+        ([photograph(0), photograph(1)], {"views": []}, "non-empty list of views"),
+        ([photograph(0), b"\x89PNG\r\n\x1a\n broken"], camera_object(2), r"^Image unreadable \(images 1\)"),
+        ([photograph(0), photograph(1), photograph(2)], camera_object(2), "2 cameras for 3 images"),
+        ([photograph(0), photograph(1, 16, 16)], camera_object(2), r"^Image invalid \(images 1\).*16"),
+    ],
+)
+def test_every_refusal_is_shown_with_what_helps(
+    tab: Any, tmp_path: Path, images: list[bytes], cameras: Any, told: str
+) -> None:
+    page = tab.open()
+    page.set_input_files("#files", write_scene(tmp_path, images, cameras))
+    page.wait_for_selector("#problem strong")
+    assert re.search(told, page.inner_text("#problem")), page.inner_text("#problem")
+    assert page.is_disabled("#go")
+    page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
+    if len(images) == 2:  # files of the same names take the place of the wrong ones
+        page.wait_for_selector("#go:not([disabled])")
+        assert page.inner_text("#problem") == ""
+
+
+def test_what_is_missing_is_said(tab: Any, tmp_path: Path) -> None:
+    page = tab.open()
+    files = write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2))
+    page.set_input_files("#files", files[:2])
+    page.wait_for_selector("#understood:has-text('Add their camera file')")
+    page.click("#clear")
+    page.set_input_files("#files", files[1:])
+    page.wait_for_selector("#understood:has-text('1 of 2 to 6 photographs')")
+    page.set_input_files("#files", files[:1])
+    page.wait_for_selector("#go:not([disabled])")
+
+
+def test_sixty_photographs_at_once(tab: Any, tmp_path: Path) -> None:
+    """They are refused by their number, with a way on: the best few of them."""
+    page = tab.open()
+    cameras = camera_object(60)
+    for index, view in enumerate(cameras["views"]):
+        view["image"] = f"{index}.png"
+        view["c2w"][0][3] = 0.05 * index
+    page.set_input_files("#files", write_scene(tmp_path, [photograph(k) for k in range(60)], cameras))
+    page.wait_for_selector("#problem strong")
+    assert "60" in page.inner_text("#problem")
+    assert page.is_disabled("#go")
+    page.select_option("#context", "3")
+    page.wait_for_selector(".cards li >> nth=2")
+    assert page.locator(".cards li").count() == 3
+    before = page.url
+    page.click("#go")
+    scene = made(page, before)
+    assert len(httpx.get(f"{tab.address}/scenes/{scene}").json()["view_cameras"]) == 3
+
+
+def test_a_link_that_leads_nowhere(tab: Any) -> None:
+    page = tab.open(f"/?scene={'0' * 32}")
+    page.wait_for_selector("#view-problem:has-text('no scene')")
+
+
+def test_a_refused_file_of_gaussians_leaves_the_way_free(tab: Any, tmp_path: Path) -> None:
+    page = tab.open()
+    mesh = tmp_path / "mesh.ply"
+    mesh.write_bytes(b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n")
+    page.set_input_files("#files", mesh)
+    page.wait_for_selector("#problem:has-text('properties are missing')")
+    assert "Loading" not in page.inner_text("#understood")
+    page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
+    page.wait_for_selector("#go:not([disabled])")
+    assert page.inner_text("#problem") == ""
+    page.set_input_files("#files", mesh)
+    page.wait_for_selector("#problem:has-text('2 photographs beside mesh.ply')")
+    assert page.is_disabled("#go")
+
+
+def test_more_than_can_be_sent_one_by_one(tab: Any, tmp_path: Path) -> None:
+    page = tab.open()
+    page.set_input_files("#files", write_scene(tmp_path, [photograph(0)] * 61, camera_object(61)))
+    page.wait_for_selector("#problem:has-text('one zip')")
+    assert page.is_disabled("#go")
+
+
+def test_a_wrong_key_is_told_and_asked_for_again(browser: Any, standin_model: Path, tmp_path: Path) -> None:
+    settings = Settings(model=standin_model, store=tmp_path / "scenes", threads=1, api_key="open sesame")
+    with serving(settings) as address:
+        tab = Tab(browser, address)
+        page = tab.open()
+        for key in ("wrong", "open sesame"):
+            page.wait_for_selector("#view-problem:has-text('needs a key')")
+            page.fill("#key", key)
+            page.click("#key-form button")
+        page.wait_for_selector("#view-problem:empty", state="attached")
+        assert page.is_hidden("#key-form")
+        tab.done()
+
+
+def test_with_a_full_disk_scenes_can_still_be_seen(browser: Any, standin_model: Path, tmp_path: Path) -> None:
+    """The service is not ready then, which the page says, and shows what there is."""
+    settings = Settings(model=standin_model, store=tmp_path / "scenes", threads=1)
+    with serving(settings) as address:
+        tab = Tab(browser, address)
+        full = {"title": "Storage full", "status": 507, "detail": "the disk is full", "code": "storage_full"}
+        tab.page.route("**/readyz", lambda route: route.fulfill(status=507, json=full))
+        tab.page.goto(address)
+        tab.page.wait_for_selector("#state:has-text('the disk is full')")
+        tab.page.wait_for_selector("#mode-server[aria-pressed=true], #mode-webgl[aria-pressed=true]")
+        tab.page.wait_for_selector("#model option", state="attached")
+        tab.done()
+
+
+def test_a_picture_that_is_refused_is_told_until_one_comes(tab: Any, tmp_path: Path) -> None:
+    page = tab.open()
+    page.set_input_files("#files", write_scene(tmp_path, [photograph(90), photograph(91)], camera_object(2)))
+    page.wait_for_selector("#go:not([disabled])")
+    before = page.url
+    page.click("#go")
+    made(page, before)
+    page.click("#mode-server")
+    busy = {"title": "Service busy", "status": 503, "detail": "32 pictures wait", "code": "service_busy"}
+    page.route("**/render*", lambda route: route.fulfill(status=503, json=busy))
+    page.click("#views button >> nth=1")
+    page.wait_for_selector("#view-problem:has-text('32 pictures wait')")
+    page.unroute("**/render*")
+    page.click("#views button >> nth=0")
+    page.wait_for_selector("#view-problem:empty", state="attached")
