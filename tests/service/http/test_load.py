@@ -194,6 +194,11 @@ def test_forms_that_are_none(client: TestClient) -> None:
     assert_problem(client.post("/scenes", files=[("file", (None, "text"))]), 422, "invalid_input", "file")
     twice = [("file", ("a.ply", data)), ("file", ("b.ply", data))]
     assert_problem(client.post("/scenes", files=twice), 422, "invalid_input", "file")
+    flood = [("file", (f"{index}.ply", b"")) for index in range(70)]
+    assert (
+        "more than 64 files, need one"
+        in assert_problem(client.post("/scenes", files=flood), 422, "invalid_input", "file")["detail"]
+    )
     assert_problem(load_form(client, data, axes="xyz"), 422, "parameter_invalid", "axes")
     assert_problem(load_form(client, data, colour="red"), 422, "parameter_invalid", "colour")
     assert_problem(load_form(client, data, cameras={"views": []}), 422, "camera_invalid")
