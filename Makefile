@@ -4,11 +4,12 @@
 # splatter with a plain renderer (ARGS=--quick), `make compare-viewer` its pictures with those of a viewer (needs npm and
 # Chromium). `make load` asks a service for pictures while it reconstructs (ARGS="--minutes 10"). `make image` builds the
 # container image, `make image-check` builds one and uses it as production would, `make lock` pins anew what goes into it.
-# All keep their environment in .venv and reuse it until pyproject.toml changes. pip's own settings apply, for example
+# All keep their environment in .venv and reuse it until pyproject.toml, setup.py or the viewer's lock change. pip's own settings apply, for example
 # PIP_EXTRA_INDEX_URL for an index that has the CPU build of torch.
 
 PYTHON ?= python3
 BIN := .venv/bin
+BUILT_FROM := pyproject.toml setup.py service/viewer/package-lock.json
 .PHONY: demo test evaluate report bench-splat compare-viewer load image image-check lock clean
 
 demo: .venv/.runtime
@@ -48,11 +49,11 @@ lock: .venv/.dev
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "gapmes needs Python 3.11 or newer; set PYTHON=")'
 	$(PYTHON) -m venv .venv
 
-.venv/.runtime: pyproject.toml | .venv/bin/python
+.venv/.runtime: $(BUILT_FROM) | .venv/bin/python
 	$(BIN)/python -m pip install --quiet --editable .
 	@touch $@
 
-.venv/.dev: pyproject.toml | .venv/bin/python
+.venv/.dev: $(BUILT_FROM) | .venv/bin/python
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	@touch .venv/.runtime $@
 

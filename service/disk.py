@@ -1,9 +1,10 @@
-"""Files that survive a power cut, and a full disk that is refused by name."""
+"""Files that survive a power cut, or take the place of others when they are whole; a full disk refused by name."""
 
 from __future__ import annotations
 
 import errno
 import os
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,31 @@ def write_file(path: Path, data: bytes) -> None:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A path beside `path` for the block to write: what is there takes the place of `path`, or goes if the block fails.
+
+    Of a link it is the file behind it that is replaced.
+    """
+    path = path.resolve()
+    part = path.with_name(f".gapmes-{secrets.token_hex(8)}")
+    try:
+        yield part
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def replace_file(path: Path, data: bytes) -> None:
+    """Write a file, new or in the place of another, which stays whole until then; a pipe or device is written to."""
+    if path.exists() and not path.is_file():
+        path.write_bytes(data)
+        return
+    with replacing(path) as part:
+        write_file(part, data)
 
 
 def sync(path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import GifImagePlugin, Image
 
+from .disk import replacing
 from .errors import InputError
 
 FilmFormat = Literal["webp", "gif", "mp4"]
@@ -69,16 +69,11 @@ def write_film(path: Path, shape: FilmShape, frames: Iterable[Pixels]) -> None:
 
     One frame is held at a time; a WebP or MP4 encoder keeps what it has compressed.
     """
-    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        counted = _counted(frames, shape)
+    counted = _counted(frames, shape)
+    with replacing(path) as part:
         WRITERS[shape.format](part, shape, counted)
         for _ in counted:  # counts what a writer that knows their number has left
             pass
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 def times_ms(shape: FilmShape, unit: int) -> list[int]:

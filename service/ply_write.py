@@ -9,6 +9,7 @@ from typing import BinaryIO, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .disk import replace_file
 from .errors import PlyError
 from .gaussians import Gaussians
 
@@ -25,10 +26,10 @@ POSITION_TOLERANCE = 1 / 8
 
 
 def write_ply(target: str | PathLike[str] | BinaryIO, gaussians: Gaussians, *, positions: Positions = "auto") -> None:
-    """Write to a path or an open binary file; see `ply_bytes`."""
+    """Write to a path, whose file is replaced when the new one is whole, or to an open binary file; see `ply_bytes`."""
     data = ply_bytes(gaussians, positions=positions)
     if isinstance(target, str | PathLike):
-        Path(target).write_bytes(data)
+        replace_file(Path(target), data)
     else:
         target.write(data)
 

@@ -15,16 +15,15 @@ from .budget import Budget
 from .camera import Camera
 from .depth_range import DepthRange, depth_range
 from .depth_sweep import narrowed
-from .distortion import Lens, pinhole_window
 from .document import scene_document
 from .engine import Arrays, Engine
 from .errors import CameraError, ViewCountError
+from .fitting import fitted
 from .foretold import DEFAULT_OTHERS, checked_others, nearest_others
 from .gaussians import Gaussians
-from .images import EncodedPhoto, FittedView, Photo, fit_view, match_photo
+from .images import EncodedPhoto, FittedView, Photo
 from .left_out import leave_out, table
-from .masks import check_kept, kept_rows, patch_mask
-from .model_info import ModelInfo
+from .masks import kept_rows, patch_mask
 from .photo_checks import check_photos
 from .pose_notices import pose_notices
 from .progress import Listener, Stages, silent
@@ -32,7 +31,6 @@ from .scene_views import SceneViews
 from .self_check import ambiguous_routes, drawn_again, from_others, self_check
 from .splat import render
 from .stride import thinned
-from .undistort import undistorted
 from .view_checks import MIN_VIEWS, Notice, check_count, check_views
 from .world_frame import WorldFrame
 
@@ -102,7 +100,7 @@ class Reconstructor:
         with stages.stage("images", len(images) + 1) as done:
             views: list[FittedView] = []
             for index, (image, camera) in enumerate(zip(images, cameras, strict=True)):
-                view, notices = _fitted(image, camera, index, info)
+                view, notices = fitted(image, camera, index, info)
                 views.append(view)
                 warnings += notices
                 done(index + 1)
@@ -192,41 +190,3 @@ def _as_cameras(cameras: Sequence[Camera], images: int) -> tuple[Camera, ...]:
         if not isinstance(camera, Camera):
             raise CameraError(f"is a {type(camera).__name__}", field="cameras", index=index, cure="use Camera.make")
     return tuple(cameras)
-
-
-def _fitted(
-    image: NDArray[np.uint8] | Photo | EncodedPhoto, camera: Camera, index: int, info: ModelInfo
-) -> tuple[FittedView, list[Notice]]:
-    """One photograph on the network's grid; at full size it lives in here only."""
-    if isinstance(image, EncodedPhoto):
-        photo = image.decode(index=index)
-    else:
-        photo = image if isinstance(image, Photo) else Photo.from_array(image, index=index)
-    if isinstance(image, EncodedPhoto) and image.lens is not None:
-        photo, notices = undistorted(photo, image.lens, index=index), [_lens_notice(image.lens, index)]
-    else:
-        notices = _photo_notices(photo, camera, index)
-    view = fit_view(*match_photo(photo, camera, index=index), info.height, info.width)
-    check_kept(view, index)
-    return view, notices
-
-
-def _lens_notice(lens: Lens, index: int) -> Notice:
-    """The photograph is not what the network saw: how much it was bent, and what is left of it."""
-    window = pinhole_window(lens)
-    message = (
-        f"the lens moves points by up to {lens.largest_shift():.3g} px: resampled to a pinhole of {window.width} x "
-        f"{window.height} px, which holds {window.kept_share:.1%} of the photograph's pixels"
-    )
-    return {"code": "undistorted", "field": "images", "index": index, "message": message}
-
-
-def _photo_notices(photo: Photo, camera: Camera, index: int) -> list[Notice]:
-    """EXIF says turned, but the camera has the stored size: the pixels are left as stored, which is worth knowing."""
-    if photo.orientation == 1 or abs(photo.width / photo.height - camera.width / camera.height) > 0.01:
-        return []
-    message = (
-        f"EXIF orientation {photo.orientation} is not applied: the camera has the stored size "
-        f"{camera.width} x {camera.height}"
-    )
-    return [{"code": "exif_orientation_ignored", "field": "images", "index": index, "message": message}]

@@ -17,12 +17,11 @@ HALF = 0.5  # of a pixel's weight in the mask keeps it
 def undistorted(photo: Photo, lens: Lens, *, index: int | None = None) -> Photo:
     """What the pinhole of `pinhole_window(lens)` shows of the photograph, bilinear, at its resolution or below.
 
-    The photograph may have another resolution than `lens` and may be turned, as for `match_photo`. Under a mask colours
-    are weighted by it. Raises `ImageError` where sizes do not fit and `IntrinsicsError` where there is no such pinhole.
+    The photograph is matched with the lens as by `match_lens`. Under a mask colours are weighted by it. Raises
+    `ImageError` where sizes do not fit and `IntrinsicsError` where there is no such pinhole.
     """
     window = pinhole_window(lens)
-    raw = Camera.make(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, np.eye(4), index=index)
-    photo, _ = match_photo(photo, raw, index=index)
+    photo = match_lens(photo, lens, index=index)
     shrink = min(1.0, MAX_SIDE / (max(window.width, window.height) * photo.width / lens.width))
     if shrink < 1.0:
         photo = resized(photo, max(1, round(photo.width * shrink)), max(1, round(photo.height * shrink)))
@@ -45,6 +44,13 @@ def undistorted(photo: Photo, lens: Lens, *, index: int | None = None) -> Photo:
         colours = _between(photo.rgb * weights, column, row) / np.maximum(weight, HALF)
         rgb[rows] = np.where(mask[rows, :, None], _levels(colours), 0)
     return Photo(rgb, mask, photo.orientation)
+
+
+def match_lens(photo: Photo, lens: Lens, *, index: int | None = None) -> Photo:
+    """The photograph on the pixel grid of its lens: it may have another resolution or be turned,
+    as for `match_photo`. Raises `ImageError`."""
+    raw = Camera.make(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, np.eye(4), index=index)
+    return match_photo(photo, raw, index=index)[0]
 
 
 def _between(values: NDArray, column: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -48,11 +48,14 @@ class ZipFiles:
         self._max_bytes = max_bytes
         self._read = 0
         try:
-            _check_directory(stream)
+            count = _check_directory(stream)
             self._zip = zipfile.ZipFile(stream)
             infos = self._zip.infolist()
+            if len(infos) != count:
+                raise zipfile.BadZipFile(f"{len(infos)} files were read of its list of {count}")
         except _DAMAGED as error:
-            raise CaptureError(f"is not a readable zip: {error}", field="capture") from error
+            cure = "zip the photographs and cameras anew"
+            raise CaptureError(f"is not a readable zip: {error}", field="capture", cure=cure) from error
         self._infos: dict[str, zipfile.ZipInfo] = {}
         self._folders: dict[str, set[str]] = {"": set()}
         self._files: dict[str, set[str]] = {"": set()}
@@ -146,8 +149,13 @@ def _refusal(info: zipfile.ZipInfo) -> str | None:
     return None
 
 
-def _check_directory(stream: BinaryIO) -> None:
-    """Bound the archive's list of files by what its last record says of it, before the list is read."""
+def _check_directory(stream: BinaryIO) -> int:
+    """How many files the archive's list has, bounded and counted before `zipfile` makes an object of each.
+
+    What the last record says must be what is there, so that no other reader can find another list: `zipfile` takes the
+    zip64 record directly before the locator, and the list directly before the last record, wherever they say they are.
+    Raises `BadZipFile` and `CaptureError`.
+    """
     size = stream.seek(0, io.SEEK_END)
     start = max(0, size - _LONGEST_END)
     stream.seek(start)
@@ -155,19 +163,38 @@ def _check_directory(stream: BinaryIO) -> None:
     place = tail.rfind(_END)
     if place < 0 or len(tail) < place + 22:
         raise zipfile.BadZipFile("it has no list of files at its end; is it complete?")
-    count, bytes_ = struct.unpack_from("<HI", tail, place + 10)
-    locator = start + place - 20
-    if locator >= 0:
-        stream.seek(locator)
-        record = stream.read(20)
-        if record[:4] == _LOCATOR64:
-            stream.seek(min(struct.unpack_from("<Q", record, 8)[0], size))
-            record = stream.read(56)
-            if len(record) < 56 or record[:4] != _END64:
-                raise zipfile.BadZipFile("its zip64 record is not where it should be")
-            count, bytes_ = struct.unpack_from("<QQ", record, 32)
+    count, bytes_, offset = struct.unpack_from("<HII", tail, place + 10)
+    end = start + place
+    stream.seek(max(0, end - 20))
+    locator = stream.read(20)
+    if locator[:4] == _LOCATOR64:
+        end -= 20 + 56
+        said = struct.unpack_from("<Q", locator, 8)[0]
+        stream.seek(max(0, end))
+        record = stream.read(56)
+        if said != end or record[:4] != _END64:
+            raise zipfile.BadZipFile(
+                f"its zip64 record is not where it should be: at byte {end}, its locator says {said}"
+            )
+        count, bytes_, offset = struct.unpack_from("<QQQ", record, 32)
     if count > MAX_MEMBERS:
         raise CaptureError(f"holds {count} files, the limit is {MAX_MEMBERS}", field="capture")
     if bytes_ > MAX_DIRECTORY:
         raise CaptureError(f"its list of files has {bytes_} bytes, the limit is {MAX_DIRECTORY}", field="capture")
+    if offset != end - bytes_:
+        raise zipfile.BadZipFile(f"its list of files starts at byte {end - bytes_}, its last record says {offset}")
+    stream.seek(offset)
+    found = _entries(stream.read(bytes_))
+    if found != count:
+        raise zipfile.BadZipFile(f"its list has {found} files, its last record says {count}")
     stream.seek(0)
+    return count
+
+
+def _entries(directory: bytes) -> int:
+    """How many entries follow each other in a list of files (APPNOTE 4.3.12). Raises `struct.error` for half a one."""
+    count = place = 0
+    while place < len(directory):
+        place += 46 + sum(struct.unpack_from("<3H", directory, place + 28))  # its name, extra field and comment
+        count += 1
+    return count

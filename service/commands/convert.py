@@ -42,6 +42,7 @@ def convert(
 ) -> None:
     """Convert Gaussians between formats; says their count, the bytes, what was lost, and the PSNR of pictures."""
     from ..captures.capture import read_camera_file
+    from ..disk import replace_file
     from ..errors import InputError
     from ..formats.cost import picture_psnr
     from ..formats.dialect import STANDARD, Dialect
@@ -68,7 +69,7 @@ def convert(
             with stages.stage("measure", len(shots)) as step:
                 kept = target.read(encoded.data, STANDARD, False, None).gaussians
                 values = picture_psnr(gaussians, kept, shots, views.near_plane, threads=threads, step=step)
-        output.write_bytes(encoded.data)
+        replace_file(output, encoded.data)
     warnings = [*reading.notes(), *encoded.notes]
     before = source.stat().st_size
     bars.say(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..camera_path import PathName, loop
+from ..disk import replace_file
 from ..effort import Effort, draw
 from ..errors import InputError
 from ..film import FILM_FORMATS, FilmFormat, FilmShape, check_film, write_film
@@ -94,7 +95,7 @@ def write_pictures(drawing: Drawing, folder: Path, depth_scale: float | None, st
         for spec, camera in zip(drawing.specs, drawing.shots, strict=True):
             picture = encode(drawing.draw(camera), drawing.channel, depth_scale=depth_scale)
             path = folder / f"view_{spec.replace(':', '_')}.png"
-            path.write_bytes(picture.data)
+            replace_file(path, picture.data)
             entry = {"view": spec, "file": str(path), "width": camera.width, "height": camera.height}
             if picture.depth is not None:
                 entry |= {"depth_range": (picture.depth.low, picture.depth.high)}
@@ -130,5 +131,5 @@ def write_sheet(drawing: Drawing, output: Path, stages: Stages) -> dict[str, Any
             cells.append(Cell(drawing.draw(within(camera, CELL)).rgb8(), f"view {spec}"))
             step(len(cells))
     sheet = contact_sheet(rows_of("Views", cells))
-    output.write_bytes(encode_image(sheet, SHEET_FORMATS[output.suffix.lower()]))
+    replace_file(output, encode_image(sheet, SHEET_FORMATS[output.suffix.lower()]))
     return {"file": str(output), "views": list(drawing.specs), "width": sheet.width, "height": sheet.height}

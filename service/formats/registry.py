@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
+from ..disk import replace_file
 from ..errors import InputError
 from ..gaussians import Gaussians
 from ..ply_format import parse_header
@@ -115,8 +116,11 @@ def read_gaussians(source: Source, *, format: str | None = None, dialect: Dialec
 
 
 def write_gaussians(path: str | PathLike[str], gaussians: Gaussians, *, format: str | None = None) -> Encoded:
-    """Write a file in the format that its name ends in, or in `format`; returns it with what it could not hold."""
+    """Write a file in the format that its name ends in, or in `format`; returns it with what it could not hold.
+
+    One that is there is replaced when the new one is whole.
+    """
     chosen = format_of_path(path, field="path") if format is None else format_named(format)
     encoded = chosen.write(gaussians)
-    Path(path).write_bytes(encoded.data)
+    replace_file(Path(path), encoded.data)
     return encoded

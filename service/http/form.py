@@ -10,6 +10,7 @@ from ..foretold import DEFAULT_OTHERS
 from ..model_names import DEFAULT
 from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
+from .posted import MAX_IMAGES
 
 # Two cameras side by side that look along z.
 CAMERAS = (
@@ -23,7 +24,12 @@ FORM: dict[str, Any] = {
     "type": "object",
     "anyOf": [{"required": ["images", "cameras"]}, {"required": ["capture"]}],
     "properties": {
-        "images": {"type": "array", "items": {"type": "string", "format": "binary"}, "minItems": 2},
+        "images": {
+            "type": "array",
+            "items": {"type": "string", "format": "binary"},
+            "minItems": MIN_VIEWS,
+            "maxItems": MAX_IMAGES,
+        },
         "cameras": {
             "type": "string",
             "description": "cameras.json, transforms.json or a RealEstate10K text, as a field or as a file part;"

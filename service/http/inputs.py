@@ -19,7 +19,7 @@ from ..view_checks import check_count
 from .limits import parse_json
 from .pairing import NamedImage, Pairing, PostedSizes, pair
 
-MAX_FRAMES = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
+MAX_LISTED_VIEWS = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
 UNPACKED = 8  # times the largest body that a zip may unpack to; photographs do not shrink, models do by some 3
 
 
@@ -43,7 +43,7 @@ def posted(
 ) -> Inputs:
     """Of `images` parts and a `cameras` part of any format; `near` and `far` win over those of the file."""
     table = camera_table(document, settings)
-    _check_frames(table, "cameras")
+    _check_listed(table, "cameras")
     file = table.parse(range(len(table.names)), PostedSizes(images, settings.max_image_pixels))
     pairing = pair(images, file.views, by_sorted_name=table.by_sorted_name)
     names = [image.name for image in images]
@@ -69,7 +69,7 @@ def captured(stream: BinaryIO, wish: Wish, settings: Settings, near: float | Non
         raise CaptureError("is not a zip", field="capture", cure="zip the photographs with their camera file")
     files = ZipFiles(stream, max_bytes=UNPACKED * settings.max_upload_bytes)
     capture = Capture.of(files, max_pixels=settings.max_image_pixels)
-    _check_frames(capture.table, "capture")
+    _check_listed(capture.table, "capture")
     found = capture.choose(wish, near, far)
     check_count(len(found.indices))
     images = [NamedImage(path, found.read(place)) for place, path in enumerate(found.paths)]
@@ -92,10 +92,10 @@ def camera_table(document: str | bytes, settings: Settings) -> CameraTable:
         raise
 
 
-def _check_frames(table: CameraTable, field: str) -> None:
-    if len(table.names) > MAX_FRAMES:
+def _check_listed(table: CameraTable, field: str) -> None:
+    if len(table.names) > MAX_LISTED_VIEWS:
         raise InputError(
-            f"has {len(table.names)} views, the limit is {MAX_FRAMES}",
+            f"has {len(table.names)} views, the limit is {MAX_LISTED_VIEWS}",
             field=field,
             cure="send the cameras of the posted images alone",
         )

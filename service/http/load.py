@@ -19,7 +19,7 @@ from ..loaded_scene import LoadedFile, load
 from ..settings import Settings
 from .form import CAMERAS
 from .inputs import camera_table
-from .posted import FORM, in_time, media_type, posted_form, single, text
+from .posted import FORM, MAX_PARTS, in_time, media_type, posted_form, single, text
 from .responses import json_response, server_timing
 from .runtime import Runtime, runtime_of
 from .scenes import with_links
@@ -27,7 +27,7 @@ from .schemas import FormatName, SceneDocument
 
 router = APIRouter(tags=["scenes"])
 
-MAX_VIEWS = 100  # of a loaded scene: each is a link in every list
+MAX_LOADED_VIEWS = 100  # of a loaded scene: each is a link in every list
 EXAMPLE = "curl -F file=@scene.splat, or curl --data-binary @scene.ply -H 'Content-Type: application/octet-stream'"
 
 
@@ -83,7 +83,8 @@ async def load_scene(
             if request.query_params:
                 field = next(iter(request.query_params))[:100]
                 raise InputError("is in the query beside a form", field=field, cure="make it a field of the form")
-            async with posted_form(request, settings, EXAMPLE) as form:
+            too_many = InputError(f"more than {MAX_PARTS} files, need one", field="file", cure=EXAMPLE)
+            async with posted_form(request, settings, EXAMPLE, too_many) as form:
                 file = await _of_form(form, settings)
         elif kind == MEDIA_TYPE:
             with in_time(settings):
@@ -132,8 +133,8 @@ def _checked(texts: Mapping[str, str]) -> LoadFields:
 
 def _cameras(document: str | bytes, settings: Settings) -> CameraFile:
     table = camera_table(document, settings)
-    if len(table.names) > MAX_VIEWS:
-        raise InputError(f"has {len(table.names)} views, the limit is {MAX_VIEWS}", field="cameras")
+    if len(table.names) > MAX_LOADED_VIEWS:
+        raise InputError(f"has {len(table.names)} views, the limit is {MAX_LOADED_VIEWS}", field="cameras")
     return table.parse(range(len(table.names)), None)
 
 

@@ -15,7 +15,9 @@ from ..errors import InputError, MalformedRequest, UnsupportedMediaType, UploadT
 from ..settings import Settings
 
 FORM = "multipart/form-data"
-MAX_PARTS = 64  # far above what a valid request has, so that one image too many is told from a flood
+MAX_IMAGES = 60  # of a request, of which 6 at most are used; a capture may hold more
+MAX_PARTS = MAX_IMAGES + 4  # files, and as many fields; beyond it no more of a body is read
+_TOO_MANY_FILES = "Too many files"  # how the framework's parser begins to say so; it has no other sign
 
 
 def media_type(request: Request) -> str:
@@ -24,10 +26,12 @@ def media_type(request: Request) -> str:
 
 
 @asynccontextmanager
-async def posted_form(request: Request, settings: Settings, example: str) -> AsyncIterator[FormData]:
+async def posted_form(
+    request: Request, settings: Settings, example: str, too_many: InputError
+) -> AsyncIterator[FormData]:
     """The form of a request, whose files go with the block; raises our own errors, never a framework's.
 
-    `example` is a command line that sends such a form.
+    `example` is a command line that sends such a form, `too_many` what is raised for more than `MAX_PARTS` files.
     """
     if media_type(request) != FORM:
         declared = request.headers.get("content-type", "")
@@ -40,6 +44,8 @@ async def posted_form(request: Request, settings: Settings, example: str) -> Asy
                 max_files=MAX_PARTS, max_fields=MAX_PARTS, max_part_size=settings.max_upload_bytes
             )
     except HTTPException as error:
+        if error.detail.startswith(_TOO_MANY_FILES):
+            raise too_many from error
         raise MalformedRequest(f"the multipart body cannot be read: {error.detail}", field="body") from error
     except UnicodeError as error:
         raise MalformedRequest("names are not in the body's declared charset", field="body") from error

@@ -110,7 +110,10 @@ async def preview(request: Request, scene_id: str, query: Annotated[PreviewQuery
     },
 )
 async def sheet(request: Request, scene_id: str, query: Annotated[SheetQuery, Query()], runtime: Held) -> Response:
-    """Draw the scene from the cameras of its inputs, side by side, each with how like the photograph it is."""
+    """Draw the scene from the cameras of its inputs, side by side, each with how like the photograph it is.
+
+    A scene that was loaded from a file has no photographs, and its pictures no such number.
+    """
 
     def asked() -> tuple[dict[str, Any], Colour, str]:
         document = runtime.store.document(scene_id)
@@ -119,14 +122,16 @@ async def sheet(request: Request, scene_id: str, query: Annotated[SheetQuery, Qu
     runtime.models  # noqa: B018  refuses until the kernels are warm
     document, background, etag = await anyio.to_thread.run_sync(asked)
     views = SceneViews.of_document(document)
-    scores = [view["psnr"] for view in document["check"]["input_views"]]
+    check = document.get("check")  # a loaded scene has none
+    title = "Inputs, drawn again" if check else "Views"
+    scores = [view["psnr"] for view in check["input_views"]] if check else [None] * len(views.cameras)
 
     def work(sitting: Sitting) -> bytes:
         cells = []
         for index, (camera, score) in enumerate(zip(views.cameras, scores, strict=True)):
             like = "" if score is None else f"   {score:.1f} dB PSNR"  # nothing to compare: its mask keeps nothing
             cells.append(Cell(sitting.pixels(within(camera, CELL)), f"view {index}{like}"))
-        return encode_image(contact_sheet(rows_of("Inputs, drawn again", cells)), query.format)
+        return encode_image(contact_sheet(rows_of(title, cells)), query.format)
 
     begin = partial(Sitting, runtime, scene_id, views, background)
     return await _answer(request, runtime, etag, f"image/{query.format}", begin, work)

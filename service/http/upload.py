@@ -28,10 +28,11 @@ from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
 from .inputs import Inputs, captured, posted
 from .pairing import NamedImage, Pairing
-from .posted import MAX_PARTS, posted_form
+from .posted import MAX_IMAGES, MAX_PARTS, posted_form
 from .posted import single as _single
 from .posted import text as _text
 
+MAX_ASKED_VIEWS = 64  # in `views`: each is drawn, or a link
 _Otherwise = TypeVar("_Otherwise", int, None)
 FIELDS = (
     "images",
@@ -87,7 +88,7 @@ async def read_upload(request: Request, settings: Settings, models: Sequence[str
     What takes long, parsing the cameras and reading sizes, runs on a worker thread.
     """
     example = "curl -F images=@a.jpg -F images=@b.jpg -F cameras=@cameras.json"
-    async with posted_form(request, settings, example) as form:
+    async with posted_form(request, settings, example, _too_many(f"more than {MAX_PARTS} files")) as form:
         return await _parse(form, settings, models)
 
 
@@ -146,6 +147,8 @@ async def _inputs(form: FormData, settings: Settings, wish: Wish, near: float | 
 
 async def _images(form: FormData, wish: Wish) -> list[NamedImage]:
     parts = form.getlist("images")
+    if len(parts) > MAX_IMAGES:
+        raise _too_many(f"{len(parts)} images")
     files = []
     for index, part in enumerate(parts):
         if not isinstance(part, UploadFile):
@@ -163,6 +166,11 @@ async def _images(form: FormData, wish: Wish) -> list[NamedImage]:
             else "of more, say with `context` how many to choose or with `select` which; or send a `capture`",
         )
     return [NamedImage(_encodable(file.filename or ""), await file.read()) for file in files]
+
+
+def _too_many(what: str) -> ViewCountError:
+    cure = "send a `capture`: one zip of the photographs and their cameras"
+    return ViewCountError(f"{what}, need at most {MAX_IMAGES} images", field="images", cure=cure)
 
 
 def _encodable(name: str) -> str:
@@ -220,6 +228,6 @@ def _flag(form: FormData, name: str) -> bool:
 def _views(form: FormData) -> tuple[str, ...]:
     text = _text(form, "views")
     views = tuple(view.strip() for view in text.split(",")) if text else ()
-    if len(views) > MAX_PARTS:
-        raise InputError(f"{len(views)} views, need at most {MAX_PARTS}", field="views")
+    if len(views) > MAX_ASKED_VIEWS:
+        raise InputError(f"{len(views)} views, need at most {MAX_ASKED_VIEWS}", field="views")
     return views

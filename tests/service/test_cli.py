@@ -351,6 +351,26 @@ def test_render_tells_what_it_did_not_take_as_it_was(
     assert precision.startswith("positions are float32 numbers far from the origin")
 
 
+@pytest.mark.parametrize(
+    ("shell", "words"),
+    [
+        ("bash", "complete -o default -F _gapmes_completion gapmes"),
+        ("zsh", "compdef _gapmes_completion gapmes"),
+        ("fish", "complete --command gapmes"),
+        ("pwsh", "-Native -CommandName gapmes"),
+    ],
+)
+def test_a_shell_gets_a_script_that_completes_this_command(shell: str, words: str) -> None:
+    """`--show-completion` asks which process it was called from; this variable of typer's lets it be told."""
+    told = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
+    command = [sys.executable, "-c", "import sys; sys.argv[0] = 'gapmes'; from gapmes.service.cli import main; main()"]
+    command += ["--show-completion", shell]
+    done = subprocess.run(command, env=os.environ | told, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done
+    assert words in done.stdout
+    assert "_GAPMES_COMPLETE" in done.stdout
+
+
 def test_shells_complete_commands_and_options() -> None:
     """As a shell asks: with the words so far in the environment."""
     for words, expected in (("gapmes re", {"reconstruct", "render"}), ("gapmes doctor --mo", {"--model"})):

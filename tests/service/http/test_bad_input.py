@@ -64,9 +64,29 @@ def test_wrong_number_of_images(client: TestClient, count: int) -> None:
     assert body["cure"]
 
 
-def test_far_too_many_parts(client: TestClient) -> None:
-    images = [photograph(0, 32, 32)] * 100
-    assert_problem(post(client, images, camera_object(2)), 400, "malformed_request", "body")
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [(61, "61 images, need at most 60 images"), (70, "more than 64 files, need at most 60 images")],
+)
+@pytest.mark.parametrize("choice", [{}, {"context": "3"}])
+def test_far_too_many_images(client: TestClient, count: int, words: str, choice: dict[str, str]) -> None:
+    """Counted by us, or, where there are more, by the parser, which reads no further."""
+    images = [photograph(0, 32, 32)] * count
+    body = assert_problem(post(client, images, camera_object(2), **choice), 422, "view_count", "images")
+    assert body["detail"] == words
+    assert body["cure"].startswith("send a `capture`: one zip")
+
+
+def test_as_many_images_as_may_be_chosen_from(client: TestClient) -> None:
+    """Of 60, which is not too many, the cameras are two."""
+    images = [photograph(0, 32, 32)] * 60
+    body = assert_problem(post(client, images, camera_object(2), context="3"), 422, "view_count", "cameras")
+    assert body["detail"] == "2 cameras for 60 images"
+
+
+def test_far_too_many_views(client: TestClient) -> None:
+    body = assert_problem(post(client, views=",".join(["0"] * 65)), 422, "invalid_input", "views")
+    assert body["detail"] == "65 views, need at most 64"
 
 
 def test_images_without_cameras(client: TestClient) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 
 import numpy as np
 import pytest
@@ -16,8 +17,6 @@ from gapmes.service.settings import Settings
 
 
 def checked(client: TestClient, images: list[bytes], cameras: object) -> object:
-    import json
-
     parts = [("images", (f"{index}.png", data, "image/png")) for index, data in enumerate(images)]
     return client.post("/check", files=[*parts, ("cameras", ("cameras.json", json.dumps(cameras).encode()))])
 
@@ -60,15 +59,67 @@ def test_a_photograph_that_cannot_be_decoded_is_named(client: TestClient) -> Non
     assert_problem(checked(client, [photograph(5), broken], camera_object(2)), 415, "image_unreadable", index=1)
 
 
+def masked(seed: int, kept: slice, size: tuple[int, int] = (96, 72)) -> bytes:
+    """A photograph of which these columns are opaque."""
+    picture = Image.open(io.BytesIO(photograph(seed, *size))).convert("RGBA")
+    alpha = np.zeros(size[::-1], np.uint8)
+    alpha[:, kept] = 255
+    picture.putalpha(Image.fromarray(alpha))
+    buffer = io.BytesIO()
+    picture.save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def transforms_form(images: list[bytes], size: tuple[int, int], **lens: float) -> list:
+    """The cameras of `camera_object` as a transforms.json, which may tell of a lens, with the images as parts."""
+    intrinsics = {"w": size[0], "h": size[1], "fl_x": 80.0, "fl_y": 80.0, "cx": size[0] / 2, "cy": size[1] / 2}
+    frames = [
+        {"file_path": f"{index}.png", "transform_matrix": (np.array(view["c2w"]) @ np.diag([1, -1, -1, 1])).tolist()}
+        for index, view in enumerate(camera_object(len(images))["views"])
+    ]
+    document = json.dumps({**intrinsics, **lens, "frames": frames})
+    parts = [("images", (f"{index}.png", data, "image/png")) for index, data in enumerate(images)]
+    return [*parts, ("cameras", (None, document)), ("near", (None, "1")), ("far", (None, "10"))]
+
+
+@pytest.mark.parametrize("lens", [{}, {"k1": -0.05}])
+@pytest.mark.parametrize(
+    ("second", "size", "words"),
+    [
+        (photograph(6, 72, 96), (96, 72), "the photograph is 72 x 96 px, its camera 96 x 72 px: the aspects differ"),
+        (photograph(6, 96, 96), (96, 72), "the photograph is 96 x 96 px, its camera 96 x 72 px: the aspects differ"),
+        (photograph(6, 24, 18), (96, 72), "is 24 x 18 px, need at least 32 x 32"),
+        (masked(6, slice(0, 0)), (96, 72), "the mask leaves no pixel"),
+        (masked(6, slice(0, 30), (200, 72)), (200, 72), "the mask keeps 0 of 64 x 48 px of the centre crop"),
+    ],
+)
+def test_photographs_are_refused_as_a_reconstruction_refuses_them(
+    client: TestClient, second: bytes, size: tuple[int, int], words: str, lens: dict[str, float]
+) -> None:
+    """With the same words, through a lens that bends rays too."""
+    parts = transforms_form([photograph(5, *size), second], size, **lens)
+    asked, done = (
+        assert_problem(client.post(route, files=parts), 422, "image_invalid", "images", 1)
+        for route in ("/check", "/reconstruct")
+    )
+    assert words in asked["detail"]
+    assert asked == done
+
+
+@pytest.mark.parametrize("second", [photograph(14), masked(14, slice(20, 70))])
+def test_it_warns_of_photographs_as_a_reconstruction_does(client: TestClient, second: bytes) -> None:
+    parts = transforms_form([photograph(13), second], (96, 72), k1=-0.05)
+    asked, done = (client.post(route, files=parts).json()["warnings"] for route in ("/check", "/reconstruct"))
+    told = [warning for warning in asked if warning["code"] == "undistorted"]
+    assert [warning["index"] for warning in told] == [0, 1]
+    assert all(warning in done for warning in told)
+
+
 @pytest.fixture(scope="module")
 def scene(client: TestClient) -> dict:
     from http_requests import post
 
-    masked = Image.open(io.BytesIO(photograph(8))).convert("RGBA")
-    masked.putalpha(Image.fromarray(np.where(np.arange(96) < 48, 255, 0).astype(np.uint8)[None].repeat(72, 0)))
-    buffer = io.BytesIO()
-    masked.save(buffer, "PNG")
-    answer = post(client, [photograph(7), buffer.getvalue()])
+    answer = post(client, [photograph(7), masked(8, slice(0, 48))])
     assert answer.status_code in (200, 201), answer.text
     return answer.json()
 

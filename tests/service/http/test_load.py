@@ -16,10 +16,12 @@ from ply_cases import binary_file, columns
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
+from gapmes.service.contact_sheet import Row, contact_sheet
 from gapmes.service.default_framing import default_views
 from gapmes.service.formats.dialect import STANDARD
 from gapmes.service.formats.registry import FORMATS
 from gapmes.service.gaussians import Gaussians
+from gapmes.service.http import preview
 from gapmes.service.http.schemas import FormatName
 from gapmes.service.ply import inspect_ply, ply_bytes
 from gapmes.service.settings import Settings
@@ -86,6 +88,36 @@ def test_it_is_drawn_orbited_and_deleted(client: TestClient, settings: Settings)
     assert client.get("/render", params={"view": "0"}).headers["x-gapmes-scene"] == scene["id"]  # the newest
     assert client.delete(scene["links"]["self"]).status_code == 204
     assert stored(settings) == before
+
+
+def links_of(found: Any) -> Iterator[str]:
+    """Every link of a document, however deep."""
+    if isinstance(found, str):
+        yield found
+    else:
+        for link in found.values() if isinstance(found, dict) else found:
+            yield from links_of(link)
+
+
+@pytest.mark.parametrize("views", [0, 3])
+def test_every_link_leads_somewhere(client: TestClient, views: int) -> None:
+    """With the default framing, and with cameras of its own."""
+    scene = load_form(client, file_of("ply", 7), cameras=camera_object(views) if views else None).json()
+    assert set(scene["links"]) == {"self", "ply", "files", "preview", "sheet", "views"}
+    for link in links_of(scene["links"]):
+        answer = client.get(link)
+        assert answer.status_code == 200, (link, answer.text)
+        assert answer.content
+
+
+def test_a_sheet_of_a_loaded_scene_has_no_scores(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There are no photographs to compare with: neither the title nor a label speaks of them."""
+    drawn: list[Row] = []
+    monkeypatch.setattr(preview, "contact_sheet", lambda rows: (drawn.extend(rows), contact_sheet(rows))[1])
+    scene = load_form(client, file_of("ply", 8), cameras=camera_object(2)).json()
+    assert client.get(scene["links"]["sheet"]).status_code == 200
+    [row] = drawn
+    assert (row.title, [cell.label for cell in row.cells]) == ("Views", ["view 0", "view 1"])
 
 
 def test_cameras_and_depths_may_be_given(client: TestClient) -> None:
@@ -162,6 +194,11 @@ def test_forms_that_are_none(client: TestClient) -> None:
     assert_problem(client.post("/scenes", files=[("file", (None, "text"))]), 422, "invalid_input", "file")
     twice = [("file", ("a.ply", data)), ("file", ("b.ply", data))]
     assert_problem(client.post("/scenes", files=twice), 422, "invalid_input", "file")
+    flood = [("file", (f"{index}.ply", b"")) for index in range(70)]
+    assert (
+        "more than 64 files, need one"
+        in assert_problem(client.post("/scenes", files=flood), 422, "invalid_input", "file")["detail"]
+    )
     assert_problem(load_form(client, data, axes="xyz"), 422, "parameter_invalid", "axes")
     assert_problem(load_form(client, data, colour="red"), 422, "parameter_invalid", "colour")
     assert_problem(load_form(client, data, cameras={"views": []}), 422, "camera_invalid")

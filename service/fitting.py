@@ -1,0 +1,75 @@
+"""One photograph on the network's grid: resampled to a pinhole, matched with its camera, cropped; and what to tell."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .distortion import Lens, pinhole_window
+from .images import EncodedPhoto, FittedView, Photo, fit_view, match_photo
+from .masks import check_kept
+from .model_info import ModelInfo
+from .undistort import match_lens, undistorted
+from .view_checks import Notice
+
+
+def fitted(
+    image: NDArray[np.uint8] | Photo | EncodedPhoto, camera: Camera, index: int, info: ModelInfo
+) -> tuple[FittedView, list[Notice]]:
+    """The photograph of view `index` as the network of `info` sees it, and the warnings that belong to it.
+
+    At full size it lives in here only. Raises `ImageError` where it is none, too small, of another shape than its
+    camera, or its mask keeps nothing of the crop.
+    """
+    if isinstance(image, EncodedPhoto):
+        return _fitted(image.decode(index=index), camera, image.lens, index, info)
+    photo = image if isinstance(image, Photo) else Photo.from_array(image, index=index)
+    return _fitted(photo, camera, None, index, info)
+
+
+def fit_notices(photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo) -> list[Notice]:
+    """The warnings and refusals of `fitted`, without the resampling of a photograph that has no mask."""
+    if photo.mask is not None:
+        return _fitted(photo, camera, lens, index, info)[1]
+    if lens is None:
+        match_photo(photo, camera, index=index)
+    else:
+        match_lens(photo, lens, index=index)
+    return _notices(photo, camera, lens, index)
+
+
+def _fitted(
+    photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo
+) -> tuple[FittedView, list[Notice]]:
+    notices = _notices(photo, camera, lens, index)
+    if lens is not None:
+        photo = undistorted(photo, lens, index=index)
+    view = fit_view(*match_photo(photo, camera, index=index), info.height, info.width)
+    check_kept(view, index)
+    return view, notices
+
+
+def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> list[Notice]:
+    return _photo_notices(photo, camera, index) if lens is None else [_lens_notice(lens, index)]
+
+
+def _lens_notice(lens: Lens, index: int) -> Notice:
+    """The photograph is not what the network saw: how much it was bent, and what is left of it."""
+    window = pinhole_window(lens)
+    message = (
+        f"the lens moves points by up to {lens.largest_shift():.3g} px: resampled to a pinhole of {window.width} x "
+        f"{window.height} px, which holds {window.kept_share:.1%} of the photograph's pixels"
+    )
+    return {"code": "undistorted", "field": "images", "index": index, "message": message}
+
+
+def _photo_notices(photo: Photo, camera: Camera, index: int) -> list[Notice]:
+    """EXIF says turned, but the camera has the stored size: the pixels are left as stored, which is worth knowing."""
+    if photo.orientation == 1 or abs(photo.width / photo.height - camera.width / camera.height) > 0.01:
+        return []
+    message = (
+        f"EXIF orientation {photo.orientation} is not applied: the camera has the stored size "
+        f"{camera.width} x {camera.height}"
+    )
+    return [{"code": "exif_orientation_ignored", "field": "images", "index": index, "message": message}]

@@ -1,0 +1,126 @@
+"""Files that take the place of others: whole or not at all, also where IN is OUT and the disk is full."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from capture_scenes import arc, write_cameras_json
+from test_cli import run
+from test_pruning import cloud
+
+from gapmes.service import write_gaussians, write_ply
+from gapmes.service.disk import replace_file, replacing
+
+LIMIT = 500  # bytes; below every file that is written here
+
+
+@contextmanager
+def full_disk() -> Iterator[None]:
+    """The system itself refuses every write beyond `LIMIT` bytes of a file."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder, hidden ones too."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "bytes": lambda path: replace_file(path, bytes(2000)),
+    "ply": lambda path: write_ply(path, cloud(60, 1, degree=0)),
+    "splat": lambda path: write_gaussians(path, cloud(60, 1, degree=0), format="splat"),
+}
+
+
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+@pytest.mark.parametrize("before", [{}, {"file": b"as it was"}])
+def test_a_write_that_fails_changes_nothing(
+    tmp_path: Path, write: Callable[[Path], object], before: dict[str, bytes]
+) -> None:
+    for name, data in before.items():
+        (tmp_path / name).write_bytes(data)
+    with full_disk(), pytest.raises(OSError, match="large") as failure:
+        write(tmp_path / "file")
+    assert failure.value.errno == errno.EFBIG
+    assert contents(tmp_path) == before
+    write(tmp_path / "file")
+    assert list(contents(tmp_path)) == ["file"]
+    assert (tmp_path / "file").stat().st_size > LIMIT
+
+
+def test_what_is_raised_inside_ends_it(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"as it was")
+
+    def interrupted() -> None:
+        with replacing(tmp_path / "file") as part:
+            part.write_bytes(b"half of")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert contents(tmp_path) == {"file": b"as it was"}
+
+
+def test_a_link_stays_one_and_a_long_name_is_no_trouble(tmp_path: Path) -> None:
+    file = tmp_path / ("n" * 255)
+    link = tmp_path / "link"
+    link.symlink_to(file)
+    replace_file(link, b"new")
+    assert link.is_symlink()
+    assert file.read_bytes() == b"new"
+
+
+def test_a_pipe_is_written_to(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    found: list[bytes] = []
+    reader = threading.Thread(target=lambda: found.append((tmp_path / "pipe").read_bytes()))
+    reader.start()
+    replace_file(tmp_path / "pipe", b"through")
+    reader.join(10)
+    assert found == [b"through"]
+    assert (tmp_path / "pipe").is_fifo()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_cameras_json(tmp_path, arc(2))
+    write_ply(tmp_path / "scene.ply", cloud(300, 3, degree=0))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("convert", "scene.ply", "scene.ply", "--measure", "off"),
+        ("convert", "scene.ply", "scene.splat", "--measure", "off"),
+        ("render", "scene.ply", "--cameras", "cameras.json", "-o", "pictures"),
+        ("render", "scene.ply", "--cameras", "cameras.json", "-o", "sheet.png", "--sheet"),
+        ("render", "scene.ply", "--cameras", "cameras.json", "-o", "film.gif", "--seconds", "0.2", "--fps", "10"),
+        ("reconstruct", ".", "-o", "scene.ply", "--near", "2", "--far", "8", "--trust-poses"),
+    ],
+    ids=lambda arguments: f"{arguments[0]}-{arguments[2] if arguments[0] == 'convert' else arguments[-1]}",
+)
+def test_commands_on_a_full_disk_lose_nothing(
+    folder: Path, standin_model: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(folder)
+    more = ("--model", standin_model) if arguments[0] == "reconstruct" else ()
+    assert run(*arguments, *more, "-q", "--threads", 1) == 0  # kernels are compiled, and there is something to lose
+    before = contents(folder)
+    with full_disk():
+        assert run(*arguments, *more, "-q", "--threads", 1) == 1
+    assert capfd.readouterr().err == "error: [Errno 27] File too large\n"
+    assert contents(folder) == before
