@@ -124,3 +124,4 @@ prepareShelf({ open, removed, failed });
 await awaitReady();
 await prepareStage();
 await unlocked();
+$("main").setAttribute("aria-busy", "false");

@@ -47,4 +47,5 @@ class Tab:
     def open(self, path: str = "/") -> Any:
         self.page.goto(self.address + path)
         self.page.wait_for_selector("#state:has-text('Network')")
+        self.page.wait_for_selector("#main[aria-busy=false]")
         return self.page

@@ -130,7 +130,6 @@ def test_photographs_with_a_zipped_model_of_their_cameras(tab: Any, tmp_path: Pa
 def test_back_leads_out_of_a_scene_and_starting_over_starts_nothing(tab: Any, tmp_path: Path) -> None:
     """Steps of the history are scenes; a job is none. "Try the sample", given up, does not send what comes later."""
     page = tab.open()
-    page.wait_for_load_state("networkidle")
     first = page.url
     page.click("#sample")
     page.click("#clear")
