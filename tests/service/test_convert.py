@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_runs import run
 from PIL import Image
 from ply_cases import assert_same, binary_file, columns
-from test_cli import run
 from test_ply_dialects import foreign, linear_opacity, scene
 
 from gapmes.service import inspect_ply, read_gaussians, write_ply

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from capture_scenes import arc, write_cameras_json
-from test_cli import run
+from cli_runs import run
 from test_pruning import cloud
 
 from gapmes.service import write_gaussians, write_ply

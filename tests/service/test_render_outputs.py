@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli_runs import assert_refusal, run
 from PIL import Image, ImageSequence
-from test_cli import assert_refusal, run
 from test_film import decoded, planes
 from test_pruning import cloud
 from typer.main import get_command
