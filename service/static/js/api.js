@@ -13,7 +13,7 @@ export class Refused extends Error {
 
 export const setKey = (key) => sessionStorage.setItem(KEY, key);
 
-export const hasKey = () => sessionStorage.getItem(KEY) !== null;
+const hasKey = () => sessionStorage.getItem(KEY) !== null;
 
 /** A response that is well; otherwise `Refused`. */
 export async function ask(path, { method = "GET", headers = {}, body, signal } = {}) {

@@ -1,6 +1,6 @@
 // The page's beginning: what the address asks for, and who tells whom.
 
-import { ask, askJson, Refused, setKey } from "./api.js";
+import { askJson, Refused, setKey } from "./api.js";
 import { showAbout } from "./about.js";
 import { $, tell } from "./dom.js";
 import { attend, prepareMaking, prepareModels } from "./making.js";

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,6 @@ from browser_tab import CHROMIUM, Tab, launched
 from page_service import serving
 
 from gapmes.service.settings import Settings
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "http"))  # the requests that those tests send
 
 
 @pytest.fixture(scope="session")

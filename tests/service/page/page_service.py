@@ -17,6 +17,7 @@ from typing import Any
 import httpx
 import numpy as np
 import uvicorn
+from http_requests import camera_object, photograph
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -62,6 +63,12 @@ def write_scene(folder: Path, images: list[bytes], cameras: Any) -> list[Path]:
     paths.append(folder / "cameras.json")
     paths[-1].write_text(cameras if isinstance(cameras, str) else json.dumps(cameras))
     return paths
+
+
+def choose_two(page: Any, folder: Path, *, seed: int) -> None:
+    """Two photographs that fit their cameras are chosen, and may be reconstructed."""
+    page.set_input_files("#files", write_scene(folder, [photograph(seed), photograph(seed + 1)], camera_object(2)))
+    page.wait_for_selector("#go:not([disabled])")
 
 
 def pixels_of(page: Any, selector: str) -> NDArray[np.uint8]:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import made, pixels_of, rendered, serving, write_scene
+from page_service import choose_two, made, pixels_of, rendered, serving, write_scene
 from standin_model import METADATA, write_standin
 
 from gapmes.service.formats.registry import FORMATS
@@ -136,8 +136,7 @@ def test_back_leads_out_of_a_scene_and_starting_over_starts_nothing(tab: Any, tm
     with page.expect_request("**/check"):
         page.click("#sample")
     page.click("#clear")
-    page.set_input_files("#files", write_scene(tmp_path, [photograph(97), photograph(98)], camera_object(2)))
-    page.wait_for_selector("#go:not([disabled])")
+    choose_two(page, tmp_path, seed=97)
     held[0].continue_()  # the answer for the sample comes late
     page.wait_for_timeout(1000)
     assert page.url == first
@@ -166,8 +165,7 @@ def held_network(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_reload_in_the_middle_of_a_job(tab: Any, tmp_path: Path, held_network: threading.Event) -> None:
     page = tab.open()
-    page.set_input_files("#files", write_scene(tmp_path, [photograph(30), photograph(31)], camera_object(2)))
-    page.wait_for_selector("#go:not([disabled])")
+    choose_two(page, tmp_path, seed=30)
     before = page.url
     page.click("#go")
     page.wait_for_selector("#stage-name:has-text('network')")
@@ -184,8 +182,7 @@ def test_reload_in_the_middle_of_a_job(tab: Any, tmp_path: Path, held_network: t
 
 def test_a_job_can_be_cancelled(tab: Any, tmp_path: Path, held_network: threading.Event) -> None:
     page = tab.open()
-    page.set_input_files("#files", write_scene(tmp_path, [photograph(40), photograph(41)], camera_object(2)))
-    page.wait_for_selector("#go:not([disabled])")
+    choose_two(page, tmp_path, seed=40)
     page.click("#go")
     page.wait_for_selector("#stage-name:has-text('network')")
     page.click("#cancel")
@@ -195,8 +192,7 @@ def test_a_job_can_be_cancelled(tab: Any, tmp_path: Path, held_network: threadin
 
 def test_a_scene_is_deleted_once_that_is_confirmed(tab: Any, tmp_path: Path) -> None:
     page = tab.open()
-    page.set_input_files("#files", write_scene(tmp_path, [photograph(50), photograph(51)], camera_object(2)))
-    page.wait_for_selector("#go:not([disabled])")
+    choose_two(page, tmp_path, seed=50)
     before = page.url
     page.click("#go")
     scene = made(page, before)

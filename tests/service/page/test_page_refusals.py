@@ -10,7 +10,7 @@ import httpx
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import made, serving, write_scene
+from page_service import choose_two, made, serving, write_scene
 
 from gapmes.service.settings import Settings
 
@@ -102,8 +102,7 @@ def test_a_refused_file_of_gaussians_leaves_the_way_free(tab: Any, tmp_path: Pat
     page.set_input_files("#files", mesh)
     page.wait_for_selector("#problem:has-text('properties are missing')")
     assert "Loading" not in page.inner_text("#understood")
-    page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
-    page.wait_for_selector("#go:not([disabled])")
+    choose_two(page, tmp_path, seed=0)
     assert page.inner_text("#problem") == ""
     page.set_input_files("#files", mesh)
     page.wait_for_selector("#problem:has-text('2 photographs beside mesh.ply')")
@@ -147,8 +146,7 @@ def test_with_a_full_disk_scenes_can_still_be_seen(browser: Any, standin_model: 
 
 def test_a_picture_that_is_refused_is_told_until_one_comes(tab: Any, tmp_path: Path) -> None:
     page = tab.open()
-    page.set_input_files("#files", write_scene(tmp_path, [photograph(90), photograph(91)], camera_object(2)))
-    page.wait_for_selector("#go:not([disabled])")
+    choose_two(page, tmp_path, seed=90)
     before = page.url
     page.click("#go")
     made(page, before)
