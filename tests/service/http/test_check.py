@@ -34,7 +34,7 @@ def test_it_tells_what_was_understood_and_keeps_nothing(client: TestClient, sett
     assert first["camera"]["c2w"] == np.eye(4).tolist()
     small = Image.open(io.BytesIO(base64.b64decode(first["thumbnail"])))
     truth = Image.open(io.BytesIO(photo)).convert("RGB").resize(small.size)
-    assert np.abs(np.asarray(small, float) - np.asarray(truth, float)).mean() < 20  # a JPEG of random blocks
+    assert np.abs(np.asarray(small, float) - np.asarray(truth, float)).mean() < 12  # measured 9.7: a JPEG of blocks
     assert stored(settings) == before
 
 
@@ -131,7 +131,7 @@ def test_inputs_are_what_the_network_saw(client: TestClient, scene: dict) -> Non
     assert [picture.mode for picture in pictures] == ["RGB", "RGBA"]
     assert pictures[0].size == (64, 48)
     truth = Image.open(io.BytesIO(photograph(7))).convert("RGB").resize((64, 48), Image.Resampling.BOX)
-    assert np.abs(np.asarray(pictures[0], float) - np.asarray(truth, float)).mean() < 10
+    assert np.abs(np.asarray(pictures[0], float) - np.asarray(truth, float)).mean() < 10  # measured 8.5: another filter
     alpha = np.asarray(pictures[1])[:, :, 3]
     assert (alpha[:, :30] == 255).all()
     assert (alpha[:, 34:] == 0).all()
