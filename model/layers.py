@@ -6,9 +6,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from .normalisation import GroupNorm
 
-def group_norm(channels: int) -> nn.GroupNorm:
-    return nn.GroupNorm(8 if channels % 8 == 0 else 4, channels)
+
+def group_norm(channels: int) -> GroupNorm:
+    return GroupNorm(8 if channels % 8 == 0 else 4, channels)
 
 
 class ResidualBlock(nn.Module):

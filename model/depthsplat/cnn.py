@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from ..normalisation import InstanceNorm
 from .config import CNN_CHANNELS, FEATURES
 
 
@@ -15,10 +16,10 @@ class ResidualBlock(nn.Module):
         super().__init__()
         self.conv1 = nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1, bias=False)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1, bias=False)
-        self.norm = nn.InstanceNorm2d(outputs)
+        self.norm = InstanceNorm(outputs)
         self.downsample = None
         if stride != 1 or inputs != outputs:
-            self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride=stride), nn.InstanceNorm2d(outputs))
+            self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride=stride), InstanceNorm(outputs))
 
     def forward(self, x: Tensor) -> Tensor:
         y = F.relu(self.norm(self.conv1(x)))
@@ -33,7 +34,7 @@ class CnnEncoder(nn.Module):
         super().__init__()
         first, second, third = CNN_CHANNELS
         self.conv1 = nn.Conv2d(3, first, 7, stride=2, padding=3, bias=False)
-        self.norm = nn.InstanceNorm2d(first)
+        self.norm = InstanceNorm(first)
         self.layer1 = nn.Sequential(ResidualBlock(first, first), ResidualBlock(first, first))
         self.layer2 = nn.Sequential(ResidualBlock(first, second), ResidualBlock(second, second))
         self.layer3 = nn.Sequential(ResidualBlock(second, third, stride=2), ResidualBlock(third, third))

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from ..cost_volume import Views
 from ..layers import softmax_of_channels
+from ..normalisation import GroupNorm
 from ..vit_parts import normalised_for_vit
 from .cnn import CnnEncoder
 from .config import CNN_CHANNELS, DEPTH_HEAD, FEATURES, PLANES, VITS, DepthSplatConfig
@@ -57,7 +58,7 @@ class MultiViewDepth(nn.Module):
                 nn.ModuleList(
                     [
                         nn.Conv2d(inputs, width, 3, padding=1),
-                        nn.GroupNorm(GROUPS, width),
+                        GroupNorm(GROUPS, width),
                         nn.GELU(),
                         UNet(width, UNET_LEVELS + scale),
                         nn.Conv2d(width, width, 3, padding=1),

@@ -6,6 +6,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from ..normalisation import GroupNorm
+
 GROUPS = 8
 HEAD_CHANNELS = 32
 
@@ -15,12 +17,10 @@ class ResBlock(nn.Module):
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.in_layers = nn.Sequential(
-            nn.GroupNorm(GROUPS, inputs), nn.SiLU(), nn.Conv2d(inputs, outputs, 3, padding=1)
-        )
+        self.in_layers = nn.Sequential(GroupNorm(GROUPS, inputs), nn.SiLU(), nn.Conv2d(inputs, outputs, 3, padding=1))
         # the place of the dropout, which has no weights, is kept: the layout numbers it
         self.out_layers = nn.Sequential(
-            nn.GroupNorm(GROUPS, outputs), nn.SiLU(), nn.Identity(), nn.Conv2d(outputs, outputs, 3, padding=1)
+            GroupNorm(GROUPS, outputs), nn.SiLU(), nn.Identity(), nn.Conv2d(outputs, outputs, 3, padding=1)
         )
         self.skip_connection = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
 
@@ -34,7 +34,7 @@ class CrossViewAttention(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.heads = channels // HEAD_CHANNELS
-        self.norm = nn.GroupNorm(GROUPS, channels)
+        self.norm = GroupNorm(GROUPS, channels)
         self.qkv = nn.Conv1d(channels, 3 * channels, 1)
         self.proj_out = nn.Conv1d(channels, channels, 1)
 
@@ -98,7 +98,7 @@ class UNet(nn.Module):
                 if second and level > 0:
                     block.append(Up(channels))
                 self.output_blocks.append(block)
-        self.out = nn.Sequential(nn.GroupNorm(GROUPS, channels), nn.SiLU(), nn.Conv2d(channels, channels, 3, padding=1))
+        self.out = nn.Sequential(GroupNorm(GROUPS, channels), nn.SiLU(), nn.Conv2d(channels, channels, 3, padding=1))
 
     @staticmethod
     def _level(inputs: int, outputs: int, *, attention: bool) -> nn.ModuleList:

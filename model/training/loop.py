@@ -88,12 +88,13 @@ def _run(
             log.info("%s: %s of %s, sha256 %s", part, report.recognised, report.path, report.sha256)
             log.info("%s: %d tensors used, left out: %s", part, len(report.used), report.left_out or "none")
     model = model.to(device).train()
-    average = copy.deepcopy(model).requires_grad_(False)
+    frozen = [p for p in model.parameters() if not p.requires_grad]
+    average = copy.deepcopy(model, {id(p): p for p in frozen}).requires_grad_(False)  # shares what does not change
     compute_coarsely(model)
     trained = [p for p in model.parameters() if p.requires_grad]
     optimiser = torch.optim.AdamW(trained, lr=recipe.learning_rate, betas=(0.9, 0.98), weight_decay=recipe.weight_decay)
     identity = {"config": config.to_json(), "recipe": json.dumps(asdict(recipe), sort_keys=True)}
-    if RECORD in model.provenance:  # the frozen parts are in the state too: other weights are another run
+    if RECORD in model.provenance:  # the frozen parts are not in the state: other weights are another run
         identity["backbones"] = model.provenance[RECORD]
     start, seconds = restore_state(folder, identity, model, average, optimiser)
     if worker.leads:
@@ -175,7 +176,8 @@ def _step(
 @torch.no_grad()
 def _average(average: GaPMeS, model: GaPMeS, decay: float) -> None:
     for mean, value in zip(average.parameters(), model.parameters(), strict=True):
-        mean.lerp_(value, 1 - decay)
+        if value.requires_grad:
+            mean.lerp_(value, 1 - decay)
 
 
 def _report(

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from ..checkpoint import save_checkpoint
 from ..network import GaPMeS
@@ -35,17 +36,23 @@ def claimed(folder: Path) -> Iterator[None]:
 def save_state(
     folder: Path, progress: dict[str, object], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
 ) -> None:
-    """Everything that a later start needs, and the averaged weights so far."""
+    """Everything that a later start needs but the frozen parts, which it gets as this one did; and the averaged weights
+    so far, whole."""
+    trained = trained_names(model)
     state = {
         **progress,
-        "model": model.state_dict(),
-        "average": average.state_dict(),
+        "model": {name: value for name, value in model.state_dict().items() if name in trained},
+        "average": {name: value for name, value in average.state_dict().items() if name in trained},
         "optimiser": optimiser.state_dict(),
     }
     part = folder / (STATE + ".part")
     torch.save(state, part)
     os.replace(part, folder / STATE)
     save_weights(folder, average, progress["step"])
+
+
+def trained_names(model: GaPMeS) -> set[str]:
+    return {name for name, parameter in model.named_parameters() if parameter.requires_grad}
 
 
 def save_weights(folder: Path, average: GaPMeS, step: object) -> None:
@@ -65,10 +72,16 @@ def restore_state(
             raise ValueError(
                 f"{path} is of a run with another {key}: {state.get(key)}, asked for {value}; use a new folder"
             )
-    model.load_state_dict(state["model"])
-    average.load_state_dict(state["average"])
+    _load_trained(model, state["model"], trained_names(model), path)
+    _load_trained(average, state["average"], trained_names(model), path)
     optimiser.load_state_dict(state["optimiser"])
     return int(state["step"]), float(state["seconds"])
+
+
+def _load_trained(network: GaPMeS, values: dict[str, Tensor], trained: set[str], path: Path) -> None:
+    if values.keys() != trained:
+        raise ValueError(f"{path} has other tensors than this network trains: {sorted(values.keys() ^ trained)[:5]}")
+    network.load_state_dict(values, strict=False)
 
 
 def append_row(folder: Path, row: dict[str, object]) -> None:

@@ -21,7 +21,7 @@ from gapmes.model.pretrained.backbones import RECORD, BackboneSources, load_back
 from gapmes.model.training.command import main as train_command
 from gapmes.model.training.loop import train
 from gapmes.model.training.recipe import Recipe
-from gapmes.model.training.run_folder import WEIGHTS
+from gapmes.model.training.run_folder import STATE, WEIGHTS
 from gapmes.model.trunk import LightTrunk
 
 PAPER = 14.6e6  # trained parameters
@@ -164,6 +164,20 @@ def test_the_ablation_without_depth_takes_no_depth_weights(sources: BackboneSour
         load_backbones(network, sources)
     with pytest.raises(CheckpointError, match="needs depth weights"):
         load_backbones(miniature(), replace(sources, depth=None))
+
+
+def test_a_state_holds_what_is_trained_and_a_run_goes_on_from_it(tmp_path: Path, sources: BackboneSources) -> None:
+    config, recipe = miniature().config, replace(Recipe(), steps=1)
+    whole = train(config, recipe, tmp_path / "run", validation_scenes=1, backbones=sources)
+    state = torch.load(tmp_path / "run" / STATE, weights_only=True)
+    trained = {name for name, value in GaPMeS(config).named_parameters() if value.requires_grad}
+    assert trained
+    assert trained == state["model"].keys() == state["average"].keys()
+    again = train(config, recipe, tmp_path / "run", validation_scenes=1, backbones=sources)
+    assert all(torch.equal(a, b) for a, b in zip(whole.parameters(), again.parameters(), strict=True))
+    torch.save(state | {"average": {}}, tmp_path / "run" / STATE)
+    with pytest.raises(ValueError, match="has other tensors than this network trains"):
+        train(config, recipe, tmp_path / "run", validation_scenes=1, backbones=sources)
 
 
 def test_a_run_does_not_go_on_with_other_frozen_weights(tmp_path: Path, sources: BackboneSources) -> None:
