@@ -162,6 +162,7 @@ def _show(result: Exported, as_json: bool, bars: ProgressBars) -> None:
             "weights": [str(path) for path in data_files(result.model)],
             "report": str(result.report_path),
             "sha256": result.report.model_sha256,
+            "checkpoint": None if result.fit_path is None else str(result.fit_path),
             "cases": len(result.report.cases),
             "worst": worst,
             "seconds": result.timings,
@@ -171,6 +172,10 @@ def _show(result: Exported, as_json: bool, bars: ProgressBars) -> None:
     files = [result.model, *data_files(result.model)]
     megabytes = sum(path.stat().st_size for path in files) / 1e6
     bars.say(f"{' + '.join(map(str, files))}  ({megabytes:.1f} MB), {len(result.report.cases)} cases passed")
+    if result.fit is not None:
+        first, *rest = result.fit.summary()
+        for line in (f"checkpoint: {first}", *(f"  {line}" for line in rest), f"  each tensor: {result.fit_path}"):
+            bars.say(line)
     bars.say("largest error of every output, in units of its largest value:")
     for name, value in worst.items():
         bars.say(

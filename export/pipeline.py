@@ -14,6 +14,7 @@ import onnx
 
 from gapmes.model.architectures import licence
 from gapmes.model.checkpoint import file_sha256
+from gapmes.model.pretrained.fit import Fit
 from gapmes.service.progress import Listener, Stage, Stages, silent
 
 from .build import export_graph
@@ -52,6 +53,8 @@ class Exported:
     model: Path
     report_path: Path
     report: Report
+    fit: Fit | None  # what became of every tensor of a checkpoint that is not ours
+    fit_path: Path | None  # the same, in full, as a file
     timings: dict[str, float]
 
 
@@ -66,7 +69,8 @@ def export_checkpoint(
     quick: bool = False,
     listener: Listener = silent,
 ) -> Exported:
-    """Export, verify and write `out` with its report beside it (`NAME.report.json`).
+    """Export, verify and write `out` with its report beside it (`NAME.report.json`), and what became of each tensor of
+    a checkpoint that is not ours (`NAME.checkpoint.json`).
 
     Raises `ExportRejected` when a check fails: the file is then `NAME.rejected.onnx`, its report beside it, and `out`
     is left as it was; `CheckpointError` and `ValueError` for a wrong checkpoint or size; `VerificationBroken` when
@@ -74,7 +78,8 @@ def export_checkpoint(
     """
     stages = Stages(listener)
     with stages.stage("load checkpoint"):
-        network = load_variant(checkpoint, variant)
+        loaded = load_variant(checkpoint, variant)
+        network = loaded.network
     with stages.stage("export graph"):
         model = export_graph(network, height, width)
     if precision == "int8":
@@ -99,17 +104,23 @@ def export_checkpoint(
     if not report.passed:
         raise ExportRejected(candidate, rejected_report, report)
     rejected_report.unlink()
-    return _accept(model, candidate, out, report, stages.timings)
+    return _accept(model, candidate, out, report, loaded.fit, stages.timings)
 
 
-def _accept(model: onnx.ModelProto, candidate: Path, out: Path, report: Report, timings: dict[str, float]) -> Exported:
+def _accept(
+    model: onnx.ModelProto, candidate: Path, out: Path, report: Report, fit: Fit | None, timings: dict[str, float]
+) -> Exported:
     report_path = out.with_name(f"{out.stem}.report.json")
     add_metadata(model, {"tolerance": json.dumps(report.worst(), sort_keys=True)})
     write_model(model, out)
     remove_model(candidate)
     report = Report(file_sha256(out), report.precision, report.versions, report.cases)
     report.write(report_path)
-    return Exported(out, report_path, report, timings)
+    fit_path = None
+    if fit is not None:
+        fit_path = out.with_name(f"{out.stem}.checkpoint.json")
+        fit.write(fit_path)
+    return Exported(out, report_path, report, fit, fit_path, timings)
 
 
 def _verify_elsewhere(

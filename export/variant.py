@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gapmes.model.architectures import Network, NetworkConfig, load_network
+from gapmes.model.architectures import Loaded, NetworkConfig, load_network
 from gapmes.model.config import ModelConfig
 from gapmes.model.depthsplat.config import PLAIN, Compatibility, DepthSplatConfig
 from gapmes.model.depthsplat.network import DepthSplat
@@ -28,20 +28,24 @@ class Variant:
         return Variant(None if config.without_experts else config.top_k)
 
 
-def load_variant(checkpoint: Path, variant: Variant) -> Network:
-    """The network with the variant's settings. Raises `CheckpointError`, and `ValueError` for a wrong `top_k`."""
-    network = load_network(checkpoint, variant.architecture, variant.compatibility)
+def load_variant(checkpoint: Path, variant: Variant) -> Loaded:
+    """The checkpoint's network with the variant's settings.
+
+    Raises `CheckpointError`, and `ValueError` for a wrong `top_k`.
+    """
+    loaded = load_network(checkpoint, variant.architecture, variant.compatibility)
+    network = loaded.network
     if isinstance(network, DepthSplat):
         if variant.top_k is not None or variant.keep_all:
             raise ValueError("DepthSplat has no experts: top_k and keep_all are settings of gapmes networks")
-        return network
+        return loaded
     if variant.top_k is not None:
         network.config = with_top_k(network.config, variant.top_k)
         if network.mixture.gates is not None:
             network.mixture.gates.top_k = variant.top_k
     if variant.keep_all:
         network.keep_all()
-    return network
+    return loaded
 
 
 def with_top_k(config: ModelConfig, top_k: int) -> ModelConfig:

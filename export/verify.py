@@ -178,7 +178,7 @@ def main(arguments: list[str] | None = None) -> int:
     metadata = {p.key: p.value for p in model.metadata_props}
     precision = metadata["gapmes.precision"]
     height, width = int(metadata["gapmes.height"]), int(metadata["gapmes.width"])
-    network = load_variant(options.checkpoint, Variant.of(config_from_json(metadata["gapmes.config"])))
+    network = load_variant(options.checkpoint, Variant.of(config_from_json(metadata["gapmes.config"]))).network
     cases = list(verification_cases(height, width, quick=options.quick))
 
     def tell(result: CaseResult) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 from .checkpoint import CheckpointError, load_checkpoint, read_metadata
@@ -12,6 +13,7 @@ from .depthsplat.checkpoint import load_depthsplat
 from .depthsplat.config import PLAIN, Compatibility, DepthSplatConfig
 from .depthsplat.network import DepthSplat
 from .network import GaPMeS
+from .pretrained.fit import Fit
 
 ARCHITECTURES = ("gapmes", "depthsplat")
 
@@ -26,13 +28,21 @@ def config_from_json(text: str) -> NetworkConfig:
     return ModelConfig.from_json(text)
 
 
-def load_network(checkpoint: Path, architecture: str = "gapmes", compatibility: Compatibility = PLAIN) -> Network:
-    """The checkpoint's network in evaluation mode. Raises `CheckpointError`."""
+@dataclass(frozen=True)
+class Loaded:
+    """A network in evaluation mode, and what became of every tensor of a file that is not ours."""
+
+    network: Network
+    fit: Fit | None
+
+
+def load_network(checkpoint: Path, architecture: str = "gapmes", compatibility: Compatibility = PLAIN) -> Loaded:
+    """Raises `CheckpointError`."""
     if architecture == "depthsplat":
-        return load_depthsplat(checkpoint, compatibility)[0]
+        return Loaded(*load_depthsplat(checkpoint, compatibility))
     if architecture != "gapmes":
         raise CheckpointError(f"architecture {architecture!r} is unknown, choose one of {', '.join(ARCHITECTURES)}")
-    return load_checkpoint(checkpoint)
+    return Loaded(load_checkpoint(checkpoint), None)
 
 
 def licence(checkpoint: Path, architecture: str) -> str:

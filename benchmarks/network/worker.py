@@ -43,7 +43,7 @@ def runner(runtime: str, model: Path, checkpoint: Path, views: int) -> tuple[Cal
     from gapmes.model.architectures import config_from_json
 
     config = config_from_json(json.dumps(info.config))
-    graph = SceneGraph(load_variant(checkpoint, Variant.of(config))).eval()
+    graph = SceneGraph(load_variant(checkpoint, Variant.of(config)).network).eval()
     call: Callable[..., object] = graph
     if runtime == "torch-compile":
         call = torch.compile(graph, dynamic=False)

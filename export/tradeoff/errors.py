@@ -77,7 +77,7 @@ def network_rounding(file: ModelFile, threads: int | None) -> Rounding:
     inputs = sample_scene(2, file.size, file.size)
     engine = Engine(file.path, threads=threads)
     values = engine.run(*(tensor.numpy() for tensor in inputs.tensors()))
-    graph = SceneGraph(load_variant(shipped_checkpoint("tiny"), file.variant).double()).eval()
+    graph = SceneGraph(load_variant(shipped_checkpoint("tiny"), file.variant).network.double()).eval()
     torch.set_default_dtype(torch.float64)
     try:
         with torch.no_grad():

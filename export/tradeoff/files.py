@@ -88,7 +88,7 @@ def export_variant(path: str, size: int, top_k: int, keep_all: bool) -> None:
     from ..variant import load_variant
 
     checkpoint = shipped_checkpoint("tiny")
-    network = load_variant(checkpoint, Variant(top_k or None, keep_all))
+    network = load_variant(checkpoint, Variant(top_k or None, keep_all)).network
     model = export_graph(network, size, size)
     metadata = contract_metadata(
         network,

@@ -57,6 +57,15 @@ class Fit:
     commit: str = ""
     config_checked: bool = False  # a config.json lay beside it and agrees on what tensors cannot tell
 
+    def summary(self) -> list[str]:
+        """What was recognised, and what was not used, by reason."""
+        lines = [f"{self.recognised}, sha256 {self.sha256}: {len(self.used)} tensors used"]
+        for what, names in (("left out", self.left_out), ("absent", self.absent)):
+            for reason in sorted(set(names.values())):
+                some = tuple(name for name, given in names.items() if given == reason)
+                lines.append(f"{len(some)} {what} ({reason}): {_some(some)}")
+        return lines
+
     def to_json(self) -> str:
         return json.dumps(asdict(self), indent=1, sort_keys=True)
 

@@ -85,8 +85,9 @@ def _run(
     model = GaPMeS(config)
     if backbones is not None:
         for part, report in load_backbones(model, backbones).items():
-            log.info("%s: %s of %s, sha256 %s", part, report.recognised, report.path, report.sha256)
-            log.info("%s: %d tensors used, left out: %s", part, len(report.used), report.left_out or "none")
+            log.info("%s: %s: %s", part, report.path, "; ".join(report.summary()))
+            if worker.leads:
+                report.write(folder / f"{part}.checkpoint.json")
     model = model.to(device).train()
     frozen = [p for p in model.parameters() if not p.requires_grad]
     average = copy.deepcopy(model, {id(p): p for p in frozen}).requires_grad_(False)  # shares what does not change

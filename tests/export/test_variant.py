@@ -21,7 +21,7 @@ def run(checkpoint: Path, variant: Variant, views: int, moved: float = 0.0) -> d
     """Outputs by name; `moved` takes the last view that far to the side."""
     scene = random_scene(views, SIZE, SIZE, seed=3)
     scene.world_from_cam[-1, 0, 3] += moved
-    graph = SceneGraph(load_variant(checkpoint, variant)).eval()
+    graph = SceneGraph(load_variant(checkpoint, variant).network).eval()
     with torch.no_grad():
         return {name: value.numpy() for name, value in zip(graph.output_names, graph(*scene.tensors()), strict=True)}
 
@@ -40,7 +40,7 @@ def test_a_network_that_skips_nothing_yields_the_same(checkpoint: Path, views: i
 
 def test_experts_per_patch_can_be_fewer_or_more(checkpoint: Path) -> None:
     for k in (1, 3):
-        assert load_variant(checkpoint, Variant(top_k=k)).config.top_k == k
+        assert load_variant(checkpoint, Variant(top_k=k)).network.config.top_k == k
         outputs = run(checkpoint, Variant(top_k=k), 2)
         assert outputs["expert_index"].shape[-1] == k
         np.testing.assert_allclose(outputs["expert_weight"].sum(-1), 1, atol=3e-7)
