@@ -135,8 +135,12 @@ def local_matching(features: list[Tensor], candidates: Tensor, views: Views) -> 
         per_view = feature.reshape(-1, views.count, channels, h, w)
         source = other_views(per_view).reshape(-1, channels, h, w)
         reference = repeat_for_pairs(per_view, others).reshape(-1, channels, h * w, 1)
-        sampled = F.grid_sample(source, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
-        score = (reference * sampled).sum(1) * mask
+        # one candidate after the other: all of them at once are K times as many numbers as the feature map has
+        each = [
+            (reference * F.grid_sample(source, at, mode="bilinear", padding_mode="zeros", align_corners=False)).sum(1)
+            for at in grid.split(1, dim=2)
+        ]
+        score = torch.cat(each, dim=2) * mask
         score = score.reshape(-1, others, h * w, count).sum(1) / seen.clamp(min=1)
         scores.append(score.transpose(1, 2).reshape(n, count, h, w))
     return scores, (seen / others).transpose(1, 2).reshape(n, count, h, w)

@@ -29,7 +29,7 @@ from .pose_notices import pose_notices
 from .progress import Listener, Stages, silent
 from .scene_views import SceneViews
 from .self_check import ambiguous_routes, drawn_again, from_others, self_check
-from .splat import render
+from .splat import is_warm, render, warm_up
 from .stride import thinned
 from .view_checks import MIN_VIEWS, Notice, check_count, check_views
 from .world_frame import WorldFrame
@@ -86,7 +86,8 @@ class Reconstructor:
         a warning. `budget` says what may be left out of the scene and for which views that is proved. With three
         photographs or more each is also compared with its picture from a reconstruction of the `leave_one_out` others
         that are nearest to it (2 or more; all others where there are fewer; 0: not done). `listener` hears the stages
-        cameras, images, network, gaussians, leave out, check, leave one out. Raises `InputError` and `ModelError`.
+        cameras, images, network, gaussians, kernels (the first time), leave out, check, leave one out.
+        Raises `InputError` and `ModelError`.
         """
         stages = Stages(listener)
         info = self.engine.info
@@ -114,6 +115,9 @@ class Reconstructor:
             shape = len(views), info.height, info.width
             thin, rows = thinned(outputs, rows, shape, budget.stride)
             gaussians = frame.to_world(thin, rows)
+        if not is_warm():  # not before the network: 70 MB that would be in memory beside it
+            with stages.stage("kernels"):  # compiled the first time, then loaded
+                warm_up()
         view_cameras = tuple(view.camera for view in views)
         scene = SceneViews(view_cameras, depths.near, depths.far)
         owner = np.minimum(rows // (info.height * info.width), len(views))  # the view whose pixel it is, if any

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +16,31 @@ from ..prepared_model import forget, prepared
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by onnxruntime when it is first imported
 
+DEAD = 65536  # bytes
 _CPU = ["CPUExecutionProvider"]
+
+
+@functools.cache
+def _register_arena() -> None:
+    """The process's arena, which all sessions share.
+
+    It grows by what is asked for, where the default takes powers of two, of which nothing goes back while any of it is
+    in use; and a free piece is split for a smaller tensor as soon as `DEAD` bytes are over, where the default wastes up
+    to 128 MB of it. A process that reconstructs the sample scene from two views peaks at 323 MB instead of 365, in the
+    same time.
+    """
+    import onnxruntime as ort
+
+    memory = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
+    default = -1
+    settings = {
+        "max_mem": 0,
+        "arena_extend_strategy": 1,  # as requested
+        "initial_chunk_size_bytes": default,
+        "max_dead_bytes_per_chunk": DEAD,
+        "initial_growth_chunk_size_bytes": default,
+    }
+    ort.create_and_register_allocator(memory, ort.OrtArenaCfg(settings))
 
 
 class OnnxRuntimeSession:
@@ -51,7 +76,7 @@ class OnnxRuntimeSession:
             raise ModelError(f"{file.path} cannot be loaded by onnxruntime: {error}", field="model") from error
         self.native = session
         # what a run needed goes back to the system after it, not to the next run: everything after the network would
-        # come on top of it, 100 MB at the peak of the sample scene with two views
+        # come on top of it
         self._run_options = ort.RunOptions()
         self._run_options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
         self.inputs: Sequence[str] = [value.name for value in session.get_inputs()]
@@ -70,6 +95,8 @@ class OnnxRuntimeSession:
         # the pattern reserves one block for all tensors of a run, more than they need at any one time; without it the
         # shipped network peaks at 0.27 GB with two views and 1.9 GB with six
         options.enable_mem_pattern = False
+        _register_arena()
+        options.add_session_config_entry("session.use_env_allocators", "1")
         options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
         options.use_deterministic_compute = True
         options.log_severity_level = 3

@@ -64,7 +64,6 @@ def reconstruct(
     from ..ply import write_ply
     from ..progress import Stages
     from ..reconstruct import Reconstructor
-    from ..splat import warm_up
 
     if not output.parent.is_dir():  # said before the work, not after it
         raise InputError(f"{output.parent} is not a folder", field="output")
@@ -77,8 +76,6 @@ def reconstruct(
         stages = Stages(bars)
         with stages.stage("load model"):
             reconstructor = Reconstructor(model, threads=threads, engine=chosen)
-        with stages.stage("kernels"):  # compiled the first time, then loaded
-            warm_up()
         with stages.stage("read images", len(found.indices)) as step:
             photos = []
             for place, (index, view) in enumerate(zip(found.indices, found.file.views, strict=True)):

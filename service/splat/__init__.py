@@ -4,6 +4,7 @@ from .definition import INRIA as INRIA
 from .definition import Definition as Definition
 from .reference import render_reference as render_reference
 from .render import Render as Render
+from .render import is_warm as is_warm
 from .render import render as render
 from .render import render_views as render_views
 from .render import warm_up as warm_up

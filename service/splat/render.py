@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -188,8 +189,10 @@ def render_views(gaussians: Gaussians, cameras: Iterable[Camera], **options: Any
     return [render(gaussians, camera, **options) for camera in cameras]
 
 
+@functools.cache
 def warm_up() -> None:
-    """Compile or load from the cache what drawing colours, or colours, opacity and depth, needs.
+    """Compile or load from the cache what drawing colours, or colours, opacity and depth, needs; nothing the second
+    time.
 
     The loops of the other outputs and of the exclusive stop compile when they are first asked for.
     """
@@ -199,3 +202,8 @@ def warm_up() -> None:
     for max_entries in (1, 2):  # lists in several batches have a kernel of their own
         render(gaussians, camera, threads=1, definition=Definition(max_entries=max_entries)).rgb8()
     render(gaussians, camera, threads=1, outputs=())
+
+
+def is_warm() -> bool:
+    """Whether `warm_up` has been called."""
+    return warm_up.cache_info().currsize > 0

@@ -1,4 +1,4 @@
-"""Group and instance normalisation as exported graphs compute it: equal to torch's, and right on nearly constant planes."""
+"""Group and instance normalisation as exported graphs compute it: as torch, and right on nearly constant planes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_nearly_constant_planes_stay_exact(module: torch.nn.Module) -> None:
     x = torch.randn(2, 48, 1, 1).expand(2, 48, 128, 128).contiguous()
     x[:, :, 0] *= 0.7
     x[..., -1] *= 1.2
-    # measured 1.6e-7 and 2.1e-6; onnxruntime's own operator is off by 1.2e-4
+    # measured 1.6e-7 and 2.7e-6; by onnxruntime's own operator 5.9e-5 and 1.1e-4
     assert worst(module, x) < 1e-5
 
 
@@ -52,4 +52,4 @@ def test_weights_and_any_number_of_axes(shape: tuple[int, ...]) -> None:
     with torch.no_grad():
         module.weight.normal_()
         module.bias.normal_()
-    assert worst(module, torch.randn(shape)) < 2e-6
+    assert worst(module, torch.randn(shape)) < 1e-6  # measured 1.1e-7 and 1.4e-7
