@@ -26,7 +26,7 @@ class Case:
     name: str
     gates: GateSetting
     inputs: SceneInputs
-    flat: bool = False  # images of one colour, where normalisation amplifies rounding
+    flat: bool = False  # images of one colour, where normalisation amplifies what quantisation lost
     undetermined: bool = False  # images without a depth that fits, where matching amplifies rounding
 
     @property

@@ -17,6 +17,7 @@ def folded(model: ir.Model) -> ir.Model:
     """`model`, changed in place."""
     common.InlinePass()(model)
     fold_constants(model)
+    _skip_idle_transposes(model.graph)
     ir.passes.Sequential(
         common.RemoveUnusedNodesPass(),
         common.RemoveUnusedFunctionsPass(),
@@ -28,3 +29,14 @@ def folded(model: ir.Model) -> ir.Model:
         common.NameFixPass(),
     )(model)
     return model
+
+
+def _skip_idle_transposes(graph: ir.Graph) -> None:
+    """Those that turn nothing, which scattering is traced with: each would copy what it scatters into."""
+    for node in graph:
+        order = node.attributes.get("perm")
+        if node.op_type == "Transpose" and order is not None and sorted(order.as_ints()) == list(order.as_ints()):
+            given, result = node.inputs[0], node.outputs[0]
+            assert given is not None
+            if not result.is_graph_output():
+                result.replace_all_uses_with(given)

@@ -30,7 +30,7 @@ from .graph import SceneGraph
 from .pictures import picture_psnr
 from .report import CaseResult, Report
 from .routes import agreement, ambiguous, flipped_patches, untouched
-from .tolerance import DIFFERENCES, TOLERANCES, Tolerance
+from .tolerance import TOLERANCES, Tolerance
 from .variant import Variant, load_variant
 
 FAILED = 3
@@ -106,8 +106,7 @@ def _run(case: Case, session: onnxruntime.InferenceSession, network: Network, to
     for name, found in outputs.items():
         if not found.finite:
             failures.append(f"{name}: not finite")
-        room = DIFFERENCES.get(name, 1.0)
-        limits = {"p99": room * tolerance.p99, "mean": room * tolerance.mean, "jumps": tolerance.jumps}
+        limits = {"p99": tolerance.p99, "mean": tolerance.mean, "jumps": tolerance.jumps}
         for what, limit in limits.items():
             if not getattr(found, what) <= limit:
                 failures.append(f"{name}: {what} {getattr(found, what):.2e}, allowed {limit:.0e}")

@@ -51,7 +51,9 @@ class ExpertGroup(nn.Module):
             rows = torch.nonzero(weight != 0).squeeze(1)
             streams = patches.index_select(0, rows).reshape(-1, self.channels, p, p)
             output = expert(streams).reshape(-1, patches.shape[1], p, p)
-            result = result.index_add(0, rows, output * weight.index_select(0, rows).reshape(-1, 1, 1, 1))
+            result = result.index_put(
+                (rows,), output * weight.index_select(0, rows).reshape(-1, 1, 1, 1), accumulate=True
+            )
         return result
 
     def dense(self, patches: Tensor, routing: Routing) -> Tensor:

@@ -60,19 +60,19 @@ def warp_points(
     the source camera or anything is not finite, a mask (m, P, D) of samples that fall inside, and the inverse depth
     of the point in the source camera (m, P, D), 0 behind it.
     """
-    rotated = (source_from_reference[:, :3, :3] @ rays).transpose(1, 2)  # (m, P, 3)
-    translation = source_from_reference[:, :3, 3]
-    point = rotated.unsqueeze(2) + translation[:, None, None, :] * inverse_depth.unsqueeze(-1)
-    z = point[..., 2]
+    rotated = (source_from_reference[:, :3, :3] @ rays).unsqueeze(-1)  # (m, 3, P, 1)
+    translation = source_from_reference[:, :3, 3, None, None]
+    z = rotated[:, 2] + translation[:, 2] * inverse_depth
     front = z > 1e-4
     safe = torch.where(front, z, torch.ones_like(z))
-    x = source_intrinsics[:, 0, 0, None, None] * point[..., 0] / safe + source_intrinsics[:, 0, 2, None, None]
-    y = source_intrinsics[:, 1, 1, None, None] * point[..., 1] / safe + source_intrinsics[:, 1, 2, None, None]
-    grid = torch.stack([x, y], dim=-1) * 2 - 1
-    # 4 lies outside every image of at least two pixels; backends disagree on samples that are huge or not finite
-    grid = torch.where(front.unsqueeze(-1) & (grid.abs() < 4), grid, torch.full_like(grid, 4.0))
-    inside = (grid[..., 0].abs() < 1) & (grid[..., 1].abs() < 1)
-    return grid, inside, torch.where(front, inverse_depth / safe, torch.zeros_like(z))
+    axes = []
+    for axis in (0, 1):  # each by itself: onnxruntime is slow where the last axis has two or three numbers
+        focal, centre = source_intrinsics[:, axis, axis, None, None], source_intrinsics[:, axis, 2, None, None]
+        at = (2 * focal * rotated[:, axis] + 2 * focal * translation[:, axis] * inverse_depth) / safe + (2 * centre - 1)
+        # 4 lies outside every image of at least two pixels; backends disagree on samples that are huge or not finite
+        axes.append(torch.where(front & (at.abs() < 4), at, torch.full_like(at, 4.0)))
+    inside = (axes[0].abs() < 1) & (axes[1].abs() < 1)
+    return torch.stack(axes, dim=-1), inside, torch.where(front, inverse_depth / safe, torch.zeros_like(z))
 
 
 def quaternion_to_matrix(wxyz: Tensor) -> Tensor:
