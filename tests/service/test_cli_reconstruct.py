@@ -13,9 +13,11 @@ from cli_runs import assert_refusal, reconstruct, run
 from PIL import Image
 
 from gapmes.service import read_ply
+from gapmes.service.splat import warm_up
 
 
 def test_reconstruct_and_render(scene_dir: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    warm_up.cache_clear()  # as in a process of its own
     assert reconstruct(scene_dir, standin_model, "--views", "0,2", "--json") == 0
     out, err = capfd.readouterr()
     document = json.loads(out)

@@ -22,7 +22,7 @@ from gapmes.service.images import Photo, fit_view
 from gapmes.service.picture_error import psnr
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.rotations import about_axis, matrix_from_quaternion
-from gapmes.service.splat import render
+from gapmes.service.splat import render, warm_up
 
 # The network's frame is float32 with near = 1: positions up to `far / near` units carry 24 bits.
 RTOL_F32 = 2e-6  # of the depth; worst 3e-7 over the cases below
@@ -30,6 +30,7 @@ RTOL_F32 = 2e-6  # of the depth; worst 3e-7 over the cases below
 
 @pytest.fixture(scope="module")
 def reconstructor(engine):
+    warm_up()
     return Reconstructor(engine)
 
 
@@ -139,6 +140,15 @@ def test_stages_are_heard_in_order(reconstructor, plane_scene):
     ended = [e.name for e in heard if e.seconds is not None]
     assert ended == ["cameras", "images", "network", "gaussians", "leave out", "check", "leave one out"]
     assert [e.done for e in heard if e.name == "images"] == [0, 1, 2, 3, 4]
+
+
+def test_kernels_are_loaded_after_the_network_and_once(reconstructor, plane_scene):
+    warm_up.cache_clear()
+    for expected in (["network", "gaussians", "kernels", "leave out"], ["network", "gaussians", "leave out"]):
+        heard = []
+        reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, listener=heard.append)
+        ended = [e.name for e in heard if e.seconds is not None]
+        assert ended[2 : 2 + len(expected)] == expected
 
 
 def test_masked_pixels_and_patches_are_left_out_and_counted(reconstructor, plane_scene):
