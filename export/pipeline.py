@@ -116,10 +116,11 @@ def _accept(
     remove_model(candidate)
     report = Report(file_sha256(out), report.precision, report.versions, report.cases)
     report.write(report_path)
-    fit_path = None
-    if fit is not None:
-        fit_path = out.with_name(f"{out.stem}.checkpoint.json")
-        fit.write(fit_path)
+    fit_path = out.with_name(f"{out.stem}.checkpoint.json")
+    if fit is None:
+        fit_path.unlink(missing_ok=True)  # of a file that was here before
+        return Exported(out, report_path, report, None, None, timings)
+    fit.write(fit_path)
     return Exported(out, report_path, report, fit, fit_path, timings)
 
 

@@ -83,23 +83,25 @@ def _run(
 ) -> GaPMeS:
     torch.manual_seed(recipe.seed)
     model = GaPMeS(config)
-    if backbones is not None:
-        for part, report in load_backbones(model, backbones).items():
-            log.info("%s: %s: %s", part, report.path, "; ".join(report.summary()))
-            if worker.leads:
-                report.write(folder / f"{part}.checkpoint.json")
+    fits = {} if backbones is None else load_backbones(model, backbones)
+    for part, report in fits.items():
+        log.info("%s: %s: %s", part, report.path, "; ".join(report.summary()))
     model = model.to(device).train()
     frozen = [p for p in model.parameters() if not p.requires_grad]
     average = copy.deepcopy(model, {id(p): p for p in frozen}).requires_grad_(False)  # shares what does not change
     compute_coarsely(model)
     trained = [p for p in model.parameters() if p.requires_grad]
     optimiser = torch.optim.AdamW(trained, lr=recipe.learning_rate, betas=(0.9, 0.98), weight_decay=recipe.weight_decay)
-    identity = {"config": config.to_json(), "recipe": json.dumps(asdict(recipe), sort_keys=True)}
-    if RECORD in model.provenance:  # the frozen parts are not in the state: other weights are another run
-        identity["backbones"] = model.provenance[RECORD]
+    identity: dict[str, str | None] = {
+        "config": config.to_json(),
+        "recipe": json.dumps(asdict(recipe), sort_keys=True),
+        "backbones": model.provenance.get(RECORD),  # the frozen parts are not in the state: others are another run
+    }
     start, seconds = restore_state(folder, identity, model, average, optimiser)
     if worker.leads:
         forget_rows_after(folder, start)
+        for part, report in fits.items():
+            report.write(folder / f"{part}.checkpoint.json")
     held_out = {
         "wide": validation_batches(128, validation_scenes, (0.18, 0.5)),
         "narrow": validation_batches(128, max(1, validation_scenes // 2), (0.06, 0.15)),
@@ -123,7 +125,7 @@ def _run(
             _report(folder, step + 1, recipe, elapsed, rate, sums, figures)
             sums = {}
         if last or now - last_save > save_seconds:
-            progress = {**identity, "step": step + 1, "seconds": seconds + time.monotonic() - clock}
+            progress: dict[str, object] = {**identity, "step": step + 1, "seconds": seconds + time.monotonic() - clock}
             save_state(folder, progress, model, average, optimiser)
             last_save = time.monotonic()
     if worker.leads:

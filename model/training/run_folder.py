@@ -60,7 +60,7 @@ def save_weights(folder: Path, average: GaPMeS, step: object) -> None:
 
 
 def restore_state(
-    folder: Path, identity: dict[str, str], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
+    folder: Path, identity: dict[str, str | None], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
 ) -> tuple[int, float]:
     """Step and seconds to go on from; raises `ValueError` when the folder holds a run of something else."""
     path = folder / STATE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by onnxruntime when 
 
 DEAD = 65536  # bytes
 _CPU = ["CPUExecutionProvider"]
+_registering = threading.Lock()
 
 
 @functools.cache
@@ -95,7 +97,8 @@ class OnnxRuntimeSession:
         # the pattern reserves one block for all tensors of a run, more than they need at any one time; without it the
         # shipped network peaks at 0.27 GB with two views and 1.9 GB with six
         options.enable_mem_pattern = False
-        _register_arena()
+        with _registering:  # once, also when two models are loaded at a time
+            _register_arena()
         options.add_session_config_entry("session.use_env_allocators", "1")
         options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
         options.use_deterministic_compute = True

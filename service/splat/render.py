@@ -205,5 +205,5 @@ def warm_up() -> None:
 
 
 def is_warm() -> bool:
-    """Whether `warm_up` has been called."""
+    """Whether `warm_up` has returned in this process."""
     return warm_up.cache_info().currsize > 0

@@ -184,8 +184,12 @@ def test_a_run_does_not_go_on_with_other_frozen_weights(tmp_path: Path, sources:
     config, recipe = miniature().config, replace(Recipe(), steps=1)
     train(config, recipe, tmp_path / "run", validate_every=10, validation_scenes=1, backbones=sources)
     torch.save(miniature(seed=4).semantic.vit.state_dict(), sources.semantic)
-    with pytest.raises(ValueError, match="another backbones"):
-        train(config, recipe, tmp_path / "run", backbones=sources)
+    record = tmp_path / "run" / "semantic.checkpoint.json"
+    before = record.read_text()
+    for others in (sources, None):
+        with pytest.raises(ValueError, match="another backbones"):
+            train(config, recipe, tmp_path / "run", backbones=others)
+    assert record.read_text() == before
 
 
 def test_weights_that_are_not_there_are_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
