@@ -17,10 +17,8 @@ import onnx
 import onnxruntime
 import pytest
 import torch
-from full_networks import miniature
 from onnx.utils import Extractor
 
-from gapmes.export.build import export_graph
 from gapmes.export.graph import SceneGraph
 from gapmes.export.routes import AMBIGUOUS_GAP
 from gapmes.export.samples import random_scene
@@ -132,20 +130,11 @@ def part_of(model: onnx.ModelProto, run: dict[str, np.ndarray], given: list[str]
     return Extractor(open_model).extract_model([*given, *(name for name in INPUTS if name not in given)], wanted)
 
 
-@pytest.fixture(scope="module")
-def full_graph() -> onnx.ModelProto:
-    return export_graph(miniature(), SIZE, SIZE)
-
-
 @pytest.mark.case("B1")
 @pytest.mark.parametrize("views", [2, 4])
-@pytest.mark.parametrize("trunk", ["light", "full"])
 def test_every_stage_is_near_to_float64_in_both_runtimes(
-    request: pytest.FixtureRequest, trunk: str, views: int
+    small_graph: onnx.ModelProto, network: GaPMeS, views: int
 ) -> None:
-    """The shipped network, and the paper's parts with miniature ViTs."""
-    network = request.getfixturevalue("network") if trunk == "light" else miniature()
-    small_graph = request.getfixturevalue("small_graph" if trunk == "light" else "full_graph")
     inputs = random_scene(views, SIZE, SIZE, seed=views)
     feed = {name: value.numpy() for name, value in zip(INPUTS, inputs.tensors(), strict=True)}
     run = everything(small_graph, feed)
