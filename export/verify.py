@@ -106,8 +106,7 @@ def _run(case: Case, session: onnxruntime.InferenceSession, network: Network, to
     for name, found in outputs.items():
         if not found.finite:
             failures.append(f"{name}: not finite")
-        limits = {"p99": tolerance.p99, "mean": tolerance.mean, "jumps": tolerance.jumps}
-        for what, limit in limits.items():
+        for what, limit in tolerance.of_output(name).items():
             if not getattr(found, what) <= limit:
                 failures.append(f"{name}: {what} {getattr(found, what):.2e}, allowed {limit:.0e}")
     return CaseResult(case.name, case.gates, case.views, outputs, routes, psnr, failures)
