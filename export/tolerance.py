@@ -71,8 +71,8 @@ TOLERANCES: dict[Precision, Tolerance] = {
     "fp32": Tolerance(p99=3e-4, mean=2e-5, jumps=1e-2, unambiguous_flips=0.0, spare_flips=0, picture_psnr=70.0),
     # Measured with the shipped weights at 256 px: p99 3.9e-2 (noise), mean 3.7e-3, 1.8 % of routes, picture 74 dB at
     # least; on images of one colour, which normalisation divides by the root of nearly nothing, p99 0.21, mean 1.8e-2
-    # and 7.3 % of routes. At 64 px margins are the worst output: mean 7.5e-3 (noise), p99 3.2e-2. Limits: room for other
-    # weights and processors.
+    # and 7.3 % of routes. At 64 px margins are the worst output: mean 7.5e-3 (noise). Limits: room for other weights
+    # and processors.
     "int8": Tolerance(
         p99=1e-1,
         mean=6e-3,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import onnx
 import pytest
+from full_networks import miniature
 
 from gapmes.export.build import export_graph
 from gapmes.export.metadata import add_metadata, contract_metadata
@@ -40,3 +41,9 @@ def small_graph(checkpoint: Path) -> onnx.ModelProto:
     )
     add_metadata(model, metadata)
     return model
+
+
+@pytest.fixture(scope="session")
+def miniature_graph() -> onnx.ModelProto:
+    """The full trunk with miniature ViTs (`full_networks.miniature`) for 64 x 64 pixels; copy it before changing it."""
+    return export_graph(miniature(), SIZE, SIZE)

@@ -74,9 +74,8 @@ def test_depthsplat_exports_with_a_number_of_views_that_is_not_baked_in(
     check(graph, depthsplat)
 
 
-def test_a_full_network_exports_with_a_number_of_views_that_is_not_baked_in() -> None:
-    network = miniature()
-    check(export_graph(network, SIZE, SIZE), network)
+def test_a_full_network_exports_with_a_number_of_views_that_is_not_baked_in(miniature_graph: onnx.ModelProto) -> None:
+    check(miniature_graph, miniature())
 
 
 def test_large_weights_lie_beside_the_graph_and_the_engine_reads_them(

@@ -17,11 +17,13 @@ import onnx
 import onnxruntime
 import pytest
 import torch
+from full_networks import miniature
 from onnx.utils import Extractor
 
 from gapmes.export.graph import SceneGraph
 from gapmes.export.routes import AMBIGUOUS_GAP
 from gapmes.export.samples import random_scene
+from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.network import GaPMeS
 from gapmes.service.contract import INPUTS
 
@@ -130,14 +132,21 @@ def part_of(model: onnx.ModelProto, run: dict[str, np.ndarray], given: list[str]
     return Extractor(open_model).extract_model([*given, *(name for name in INPUTS if name not in given)], wanted)
 
 
+@pytest.fixture(scope="module", params=["light trunk", "full trunk"])
+def exported(request: pytest.FixtureRequest) -> tuple[GaPMeS, onnx.ModelProto]:
+    """The shipped network with its graph, and an untrained one of preset `small` with miniature ViTs."""
+    if request.param == "light trunk":
+        return load_checkpoint(request.getfixturevalue("checkpoint")), request.getfixturevalue("small_graph")
+    return miniature(), request.getfixturevalue("miniature_graph")
+
+
 @pytest.mark.case("B1")
 @pytest.mark.parametrize("views", [2, 4])
-def test_every_stage_is_near_to_float64_in_both_runtimes(
-    small_graph: onnx.ModelProto, network: GaPMeS, views: int
-) -> None:
+def test_every_stage_is_near_to_float64_in_both_runtimes(exported: tuple[GaPMeS, onnx.ModelProto], views: int) -> None:
+    network, graph = exported
     inputs = random_scene(views, SIZE, SIZE, seed=views)
     feed = {name: value.numpy() for name, value in zip(INPUTS, inputs.tensors(), strict=True)}
-    run = everything(small_graph, feed)
+    run = everything(graph, feed)
     narrow = watched(network, inputs.tensors())
     wide = copy.deepcopy(network).double()
     with in_float64():
@@ -155,7 +164,7 @@ def test_every_stage_is_near_to_float64_in_both_runtimes(
             place: found[0] for place, one in enumerate(tensors(narrow[stage][1])) if (found := names_of(one, run))
         }
         wanted = [*dict.fromkeys(places.values()), *(["expert_index"] if stage == "mixture" else [])]
-        part = part_of(small_graph, run, list(given), wanted)
+        part = part_of(graph, run, list(given), wanted)
         by_graph = dict(zip(wanted, session_of(part).run(wanted, {**feed, **given}), strict=True))
         assert len(places) >= COMPARED[stage]
         assert sum(bool(names_of(one, run)) for one in tensors(narrow[stage][0])) >= CUT[stage]
