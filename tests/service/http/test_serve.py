@@ -4,54 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import httpx
 from http_requests import photograph, post
-
-
-@contextmanager
-def serving(store: Path, model: Path, log: Path, *more: str, **environment: str) -> Iterator[tuple[httpx.Client, Any]]:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        port = taken.getsockname()[1]
-    command = [sys.executable, "-m", "gapmes.service.cli", "serve", "--port", str(port), "--threads", "1", *more]
-    with log.open("wb") as output:
-        process = subprocess.Popen(
-            [*command, "--store", str(store), "--model", str(model)],
-            stdout=output,
-            stderr=output,
-            env=os.environ | environment,
-        )
-    try:
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60) as client:
-            until(lambda: answers(client), 120)
-            yield client, process
-    finally:
-        process.kill()
-        process.wait()
-
-
-def answers(client: httpx.Client) -> bool:
-    try:
-        return client.get("/readyz").status_code == 200
-    except httpx.TransportError:
-        return False
-
-
-def until(reached: Any, seconds: float = 30.0, pause: float = 0.05) -> None:
-    deadline = time.monotonic() + seconds
-    while not reached():
-        assert time.monotonic() < deadline
-        time.sleep(pause)
+from served_process import serving, until
 
 
 def workers(process: subprocess.Popen[bytes]) -> list[int]:
