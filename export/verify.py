@@ -108,7 +108,7 @@ def _run(case: Case, session: onnxruntime.InferenceSession, network: Network, to
             failures.append(f"{name}: not finite")
         for what, limit in tolerance.of_output(name).items():
             if not getattr(found, what) <= limit:
-                failures.append(f"{name}: {what} {getattr(found, what):.2e}, allowed {limit:.0e}")
+                failures.append(f"{name}: {what} {getattr(found, what):.2e}, allowed {limit:.1e}")
     return CaseResult(case.name, case.gates, case.views, outputs, routes, psnr, failures)
 
 

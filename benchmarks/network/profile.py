@@ -1,8 +1,10 @@
 """Where a network's time goes in onnxruntime, by module and by operator, beside the machine's own peak.
 
-`python -m benchmarks.network.profile MODEL.onnx …` runs each network and, in turns with it, the matrix product that
-onnxruntime does best, on one thread; times are medians over the rounds. The exporter names a node after its module; a
-node that onnxruntime has made itself counts to the module whose result it takes up.
+`python -m benchmarks.network.profile MODEL.onnx …` runs each float32 network with the service's settings on one thread
+and, in turns with it, the matrix product that onnxruntime does best; wall times, medians over the rounds. GFLOP are
+what onnxruntime computes, with means over windows that are written as products and channels filled up to whole blocks:
+more than the network's own. The exporter names a node after its module; a node that onnxruntime has made itself counts
+to the module whose result it takes up.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ import onnx
 import onnxruntime
 
 from gapmes.export.samples import random_scene
+from gapmes.service.backends.onnxruntime_session import session_options
 from gapmes.service.contract import INPUTS
 from gapmes.service.model_file import model_file
 
@@ -76,14 +79,15 @@ def kernels(events: Iterable[dict[str, Any]]) -> list[list[Kernel]]:
 
 
 def modules(exported: onnx.ModelProto, optimised: onnx.ModelProto, depth: int) -> Callable[[str], str]:
-    """Finds the module of a node by its name, the first `depth` parts of its path."""
-    makers = {output: node.name for node in exported.graph.node for output in node.output}
-    sources = {output: node for node in optimised.graph.node for output in node.output}
-    nodes = {node.name: node for node in optimised.graph.node}
+    """Finds the module of a node by its name: the first `depth` parts of its path below the network."""
+    makers = {output: node.name for node in exported.graph.node for output in node.output if output}
+    known = {node.name for node in exported.graph.node}
+    sources = {output: node for node in optimised.graph.node for output in node.output if output}
+    nodes = {node.name: node for node in optimised.graph.node if node.name}
 
     def path(name: str) -> str:
         name = makers.get(name.removesuffix(LAID_OUT), name)
-        if name.startswith("network."):
+        if name.startswith("network.") or name in known:
             return name.split("/")[0]
         node = nodes.get(name)
         source = sources.get(node.input[0]) if node is not None and node.input else None
@@ -97,23 +101,22 @@ def profiled(
 ) -> tuple[list[list[Kernel]], Callable[[str], str], float]:
     """The kernels of `rounds` runs, the finder of their modules, and the peak's operations per second beside them."""
     info = model_file(model).info
+    if info.precision != "fp32":
+        raise ValueError(f"{model}: precision is {info.precision}, need fp32: products of integers are not counted")
     scene = random_scene(views, info.height, info.width, seed=views)
     feed = {name: value.numpy() for name, value in zip(INPUTS, scene.tensors(), strict=True)}
     product, product_operations = matrix_product()
     with tempfile.TemporaryDirectory() as folder:
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.enable_mem_pattern = False
-        options.log_severity_level = 3
+        options = session_options(threads=1)
         options.enable_profiling = True
         options.profile_file_prefix = str(Path(folder) / "profile")
         options.optimized_model_filepath = str(Path(folder) / "optimised.onnx")
         session = onnxruntime.InferenceSession(str(model), options, providers=["CPUExecutionProvider"])
         seconds = []
         for number in range(rounds + 1):
-            start = time.process_time()
+            start = time.perf_counter()
             product()
-            seconds.append(time.process_time() - start)
+            seconds.append(time.perf_counter() - start)
             session.run(None, feed)
             sys.stderr.write(f"{model.stem}: run {number} of {rounds}\n")
         runs = kernels(json.loads(Path(session.end_profiling()).read_text()))[1:]
@@ -132,14 +135,14 @@ def table(runs: list[list[Kernel]], groups: dict[str, str], peak: float) -> list
     for kernel in runs[0]:
         flop[groups[kernel.name]] += kernel.operations
     medians = {name: statistics.median(seconds) for name, seconds in spent.items()}
-    whole = sum(medians.values())
+    whole = statistics.median(sum(kernel.seconds for kernel in run) for run in runs)
     shown = sorted((name for name in medians if medians[name] >= SHOWN * whole), key=lambda name: -medians[name])
     lines = [
         f"| {name} | {1e3 * medians[name]:.0f} | {medians[name] / whole:.0%} | {flop[name] / 1e9:.1f} "
         f"| {flop[name] / medians[name] / peak:.0%} |"
         for name in shown
     ]
-    rest = whole - sum(medians[name] for name in shown)
+    rest = sum(medians[name] for name in medians if name not in shown)
     total = sum(flop.values())
     return [
         *lines,

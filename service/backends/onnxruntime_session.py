@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,25 @@ from ..prepared_model import forget, prepared
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by onnxruntime when it is first imported
 
 _CPU = ["CPUExecutionProvider"]
+
+
+def session_options(threads: int) -> Any:
+    """onnxruntime's `SessionOptions` for `threads` threads."""
+    import onnxruntime as ort
+
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    # the pattern reserves one block for all tensors of a run, more than they need at any one time
+    options.enable_mem_pattern = False
+    # a plan that hands one tensor's block to a later one of the same size holds it in between as well: with two views
+    # 118 MB are in use with it and 67 MB without, in the same time. Without, a process that does nothing but run the
+    # shipped network peaks at 0.20 GB with two views and 0.66 GB with six
+    options.enable_mem_reuse = False
+    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+    options.use_deterministic_compute = True
+    options.log_severity_level = 3
+    return options
 
 
 class OnnxRuntimeSession:
@@ -34,11 +54,11 @@ class OnnxRuntimeSession:
             native.EPFail,
         )
         damaged = (*self.failures, native.InvalidProtobuf, native.InvalidGraph, native.NotImplemented, native.NoModel)
-        self._threads = threads
         session: Any = None
         sha256 = file.info.file_sha256
-        if prepare is not None and (optimised := prepared(file.path, sha256, prepare, self._options)) is not None:
-            options = self._options()
+        make_options = partial(session_options, threads)
+        if prepare is not None and (optimised := prepared(file.path, sha256, prepare, make_options)) is not None:
+            options = make_options()
             options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
             try:
                 session = ort.InferenceSession(str(optimised), options, providers=_CPU)
@@ -46,7 +66,7 @@ class OnnxRuntimeSession:
                 forget(optimised)
         try:
             if session is None:
-                session = ort.InferenceSession(str(file.path), self._options(), providers=_CPU)
+                session = ort.InferenceSession(str(file.path), make_options(), providers=_CPU)
         except damaged as error:
             raise ModelError(f"{file.path} cannot be loaded by onnxruntime: {error}", field="model") from error
         self.native = session
@@ -60,20 +80,3 @@ class OnnxRuntimeSession:
     def run(self, names: Sequence[str], feed: dict[str, NDArray]) -> list[Any]:
         """The outputs of these names."""
         return self.native.run(list(names), feed, self._run_options)
-
-    def _options(self) -> Any:
-        import onnxruntime as ort
-
-        options = ort.SessionOptions()
-        options.intra_op_num_threads = self._threads
-        options.inter_op_num_threads = 1
-        # the pattern reserves one block for all tensors of a run, more than they need at any one time
-        options.enable_mem_pattern = False
-        # a plan that hands one tensor's block to a later one of the same size holds it in between as well: with two
-        # views 118 MB were in use where 67 MB are needed, and a run takes the same time; a process that does nothing
-        # but run the shipped network now peaks at 0.20 GB with two views and 0.66 GB with six
-        options.enable_mem_reuse = False
-        options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-        options.use_deterministic_compute = True
-        options.log_severity_level = 3
-        return options

@@ -12,7 +12,6 @@ import onnx
 import onnxruntime
 import pytest
 
-sys.path.append(str(Path(__file__).parents[1] / "model"))
 sys.path.append(str(Path(__file__).parents[1] / "model" / "depthsplat"))
 
 from full_networks import VIT, miniature

@@ -13,6 +13,7 @@ from served_process import serving
 from gapmes.service.shipped import sample_folder, shipped_model
 from gapmes.service.splat import warm_up
 
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads Linux's /proc")
 MOST_BYTES = 400e6
 PROGRAM = """
 from gapmes.service.cli import main
@@ -22,9 +23,6 @@ finally:
     with open("/proc/self/status") as file:
         print(next(line.split()[1] for line in file if line.startswith("VmHWM:")))
 """
-
-
-pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads Linux's /proc")
 
 
 def test_two_views_fit_into_400_megabytes(tmp_path: Path) -> None:
