@@ -19,6 +19,7 @@ from gapmes.service.contract import INPUTS
 
 from .fold import folded
 from .graph import SceneGraph, folded_position_embeddings
+from .linear_layers import deployed_linear_layers
 from .samples import random_scene
 
 OPSET = 20  # the newest that every backend named in the documentation reads
@@ -40,7 +41,8 @@ def export_graph(network: Network, height: int, width: int) -> onnx.ModelProto:
     views = Dim("V", min=MIN_VIEWS, max=MAX_VIEWS)
     shapes = {name: {0: views} for name in INPUTS}
     shapes["near_far"] = {}
-    with torch.no_grad(), folded_position_embeddings(network, height, width), _quiet_exporter():
+    constants = folded_position_embeddings(network, height, width)
+    with torch.no_grad(), constants, deployed_linear_layers(network), _quiet_exporter():
         program = torch.onnx.export(
             graph,
             example.tensors(),

@@ -15,7 +15,7 @@ from transformers import (
 )
 
 from .config import CELLS_PER_PATCH, PIXELS_PER_PATCH, VitConfig
-from .vit_parts import dinov2, dinov2_config, normalised_for_vit
+from .vit_parts import ATTENTION, dinov2, dinov2_config, normalised_for_vit
 
 _FLAT = 1e-4  # of its greatest value: below this deviation a depth map says nothing but rounding
 
@@ -78,9 +78,8 @@ class DepthAnythingFeatures(nn.Module):
         self.frozen = frozen
         self.model = DepthAnythingForDepthEstimation(_depth_anything_config(config))
         for module in self.model.modules():
-            # The wrapper does not hand its choice on to the encoder; eager exports without a detour for masked rows.
-            if isinstance(module, PreTrainedModel):
-                module.config._attn_implementation = "eager"
+            if isinstance(module, PreTrainedModel):  # the wrapper does not hand its choice on to the encoder
+                module.config._attn_implementation = ATTENTION
         self.register_buffer("to_cells", _area_average(config.patch, CELLS_PER_PATCH), persistent=False)
         mask_token = self.vit.embeddings.mask_token
         assert mask_token is not None

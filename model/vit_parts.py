@@ -3,13 +3,33 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
-from transformers import Dinov2Config, Dinov2Model
+from torch import Tensor, nn
+from transformers import AttentionInterface, Dinov2Config, Dinov2Model
 
 from .config import VitConfig
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
+
+ATTENTION = "every_token"  # the name under which transformers finds `attention_to_every_token`
+
+
+def attention_to_every_token(
+    module: nn.Module, query: Tensor, key: Tensor, value: Tensor, attention_mask: Tensor | None, **settings: object
+) -> tuple[Tensor, None]:
+    """query, key and value (n, heads, tokens, d) -> (n, tokens, heads, d).
+
+    What transformers calls eager, without the mask that it adds to every score in an exported graph though it blocks
+    none, and with the queries scaled, which are fewer than the scores.
+    """
+    assert attention_mask is None
+    scale = settings["scaling"]
+    assert isinstance(scale, float)
+    weights = ((query * scale) @ key.transpose(-1, -2)).softmax(-1)
+    return (weights @ value).transpose(1, 2), None
+
+
+AttentionInterface.register(ATTENTION, attention_to_every_token)
 
 
 def dinov2_config(config: VitConfig, **more: object) -> Dinov2Config:
@@ -20,7 +40,7 @@ def dinov2_config(config: VitConfig, **more: object) -> Dinov2Config:
         mlp_ratio=config.mlp_ratio,
         image_size=config.image_size,
         patch_size=config.patch,
-        attn_implementation="eager",  # type: ignore[call-arg]  # a dataclass that takes further keywords
+        attn_implementation=ATTENTION,  # type: ignore[call-arg]  # a dataclass that takes further keywords
         **more,  # type: ignore[arg-type]
     )
 
