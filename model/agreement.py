@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from .cost_volume import Views
 from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, warp_points
+from .layers import sample_with_repeated_border
 
 CUES = 4  # channels of `agreement_cues`
 SHARPNESS = 16.0  # tanh(16 x) of a difference in normalised inverse depth: saturates at about a tenth of the range
@@ -32,19 +32,19 @@ def agreement_cues(inverse: Tensor, colours: Tensor, views: Views) -> Tensor:
     others = views.count - 1
     reference_k, source_k, motion = views.pairs()
     rays = camera_rays(pixel_grid(h, w, inverse.device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
-    depths = views.inverse_depth(inverse).reshape(-1, views.count, h * w, 1)
-    depths = repeat_for_pairs(depths, others).reshape(-1, h * w, 1)
-    grid, inside, expected = warp_points(rays.flatten(2), depths, source_k, motion)
+    depths = views.inverse_depth(inverse).reshape(-1, views.count, 1, h * w)
+    depths = repeat_for_pairs(depths, others).reshape(-1, 1, h * w)
+    grid, inside, expected = warp_points(rays.flatten(2).unsqueeze(2), depths, source_k, motion)
 
     maps = torch.cat([inverse, colours], dim=1)
     per_view = maps.reshape(-1, views.count, 4, h, w)
     source = other_views(per_view).reshape(-1, 4, h, w)
-    sampled = F.grid_sample(source, grid, mode="bilinear", padding_mode="border", align_corners=False)[..., 0]
+    sampled = sample_with_repeated_border(source, grid.reshape(-1, h, w, 2)).flatten(2)
     own = repeat_for_pairs(per_view, others).reshape(-1, 4, h * w)
     low = _per_pair(views.inverse_far, views)
     high = _per_pair(views.inverse_near, views)
-    mine = (expected[..., 0] - low) / (high - low)
-    mask = inside[..., 0].to(inverse.dtype)
+    mine = (expected[:, 0] - low) / (high - low)
+    mask = inside[:, 0].to(inverse.dtype)
     through = torch.tanh(SHARPNESS * (mine - sampled[:, 0])) * mask
     colour = (own[:, 1:] - sampled[:, 1:]).abs().mean(1) * mask
 

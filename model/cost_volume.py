@@ -93,8 +93,8 @@ def sweep(features: list[Tensor], views: Views, planes: int) -> tuple[list[Tenso
     insides: list[Tensor] = []
     for start in range(0, h, -(-h // SWEEP_PIECES)):
         stop = min(h, start + -(-h // SWEEP_PIECES))
-        rows = rays[:, :, start:stop].flatten(2)
-        grid, inside = warp_positions(rows, inverse.expand(-1, rows.shape[2], -1), source_k, motion)
+        rows = rays[:, :, start:stop].flatten(2).unsqueeze(3)
+        grid, inside = warp_positions(rows, inverse, source_k, motion)
         insides.append(inside.to(rows.dtype))
         for number, (ref, src) in enumerate(zip(reference, source, strict=True)):
             correlation = ref[:, :, start:stop].flatten(2).transpose(1, 2) @ src.flatten(2)
@@ -124,23 +124,25 @@ def local_matching(features: list[Tensor], candidates: Tensor, views: Views) -> 
     others = views.count - 1
     reference_k, source_k, motion = views.pairs()
     rays = camera_rays(pixel_grid(h, w, candidates.device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
-    inverse = views.inverse_depth(candidates).flatten(2).transpose(1, 2)  # (B*V, P, K)
-    inverse = repeat_for_pairs(inverse.reshape(-1, views.count, h * w, count), others).reshape(-1, h * w, count)
-    grid, inside = warp_positions(rays.flatten(2), inverse, source_k, motion)
+    inverse = views.inverse_depth(candidates).reshape(-1, views.count, count, h * w)
+    inverse = repeat_for_pairs(inverse, others).reshape(-1, count, h * w)
+    grid, inside = warp_positions(rays.flatten(2).unsqueeze(2), inverse, source_k, motion)
     mask = inside.to(candidates.dtype)
-    seen = mask.reshape(-1, others, h * w, count).sum(1)
-    scores = []
-    for feature in features:
-        channels = feature.shape[1]
-        per_view = feature.reshape(-1, views.count, channels, h, w)
-        source = other_views(per_view).reshape(-1, channels, h, w)
-        reference = repeat_for_pairs(per_view, others).reshape(-1, channels, h * w, 1)
-        # one candidate after the other: all of them at once are K times as many numbers as the feature map has
-        each = [
-            (reference * F.grid_sample(source, at, mode="bilinear", padding_mode="zeros", align_corners=False)).sum(1)
-            for at in grid.split(1, dim=2)
-        ]
-        score = torch.cat(each, dim=2) * mask
-        score = score.reshape(-1, others, h * w, count).sum(1) / seen.clamp(min=1)
-        scores.append(score.transpose(1, 2).reshape(n, count, h, w))
-    return scores, (seen / others).transpose(1, 2).reshape(n, count, h, w)
+    seen = mask.reshape(-1, others, count, h * w).sum(1)
+    widths = [feature.shape[1] for feature in features]
+    per_view = torch.cat(features, dim=1).reshape(
+        -1, views.count, sum(widths), h, w
+    )  # finding a sample's place is dear
+    source = other_views(per_view).reshape(-1, sum(widths), h, w)
+    reference = repeat_for_pairs(per_view, others).reshape(-1, sum(widths), 1, h * w)
+    each: list[list[Tensor]] = [[] for _ in features]
+    # one candidate after the other: all of them at once are K times as many numbers as the feature maps have
+    for at in grid.split(1, dim=1):
+        products = reference * F.grid_sample(source, at, mode="bilinear", padding_mode="zeros", align_corners=False)
+        for scores, part in zip(each, products.split(widths, dim=1), strict=True):
+            scores.append(part.sum(1))
+    volumes = []
+    for scores in each:
+        total = (torch.cat(scores, dim=1) * mask).reshape(-1, others, count, h * w).sum(1)
+        volumes.append((total / seen.clamp(min=1)).reshape(n, count, h, w))
+    return volumes, (seen / others).reshape(n, count, h, w)

@@ -13,7 +13,7 @@ from .behind import filled_from_behind
 from .config import ModelConfig
 from .cost_volume import PatchDescriptor, Views, local_matching, sweep
 from .evidence import at_candidates, matching_evidence
-from .layers import ResidualBlock, replicate_pad, resize_to, softmax_of_channels
+from .layers import ResidualBlock, replicate_pad, resize_to, softmax_mean, softmax_of_channels
 from .trunk import TrunkFeatures
 
 REFINE_REACH = 2.0  # planes of the sweep
@@ -84,11 +84,11 @@ class DepthFromMatching(nn.Module):
         volume = self.volume_net(torch.cat([learned * 2, zncc, seen, features.quarter, mono, pooled], dim=1))
         logits = self.volume_logits(volume) + learned * self.learned_sharpness[0] + zncc * self.zncc_sharpness[0]
         probability = softmax_of_channels(logits + pooled * self.evidence_sharpness[0])
-        bins = torch.linspace(0, 1, self.planes, device=images.device).reshape(1, -1, 1, 1)
-        coarse = (probability * bins).sum(1, keepdim=True)
+        bins = torch.linspace(0, 1, self.planes, device=images.device)
+        coarse = (probability * bins.reshape(1, -1, 1, 1)).sum(1, keepdim=True)
         confidence = probability.amax(1, keepdim=True)
 
-        start = (softmax_of_channels(evidence * self.evidence_sharpness[1]) * bins).sum(1, keepdim=True)
+        start = softmax_mean(evidence * self.evidence_sharpness[1], bins)
         cues = agreement_cues(start, colours, views)
         sure = confirmation(cues)
         filled = filled_from_behind(start, sure)

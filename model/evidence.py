@@ -7,11 +7,11 @@ within what looks like one surface. It does not know what resolution the network
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from .cost_volume import SWEEP_PIECES, Views
 from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, warp_positions
+from .layers import sample_with_repeated_border
 from .windows import mean_with_repeated_border
 
 WINDOW_RADIUS = 2  # px at half resolution: correlation in windows of 5 x 5
@@ -33,10 +33,11 @@ def matching_evidence(images: Tensor, views: Views, planes: int, *, sparse: bool
     n, _, h, w = images.shape
     others = views.count - 1
     reference_k, source_k, motion = views.pairs()
-    rays = camera_rays(pixel_grid(h, w, images.device).expand(reference_k.shape[0], -1, -1, -1), reference_k).flatten(2)
+    rays = camera_rays(pixel_grid(h, w, images.device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
+    rays = rays.flatten(2).unsqueeze(2)
     bins = torch.linspace(0, 1, planes, device=images.device).reshape(1, planes, 1, 1)
     inverse = views.inverse_depth(bins)[:, :, 0, 0].reshape(-1, views.count, planes)
-    inverse = repeat_for_pairs(inverse, others).reshape(-1, 1, planes)
+    inverse = repeat_for_pairs(inverse, others).reshape(-1, planes, 1)
     per_view = images.reshape(-1, views.count, 3, h, w)
     reference = repeat_for_pairs(per_view, others).reshape(-1, 3, h, w)
     source = other_views(per_view).reshape(-1, 3, h, w)
@@ -44,11 +45,11 @@ def matching_evidence(images: Tensor, views: Views, planes: int, *, sparse: bool
     pieces = []
     step = -(-planes // SWEEP_PIECES)
     for start in range(0, planes, step):
-        some = inverse[:, :, start : start + step]
-        grid, inside = warp_positions(rays, some.expand(-1, h * w, -1), source_k, motion)
-        count = some.shape[2]
-        grid = grid.transpose(1, 2).reshape(-1, count * h, w, 2)
-        seen = inside.transpose(1, 2).reshape(-1, count, h, w)
+        some = inverse[:, start : start + step]
+        grid, inside = warp_positions(rays, some, source_k, motion)
+        count = some.shape[1]
+        grid = grid.reshape(-1, count * h, w, 2)
+        seen = inside.reshape(-1, count, h, w)
         if sparse:
             pairs = torch.nonzero(inside.flatten(1).any(dim=1)).squeeze(1)
             found = _compared(
@@ -65,7 +66,7 @@ def matching_evidence(images: Tensor, views: Views, planes: int, *, sparse: bool
 def _compared(reference: Tensor, source: Tensor, grid: Tensor) -> Tensor:
     """(m, D, h, w) of pictures (m, 3, h, w) and where each plane's pixels lie in the other's, grid (m, D*h, w, 2)."""
     h, w = reference.shape[-2:]
-    colours = F.grid_sample(source, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    colours = sample_with_repeated_border(source, grid)
     return _similarity(reference, colours.reshape(colours.shape[0], 3, grid.shape[1] // h, h, w))
 
 

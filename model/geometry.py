@@ -54,13 +54,14 @@ def warp_points(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Where reference pixels at given inverse depths fall in a source view, and how deep they lie there.
 
-    rays (m, 3, P) with z = 1, inverse_depth (m, P, D), K (m, 3, 3) normalised, motion (m, 4, 4).
+    rays (m, 3, a, b) with z = 1, inverse_depth (m, c, d), K (m, 3, 3) normalised, motion (m, 4, 4); the shapes (a, b)
+    and (c, d) broadcast to the (A, B) of what returns: rays in rows and depths in columns, or the other way round.
     A point is ray / d, so up to the positive factor d it is R ray + t d: no division by a small depth.
-    Returns sampling positions in [-1, 1] grid units (m, P, D, 2), outside the image wherever the point lies behind
-    the source camera or anything is not finite, a mask (m, P, D) of samples that fall inside, and the inverse depth
-    of the point in the source camera (m, P, D), 0 behind it.
+    Returns sampling positions in [-1, 1] grid units (m, A, B, 2), outside the image wherever the point lies behind
+    the source camera or anything is not finite, a mask (m, A, B) of samples that fall inside, and the inverse depth
+    of the point in the source camera (m, A, B), 0 behind it.
     """
-    rotated = (source_from_reference[:, :3, :3] @ rays).unsqueeze(-1)  # (m, 3, P, 1)
+    rotated = (source_from_reference[:, :3, :3] @ rays.flatten(2)).reshape(rays.shape)
     translation = source_from_reference[:, :3, 3, None, None]
     z = rotated[:, 2] + translation[:, 2] * inverse_depth
     front = z > 1e-4

@@ -44,5 +44,28 @@ def softmax_of_channels(x: Tensor) -> Tensor:
     return powers / powers.sum(1, keepdim=True)
 
 
+def softmax_mean(x: Tensor, values: Tensor) -> Tensor:
+    """(n, 1, h, w): mean of `values` (D) under the softmax of (n, D, h, w) over D. Both sums are one product, which
+    takes 6 ms for 64 planes of 128 x 128 where dividing first takes 30."""
+    powers = (x - x.amax(1, keepdim=True)).exp()
+    weighted, total = (torch.stack([values, torch.ones_like(values)]) @ powers.flatten(2)).split(1, dim=1)
+    return (weighted / total).unflatten(2, x.shape[2:])
+
+
 def replicate_pad(x: Tensor, margin: int) -> Tensor:
     return F.pad(x, (margin, margin, margin, margin), mode="replicate")
+
+
+def sample_with_repeated_border(x: Tensor, grid: Tensor) -> Tensor:
+    """Bilinear samples (n, C, rows, columns) of (n, C, h, w) at finite positions (n, rows, columns, 2), where -1 and 1
+    are the outer edges; border pixels repeat outwards.
+
+    Positions are brought to the outermost pixel centres first: onnxruntime takes three times as long to do so itself,
+    490 ms instead of 154 for 64 planes of two pictures of 128 x 128.
+    """
+    h, w = x.shape[-2:]
+    columns = grid.shape[2]
+    limit = torch.tensor([1 - 1 / w, 1 - 1 / h], dtype=grid.dtype, device=x.device).repeat(columns)
+    flat = grid.flatten(2)  # a last axis of two is slow as well
+    nearest = torch.minimum(torch.maximum(flat, -limit), limit).reshape(grid.shape)
+    return F.grid_sample(x, nearest, mode="bilinear", padding_mode="zeros", align_corners=False)

@@ -82,7 +82,7 @@ def other_lens() -> Row:
         exact = (points @ lens.T)[:, :2] / points[:, 2:]
         motion = np.eye(4)
         motion[:3, :3], motion[:3, 3] = turn, shift
-        tensors = [torch.from_numpy(a).float()[None] for a in (rays.T, inverse[:, None], lens, motion)]
+        tensors = [torch.from_numpy(a).float()[None] for a in (rays.T[:, :, None], inverse[:, None], lens, motion)]
         grid, inside, _ = warp_points(*tensors)
         found = (grid[0, :, 0].numpy() + 1) / 2
         seen = inside[0, :, 0].numpy()

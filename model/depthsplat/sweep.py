@@ -40,9 +40,9 @@ def plane_sweep(
     for start in range(0, h, step):
         stop = min(h, start + step)
         cells = (stop - start) * w
-        depths = inverse[:, :, start:stop].flatten(2) if per_cell else inverse.flatten(2).expand(-1, -1, cells)
-        depths = depths.transpose(1, 2).unsqueeze(1).expand(-1, count, -1, -1).reshape(-1, cells, planes)
-        at, _, _ = warp_points(rays[:, :, start:stop].flatten(2), depths, target_k, motion)
+        depths = inverse[:, :, start:stop].flatten(2) if per_cell else inverse.flatten(2)
+        depths = depths.transpose(1, 2).unsqueeze(1).expand(-1, count, -1, -1).flatten(0, 1)
+        at, _, _ = warp_points(rays[:, :, start:stop].flatten(2).unsqueeze(3), depths, target_k, motion)
         at = at + 2 * half_cell / size
         reference = features[:, :, start:stop].flatten(2).transpose(1, 2)  # (n, cells, C)
         reference = reference.unsqueeze(1).expand(-1, count, -1, -1).reshape(-1, cells, channels)

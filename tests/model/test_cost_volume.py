@@ -29,7 +29,7 @@ def direct_sweep(features: torch.Tensor, views: Views, planes: int) -> torch.Ten
                 s = b * views.count + j
                 motion = torch.linalg.inv(poses[s]) @ poses[r]
                 grid, inside = warp_positions(
-                    rays, inverse.expand(1, h * w, planes), intrinsics[s : s + 1], motion[None]
+                    rays.unsqueeze(3), inverse.expand(1, 1, planes), intrinsics[s : s + 1], motion[None]
                 )
                 sampled = F.grid_sample(features[s : s + 1], grid, align_corners=False)[0]
                 total += (features[r].flatten(1)[:, :, None] * sampled).sum(0) * inside[0]

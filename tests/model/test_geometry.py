@@ -71,7 +71,7 @@ def warp_case(translation: list[float]) -> tuple[torch.Tensor, ...]:
 @pytest.mark.case("P7")
 def test_warp_follows_a_point_through_both_lenses() -> None:
     rays, inverse, source_k, motion = warp_case([0.3, -0.1, 0.2])
-    grid, inside = warp_positions(rays, inverse, source_k, motion)
+    grid, inside = warp_positions(rays.unsqueeze(3), inverse, source_k, motion)
     d = inverse.double().unsqueeze(-1)
     point = (motion[0, :3, :3].double() @ rays[0].double()).T[None, :, None] + motion[0, :3, 3].double() * d
     x = source_k[0, 0, 0].double() * point[..., 0] / point[..., 2] + source_k[0, 0, 2].double()
@@ -86,7 +86,7 @@ def test_warp_follows_a_point_through_both_lenses() -> None:
 @pytest.mark.case("P4")
 def test_points_behind_the_source_are_never_sampled() -> None:
     rays, inverse, source_k, motion = warp_case([0.0, 0.0, -3.0])
-    grid, inside = warp_positions(rays, inverse, source_k, motion)
+    grid, inside = warp_positions(rays.unsqueeze(3), inverse, source_k, motion)
     behind = (motion[0, :3, :3] @ rays[0]).T[None, :, None, 2] + motion[0, 2, 3] * inverse <= 0
     assert behind.any()
     assert not inside[behind].any()
