@@ -130,11 +130,11 @@ def local_matching(features: list[Tensor], candidates: Tensor, views: Views) -> 
     mask = inside.to(candidates.dtype)
     seen = mask.reshape(-1, others, count, h * w).sum(1)
     widths = [feature.shape[1] for feature in features]
-    per_view = torch.cat(features, dim=1).reshape(
-        -1, views.count, sum(widths), h, w
-    )  # finding a sample's place is dear
-    source = other_views(per_view).reshape(-1, sum(widths), h, w)
-    reference = repeat_for_pairs(per_view, others).reshape(-1, sum(widths), 1, h * w)
+    channels = sum(widths)
+    # all feature maps at once: finding a sample's place costs more than reading it
+    per_view = torch.cat(features, dim=1).reshape(-1, views.count, channels, h, w)
+    source = other_views(per_view).reshape(-1, channels, h, w)
+    reference = repeat_for_pairs(per_view, others).reshape(-1, channels, 1, h * w)
     each: list[list[Tensor]] = [[] for _ in features]
     # one candidate after the other: all of them at once are K times as many numbers as the feature maps have
     for at in grid.split(1, dim=1):

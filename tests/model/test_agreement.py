@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
@@ -58,6 +59,27 @@ def test_colours_are_compared_where_the_point_lands() -> None:
     colours[1] = 0.8
     cues = agreement_cues(inverse, colours, sideways())
     assert float(cues[0, 2][8:16, 8:16].mean()) == pytest.approx(0.3, abs=1e-6)
+
+
+def test_every_pixel_is_compared_with_where_it_lands() -> None:
+    """Random depths and colours of pictures that are not square, against float64 pixel by pixel."""
+    h, w, cameras = 9, 14, sideways()
+    generator = torch.Generator().manual_seed(4)
+    inverse, colours = torch.rand(2, 1, h, w, generator=generator), torch.rand(2, 3, h, w, generator=generator)
+    cues = agreement_cues(inverse, colours, cameras).double().numpy()
+    maps = torch.cat([inverse, colours], dim=1).double().numpy()
+    for r, shift in ((0, -0.4), (1, 0.4)):
+        for y, x in np.ndindex(h, w):
+            depth = 1 / (1 / FAR + (1 / NEAR - 1 / FAR) * maps[r, 0, y, x])
+            at = x + shift / depth * w  # the cameras look along z with a focal length of one picture
+            low = int(np.floor(at.clip(0, w - 1)).clip(0, w - 2))
+            share = at.clip(0, w - 1) - low
+            there = (1 - share) * maps[1 - r, :, y, low] + share * maps[1 - r, :, y, low + 1]
+            inside = -0.5 < at < w - 0.5
+            through = np.tanh(SHARPNESS * (maps[r, 0, y, x] - there[0])) * inside
+            colour = np.abs(maps[r, 1:, y, x] - there[1:]).mean() * inside
+            # positions of up to 14 px are rounded by 1e-6, SHARPNESS times over in the first two
+            assert np.abs(cues[r, :, y, x] - [through, max(through, 0), colour, inside]).max() < 1e-4
 
 
 def test_what_no_other_view_has_in_frame_gives_zeros() -> None:

@@ -61,6 +61,32 @@ def test_local_matching_at_the_planes_equals_the_sweep() -> None:
     torch.testing.assert_close(local_seen, seen)
 
 
+def test_local_matching_equals_direct_sampling_of_each_feature_map() -> None:
+    """Two scenes of three views that are not square, two feature maps of other widths, candidates of every pixel."""
+    _, intrinsics, poses, near_far = scene(2, 3)
+    cameras = Views.make(intrinsics, poses, near_far)
+    generator = torch.Generator().manual_seed(2)
+    features = [F.normalize(torch.randn(6, width, 10, 14, generator=generator), dim=1) for width in (5, 12)]
+    candidates = torch.rand(6, 4, 10, 14, generator=generator)
+    found, seen = local_matching(features, candidates, cameras)
+    k, motion = intrinsics.reshape(-1, 3, 3), poses.reshape(-1, 4, 4)
+    inverse = cameras.inverse_depth(candidates).flatten(2)  # (6, K, P)
+    for r in range(6):
+        rays = camera_rays(pixel_grid(10, 14, candidates.device)[None], k[r : r + 1]).flatten(2)
+        totals, count = [torch.zeros(140, 4) for _ in features], torch.zeros(140, 4)
+        for s in (s for s in range(r // 3 * 3, r // 3 * 3 + 3) if s != r):
+            there = (torch.linalg.inv(motion[s]) @ motion[r])[None]
+            grid, inside = warp_positions(rays.unsqueeze(3), inverse[r].T[None], k[s : s + 1], there)
+            count += inside[0]
+            for total, feature in zip(totals, features, strict=True):
+                sampled = F.grid_sample(feature[s : s + 1], grid, align_corners=False)[0]
+                total += (feature[r].flatten(1)[:, :, None] * sampled).sum(0) * inside[0]
+        for total, score in zip(totals, found, strict=True):
+            expected = (total / count.clamp(min=1)).T.reshape(4, 10, 14)
+            torch.testing.assert_close(score[r], expected, atol=3e-6, rtol=0)
+        torch.testing.assert_close(seen[r], (count / 2).T.reshape(4, 10, 14))
+
+
 def test_other_views_of_a_batch_stay_within_their_scene() -> None:
     values = torch.arange(6).reshape(2, 3, 1)
     assert other_views(values)[1].flatten().tolist() == [4, 5, 3, 5, 3, 4]

@@ -83,6 +83,17 @@ def test_warp_follows_a_point_through_both_lenses() -> None:
     assert torch.equal(inside, (expected.abs() < 1).all(-1))
 
 
+def test_rays_and_depths_broadcast_either_way_round() -> None:
+    rays, inverse, source_k, motion = warp_case([0.3, -0.1, 0.2])
+    grid, inside = warp_positions(rays.unsqueeze(3), inverse, source_k, motion)
+    assert grid.shape == (1, 80, 7, 2)
+    shared = inverse[:, :1]  # every ray has the same depths here
+    for depths, turned in ((shared, False), (shared.transpose(1, 2), True), (inverse.transpose(1, 2), True)):
+        other, within = warp_positions(rays.unsqueeze(2 if turned else 3), depths, source_k, motion)
+        assert torch.equal(other.transpose(1, 2) if turned else other, grid)
+        assert torch.equal(within.transpose(1, 2) if turned else within, inside)
+
+
 @pytest.mark.case("P4")
 def test_points_behind_the_source_are_never_sampled() -> None:
     rays, inverse, source_k, motion = warp_case([0.0, 0.0, -3.0])
