@@ -78,7 +78,7 @@ def test_every_pixel_is_compared_with_where_it_lands() -> None:
             inside = -0.5 < at < w - 0.5
             through = np.tanh(SHARPNESS * (maps[r, 0, y, x] - there[0])) * inside
             colour = np.abs(maps[r, 1:, y, x] - there[1:]).mean() * inside
-            # positions of up to 14 px are rounded by 1e-6, SHARPNESS times over in the first two
+            # positions of up to 14 px are rounded by 1e-6, SHARPNESS times over in the first two: measured 8.7e-6
             assert np.abs(cues[r, :, y, x] - [through, max(through, 0), colour, inside]).max() < 1e-4
 
 

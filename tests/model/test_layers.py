@@ -1,4 +1,4 @@
-"""Shared layers against float64: means under a softmax of any size, samples beyond the border, both with gradients."""
+"""Shared layers against float64: means under a softmax of any size and their gradient, samples beyond the border."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def random(*shape: int, seed: int = 0) -> Tensor:
 def test_softmax_mean_equals_float64(scale: float) -> None:
     x, values = scale * random(2, 64, 5, 7), torch.linspace(0, 1, 64)
     exact = (x.double().softmax(1) * values.double().reshape(1, -1, 1, 1)).sum(1, keepdim=True)
-    # sums of 64 rounded powers: measured 2.1e-7 of values up to 1
+    # sums of 64 rounded powers: measured 1.6e-7 of values up to 1
     assert (softmax_mean(x, values) - exact).abs().max() < 1e-6
 
 
@@ -44,7 +44,7 @@ def test_beyond_the_border_its_pixels_repeat(height: int, width: int) -> None:
             for n in range(2):
                 exact[n] += weight[n] * picture[n].double().numpy()[:, y[n], x[n]]
     sampled = sample_with_repeated_border(picture, grid)
-    # positions of up to 128 px are rounded by 8e-6: measured 2.6e-5 of values up to 4
+    # positions of up to 128 px are rounded by 8e-6: measured 1.4e-5 of values up to 4.6
     assert np.abs(sampled.numpy() - exact).max() < 1e-4
     theirs = F.grid_sample(picture, grid, mode="bilinear", padding_mode="border", align_corners=False)
     assert (sampled - theirs).abs().max() < 1e-4
