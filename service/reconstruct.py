@@ -18,6 +18,8 @@ from .depth_sweep import narrowed
 from .document import scene_document
 from .engine import Arrays, Engine
 from .errors import CameraError, ViewCountError
+from .fade_passes import DEFAULT_PASSES, checked_passes
+from .fading import Fading, faded
 from .fitting import fitted
 from .foretold import DEFAULT_OTHERS, checked_others, nearest_others
 from .gaussians import Gaussians
@@ -75,6 +77,7 @@ class Reconstructor:
         trust_poses: bool = False,
         budget: Budget = DEFAULT_BUDGET,
         leave_one_out: int = DEFAULT_OTHERS,
+        fade: int = DEFAULT_PASSES,
         listener: Listener = silent,
     ) -> Scene:
         """2..6 photographs, uint8 (H, W, 3 or 4), `Photo` or `EncodedPhoto`, with one camera each -> `Scene`.
@@ -85,14 +88,17 @@ class Reconstructor:
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
         a warning. `budget` says what may be left out of the scene and for which views that is proved. With three
         photographs or more each is also compared with its picture from a reconstruction of the `leave_one_out` others
-        that are nearest to it (2 or more; all others where there are fewer; 0: not done). `listener` hears the stages
-        cameras, images, network, gaussians, kernels (the first time), leave out, check, leave one out.
+        that are nearest to it (2 or more; all others where there are fewer; 0: not done). `fade` is how
+        often the opacity of what the photographs contradict is lowered (`fading.py`; 0: the network's own opacities).
+        `listener` hears the stages cameras, images, network, gaussians, kernels (the first time), fade, leave out,
+        check, leave one out.
         Raises `InputError` and `ModelError`.
         """
         stages = Stages(listener)
         info = self.engine.info
         warnings: list[Notice] = []
         checked_others(leave_one_out)
+        checked_passes(fade)
         with stages.stage("cameras"):
             cameras = _as_cameras(cameras, len(images))
             depths = depth_range(cameras, near, far)
@@ -114,25 +120,28 @@ class Reconstructor:
             rows, dropped = kept_rows(outputs, views, frame)
             shape = len(views), info.height, info.width
             thin, rows = thinned(outputs, rows, shape, budget.stride)
-            gaussians = frame.to_world(thin, rows)
+            found = frame.to_world(thin, rows)
         if not is_warm():  # not before the network: 70 MB that would be in memory beside it
             with stages.stage("kernels"):  # compiled the first time, then loaded
                 warm_up()
         view_cameras = tuple(view.camera for view in views)
         scene = SceneViews(view_cameras, depths.near, depths.far)
         owner = np.minimum(rows // (info.height * info.width), len(views))  # the view whose pixel it is, if any
+        with stages.stage("fade"):
+            fading = self._faded(found, views, scene, fade)
+        gaussians = fading.gaussians
         with stages.stage("leave out"):  # what stands behind the scene is there for views that nobody has asked for
             lean, drawn, pruned = leave_out(gaussians, owner < len(views), scene, budget, self.engine.threads)
         with stages.stage("check"):
             check = {
                 **self_check(views, depths, info, drawn),
-                "from_others": from_others(gaussians, owner, views, threads=self.engine.threads, **scene.near_plane),
+                "from_others": from_others(found, owner, views, threads=self.engine.threads, **scene.near_plane),
                 "leave_one_out": None,
                 "ambiguous_routes": ambiguous_routes(outputs, masks),
             }
         if leave_one_out and len(views) > MIN_VIEWS:
             with stages.stage("leave one out", len(views)) as done:
-                check["leave_one_out"] = self._foretold(views, depths, scene, leave_one_out, done)
+                check["leave_one_out"] = self._foretold(views, depths, scene, leave_one_out, fade, done)
         document = scene_document(
             info=info,
             made_by=self.engine.made_by,
@@ -145,6 +154,7 @@ class Reconstructor:
             dropped=dropped,
             left_out=table(outputs, masks, info, dropped, pruned),
             pruned=pruned,
+            faded=fading.document(),
             check=check,
             warnings=warnings,
             timings=stages.timings,
@@ -164,12 +174,16 @@ class Reconstructor:
         )
         return outputs, frame
 
+    def _faded(self, gaussians: Gaussians, views: Sequence[FittedView], scene: SceneViews, passes: int) -> Fading:
+        return faded(gaussians, views, passes, threads=self.engine.threads, **scene.near_plane)
+
     def _foretold(
         self,
         views: Sequence[FittedView],
         depths: DepthRange,
         scene: SceneViews,
         count: int,
+        fade: int,
         done: Callable[[int], None],
     ) -> list[dict[str, Any]]:
         """Each view drawn from a reconstruction of the `count` nearest others."""
@@ -179,6 +193,7 @@ class Reconstructor:
             others = [views[other] for other in chosen]
             outputs, frame = self._run(others, depths)
             gaussians = frame.to_world(outputs, kept_rows(outputs, others, frame)[0])
+            gaussians = self._faded(gaussians, others, scene, fade).gaussians
             options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
             image = render(gaussians, view.camera, outputs=("alpha",), **options)
             rows.append({"from": chosen, **drawn_again(image, view)})

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from gapmes.service.budget import Budget
 from gapmes.service.camera import Camera
+from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import Photo
 
@@ -56,11 +57,18 @@ def peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def timed(model: Path | None, given: Sequence[Given], budget: Budget, repeats: int, threads: int | None) -> Timed:
+def timed(
+    model: Path | None,
+    given: Sequence[Given],
+    budget: Budget,
+    repeats: int,
+    threads: int | None,
+    fade: int = DEFAULT_PASSES,
+) -> Timed:
     """In new processes, which have loaded nothing but the service: one is timed with the first scene alone, so that its
     memory is that of serving it, the other reconstructs them all."""
-    times, peak = _in_child(_measured, model, given[0], budget, repeats, threads)
-    scenes = _in_child(_reconstructed, model, given, budget, threads)
+    times, peak = _in_child(_measured, model, given[0], budget, repeats, threads, fade)
+    scenes = _in_child(_reconstructed, model, given, budget, threads, fade)
     return Timed([s for s, _ in scenes], [d for _, d in scenes], times, sum(times.values()), peak)
 
 
@@ -80,26 +88,26 @@ def answer(asked: str, told: str) -> None:
 
 
 def _measured(
-    model: Path | None, scene: Given, budget: Budget, repeats: int, threads: int | None
+    model: Path | None, scene: Given, budget: Budget, repeats: int, threads: int | None, fade: int
 ) -> tuple[dict[str, float], float]:
     """Medians of the stages, and the peak memory."""
     from gapmes.service.reconstruct import Reconstructor
 
     reconstructor = Reconstructor(model, threads=threads)
-    measured = [_once(reconstructor, scene, budget)[1]["timings"] for _ in range(repeats + 1)][1:]
+    measured = [_once(reconstructor, scene, budget, fade)[1]["timings"] for _ in range(repeats + 1)][1:]
     return {name: statistics.median(row[name] for row in measured) for name in measured[0]}, peak_mb()
 
 
 def _reconstructed(
-    model: Path | None, given: Sequence[Given], budget: Budget, threads: int | None
+    model: Path | None, given: Sequence[Given], budget: Budget, threads: int | None, fade: int
 ) -> list[tuple[Gaussians, dict[str, Any]]]:
     from gapmes.service.reconstruct import Reconstructor
 
     reconstructor = Reconstructor(model, threads=threads)
-    return [_once(reconstructor, scene, budget) for scene in given]
+    return [_once(reconstructor, scene, budget, fade) for scene in given]
 
 
-def _once(reconstructor: Reconstructor, scene: Given, budget: Budget) -> tuple[Gaussians, dict[str, Any]]:
+def _once(reconstructor: Reconstructor, scene: Given, budget: Budget, fade: int) -> tuple[Gaussians, dict[str, Any]]:
     found = reconstructor.reconstruct(
         list(scene.photos),
         scene.cameras,
@@ -108,5 +116,6 @@ def _once(reconstructor: Reconstructor, scene: Given, budget: Budget) -> tuple[G
         trust_poses=True,
         budget=budget,
         leave_one_out=0,
+        fade=fade,
     )
     return found.gaussians, found.document

@@ -13,6 +13,7 @@ import numpy as np
 from gapmes.service.budget import KEEP_ALL
 from gapmes.service.camera import Camera
 from gapmes.service.effort import draw
+from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.ply import ply_bytes
 from gapmes.service.progress import Listener, Stages, silent
@@ -63,6 +64,7 @@ def report(
             rows.append(measure.network(model))
             done(len(rows))
         rows += measure.views(models[0])
+        rows += [measure.fading(passes) for passes in knobs.FADE_PASSES]
     with stages.stage("scene", len(knobs.SCENE_SETTINGS)) as done:
         for setting in knobs.SCENE_SETTINGS:
             rows.append(measure.scene(setting))
@@ -130,6 +132,14 @@ class _Measure:
             how = f"gapmes reconstruct --views, {count} of them" + (" --leave-one-out 0" if count > 2 else "")
             rows.append(_row("network", "views", str(count), how, count == 2, _timing(run), run.peak_mb, model=quality))
         return rows
+
+    def fading(self, passes: int) -> Row:
+        """How often the opacity of what the photographs contradict is lowered."""
+        plain = passes == DEFAULT_PASSES
+        run = self.whole if plain else timed(None, self.given, KEEP_ALL, REPEATS, self.threads, passes)
+        quality = model_error(self.exact if plain else self._pictures(run.gaussians), self.truth, self.lpips)
+        how = f"gapmes reconstruct --fade {passes}"
+        return _row("network", "fading", str(passes), how, plain, _timing(run), run.peak_mb, model=quality)
 
     def scene(self, setting: knobs.SceneSetting) -> Row:
         """What is left out of a scene: time of a picture of what is left, size of the .ply, change, bound."""

@@ -11,9 +11,10 @@ import typer
 
 from ..backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from ..budget import DEFAULT_CERTIFY
+from ..fade_passes import DEFAULT_PASSES, checked_passes
 from ..foretold import DEFAULT_OTHERS, checked_others
 from ..terminal import ProgressBars, Quiet
-from .summary import check_line, left_out_lines, selection_line
+from .summary import check_line, fading_line, left_out_lines, selection_line
 
 
 def reconstruct(
@@ -46,6 +47,9 @@ def reconstruct(
     leave_one_out: Annotated[
         int, typer.Option(help="of three views or more, how many others foretell each (2 to 5); 0: not done")
     ] = DEFAULT_OTHERS,
+    fade: Annotated[
+        int, typer.Option(help="passes that lower the opacity of what the photographs contradict; 0: none")
+    ] = DEFAULT_PASSES,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
     engine: Annotated[
         str, typer.Option(help=f"what computes the network: {', '.join(ENGINES)} [default: onnxruntime]")
@@ -68,6 +72,7 @@ def reconstruct(
     if not output.parent.is_dir():  # said before the work, not after it
         raise InputError(f"{output.parent} is not a folder", field="output")
     checked_others(leave_one_out)
+    checked_passes(fade)
     chosen = checked_engine(engine)
     budget = Budget(parse_max_error(max_error), certify, min_opacity=min_opacity, stride=stride)
     wish = checked_wish(Wish(views, context, field="views"))
@@ -91,6 +96,7 @@ def reconstruct(
             trust_poses=trust_poses,
             budget=budget,
             leave_one_out=leave_one_out,
+            fade=fade,
             listener=bars,
         )
         with stages.stage("write .ply"):
@@ -98,6 +104,7 @@ def reconstruct(
     bars.say(f"{len(scene.gaussians)} Gaussians in {output}")
     bars.say(selection_line(found.selection))
     bars.say(check_line(scene.document["check"]))
+    bars.say(fading_line(scene.document))
     for line in left_out_lines(scene.document):
         bars.say(line)
     for warning in scene.document.get("warnings", ()):

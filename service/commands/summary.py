@@ -25,6 +25,17 @@ def check_line(check: Mapping[str, Any]) -> str:
     return "; ".join(parts)
 
 
+def fading_line(document: Mapping[str, Any]) -> str:
+    """How many Gaussians the photographs contradict."""
+    fading = document["fading"]
+    if not fading["passes"]:
+        return "faded: nothing, as asked for"
+    return (
+        f"faded in {fading['passes']} passes, as the photographs contradict them: {fading['lowered']:,} Gaussians, "
+        f"{fading['gone']:,} of them out of sight"
+    )
+
+
 def selection_line(said: Mapping[str, Any]) -> str:
     """Which views were used, of how many, and by what they were chosen."""
     why = {"all": "all there are", "select": "as asked for", "photographs": "those with a photograph"}

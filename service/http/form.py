@@ -6,6 +6,7 @@ from typing import Any
 
 from ..budget import DEFAULT_CERTIFY, MAX_CERTIFY
 from ..captures.select import DEFAULT_CONTEXT
+from ..fade_passes import DEFAULT_PASSES, MAX_PASSES
 from ..foretold import DEFAULT_OTHERS
 from ..model_names import DEFAULT
 from ..stride import STRIDES
@@ -82,6 +83,13 @@ FORM: dict[str, Any] = {
             "enum": [0, *range(MIN_VIEWS, MAX_VIEWS)],
             "default": DEFAULT_OTHERS,
             "description": "of three photographs or more, how many others foretell each; 0: none are foretold",
+        },
+        "fade": {
+            "type": "integer",
+            "minimum": 0,
+            "maximum": MAX_PASSES,
+            "default": DEFAULT_PASSES,
+            "description": "passes that lower the opacity of what the photographs contradict; 0: the network's own",
         },
         "model": {
             "type": "string",

@@ -20,6 +20,7 @@ from ..errors import (
     UploadTooLarge,
     ViewCountError,
 )
+from ..fade_passes import DEFAULT_PASSES, checked_passes
 from ..foretold import DEFAULT_OTHERS, checked_others
 from ..jobs.work import Work
 from ..model_names import DEFAULT, checked_name
@@ -49,6 +50,7 @@ FIELDS = (
     "min_opacity",
     "stride",
     "leave_one_out",
+    "fade",
     "model",
 )
 
@@ -110,6 +112,7 @@ async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> U
         far=inputs.far,
         trust_poses=_flag(form, "trust_poses"),
         leave_one_out=checked_others(_whole(form, "leave_one_out", DEFAULT_OTHERS)),
+        fade=checked_passes(_whole(form, "fade", DEFAULT_PASSES)),
         budget=_budget(form),
         model=model,
     )

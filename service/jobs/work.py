@@ -13,6 +13,7 @@ from ..budget import Budget
 from ..camera import Camera
 from ..camera_file import camera_document
 from ..distortion import Lens
+from ..fade_passes import DEFAULT_PASSES
 from ..image_files import check_total
 from ..images import EncodedPhoto
 from ..model_names import DEFAULT
@@ -41,6 +42,7 @@ class Work:
     leave_one_out: int
     budget: Budget
     model: str = DEFAULT  # the name that the service has for it
+    fade: int = DEFAULT_PASSES
     lenses: tuple[Lens | None, ...] = ()  # what the photographs are resampled from; empty where none is
 
     def scene_id(self, identity: str) -> str:
@@ -58,6 +60,7 @@ class Work:
             "min_opacity": budget.min_opacity,
             "stride": budget.stride,
             "leave_one_out": min(self.leave_one_out, len(self.images) - 1) if len(self.images) > MIN_VIEWS else 0,
+            "fade": self.fade,
             "algorithm_revision": ALGORITHM_REVISION,
         }
         if self.lenses:
@@ -66,7 +69,7 @@ class Work:
 
     def document(self) -> dict[str, Any]:
         """All but the images as plain JSON; `of_document` reads it back to the bit."""
-        names = ("near", "far", "trust_poses", "leave_one_out", "model")
+        names = ("near", "far", "trust_poses", "leave_one_out", "fade", "model")
         rest: dict[str, Any] = {name: getattr(self, name) for name in names}
         cameras, lenses = (
             [_camera_entry(camera) for camera in self.cameras],
@@ -76,7 +79,7 @@ class Work:
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any], images: Sequence[bytes]) -> Work:
-        """What `document` wrote, with its images; one of an earlier release has the default model and no lenses."""
+        """What `document` wrote, with its images; what one of an earlier release lacks is the default."""
         budget = {**document["budget"], "asked": tuple(document["budget"]["asked"])}
         cameras = tuple(_camera_of(entry) for entry in document["cameras"])
         lenses = tuple(None if entry is None else Lens(**entry) for entry in document.get("lenses", ()))
@@ -100,6 +103,7 @@ def compute(
         trust_poses=work.trust_poses,
         budget=work.budget,
         leave_one_out=work.leave_one_out,
+        fade=work.fade,
         listener=listener,
     )
     created = datetime.now(UTC).isoformat(timespec="seconds")

@@ -2,6 +2,8 @@
 
 from .definition import INRIA as INRIA
 from .definition import Definition as Definition
+from .leverage import Leverage as Leverage
+from .leverage import leverage as leverage
 from .reference import render_reference as render_reference
 from .render import Render as Render
 from .render import is_warm as is_warm

@@ -79,6 +79,19 @@ class Lanes:
         reduce = cgutils.get_or_insert_function(b.module, kind, "llvm.vector.reduce.umax.v16i32")
         return b.bitcast(b.call(reduce, [b.bitcast(most, INTS)]), FLOAT)
 
+    def total(self, vectors: list[ir.Value]) -> ir.Value:
+        """The sum of all lanes, halves added to halves, so that its rounding is the same everywhere."""
+        b = self.b
+        while len(vectors) > 1:
+            vectors = [b.fadd(x, y) for x, y in zip(vectors[::2], vectors[1::2], strict=True)]
+        (left,), count = vectors, LANES
+        while count > 1:
+            count //= 2
+            kind = ir.VectorType(INT, count)
+            low, high = (ir.Constant(kind, [ir.Constant(INT, start + n) for n in range(count)]) for start in (0, count))
+            left = b.fadd(b.shuffle_vector(left, left, low), b.shuffle_vector(left, left, high))
+        return b.extract_element(left, ir.Constant(INT, 0))
+
     def count_set(self, masks: list[ir.Value]) -> ir.Value:
         """How many lanes of the masks are true."""
         b = self.b

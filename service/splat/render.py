@@ -17,6 +17,7 @@ from ..gaussians import Gaussians
 from .binning import TileLists, tile_lists
 from .blend import Canvas, blend
 from .definition import Definition
+from .leverage import leverage
 from .options import (
     ANALYSIS,
     checked_background,
@@ -191,8 +192,8 @@ def render_views(gaussians: Gaussians, cameras: Iterable[Camera], **options: Any
 
 @functools.cache
 def warm_up() -> None:
-    """Compile or load from the cache what drawing colours, or colours, opacity and depth, needs; nothing the second
-    time.
+    """Compile or load from the cache what drawing colours, or colours, opacity and depth, needs, and `leverage`;
+    nothing the second time.
 
     The loops of the other outputs and of the exclusive stop compile when they are first asked for.
     """
@@ -201,7 +202,8 @@ def warm_up() -> None:
     gaussians = Gaussians.make(2.0 * two, two, [[1.0, 0.0, 0.0, 0.0]] * 2, [0.5, 0.4], np.zeros((2, 1, 3)))
     for max_entries in (1, 2):  # lists in several batches have a kernel of their own
         render(gaussians, camera, threads=1, definition=Definition(max_entries=max_entries)).rgb8()
-    render(gaussians, camera, threads=1, outputs=())
+    picture = render(gaussians, camera, threads=1, outputs=()).rgb
+    leverage(gaussians, camera, picture, picture, np.ones(picture.shape[:2], np.bool_))
 
 
 def is_warm() -> bool:

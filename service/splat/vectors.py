@@ -31,6 +31,34 @@ U1, STEP1, U2, SHEAR2, STEP2, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, CUT = range(
 ENTRY = 16  # floats
 
 
+def spread_field(lanes: Lanes, entry: ir.Value, index: int) -> ir.Value:
+    """A number of an entry in every lane."""
+    return lanes.spread(lanes.b.load(lanes.b.gep(entry, [ir.Constant(LONG, index)])))
+
+
+def layer(
+    lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value]
+) -> tuple[list[ir.Value], list[ir.Value]]:  # fmt: skip
+    """Which pixels an entry passes its cut at, and its alphas, which are not limited yet and wrong elsewhere."""
+    each = range(VECTORS)
+    across = lanes.fma(x, spread_field(lanes, entry, STEP1), spread_field(lanes, entry, U1))
+    level = lanes.fma(lanes.minus(across), across, spread_field(lanes, entry, LOG_OPACITY))
+    start = lanes.fma(lanes.minus(x), spread_field(lanes, entry, SHEAR2), spread_field(lanes, entry, U2))
+    step = spread_field(lanes, entry, STEP2)
+    down = [lanes.fma(y[j], step, start) for j in each]
+    power = [lanes.fma(lanes.minus(down[j]), down[j], level) for j in each]
+    cut = spread_field(lanes, entry, CUT)
+    return [lanes.b.fcmp_ordered(">=", power[j], cut) for j in each], [lanes.power_of_two(power[j]) for j in each]
+
+
+def pixel_places(lanes: Lanes, x0: ir.Value, y0: ir.Value) -> tuple[ir.Value, list[ir.Value]]:
+    """x of each lane and y of each vector's lanes, of a block whose first pixel lies at (x0, y0)."""
+    b = lanes.b
+    x = b.fadd(lanes.constant([lane % SIDE for lane in range(LANES)]), lanes.spread(x0))
+    rows = ([float(ROWS * j + lane // SIDE) for lane in range(LANES)] for j in range(VECTORS))
+    return x, [b.fadd(lanes.constant(row), lanes.spread(y0)) for row in rows]
+
+
 def _blend_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts: list[ir.Value],
                state: list[list[ir.Value]], exclusive: bool) -> tuple[list[ir.Value], list[ir.Value]]:  # fmt: skip
     """Add one entry to the block whose channels lie in the stack slots `state[channel][vector]`; returns its weights
@@ -42,21 +70,13 @@ def _blend_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cu
     alpha_max, stop = cuts
 
     def field(index: int) -> ir.Value:
-        return lanes.spread(b.load(b.gep(entry, [ir.Constant(LONG, index)])))
+        return spread_field(lanes, entry, index)
 
     def add(channel: int, factors: list[ir.Value], value: ir.Value) -> None:
         for j in each:
             b.store(lanes.fma(factors[j], value, b.load(state[channel][j])), state[channel][j])
 
-    across = lanes.fma(x, field(STEP1), field(U1))
-    level = lanes.fma(lanes.minus(across), across, field(LOG_OPACITY))
-    start = lanes.fma(lanes.minus(x), field(SHEAR2), field(U2))
-    step = field(STEP2)
-    down = [lanes.fma(y[j], step, start) for j in each]
-    power = [lanes.fma(lanes.minus(down[j]), down[j], level) for j in each]
-    cut = field(CUT)
-    seen = [b.fcmp_ordered(">=", power[j], cut) for j in each]
-    alpha = [lanes.power_of_two(power[j]) for j in each]
+    seen, alpha = layer(lanes, entry, x, y)
     alpha = [b.select(b.fcmp_ordered("<", a, alpha_max), a, alpha_max) for a in alpha]
     light = [b.load(state[LIGHT][j]) for j in each]
     none = lanes.constant(0.0)
@@ -100,8 +120,7 @@ def _block_loop(channels: int, exclusive: bool) -> Callable:
         kept, x0, y0, at = (arguments[n] for n in (2, 3, 4, 6))
         lanes, each = Lanes(b), range(VECTORS)
         alpha_max, stop = (lanes.spread(arguments[n]) for n in (7, 8))
-        x = b.fadd(lanes.constant([lane % SIDE for lane in range(LANES)]), lanes.spread(x0))
-        y = [b.fadd(lanes.constant([ROWS * j + lane // SIDE for lane in range(LANES)]), lanes.spread(y0)) for j in each]
+        x, y = pixel_places(lanes, x0, y0)
         state = [[cgutils.alloca_once(b, VECTOR) for _ in each] for _ in range(channels)]
         zero = ir.Constant(LONG, 0)
 

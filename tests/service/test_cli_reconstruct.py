@@ -31,6 +31,7 @@ def test_reconstruct_and_render(scene_dir: Path, standin_model: Path, capfd: pyt
         "images",
         "network",
         "gaussians",
+        "fade",
         "leave out",
         "check",
         "write .ply",

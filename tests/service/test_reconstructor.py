@@ -37,7 +37,7 @@ def reconstructor(engine):
 @pytest.fixture(scope="module")
 def scene(reconstructor, plane_scene):
     return reconstructor.reconstruct(
-        plane_scene.images, plane_scene.cameras, near=plane_scene.near, far=plane_scene.far, budget=KEEP_ALL
+        plane_scene.images, plane_scene.cameras, near=plane_scene.near, far=plane_scene.far, budget=KEEP_ALL, fade=0
     )
 
 
@@ -81,7 +81,8 @@ def test_gaussians_move_with_the_world(reconstructor, scene, plane_scene, unit, 
     rotation = about_axis(np.array([0.48, -0.6, 0.64]), 2.3)
     translation = offset * unit * np.array([1.0, -0.7, 0.4])
     moved = plane_scene.moved(rotation, translation, unit)
-    whole = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far, budget=KEEP_ALL)
+    depths = {"near": moved.near, "far": moved.far}
+    whole = reconstructor.reconstruct(moved.images, moved.cameras, **depths, budget=KEEP_ALL, fade=0)
     result = whole.gaussians
     # In units: float32 inside the frame, and the rounding of camera positions at the offset (2^-53 * 1e6 = 1e-10).
     atol = 1e-5 if offset == 0 else 1e-5 + 1e-9
@@ -127,7 +128,7 @@ def test_document_is_plain_json_and_complete(scene, plane_scene, engine):
     assert len(document["check"]["input_views"]) == len(plane_scene.cameras)
     assert document["check"]["no_parallax_share"] < 0.02  # corners that no other view has in its picture
     assert document["check"]["textureless_share"] < 0.05
-    stages = ["cameras", "images", "network", "gaussians", "leave out", "check", "leave one out"]
+    stages = ["cameras", "images", "network", "gaussians", "fade", "leave out", "check", "leave one out"]
     assert list(document["timings"]) == stages
     assert document["routing"]["patches_per_expert"] == {"0": 0, "1": 36, "2": 0, "3": 0, "4": 36}
     assert sum(document["routing"]["mean_task_weight"].values()) == pytest.approx(1)
@@ -138,13 +139,16 @@ def test_stages_are_heard_in_order(reconstructor, plane_scene):
     heard = []
     reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, listener=heard.append)
     ended = [e.name for e in heard if e.seconds is not None]
-    assert ended == ["cameras", "images", "network", "gaussians", "leave out", "check", "leave one out"]
+    assert ended == ["cameras", "images", "network", "gaussians", "fade", "leave out", "check", "leave one out"]
     assert [e.done for e in heard if e.name == "images"] == [0, 1, 2, 3, 4]
 
 
 def test_kernels_are_loaded_after_the_network_and_once(reconstructor, plane_scene):
     warm_up.cache_clear()
-    for expected in (["network", "gaussians", "kernels", "leave out"], ["network", "gaussians", "leave out"]):
+    for expected in (
+        ["network", "gaussians", "kernels", "fade", "leave out"],
+        ["network", "gaussians", "fade", "leave out"],
+    ):
         heard = []
         reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, listener=heard.append)
         ended = [e.name for e in heard if e.seconds is not None]
@@ -157,7 +161,7 @@ def test_masked_pixels_and_patches_are_left_out_and_counted(reconstructor, plane
         alpha = np.full((*image.shape[:2], 1), 255, np.uint8)
         alpha[:, :40] = 0  # the left 40 of 96 columns: 26.67 of 64 in the crop
         images.append(np.concatenate([image, alpha], axis=2))
-    result = reconstructor.reconstruct(images, plane_scene.cameras, near=2, far=8, budget=KEEP_ALL)
+    result = reconstructor.reconstruct(images, plane_scene.cameras, near=2, far=8, budget=KEEP_ALL, fade=0)
     kept_columns = WIDTH - 27
     dropped = {entry["reason"]: entry["count"] for entry in result.document["dropped"]}
     assert dropped["opacity is 0"] == 3 * HEIGHT * 16  # one column of patches has no kept pixel

@@ -117,6 +117,8 @@ function trust(body, scene) {
   const step = check.depth_step;
   if (step) facts.push(`Half a step of depth is ${percent(step.near)} of the depth when near, ${percent(step.far)} when far.`);
   if (check.ambiguous_routes) facts.push(`For ${percent(check.ambiguous_routes)} of the patches rounding may decide the route.`);
+  const fading = scene.fading;
+  if (fading?.passes) facts.push(`In ${fading.passes} passes ${count(fading.lowered)} Gaussians lost opacity, since the photographs contradict them, ${count(fading.gone)} of them until they are out of sight.`);
   body.append(make("p", {}, facts.join(" ")));
 }
 

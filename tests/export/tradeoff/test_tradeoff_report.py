@@ -37,6 +37,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Report, Path]:
         patch.setattr(knobs, "SCENE_SETTINGS", knobs.SCENE_SETTINGS[:3:2] + knobs.SCENE_SETTINGS[-1:])
         patch.setattr(files, "quick_files", lambda _: [files.ModelFile("precision", "fp32", "", files.shipped_model())])
         patch.setattr(run._Measure, "views", lambda *_: [])
+        patch.setattr(knobs, "FADE_PASSES", (0, 2))
         return run.report([sample_folder()], out, quick=True), out
 
 
@@ -74,6 +75,12 @@ def test_the_four_errors_stand_apart(quick: tuple[Report, Path]) -> None:
             assert row.bound.actual <= row.bound.bound + 1e-6
         bounded = row.knob in ("alpha cut", "early stop") or "harmonics" in row.knob
         assert row.group != "picture" or (row.bound is not None) == bounded
+    never, default = rows["fading", "0"], rows["fading", "2"]
+    assert default.default
+    assert default.model == plain.model
+    assert never.model is not None
+    assert never.model.psnr < plain.model.psnr
+    assert never.timing.stages["fade"] < default.timing.stages["fade"]
     strided = rows["pixel stride", "4"]
     assert strided.bound is None
     assert strided.megabytes is not None

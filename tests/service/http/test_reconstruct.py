@@ -253,6 +253,9 @@ def test_how_many_foretell_belongs_to_the_scene_where_it_changes_it(client: Test
         ({"leave_one_out": "true"}, "leave_one_out"),
         ({"leave_one_out": "2.0"}, "leave_one_out"),
         ({"leave_one_out": "-2"}, "leave_one_out"),
+        ({"fade": "9"}, "fade"),
+        ({"fade": "-1"}, "fade"),
+        ({"fade": "1.5"}, "fade"),
         ({"certify": "1.5"}, "certify"),
         ({"stride": "3"}, "stride"),
         ({"min_opacity": "-1"}, "min_opacity"),
@@ -261,3 +264,13 @@ def test_how_many_foretell_belongs_to_the_scene_where_it_changes_it(client: Test
 )
 def test_a_budget_that_makes_no_sense_is_refused(client: TestClient, fields: dict[str, str], field: str) -> None:
     assert_problem(post(client, **fields), 422, "invalid_input", field)
+
+
+def test_fading_belongs_to_the_scene(client: TestClient) -> None:
+    default, asked, none = post(client).json(), post(client, fade="2").json(), post(client, fade="0").json()
+    assert default["id"] == asked["id"] != none["id"]
+    assert default["fading"]["passes"] == 2
+    assert none["fading"]["passes"] == none["fading"]["lowered"] == 0
+    before, after = default["fading"]["mean_opacity"]
+    assert none["fading"]["mean_opacity"] == [before, before]
+    assert after <= before

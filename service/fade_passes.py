@@ -1,0 +1,15 @@
+"""How often a scene's opacities are lowered where the photographs contradict them, see `fading.py`."""
+
+from __future__ import annotations
+
+from .errors import InputError
+
+DEFAULT_PASSES = 2  # each gains less than the one before; with the third some scenes lose again
+MAX_PASSES = 8
+
+
+def checked_passes(passes: int) -> int:
+    """Raises `InputError` unless it is a whole number from 0, which leaves the opacities as they are, to 8."""
+    if isinstance(passes, bool) or not isinstance(passes, int) or not 0 <= passes <= MAX_PASSES:
+        raise InputError(f"is {passes}, need a whole number from 0 to {MAX_PASSES}", field="fade")
+    return passes
