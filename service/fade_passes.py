@@ -1,4 +1,5 @@
-"""How often a scene's opacities are lowered where the photographs contradict them, see `fading.py`."""
+"""How often a scene's opacities are lowered where the photographs contradict them; apart from `fading.py`, which loads
+the splatter."""
 
 from __future__ import annotations
 

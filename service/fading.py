@@ -2,27 +2,27 @@
 
 A Gaussian of one view whose depth is wrong hides in another view what that one shows rightly. The scene is drawn from
 its inputs' cameras; where a picture differs from its photograph, the Gaussians whose absence would mend that lose
-opacity. They never gain any: a scene that is only faded cannot learn its inputs by heart with splats that nothing else
-supports.
+opacity. None rises above the network's own: a scene that is only faded cannot learn its inputs by heart with splats
+that nothing else supports.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .fade_passes import DEFAULT_PASSES, checked_passes
 from .gaussians import Gaussians
 from .images import FittedView
 from .splat import Definition, Leverage, leverage, render
-from .splat.parallel import checked_threads, run_ranges
 
-STEP = 0.7  # of Newton's, which takes each Gaussian for the only one that moves
-DAMPING = 0.1  # pixels that change by all of a channel; a Gaussian that moves the pictures less hardly fades
-ROBUST = 0.1  # of a channel: difference at which a pixel counts half of itself; exposures and highlights differ as well
+STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
+DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
+ROBUST = 0.05  # of a channel: difference at which a pixel counts half; exposures, highlights and noise differ as well
 COVERED = 1e-3  # opacity below which a pixel shows no colour that could be right or wrong
 
 
@@ -32,16 +32,16 @@ class Fading:
 
     gaussians: Gaussians
     passes: int
-    lowered: int  # by a level of 8 bits or more
-    gone: int  # of those: too faint by now to be drawn
+    halved: int  # lost half of their opacity or more
+    gone: NDArray[np.bool_]  # (N,) too faint by now to be drawn, and were not at first
     mean_opacity: tuple[float, float]  # before, after
 
     def document(self) -> dict[str, Any]:
         """Plain JSON values."""
         return {
             "passes": self.passes,
-            "lowered": self.lowered,
-            "gone": self.gone,
+            "halved": self.halved,
+            "gone": int(self.gone.sum()),
             "mean_opacity": [round(value, 6) for value in self.mean_opacity],
         }
 
@@ -51,58 +51,69 @@ def faded(
     views: Sequence[FittedView],
     passes: int = DEFAULT_PASSES,
     *,
+    may_fade: NDArray[np.bool_] | None = None,
     near: float | None = None,
     threads: int | None = None,
+    done: Callable[[int], None] | None = None,
 ) -> Fading:
-    """Lower opacities so that the scene, drawn from the cameras of `views`, comes closer to their photographs.
+    """Lower opacities of `may_fade` (N,), by default all, so that the scene, drawn from the cameras of `views`, comes
+    closer to their photographs.
 
-    A pass draws every view once and lowers the opacity o of each Gaussian by STEP sum(r J) / (sum(J^2) + DAMPING), down
-    to 0 at most and never above what it was at first: J = dC/do, r the difference C - photograph, both over all pixels
-    and channels of all views. A difference of mean size d over the channels is divided by 1 + d / ROBUST (the weight of
-    Geman's and McClure's kind of loss that falls with the first power). A pixel that a mask leaves out counts nothing.
-    Where a pixel is not covered in full, its own mean colour stands behind it: no Gaussian goes for being brighter than
-    a background that nobody knows. `near` is that of `render`. The bits do not depend on the number of threads.
+    A pass draws every view once and moves each opacity o by -STEP sum(w r J) / (sum(w J^2) + DAMPING), to 0 at least
+    and to what it was at first at most: J = dC/do, r the picture (clipped to [0, 1]) less the photograph, sums over
+    all pixels and channels of all views. A pixel whose difference has the mean size d over the channels weighs
+    w = 1 / (1 + d / ROBUST) (Fair's weight of robust regression), one that a mask leaves out nothing. Where a pixel is
+    not covered in full, its own mean colour stands behind it: no Gaussian goes for being brighter than a background
+    that nobody knows. `near` is that of `render`; `done` hears how many passes are done. The bits do not depend on the
+    number of threads.
 
     Raises `InputError` for a number of passes that is out of range.
     """
     checked_passes(passes)
-    threads = checked_threads(threads)
-    opacities = gaussians.opacities
-    for _ in range(passes):
-        opacities = _passed(replace(gaussians, opacities=opacities), gaussians, views, near, threads)
-    level = np.float32(1 / 255)
-    lowered = gaussians.opacities - opacities >= level
+    before = after = gaussians.opacities
+    for number in range(passes):
+        slope, moved = _sums(replace(gaussians, opacities=after), views, near, threads)
+        with np.errstate(invalid="ignore", over="ignore"):  # of colours near the end of float32, which move nothing
+            step = np.nan_to_num(STEP * slope / (moved + DAMPING), nan=0.0, posinf=0.0, neginf=0.0)
+        lower = np.clip(after - step, 0.0, before).astype(np.float32)
+        after = lower if may_fade is None else np.where(may_fade, lower, before)
+        if done is not None:
+            done(number + 1)
+    cut = np.float32(Definition().alpha_min)
     return Fading(
-        replace(gaussians, opacities=opacities) if passes else gaussians,
+        replace(gaussians, opacities=after) if passes else gaussians,
         passes,
-        int(lowered.sum()),
-        int((lowered & (opacities < Definition().alpha_min)).sum()),
-        (_mean(gaussians.opacities), _mean(opacities)),
+        int(((after <= 0.5 * before) & (after < before)).sum()),
+        (after < cut) & (before >= cut),
+        (_mean(before), _mean(after)),
     )
 
 
-def _passed(
-    now: Gaussians, first: Gaussians, views: Sequence[FittedView], near: float | None, threads: int
-) -> np.ndarray:
-    """(N,) the opacities after one pass."""
-    found = run_ranges(lambda index, _: _leverage(now, views[index], near), range(len(views) + 1), threads)
-    slope = np.sum([one.slope for one in found], axis=0)
-    moved = np.sum([one.moved for one in found], axis=0)
-    with np.errstate(invalid="ignore"):  # colours near the end of float32: what is not finite moves nothing
-        step = np.nan_to_num(STEP * slope / (moved + DAMPING), nan=0.0, posinf=0.0, neginf=0.0)
-    return np.clip(now.opacities - step, 0.0, first.opacities).astype(np.float32)
+def _sums(
+    now: Gaussians, views: Sequence[FittedView], near: float | None, threads: int | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(N,) slopes and moves over all views. What the splatter keeps of a set lives as long as `now`: for one pass."""
+    slope, moved = np.zeros(len(now)), np.zeros(len(now))
+    for view in views:
+        found = _leverage_of(now, view, near, threads)
+        with np.errstate(invalid="ignore"):
+            slope += found.slope
+            moved += found.moved
+    return slope, moved
 
 
-def _leverage(gaussians: Gaussians, view: FittedView, near: float | None) -> Leverage:
-    image = render(gaussians, view.camera, near=near, outputs=("alpha",), threads=1)
-    counted = image.alpha > COVERED
+def _leverage_of(gaussians: Gaussians, view: FittedView, near: float | None, threads: int | None) -> Leverage:
+    """What each opacity does to the difference of one view's picture and photograph."""
+    options: dict[str, Any] = {"near": near, "threads": threads}
+    image = render(gaussians, view.camera, outputs=("alpha",), **options)
+    weight = (image.alpha > COVERED).astype(np.float32)
     if view.mask is not None:
-        counted &= view.mask
+        weight *= view.mask
     picture = image.rgb / np.maximum(image.alpha, np.float32(COVERED))[..., None]
-    residual = picture - view.image.transpose(1, 2, 0)
-    residual /= 1 + np.abs(residual).mean(axis=2, keepdims=True) / np.float32(ROBUST)
-    return leverage(gaussians, view.camera, picture, residual, counted, near=near)
+    residual = np.clip(picture, 0, 1) - view.image.transpose(1, 2, 0)
+    weight /= 1 + np.abs(residual).mean(axis=2) / np.float32(ROBUST)
+    return leverage(gaussians, view.camera, picture, residual, weight, **options)
 
 
-def _mean(opacities: np.ndarray) -> float:
+def _mean(opacities: NDArray[np.float32]) -> float:
     return float(opacities.mean(dtype=np.float64)) if len(opacities) else 0.0

@@ -16,7 +16,7 @@ from .budget import Budget
 from .camera import Camera
 from .certified import certified_views
 from .gaussians import Gaussians, without_zero_bands
-from .masks import TRANSPARENT
+from .masks import FADED, TRANSPARENT
 from .model_info import ModelInfo
 from .ply_write import ply_size
 from .pruning import largest_change, prune, removal_bound
@@ -104,7 +104,7 @@ def table(
         row("experts that no patch chose", idle, experts)
     total = len(outputs["opacities"])
     for reason, count in dropped.items():
-        row(f"Gaussians: {reason}", count, total, 0.0 if reason == TRANSPARENT else None)
+        row(f"Gaussians: {reason}", count, total, 0.0 if reason in (TRANSPARENT, FADED) else None)
     lost = sum(dropped.values())
     row("Gaussians between strides", total - lost - pruned["kept"] - pruned["dropped"], total, None)
     row("Gaussians below min_opacity", pruned["faint"], total, pruned["faint_bound"])

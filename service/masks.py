@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 TRANSPARENT = "opacity is 0"
 MASKED = "its pixel is masked"
 UNSEEN = "behind masked pixels only"
+FADED = "faded until nothing of it is drawn"
 
 
 def check_kept(view: FittedView, index: int) -> None:

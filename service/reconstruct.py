@@ -25,7 +25,7 @@ from .foretold import DEFAULT_OTHERS, checked_others, nearest_others
 from .gaussians import Gaussians
 from .images import EncodedPhoto, FittedView, Photo
 from .left_out import leave_out, table
-from .masks import kept_rows, patch_mask
+from .masks import FADED, kept_rows, patch_mask
 from .photo_checks import check_photos
 from .pose_notices import pose_notices
 from .progress import Listener, Stages, silent
@@ -127,11 +127,15 @@ class Reconstructor:
         view_cameras = tuple(view.camera for view in views)
         scene = SceneViews(view_cameras, depths.near, depths.far)
         owner = np.minimum(rows // (info.height * info.width), len(views))  # the view whose pixel it is, if any
-        with stages.stage("fade"):
-            fading = self._faded(found, views, scene, fade)
-        gaussians = fading.gaussians
-        with stages.stage("leave out"):  # what stands behind the scene is there for views that nobody has asked for
-            lean, drawn, pruned = leave_out(gaussians, owner < len(views), scene, budget, self.engine.threads)
+        of_pixel = owner < len(views)  # what stands behind the scene is there for views that nobody has asked for
+        with stages.stage("fade", max(fade, 1)) as done:
+            fading = self._faded(found, of_pixel, views, scene, fade, done)
+        if fading.gone.any():
+            dropped = {**dropped, FADED: int(fading.gone.sum())}
+        gaussians = fading.gaussians[~fading.gone]
+        with stages.stage("leave out"):
+            may_go = of_pixel[~fading.gone]
+            lean, drawn, pruned = leave_out(gaussians, may_go, scene, budget, self.engine.threads)
         with stages.stage("check"):
             check = {
                 **self_check(views, depths, info, drawn),
@@ -174,8 +178,17 @@ class Reconstructor:
         )
         return outputs, frame
 
-    def _faded(self, gaussians: Gaussians, views: Sequence[FittedView], scene: SceneViews, passes: int) -> Fading:
-        return faded(gaussians, views, passes, threads=self.engine.threads, **scene.near_plane)
+    def _faded(
+        self,
+        gaussians: Gaussians,
+        may_fade: NDArray[np.bool_],
+        views: Sequence[FittedView],
+        scene: SceneViews,
+        passes: int,
+        done: Callable[[int], None] | None = None,
+    ) -> Fading:
+        options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
+        return faded(gaussians, views, passes, may_fade=may_fade, done=done, **options)
 
     def _foretold(
         self,
@@ -192,8 +205,9 @@ class Reconstructor:
             chosen = nearest_others(scene.cameras, index, count)
             others = [views[other] for other in chosen]
             outputs, frame = self._run(others, depths)
-            gaussians = frame.to_world(outputs, kept_rows(outputs, others, frame)[0])
-            gaussians = self._faded(gaussians, others, scene, fade).gaussians
+            kept, _ = kept_rows(outputs, others, frame)
+            of_pixel = kept < len(others) * others[0].image[0].size
+            gaussians = self._faded(frame.to_world(outputs, kept), of_pixel, others, scene, fade).gaussians
             options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
             image = render(gaussians, view.camera, outputs=("alpha",), **options)
             rows.append({"from": chosen, **drawn_again(image, view)})

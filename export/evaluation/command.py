@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from gapmes.service.errors import GapmesError, ModelError
+from gapmes.service.fade_passes import DEFAULT_PASSES, checked_passes
 from gapmes.service.terminal import ProgressBars, Quiet
 
 NEEDED = ("torch", "transformers", "onnx", "onnxscript", "safetensors")  # of the extra `export`
@@ -29,6 +30,7 @@ def evaluate(
         list[Path] | None, typer.Option(help=".onnx or .safetensors; repeat to compare [default: the packaged one]")
     ] = None,
     twice: Annotated[bool, typer.Option("--twice", help="photographs at twice the size as well")] = False,
+    fade: Annotated[int, typer.Option(help="passes of fading, as of reconstruct; 0: none")] = DEFAULT_PASSES,
     out: Annotated[Path, typer.Option("-o", "--out", help="folder for report and pictures")] = Path("evaluation"),
     lpips: Annotated[
         Path | None, typer.Option(help="LPIPS weights, .safetensors [default: beside the checkout]")
@@ -67,6 +69,7 @@ def evaluate(
                 files=model or (),
                 lpips=lpips or default_weights(),
                 twice=twice,
+                fade=checked_passes(fade),
                 threads=threads,
                 listener=bars,
             )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gapmes.service import picture_error
 from gapmes.service.camera import Camera
 from gapmes.service.errors import GapmesError
+from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import FittedView, fit_view
 from gapmes.service.reconstruct import Reconstructor
@@ -68,14 +69,21 @@ class _Reconstruction:
 
 
 def measure(
-    case: Case, models: Sequence[Model], *, lpips: Lpips | None = None, twice: bool = False, threads: int | None = None
+    case: Case,
+    models: Sequence[Model],
+    *,
+    lpips: Lpips | None = None,
+    twice: bool = False,
+    fade: int = DEFAULT_PASSES,
+    threads: int | None = None,
 ) -> Measured:
     """All baselines and `models` (of the size of `case`) on one scene; the targets are only compared with.
 
-    `twice` measures photographs at twice the size as well. Raises `GapmesError` that names the scene.
+    `twice` measures photographs at twice the size as well; `fade` is the reconstruction's.
+    Raises `GapmesError` that names the scene.
     """
     try:
-        results = {model.label: _reconstruct(case, model) for model in models}
+        results = {model.label: _reconstruct(case, model, fade) for model in models}
     except GapmesError as error:
         error.message = f"{case.name}: {error.message}"
         raise
@@ -102,9 +110,9 @@ def measure(
     return Measured(SceneScore(case.name, share, scores, ours), pictures, masks, routes)
 
 
-def _reconstruct(case: Case, model: Model) -> _Reconstruction:
+def _reconstruct(case: Case, model: Model, fade: int) -> _Reconstruction:
     scene = Reconstructor(model.engine).reconstruct(
-        case.photos, case.cameras, near=case.near, far=case.far, trust_poses=True, leave_one_out=0
+        case.photos, case.cameras, near=case.near, far=case.far, trust_poses=True, leave_one_out=0, fade=fade
     )
     near, far = scene.document["near"], scene.document["far"]
     outputs = model.engine.last

@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from gapmes.service.fade_passes import DEFAULT_PASSES
+
 from .floors import Floor, floors
 from .models import Model
 from .scores import Group
@@ -21,6 +23,7 @@ class Report:
     models: Sequence[Model]
     groups: Sequence[Group]
     lpips: str | None  # name of the weights file
+    fade: int = DEFAULT_PASSES  # passes of fading in every reconstruction
 
     @property
     def floors(self) -> list[Floor]:
@@ -31,6 +34,7 @@ class Report:
         return {
             "models": [_model_entry(model) for model in self.models],
             "lpips": self.lpips,
+            "fade": self.fade,
             "groups": [_group_entry(group) for group in self.groups],
             "floors": [asdict(floor) for floor in self.floors],
         }
@@ -38,6 +42,7 @@ class Report:
     def markdown(self) -> str:
         """Floors first, then every group: means, scenes, twice the size, routing."""
         lines = ["# Evaluation", "", *_models_section(self.models)]
+        lines += [f"Passes of fading: {self.fade}.", ""]
         if self.lpips is None:
             lines += ["LPIPS is left out: there are no weights for it (`--lpips FILE`).", ""]
         lines += ["## Floors", "", *floor_table(self.floors), ""]

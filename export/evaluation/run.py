@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gapmes.service.errors import InputError
+from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.progress import Listener, Stages, silent
 
 from .case import Case, NoSuchViews, generated_cases, photograph_case, suggested_views
@@ -47,6 +48,7 @@ def evaluate(
     files: Sequence[Path] = (),
     lpips: Path | None = None,
     twice: bool = False,
+    fade: int = DEFAULT_PASSES,
     threads: int | None = None,
     listener: Listener = silent,
 ) -> Report:
@@ -60,11 +62,11 @@ def evaluate(
     with tempfile.TemporaryDirectory() as scratch:
         sizes = sorted({plan.size for plan in plans}, reverse=True)
         models = load_models(files, sizes, Path(scratch), threads=threads, listener=listener)
-    report = Report(models, [], None if lpips is None else lpips.name)
+    report = Report(models, [], None if lpips is None else lpips.name, fade)
     for plan in plans:
         ours = [model for model in models if model.size == (plan.size, plan.size)]
         with stages.stage(f"{plan.kind[:5]} {plan.inputs}v {plan.size}", plan.count) as done:
-            group = _group(plan, ours, out, weights, twice, threads, done)
+            group = _group(plan, ours, out, weights, twice, fade, threads, done)
         report = replace(report, groups=[*report.groups, group])
         report.write(out)  # after every group, so that an interrupted run leaves what it has
     return report
@@ -76,6 +78,7 @@ def _group(
     out: Path,
     lpips: Lpips | None,
     twice: bool,
+    fade: int,
     threads: int | None,
     done: Callable[[int], None],
 ) -> Group:
@@ -86,7 +89,7 @@ def _group(
         if isinstance(case, InputError):
             left_out[name] = str(case)
         else:
-            measured = measure(case, models, lpips=lpips, twice=twice, threads=threads)
+            measured = measure(case, models, lpips=lpips, twice=twice, fade=fade, threads=threads)
             scenes.append(measured.score)
             routes.append(measured.routes)
             if not plan.generated or number <= GENERATED_SHEETS:

@@ -59,12 +59,15 @@ def report(
     warm_up()
     measure = _Measure(scenes, weights, threads)
     rows: list[Row] = []
-    with stages.stage("network", len(models) + 1) as done:
+    with stages.stage("network", len(models) + 1 + len(knobs.FADE_PASSES)) as done:
         for model in models:
             rows.append(measure.network(model))
             done(len(rows))
         rows += measure.views(models[0])
-        rows += [measure.fading(passes) for passes in knobs.FADE_PASSES]
+        done(len(models) + 1)
+        for number, passes in enumerate(knobs.FADE_PASSES, len(models) + 2):
+            rows.append(measure.fading(passes))
+            done(number)
     with stages.stage("scene", len(knobs.SCENE_SETTINGS)) as done:
         for setting in knobs.SCENE_SETTINGS:
             rows.append(measure.scene(setting))

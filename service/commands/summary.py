@@ -26,13 +26,14 @@ def check_line(check: Mapping[str, Any]) -> str:
 
 
 def fading_line(document: Mapping[str, Any]) -> str:
-    """How many Gaussians the photographs contradict."""
+    """How many Gaussians the photographs took opacity from."""
     fading = document["fading"]
     if not fading["passes"]:
-        return "faded: nothing, as asked for"
+        return "fading: off"
+    passes = "1 pass" if fading["passes"] == 1 else f"{fading['passes']} passes"
     return (
-        f"faded in {fading['passes']} passes, as the photographs contradict them: {fading['lowered']:,} Gaussians, "
-        f"{fading['gone']:,} of them out of sight"
+        f"fading in {passes}: the photographs took half of the opacity or "
+        f"more of {fading['halved']:,} Gaussians, all that is drawn of {fading['gone']:,}"
     )
 
 

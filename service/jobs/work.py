@@ -79,7 +79,7 @@ class Work:
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any], images: Sequence[bytes]) -> Work:
-        """What `document` wrote, with its images; what one of an earlier release lacks is the default."""
+        """What `document` wrote, with its images; one of an earlier release has the default of what it lacks."""
         budget = {**document["budget"], "asked": tuple(document["budget"]["asked"])}
         cameras = tuple(_camera_of(entry) for entry in document["cameras"])
         lenses = tuple(None if entry is None else Lens(**entry) for entry in document.get("lenses", ()))

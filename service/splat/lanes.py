@@ -1,4 +1,4 @@
-"""Vectors of 16 float32 lanes in LLVM's own instructions, as far as the blending loop needs them."""
+"""Vectors of 16 float32 lanes in LLVM's own instructions, as far as the loops over blocks need them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each opacity does to a picture: the slope of the squared residual along it, and how far it moves the picture.
+"""What each opacity does to a picture: the slope of a weighted square sum along it, and how far it moves the picture.
 
 Front to back, with C the finished picture, P what has been added up to and with a Gaussian, T the transmittance before
 it, c its colour, g its falloff and a = o g its alpha, a pixel changes with the opacity o by
@@ -9,25 +9,30 @@ since all that lies behind shines through 1 - a. That needs the finished picture
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import Camera
+from ..errors import InputError
 from ..gaussians import Gaussians
 from .access import get, put, smaller
-from .binning import TILE, Grid, tile_lists
+from .binning import TILE, Grid, TileLists, tile_lists
 from .blend import PIECE, choose, gather, measure_reach
 from .kernel_cache import kernel
-from .leverage_lanes import CHANNELS, SUMS, leverage_block
+from .leverage_lanes import CHANNELS, LIGHT, RESIDUAL, REST, SUMS, WEIGHT, leverage_block
 from .options import checked_definition, checked_degree, checked_size
 from .order import depth_order
+from .parallel import checked_threads, run_ranges
 from .prepare import prepared
 from .project import project
 from .tile_state import ACROSS, BLOCKS, corner, live_blocks, tile_floats
 from .vectors import ENTRY, SIDE
 
 F32 = NDArray[np.float32]
+
+PARTS = 4  # of the tiles, each with sums of its own, always the same: threads take parts, and change no rounding
 ZERO = np.float32(0.0)
 
 
@@ -35,8 +40,8 @@ ZERO = np.float32(0.0)
 class Leverage:
     """Sums over the pixels and channels of one picture, per Gaussian; 0 where it is not drawn."""
 
-    slope: NDArray[np.float64]  # (N,) sum r J: half the slope of the sum of r^2
-    moved: NDArray[np.float64]  # (N,) sum J^2: the square of how far the picture moves
+    slope: NDArray[np.float64]  # (N,) sum w r J: half the slope of the sum of w r^2
+    moved: NDArray[np.float64]  # (N,) sum w J^2: the square of how far the picture moves
 
 
 def leverage(
@@ -44,50 +49,76 @@ def leverage(
     camera: Camera,
     picture: NDArray[np.floating],
     residual: NDArray[np.floating],
-    counted: NDArray[np.bool_],
+    weight: NDArray[np.floating],
     *,
     near: float | None = None,
+    threads: int | None = None,
 ) -> Leverage:
-    """`picture` (H, W, 3) is what `render` draws, over any background; `residual` (H, W, 3) is what it has too much.
+    """`picture` (H, W, 3) is what `render` draws, over any background, `residual` (H, W, 3) what it has too much, and
+    `weight` (H, W) what a pixel counts.
 
-    Pixels that are not `counted` (H, W) add nothing, nor does a Gaussian at a pixel where `alpha_max` holds its alpha.
-    Runs on one thread; the bits depend on the arguments alone. Raises `InputError` as `render` does.
+    A pixel of weight 0 adds nothing, whatever its numbers, nor does a Gaussian at a pixel where `alpha_max` holds its
+    alpha. The bits do not depend on the number of threads. Raises `InputError` for planes of another size, and as
+    `render` does.
     """
     rule, degree = checked_definition(None, near, None), checked_degree(None, gaussians)
     grid = checked_size(camera)
-    states = _tiles(np.dstack([counted, picture, residual]).astype(np.float32), grid)
+    for name, plane in (("picture", picture), ("residual", residual), ("weight", weight)):
+        need = (camera.height, camera.width, 3)[: 2 if name == "weight" else 3]
+        if plane.shape != need:
+            raise InputError(f"is {plane.shape}, need {need} as the camera's picture", field=name)
+    states = _tiles(picture, residual, weight, grid)
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
-    slope, moved = np.zeros(len(gaussians)), np.zeros(len(gaussians))
-    scene = prepared(gaussians, 1)
+    threads = checked_threads(threads)
+    sums = np.zeros((PARTS, 2, len(gaussians)), np.float32)
+    scene = prepared(gaussians, threads)
     with scene.workspace() as space:
-        projection = project(scene, camera, rule, degree, 1, space)
+        projection = project(scene, camera, rule, degree, threads, space)
         order = depth_order(space.depths, projection.drawn, gaussians)
-        narrow = space.records.view(np.float32)
-        for lists in tile_lists(projection, order, grid, rule.max_entries, 1):
-            leverage_tiles(
-                grid.columns, lists.offsets, lists.members, space.records, narrow, states, cuts, slope, moved
-            )  # fmt: skip
+        records = space.records, space.records.view(np.float32)
+        for lists in tile_lists(projection, order, grid, rule.max_entries, threads):
+            walk = partial(_walk_part, lists, grid.columns, *records, states, cuts, sums)
+            run_ranges(walk, range(PARTS + 1), threads)
+    slope, moved = sums.sum(axis=0, dtype=np.float64)
     opacities = np.maximum(gaussians.opacities.astype(np.float64), rule.alpha_min)  # fainter ones are not drawn
     return Leverage(slope / opacities, moved / opacities**2)
 
 
-def _tiles(planes: F32, grid: Grid) -> F32:
-    """(H, W, CHANNELS) -> (tiles, floats of a tile), 0 outside the picture: such pixels have no light."""
+def _walk_part(
+    lists: TileLists, columns: int, records: NDArray[np.float64], narrow: F32, states: F32, cuts: F32, sums: F32,
+    part: int, _: int,
+) -> None:  # fmt: skip
+    first, last = (len(states) * edge // PARTS for edge in (part, part + 1))
+    leverage_tiles(
+        first, last, columns, lists.offsets, lists.members, records, narrow, states, cuts, sums[part, 0], sums[part, 1]
+    )
+
+
+def _tiles(
+    picture: NDArray[np.floating], residual: NDArray[np.floating], weight: NDArray[np.floating], grid: Grid
+) -> F32:
+    """(tiles, floats of a tile), 0 outside the picture and where nothing counts: such pixels have no light."""
     whole = np.zeros((grid.rows * TILE, grid.columns * TILE, CHANNELS), np.float32)
-    whole[: grid.height, : grid.width] = planes
+    planes = whole[: grid.height, : grid.width]
+    counted = weight > 0
+    planes[counted, LIGHT] = 1
+    planes[counted, REST : REST + 3] = picture[counted]
+    planes[counted, RESIDUAL : RESIDUAL + 3] = residual[counted] * weight[counted, None]
+    planes[counted, WEIGHT] = weight[counted]
     blocks = whole.reshape(grid.rows, ACROSS, SIDE, grid.columns, ACROSS, SIDE, CHANNELS)
     return np.ascontiguousarray(blocks.transpose(0, 3, 1, 4, 6, 2, 5)).reshape(grid.tiles, tile_floats(CHANNELS))
 
 
 @kernel()
-def leverage_tiles(columns, offsets, members, records, narrow, states, cuts, slope, moved):
-    """Walk the lists of all tiles, whose `states` go on where the batch before ended; adds to slope and moved (N,)."""
+def leverage_tiles(first, last, columns, offsets, members, records, narrow, states, cuts, slope, moved):
+    """Walk the lists of tiles first..last-1, whose `states` go on where the batch before ended; adds to slope and moved
+    (N,)."""
     entries = np.empty(PIECE * ENTRY, np.float32)
     fields = np.empty(10 * PIECE, np.float32)
     reach, sums = np.empty(PIECE, np.float32), np.zeros(SUMS * PIECE, np.float32)
     chosen = np.empty(PIECE + 1, np.int32)
     alpha_max, stop = get(cuts, 0), get(cuts, 1)
-    for tile in range(offsets.size - 1):
+    for tile in range(first, last):
         left, top = (tile % columns) * TILE, (tile // columns) * TILE
         state = states[tile]
         begin, end = get(offsets, tile), get(offsets, tile + 1)

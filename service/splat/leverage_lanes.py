@@ -10,8 +10,9 @@ from .access import data_of, typed
 from .lanes import LANES, LONG, VECTOR, Lanes
 from .vectors import BLUE, ENTRY, GREEN, PIXELS, RED, VECTORS, layer, pixel_places, spread_field
 
-LIGHT, REST, RESIDUAL, CHANNELS = 0, 1, 4, 7  # of a block's state, PIXELS floats each; three colours of both
-SUMS = 2  # floats that an entry's sums take: of r J and of J^2, times its opacity and its square
+# Of a block's state, PIXELS floats each: three colours of what is to come, and of the weighted residual.
+LIGHT, REST, RESIDUAL, WEIGHT, CHANNELS = 0, 1, 4, 7, 8
+SUMS = 2  # floats that an entry's sums take: of w r J and of w J^2, times its opacity and its square
 
 
 def _add_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts: list[ir.Value],
@@ -41,6 +42,7 @@ def _add_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts
             by = lanes.fma(lanes.minus(through[j]), rest, b.fmul(own[j], colour))
             slopes[j] = lanes.fma(b.load(state[RESIDUAL + channel][j]), by, slopes[j])
             squares[j] = lanes.fma(by, by, squares[j])
+    squares = [b.fmul(squares[j], b.load(state[WEIGHT][j])) for j in each]
     return lanes.total(slopes), lanes.total(squares)
 
 
@@ -72,7 +74,7 @@ def leverage_block(typing, entries, chosen, kept, x0, y0, states, at, alpha_max,
             for n, value in enumerate(found):
                 to = b.gep(sums, [b.add(b.mul(member, ir.Constant(LONG, SUMS)), ir.Constant(LONG, n))])
                 b.store(b.fadd(b.load(to), value), to)
-        for channel in range(RESIDUAL):  # the residual stays as it is
+        for channel in range(RESIDUAL):  # residual and weight stay as they are
             for j in each:
                 lanes.store(b.load(state[channel][j]), place(channel, j))
         return context.get_dummy_value()

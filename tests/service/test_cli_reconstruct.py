@@ -51,6 +51,18 @@ def test_reconstruct_and_render(scene_dir: Path, standin_model: Path, capfd: pyt
     assert capfd.readouterr().out == ""
 
 
+def test_fading_is_as_asked_for(scene_dir: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for asked, said in (
+        ((), "fading in 2 passes: "),
+        (("--fade", 1), "fading in 1 pass: "),
+        (("--fade", 0), "fading: off"),
+    ):
+        assert reconstruct(scene_dir, standin_model, "--views", "0,1", *asked) == 0
+        assert said in capfd.readouterr().err
+    assert reconstruct(scene_dir, standin_model, "--views", "0,1", "--fade", 9) == 1
+    assert "fade: is 9, need a whole number from 0 to 8" in capfd.readouterr().err
+
+
 def test_reconstruction_is_the_same_twice(scene_dir: Path, standin_model: Path) -> None:
     assert reconstruct(scene_dir, standin_model, "--views", "0,1") == 0
     first = (scene_dir / "out.ply").read_bytes()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from standin_model import BAND_1, C0, EXTRA, HEIGHT, OPACITY, ROTATION, SCALES, WIDTH
 
-from gapmes.service.budget import KEEP_ALL
+from gapmes.service.budget import KEEP_ALL, Budget
 from gapmes.service.camera import Camera
 from gapmes.service.errors import (
     CameraError,
@@ -19,6 +19,7 @@ from gapmes.service.errors import (
 )
 from gapmes.service.harmonics import evaluate_basis
 from gapmes.service.images import Photo, fit_view
+from gapmes.service.masks import FADED
 from gapmes.service.picture_error import psnr
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.rotations import about_axis, matrix_from_quaternion
@@ -102,15 +103,16 @@ def test_gaussians_move_with_the_world(reconstructor, scene, plane_scene, unit, 
 def test_a_far_origin_keeps_every_pixel(reconstructor, plane_scene):
     """At 1e6 units a float32 world would be off by tens of pixels; here the rays still meet theirs."""
     moved = plane_scene.moved(np.eye(3), np.array([1e6, -2e6, 5e5]), 1.0)
-    result = reconstructor.reconstruct(moved.images, moved.cameras, near=moved.near, far=moved.far, budget=KEEP_ALL)
+    depths = {"near": moved.near, "far": moved.far}
+    result = reconstructor.reconstruct(moved.images, moved.cameras, **depths, budget=KEEP_ALL, fade=0)
     pixels, _ = result.view_cameras[1].project(result.gaussians.means[HEIGHT * WIDTH : 2 * HEIGHT * WIDTH])
     np.testing.assert_allclose(pixels, pixel_centres(), atol=1e-4)  # worst 1.3e-5
 
 
 def test_estimated_depths_move_with_the_world_too(reconstructor, plane_scene):
-    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, budget=KEEP_ALL)
+    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, budget=KEEP_ALL, fade=0)
     moved = plane_scene.moved(about_axis(np.array([1.0, 0, 0]), 0.4), np.array([10.0, 20.0, -5.0]), 250.0)
-    far_off = reconstructor.reconstruct(moved.images, moved.cameras, budget=KEEP_ALL)
+    far_off = reconstructor.reconstruct(moved.images, moved.cameras, budget=KEEP_ALL, fade=0)
     assert plain.document["depth_range_source"] == "estimated"
     for name in ("near", "far"):
         assert far_off.document[name] == pytest.approx(250.0 * plain.document[name], rel=1e-6)
@@ -186,9 +188,9 @@ def test_more_views_than_two_and_in_any_order(reconstructor, plane_scene):
     order = [2, 0, 1]
     result = reconstructor.reconstruct(
         [plane_scene.images[i] for i in order], [plane_scene.cameras[i] for i in order], near=2, far=8,
-        budget=KEEP_ALL,
+        budget=KEEP_ALL, fade=0,
     )  # fmt: skip
-    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, budget=KEEP_ALL)
+    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, budget=KEEP_ALL, fade=0)
     per_view = HEIGHT * WIDTH
     for place, index in enumerate(order):
         np.testing.assert_allclose(
@@ -269,3 +271,22 @@ def test_each_photograph_is_foretold_by_the_others(reconstructor, plane_scene):
     without = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, leave_one_out=0, **given)
     assert without.document["check"]["leave_one_out"] is None
     assert "leave one out" not in without.document["timings"]
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_fading_lowers_opacities_of_pixels_and_says_so(reconstructor, plane_scene, stride):
+    """What the network said of its views' agreement is told of the unfaded scene; what is gone is counted."""
+    given = {"near": 2.0, "far": 8.0, "budget": Budget(None, stride=stride)}
+    scenes = [reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, **given, fade=n) for n in (0, 2)]
+    never, twice = (scene.document for scene in scenes)
+    assert never["check"]["from_others"] == twice["check"]["from_others"]
+    assert never["fading"]["passes"] == never["fading"]["gone"] == 0
+    before, after = twice["fading"]["mean_opacity"]
+    assert never["fading"]["mean_opacity"] == [before, before]
+    assert after < before - 0.01
+    gone = sum(entry["count"] for entry in twice["dropped"] if entry["reason"] == FADED)
+    assert gone == twice["fading"]["gone"] == len(scenes[0].gaussians) - len(scenes[1].gaussians)
+    pairs = zip(never["check"]["input_views"], twice["check"]["input_views"], strict=True)
+    assert all(faded["psnr"] > plain["psnr"] for plain, faded in pairs)
+    extra = EXTRA * len(plane_scene.images)  # behind the scene, for views that nobody has asked for
+    assert (scenes[1].gaussians.opacities[-extra:] == scenes[0].gaussians.opacities[-extra:]).all()

@@ -118,7 +118,7 @@ function trust(body, scene) {
   if (step) facts.push(`Half a step of depth is ${percent(step.near)} of the depth when near, ${percent(step.far)} when far.`);
   if (check.ambiguous_routes) facts.push(`For ${percent(check.ambiguous_routes)} of the patches rounding may decide the route.`);
   const fading = scene.fading;
-  if (fading?.passes) facts.push(`In ${fading.passes} passes ${count(fading.lowered)} Gaussians lost opacity, since the photographs contradict them, ${count(fading.gone)} of them until they are out of sight.`);
+  if (fading?.passes) facts.push(`${count(fading.halved)} Gaussians lost half of their opacity or more where the photographs contradict them, ${count(fading.gone)} all that is drawn of them.`);
   body.append(make("p", {}, facts.join(" ")));
 }
 

@@ -270,7 +270,7 @@ def test_fading_belongs_to_the_scene(client: TestClient) -> None:
     default, asked, none = post(client).json(), post(client, fade="2").json(), post(client, fade="0").json()
     assert default["id"] == asked["id"] != none["id"]
     assert default["fading"]["passes"] == 2
-    assert none["fading"]["passes"] == none["fading"]["lowered"] == 0
+    assert none["fading"]["passes"] == none["fading"]["halved"] == 0
     before, after = default["fading"]["mean_opacity"]
     assert none["fading"]["mean_opacity"] == [before, before]
     assert after <= before

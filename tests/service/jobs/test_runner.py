@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +97,10 @@ def test_work_comes_back_from_disk_to_the_bit(tmp_path: Path) -> None:
 
 
 def test_work_of_a_release_with_one_model_is_for_the_default_one() -> None:
-    document = work().document()
+    document = replace(work(), fade=5).document()
+    assert Work.of_document(document, [b"one", b"two"]).fade == 5
+    assert document.pop("fade") == 5
+    assert Work.of_document(document, [b"one", b"two"]).fade == 2
     assert document.pop("model") == "ds"
     assert Work.of_document(document, [b"one", b"two"]).model == "default"
 

@@ -25,29 +25,35 @@ def change_by_opacity(gaussians: Gaussians, view: Camera, i: int, step: float) -
     return (after - before) / (float(opacities[i]) - float(gaussians.opacities[i]))
 
 
+def _weights(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """A fifth of the pixels counts nothing."""
+    return np.where(rng.uniform(size=shape) < 0.8, rng.uniform(0.1, 2.0, shape), 0.0)
+
+
 def case(count: int, seed: int, degree: int = 0) -> tuple[Gaussians, Camera, np.ndarray, np.ndarray, np.ndarray]:
-    """Gaussians, camera, their picture, a residual and the counted pixels, in more than one tile each way."""
+    """Gaussians, camera, their picture, a residual and weights, in more than one tile each way."""
     rng = np.random.default_rng(seed)
     view = camera(44, 37)
     gaussians = scene(count, seed, degree)
     gaussians = moved(gaussians, opacities=np.maximum(gaussians.opacities, np.float32(0.02)))
     picture = render(gaussians, view, background=BEHIND).rgb
-    return gaussians, view, picture, rng.normal(size=picture.shape), rng.uniform(size=picture.shape[:2]) < 0.8
+    return gaussians, view, picture, rng.normal(size=picture.shape), _weights(rng, picture.shape[:2])
 
 
 @pytest.mark.parametrize(("count", "seed", "degree"), [(12, 1, 0), (60, 2, 2), (90, 3, 0)])
 def test_slopes_and_moves_are_those_of_the_reference(count: int, seed: int, degree: int) -> None:
-    gaussians, view, picture, residual, counted = case(count, seed, degree)
-    found = leverage(gaussians, view, picture, residual, counted)
+    gaussians, view, picture, residual, weight = case(count, seed, degree)
+    found = leverage(gaussians, view, picture, residual, weight)
+    each = weight[..., None]
     compared = 0
     for i in range(count):
-        change, closer = (change_by_opacity(gaussians, view, i, step)[counted] for step in (2.0**-11, 2.0**-13))
+        change, closer = (change_by_opacity(gaussians, view, i, step) for step in (2.0**-11, 2.0**-13))
         if np.abs(change - closer).max() > 1e-9:
             continue  # a pixel went over a cut
         compared += 1
         # Found: at most 4e-7 of the largest slope and move of the scene; float32 adds up some hundred pixels.
-        assert found.slope[i] == pytest.approx((residual[counted] * change).sum(), rel=1e-5, abs=1e-4)
-        assert found.moved[i] == pytest.approx((change**2).sum(), rel=1e-5, abs=1e-5)
+        assert found.slope[i] == pytest.approx((each * residual * change).sum(), rel=1e-5, abs=1e-4)
+        assert found.moved[i] == pytest.approx((each * change**2).sum(), rel=1e-5, abs=1e-5)
     assert compared >= 0.9 * count
     assert (found.moved > 0).sum() >= 0.6 * count
 
@@ -57,27 +63,27 @@ def test_a_held_alpha_moves_nothing() -> None:
     view = camera(17, 17)
     one = dots([[0.0, 0.0, 2.0]], [1.0], [0.9, 0.5, 0.1], scale=0.6)
     picture = render(one, view).rgb
-    everywhere = np.ones((17, 17), bool)
+    everywhere = np.ones((17, 17))
     height = picture[..., 0] / np.float32(0.9)
     assert (height >= 0.9899).any()
     free = height < 0.9899
     found = leverage(one, view, picture, picture, everywhere)
     assert found.slope[0] == pytest.approx((picture[free] ** 2).sum(), rel=1e-5)
-    assert leverage(one, view, picture, picture, ~free).moved[0] == 0.0
+    assert leverage(one, view, picture, picture, 1.0 * ~free).moved[0] == 0.0
 
 
 def test_what_is_not_drawn_has_no_leverage() -> None:
     view = camera(24, 24)
     gaussians = dots([[0, 0, 2], [0, 0, -2], [0, 0, 3], [9, 0, 2]], [0.5, 0.5, 0.003, 0.5], 0.7, scale=0.1)
     picture = render(gaussians, view).rgb
-    found = leverage(gaussians, view, picture, np.ones_like(picture), np.ones((24, 24), bool))
+    found = leverage(gaussians, view, picture, np.ones_like(picture), np.ones((24, 24)))
     assert found.moved[0] > 0
     assert not found.moved[1:].any()
     assert not found.slope[1:].any()
-    none = leverage(gaussians, view, picture, np.ones_like(picture), np.zeros((24, 24), bool))
+    none = leverage(gaussians, view, picture, np.ones_like(picture), np.zeros((24, 24)))
     assert not none.moved.any()
     empty = gaussians[np.zeros(4, bool)]
-    assert leverage(empty, view, picture, picture, np.ones((24, 24), bool)).slope.shape == (0,)
+    assert leverage(empty, view, picture, picture, np.ones((24, 24))).slope.shape == (0,)
 
 
 def test_lists_in_several_batches_go_on_where_the_one_before_ended(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,8 +92,15 @@ def test_lists_in_several_batches_go_on_where_the_one_before_ended(monkeypatch: 
     module = importlib.import_module("gapmes.service.splat.leverage")
     monkeypatch.setattr(module, "checked_definition", lambda *_: Definition(max_entries=7))
     parts = leverage(gaussians, *given)
-    np.testing.assert_allclose(parts.slope, whole.slope, rtol=1e-5, atol=1e-6 * np.abs(whole.slope).max())
-    np.testing.assert_allclose(parts.moved, whole.moved, rtol=1e-5)
+    assert (parts.slope == whole.slope).all()
+    assert (parts.moved == whole.moved).all()
+
+
+def test_the_number_of_threads_does_not_matter() -> None:
+    gaussians, *given = case(90, 6)
+    one, three = (leverage(gaussians, *given, threads=threads) for threads in (1, 3))
+    assert (one.slope == three.slope).all()
+    assert (one.moved == three.moved).all()
 
 
 def test_the_order_of_the_gaussians_does_not_matter() -> None:
@@ -96,6 +109,25 @@ def test_the_order_of_the_gaussians_does_not_matter() -> None:
     found, other = leverage(gaussians, *given), leverage(gaussians[order], *given)
     assert (other.slope == found.slope[order]).all()
     assert (other.moved == found.moved[order]).all()
+
+
+def test_pixels_without_weight_may_hold_anything() -> None:
+    gaussians, view, picture, residual, weight = case(60, 5)
+    expected = leverage(gaussians, view, picture, residual, weight)
+    picture[weight == 0], residual[weight == 0] = np.nan, np.inf
+    with np.errstate(invalid="ignore"):
+        found = leverage(gaussians, view, picture, residual, weight)
+    assert (found.slope == expected.slope).all()
+    assert (found.moved == expected.moved).all()
+
+
+@pytest.mark.parametrize("name", ["picture", "residual", "weight"])
+def test_planes_of_another_size_are_refused(name: str) -> None:
+    gaussians, view, *planes = case(3, 0)
+    given = dict(zip(("picture", "residual", "weight"), planes, strict=True))
+    given[name] = given[name][:1]
+    with pytest.raises(InputError, match=r"\(1, 44.*need \(37, 44"):
+        leverage(gaussians, view, **given)
 
 
 def test_a_near_plane_that_makes_no_sense_is_refused() -> None:
