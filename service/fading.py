@@ -23,6 +23,7 @@ from .splat import Definition, Leverage, leverage, render
 STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
 DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
 ROBUST = 0.05  # of a channel: difference at which a pixel counts half; exposures, highlights and noise differ as well
+BEHIND_KEEPS = 0.5  # of its opacity, at least: it is there for views that nobody has asked for
 COVERED = 1e-3  # opacity below which a pixel shows no colour that could be right or wrong
 
 
@@ -51,32 +52,31 @@ def faded(
     views: Sequence[FittedView],
     passes: int = DEFAULT_PASSES,
     *,
-    may_fade: NDArray[np.bool_] | None = None,
+    behind: NDArray[np.bool_] | None = None,
     near: float | None = None,
     threads: int | None = None,
     done: Callable[[int], None] | None = None,
 ) -> Fading:
-    """Lower opacities of `may_fade` (N,), by default all, so that the scene, drawn from the cameras of `views`, comes
-    closer to their photographs.
+    """Lower opacities so that the scene, drawn from the cameras of `views`, comes closer to their photographs.
 
-    A pass draws every view once and moves each opacity o by -STEP sum(w r J) / (sum(w J^2) + DAMPING), to 0 at least
-    and to what it was at first at most: J = dC/do, r the picture (clipped to [0, 1]) less the photograph, sums over
-    all pixels and channels of all views. A pixel whose difference has the mean size d over the channels weighs
-    w = 1 / (1 + d / ROBUST) (Fair's weight of robust regression), one that a mask leaves out nothing. Where a pixel is
-    not covered in full, its own mean colour stands behind it: no Gaussian goes for being brighter than a background
-    that nobody knows. `near` is that of `render`; `done` hears how many passes are done. The bits do not depend on the
-    number of threads.
+    A pass draws every view once and moves each opacity o by -STEP sum(w r J) / (sum(w J^2) + DAMPING), to what it was
+    at first at most and to 0 at least, or to BEHIND_KEEPS of what it was where it stands `behind` (N,) the scene:
+    J = dC/do, r the picture (clipped to [0, 1]) less the photograph, sums over all pixels and channels of all views. A
+    pixel whose difference has the mean size d over the channels weighs w = 1 / (1 + d / ROBUST) (Fair's weight of
+    robust regression), one that a mask leaves out nothing. Where a pixel is not covered in full, its own mean colour
+    stands behind it: no Gaussian goes for being brighter than a background that nobody knows. `near` is that of
+    `render`; `done` hears how many passes are done. The bits do not depend on the number of threads.
 
     Raises `InputError` for a number of passes that is out of range.
     """
     checked_passes(passes)
     before = after = gaussians.opacities
+    least = 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0)
     for number in range(passes):
         slope, moved = _sums(replace(gaussians, opacities=after), views, near, threads)
         with np.errstate(invalid="ignore", over="ignore"):  # of colours near the end of float32, which move nothing
             step = np.nan_to_num(STEP * slope / (moved + DAMPING), nan=0.0, posinf=0.0, neginf=0.0)
-        lower = np.clip(after - step, 0.0, before).astype(np.float32)
-        after = lower if may_fade is None else np.where(may_fade, lower, before)
+        after = np.clip(after - step, least, before).astype(np.float32)
         if done is not None:
             done(number + 1)
     cut = np.float32(Definition().alpha_min)

@@ -129,7 +129,7 @@ class Reconstructor:
         owner = np.minimum(rows // (info.height * info.width), len(views))  # the view whose pixel it is, if any
         of_pixel = owner < len(views)  # what stands behind the scene is there for views that nobody has asked for
         with stages.stage("fade", max(fade, 1)) as done:
-            fading = self._faded(found, of_pixel, views, scene, fade, done)
+            fading = self._faded(found, ~of_pixel, views, scene, fade, done)
         if fading.gone.any():
             dropped = {**dropped, FADED: int(fading.gone.sum())}
         gaussians = fading.gaussians[~fading.gone]
@@ -181,14 +181,14 @@ class Reconstructor:
     def _faded(
         self,
         gaussians: Gaussians,
-        may_fade: NDArray[np.bool_],
+        behind: NDArray[np.bool_],
         views: Sequence[FittedView],
         scene: SceneViews,
         passes: int,
         done: Callable[[int], None] | None = None,
     ) -> Fading:
         options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
-        return faded(gaussians, views, passes, may_fade=may_fade, done=done, **options)
+        return faded(gaussians, views, passes, behind=behind, done=done, **options)
 
     def _foretold(
         self,
@@ -206,8 +206,8 @@ class Reconstructor:
             others = [views[other] for other in chosen]
             outputs, frame = self._run(others, depths)
             kept, _ = kept_rows(outputs, others, frame)
-            of_pixel = kept < len(others) * others[0].image[0].size
-            gaussians = self._faded(frame.to_world(outputs, kept), of_pixel, others, scene, fade).gaussians
+            behind = kept >= len(others) * others[0].image[0].size
+            gaussians = self._faded(frame.to_world(outputs, kept), behind, others, scene, fade).gaussians
             options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
             image = render(gaussians, view.camera, outputs=("alpha",), **options)
             rows.append({"from": chosen, **drawn_again(image, view)})

@@ -181,13 +181,14 @@ def test_colours_at_the_end_of_float32_move_nothing() -> None:
     assert (result.gaussians.opacities <= scene.opacities).all()
 
 
-def test_what_may_not_fade_keeps_its_opacity(views: list[FittedView], spoiled: Gaussians) -> None:
+def test_what_stands_behind_keeps_half_of_its_opacity(views: list[FittedView], spoiled: Gaussians) -> None:
     heard: list[int] = []
-    may = np.arange(len(spoiled)) % 2 == 0
-    result = faded(spoiled, views, 3, may_fade=may, done=heard.append)
-    assert (result.gaussians.opacities[~may] == spoiled.opacities[~may]).all()
-    assert (result.gaussians.opacities[may] < spoiled.opacities[may]).mean() > 0.5
-    assert heard == [1, 2, 3]
+    behind = np.arange(len(spoiled)) >= len(spoiled) - 40  # the floaters
+    kept = faded(spoiled, views, 8, behind=behind, done=heard.append).gaussians.opacities / spoiled.opacities
+    assert kept[behind].min() == pytest.approx(0.5)
+    assert kept[~behind].min() < 0.5
+    assert faded(spoiled, views, 8).gaussians.opacities[behind].min() < 0.1
+    assert heard == list(range(1, 9))
 
 
 def test_what_is_too_faint_to_be_drawn_is_gone(views: list[FittedView], spoiled: Gaussians) -> None:

@@ -40,7 +40,7 @@ needed = pytest.mark.skipif(find_spec("openvino") is None, reason="pip install '
 FP32_RELATIVE = 2e-3
 FP32_DB = 50.0
 # bf16 has 8 bits of mantissa and routes an eighth of the patches to other experts: pictures are at 32.6 dB beside those
-# of fp32, and 0.6 to 0.9 dB worse beside photographs that were held back (26.2 instead of 26.8 dB).
+# of fp32, and 0.6 to 0.9 dB worse beside photographs that were held back (26.2 instead of 26.8 dB, without fading).
 BF16_DB = 28.0
 BF16_COST_DB = 2.0
 
