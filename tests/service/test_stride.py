@@ -7,6 +7,7 @@ from standin_model import EXTRA, HEIGHT, WIDTH
 from gapmes.service.budget import Budget
 from gapmes.service.errors import InputError
 from gapmes.service.left_out import leave_out
+from gapmes.service.masks import FADED
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.scene_views import SceneViews
 from gapmes.service.splat import render
@@ -60,7 +61,7 @@ def test_a_stride_of_one_is_the_scene_itself():
 
 
 def test_a_reconstruction_with_a_stride(engine, plane_scene):
-    given = {"near": plane_scene.near, "far": plane_scene.far}
+    given = {"near": plane_scene.near, "far": plane_scene.far, "fade": 0}
     reconstructor, photos, cameras = Reconstructor(engine), plane_scene.images, plane_scene.cameras
     whole = reconstructor.reconstruct(photos, cameras, budget=Budget(None), **given)
     thin = reconstructor.reconstruct(photos, cameras, budget=Budget(None, stride=2), **given)
@@ -69,6 +70,12 @@ def test_a_reconstruction_with_a_stride(engine, plane_scene):
     assert thin.document["pruning"]["stride"] == 2
     (row,) = [row for row in thin.document["left_out"] if row["what"] == "Gaussians between strides"]
     assert (row["count"], row["of"], row["error"]) == (3 * HEIGHT * WIDTH * 3 // 4, len(whole.gaussians), None)
+    # What fades altogether is counted apart.
+    faded = reconstructor.reconstruct(photos, cameras, budget=Budget(None, stride=2), **{**given, "fade": 8})
+    rows = {row["what"]: row["count"] for row in faded.document["left_out"]}
+    gone = rows[f"Gaussians: {FADED}"]
+    assert gone == faded.document["fading"]["gone"] == len(thin.gaussians) - len(faded.gaussians) > 0
+    assert rows["Gaussians between strides"] == row["count"]
 
 
 @pytest.mark.parametrize("min_opacity", [0.05, 0.3, 0.95])
