@@ -75,4 +75,4 @@ def spz_file(
     """A .spz whose columns are zero bytes unless a body is given."""
     row = 9 + 1 + 3 + 3 + (3 if version < 3 else 4) + 3 * ((degree + 1) ** 2 - 1)
     header = struct.pack("<IIIBBBB", magic, version, count, degree, fraction, flags, 0)
-    return gzip.compress(header + (bytes(row * count) if body is None else body))
+    return gzip.compress(header + (bytes(row * count) if body is None else body), mtime=0)
