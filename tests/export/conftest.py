@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import onnx
 import pytest
+from few_pieces import few_pieces
+from filelock import FileLock
 from full_networks import miniature
 
 from gapmes.export.build import export_graph
@@ -26,9 +30,24 @@ def network(checkpoint: Path) -> GaPMeS:
     return load_checkpoint(checkpoint)
 
 
+def _once(name: str, made: Callable[[], onnx.ModelProto], temporary: pytest.TempPathFactory) -> onnx.ModelProto:
+    """What `made` gives, which takes minutes: one of the processes of the tests makes it, others read its file."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return made()
+    path = temporary.getbasetemp().parent / name
+    with FileLock(f"{path}.lock"):
+        if not path.exists():
+            onnx.save(made(), path)
+    return onnx.load(path)
+
+
 @pytest.fixture(scope="session")
-def small_graph(checkpoint: Path) -> onnx.ModelProto:
+def small_graph(checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> onnx.ModelProto:
     """The shipped network for 64 x 64 pixels, with metadata; copy it before changing it."""
+    return _once("small.onnx", lambda: _small_graph(checkpoint), tmp_path_factory)
+
+
+def _small_graph(checkpoint: Path) -> onnx.ModelProto:
     network = load_checkpoint(checkpoint)
     model = export_graph(network, SIZE, SIZE)
     metadata = contract_metadata(
@@ -44,6 +63,7 @@ def small_graph(checkpoint: Path) -> onnx.ModelProto:
 
 
 @pytest.fixture(scope="session")
-def miniature_graph() -> onnx.ModelProto:
+def miniature_graph(tmp_path_factory: pytest.TempPathFactory) -> onnx.ModelProto:
     """The full trunk with miniature ViTs (`full_networks.miniature`) for 64 x 64 pixels; copy it before changing it."""
-    return export_graph(miniature(), SIZE, SIZE)
+    with few_pieces():
+        return _once("miniature.onnx", lambda: export_graph(miniature(), SIZE, SIZE), tmp_path_factory)
