@@ -13,7 +13,7 @@ from page_service import serving
 from gapmes.service.settings import Settings
 
 
-@pytest.fixture(scope="package")  # its event loop runs in the main thread: no other test could have one there
+@pytest.fixture(scope="module")  # its event loop runs in the main thread: no test of others could have one there
 def playwright() -> Iterator[Any]:
     sync_api = pytest.importorskip("playwright.sync_api", reason="the page is tested by Playwright")
     if CHROMIUM is None:
@@ -22,14 +22,14 @@ def playwright() -> Iterator[Any]:
         yield running
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def browser(playwright: Any) -> Iterator[Any]:
     browser = launched(playwright)
     yield browser
     browser.close()
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def address(standin_model: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     store = tmp_path_factory.mktemp("page") / "scenes"
     with serving(Settings(model=standin_model, store=store, threads=1)) as address:
