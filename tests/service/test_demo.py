@@ -76,9 +76,7 @@ def test_keep_leaves_the_service(tmp_path: Path, environment: dict[str, str]) ->
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_stops_the_service(tmp_path: Path, environment: dict[str, str], ending: signal.Signals) -> None:
-    before = signal.signal(
-        signal.SIGINT, signal.default_int_handler
-    )  # a background ignores it, and so would we
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background ignores it, and so would we
     with subprocess.Popen([*COMMAND, "-o", tmp_path, "--keep"], env=environment, stderr=subprocess.PIPE) as demo:
         signal.signal(signal.SIGINT, before)
         log = tmp_path / "server.log"
