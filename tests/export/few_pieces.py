@@ -10,8 +10,8 @@ import pytest
 
 @contextmanager
 def few_pieces() -> Iterator[None]:
-    """Matching goes through rows and planes in two pieces instead of eight, with six tenths of the nodes: an export
-    takes minutes, most of them for tracing node by node. The results are the same."""
+    """Matching goes through rows and planes in two pieces instead of eight: fewer nodes, which an export traces one by
+    one, for minutes. The network computes the same."""
     with pytest.MonkeyPatch.context() as patch:
         for module in ("cost_volume", "evidence"):
             patch.setattr(f"gapmes.model.{module}.SWEEP_PIECES", 2)
