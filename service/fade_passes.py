@@ -1,5 +1,5 @@
-"""How often a scene's opacities are lowered where the photographs contradict them; apart from `fading.py`, which loads
-the splatter."""
+"""How often a scene is corrected where the photographs contradict it; apart from `fading.py`, which loads the
+splatter."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ MAX_PASSES = 8
 
 
 def checked_passes(passes: int) -> int:
-    """Raises `InputError` unless it is a whole number from 0, which leaves the opacities as they are, to 8."""
+    """Raises `InputError` unless it is a whole number from 0, which leaves the scene as it is, to 8."""
     if isinstance(passes, bool) or not isinstance(passes, int) or not 0 <= passes <= MAX_PASSES:
         raise InputError(f"is {passes}, need a whole number from 0 to {MAX_PASSES}", field="fade")
     return passes

@@ -3,13 +3,13 @@
 A Gaussian of one view whose depth is wrong hides in another view what that one shows rightly. The scene is drawn from
 its inputs' cameras; where a picture differs from its photograph, the Gaussians whose absence would mend that lose
 opacity. None rises above the network's own: a scene that is only faded cannot learn its inputs by heart with splats
-that nothing else supports.
+that nothing else supports. Colours follow one pass behind: what should go is not first given the colour that it hides.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from .fade_passes import DEFAULT_PASSES, checked_passes
 from .gaussians import Gaussians
+from .harmonics import C0
 from .images import FittedView
 from .splat import Definition, Leverage, leverage, render
 
@@ -24,18 +25,21 @@ STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
 DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
 ROBUST = 0.05  # of a channel: difference at which a pixel counts half; exposures, highlights and noise differ as well
 BEHIND_KEEPS = 0.5  # of its opacity, at least: it is there for views that nobody has asked for
+COLOUR_STEP = 0.5  # of the mean that the pixels which show a Gaussian have too much; 2 would not settle
+COLOUR_DAMPING = 0.05  # pixels; a Gaussian that is shown less hardly changes its colour
 COVERED = 1e-3  # opacity below which a pixel shows no colour that could be right or wrong
 
 
 @dataclass(frozen=True, eq=False)
 class Fading:
-    """The scene with lower opacities, nothing else changed."""
+    """The scene with lower opacities and other base colours, nothing else changed."""
 
     gaussians: Gaussians
     passes: int
     halved: int  # lost half of their opacity or more
     gone: NDArray[np.bool_]  # (N,) too faint by now to be drawn, and were not at first
     mean_opacity: tuple[float, float]  # before, after
+    recoloured: float  # mean change of a base colour's channel, of 1
 
     def document(self) -> dict[str, Any]:
         """Plain JSON values."""
@@ -44,6 +48,7 @@ class Fading:
             "halved": self.halved,
             "gone": int(self.gone.sum()),
             "mean_opacity": [round(value, 6) for value in self.mean_opacity],
+            "recoloured": round(self.recoloured, 6),
         }
 
 
@@ -57,13 +62,17 @@ def faded(
     threads: int | None = None,
     done: Callable[[int], None] | None = None,
 ) -> Fading:
-    """Lower opacities so that the scene, drawn from the cameras of `views`, comes closer to their photographs.
+    """Lower opacities and correct colours so that the scene, drawn from the cameras of `views`, comes closer to their
+    photographs.
 
     A pass draws every view once and moves each opacity o by -STEP sum(w r J) / (sum(w J^2) + DAMPING), to what it was
     at first at most and to 0 at least, or to BEHIND_KEEPS of what it was where it stands `behind` (N,) the scene:
     J = dC/do, r the picture (clipped to [0, 1]) less the photograph, sums over all pixels and channels of all views. A
     pixel whose difference has the mean size d over the channels weighs w = 1 / (1 + d / ROBUST) (Fair's weight of
-    robust regression), one that a mask leaves out nothing. Where a pixel is not covered in full, its own mean colour
+    robust regression), one that a mask leaves out nothing. The next pass, or one more after the last, moves the base
+    colour by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING) in each channel, s the share of the pixel's colour
+    that the Gaussian has, and not beyond [0, 1] where the network's own was within (simultaneous iterative
+    reconstruction, Gilbert 1972). Where a pixel is not covered in full, its own mean colour
     stands behind it: no Gaussian goes for being brighter than a background that nobody knows. `near` is that of
     `render`; `done` hears how many passes are done. The bits do not depend on the number of threads.
 
@@ -72,34 +81,59 @@ def faded(
     checked_passes(passes)
     before = after = gaussians.opacities
     least = 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0)
-    for number in range(passes):
-        slope, moved = _sums(replace(gaussians, opacities=after), views, near, threads)
-        with np.errstate(invalid="ignore", over="ignore"):  # of colours near the end of float32, which move nothing
-            step = np.nan_to_num(STEP * slope / (moved + DAMPING), nan=0.0, posinf=0.0, neginf=0.0)
-        after = np.clip(after - step, least, before).astype(np.float32)
+    own = colours = _base_colours(gaussians)
+    darkest, brightest = np.minimum(own, 0), np.maximum(own, 1)
+    now = gaussians
+    for number in range(passes + 1 if passes else 0):
+        sums = _sums(now, views, near, threads)
+        if number:
+            step = _finite(COLOUR_STEP * sums.excess, (sums.shown + COLOUR_DAMPING)[:, None])
+            colours = np.clip(colours - step, darkest, brightest)
+        if number < passes:
+            after = np.clip(after - _finite(STEP * sums.slope, sums.moved + DAMPING), least, before).astype(np.float32)
+        now = replace(gaussians, opacities=after, harmonics=_recoloured(gaussians, colours - own))
         if done is not None:
             done(number + 1)
     cut = np.float32(Definition().alpha_min)
     return Fading(
-        replace(gaussians, opacities=after) if passes else gaussians,
+        now,
         passes,
         int(((after <= 0.5 * before) & (after < before)).sum()),
         (after < cut) & (before >= cut),
         (_mean(before), _mean(after)),
+        _mean(np.abs(colours - own)),
     )
 
 
-def _sums(
-    now: Gaussians, views: Sequence[FittedView], near: float | None, threads: int | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(N,) slopes and moves over all views. What the splatter keeps of a set lives as long as `now`: for one pass."""
-    slope, moved = np.zeros(len(now)), np.zeros(len(now))
+def _base_colours(gaussians: Gaussians) -> NDArray[np.float64]:
+    """(N, 3) what is the same from all sides."""
+    return 0.5 + C0 * gaussians.harmonics[:, 0].astype(np.float64)
+
+
+def _recoloured(gaussians: Gaussians, change: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Harmonics whose base colours have moved by `change`; the same bits where it is 0."""
+    harmonics = gaussians.harmonics.copy()
+    harmonics[:, 0] += change / C0
+    return harmonics
+
+
+def _finite(over: NDArray[np.float64], under: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The quotient; 0 where a sum was not finite, of colours near the end of float32."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.nan_to_num(over / under, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _sums(now: Gaussians, views: Sequence[FittedView], near: float | None, threads: int | None) -> Leverage:
+    """Over all views. What the splatter keeps of a set lives as long as `now`: for one pass."""
+    count = len(now)
+    sums = Leverage(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, 3)))
     for view in views:
         found = _leverage_of(now, view, near, threads)
         with np.errstate(invalid="ignore"):
-            slope += found.slope
-            moved += found.moved
-    return slope, moved
+            for field in fields(Leverage):
+                total = getattr(sums, field.name)
+                total += getattr(found, field.name)
+    return sums
 
 
 def _leverage_of(gaussians: Gaussians, view: FittedView, near: float | None, threads: int | None) -> Leverage:
@@ -115,5 +149,5 @@ def _leverage_of(gaussians: Gaussians, view: FittedView, near: float | None, thr
     return leverage(gaussians, view.camera, picture, residual, weight, **options)
 
 
-def _mean(opacities: NDArray[np.float32]) -> float:
-    return float(opacities.mean(dtype=np.float64)) if len(opacities) else 0.0
+def _mean(values: NDArray[np.floating]) -> float:
+    return float(values.mean(dtype=np.float64)) if len(values) else 0.0

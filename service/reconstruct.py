@@ -89,7 +89,8 @@ class Reconstructor:
         a warning. `budget` says what may be left out of the scene and for which views that is proved. With three
         photographs or more each is also compared with its picture from a reconstruction of the `leave_one_out` others
         that are nearest to it (2 or more; all others where there are fewer; 0: not done). `fade` is how
-        often the opacity of what the photographs contradict is lowered (`fading.py`; 0: the network's own opacities).
+        often opacities are lowered and colours corrected where the photographs contradict them (`fading.py`; 0: the
+        network's own).
         `listener` hears the stages cameras, images, network, gaussians, kernels (the first time), fade, leave out,
         check, leave one out.
         Raises `InputError` and `ModelError`.
@@ -128,7 +129,7 @@ class Reconstructor:
         scene = SceneViews(view_cameras, depths.near, depths.far)
         owner = np.minimum(rows // (info.height * info.width), len(views))  # the view whose pixel it is, if any
         of_pixel = owner < len(views)  # what stands behind the scene is there for views that nobody has asked for
-        with stages.stage("fade", max(fade, 1)) as done:
+        with stages.stage("fade", fade + 1) as done:
             fading = self._faded(found, ~of_pixel, views, scene, fade, done)
         if fading.gone.any():
             dropped = {**dropped, FADED: int(fading.gone.sum())}

@@ -55,7 +55,7 @@ class Budget:
 
     def recipe(self, seed: int) -> Recipe:
         """One phase of two views at one size; a sixth of the steps warms up, since they are few."""
-        phases = (Phase(1.0, self.size, self.training_scenes, (2,), (0.06, 0.6)),)
+        phases = (Phase(1.0, (self.size,), self.training_scenes, (2,), (0.06, 0.6)),)
         return replace(Recipe(), steps=self.steps, seed=seed, warm_up=max(1, self.steps // 6), phases=phases)
 
     def batches(self) -> list[TensorBatch]:

@@ -13,13 +13,13 @@ import torch
 
 from gapmes.service.terminal import QUIET_HELP, ProgressBars
 
-from ..checkpoint import CheckpointError
+from ..checkpoint import CheckpointError, read_config
 from ..config import PRESETS, ModelConfig, preset
 from ..pretrained.backbones import BackboneSources
 from ..pretrained.sources import resolve
 from .log_rows import read_rows
 from .loop import train
-from .recipe import Recipe
+from .recipe import RECIPES, Recipe
 from .run_folder import LOG, WEIGHTS
 from .workers import Worker, run_workers
 
@@ -43,8 +43,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gapmes.model.training", description=__doc__)
     parser.add_argument("out", type=Path, help="folder of the run; an interrupted run continues from it")
     parser.add_argument("--preset", choices=sorted(PRESETS), default="tiny")
-    parser.add_argument("--steps", type=int, default=Recipe.steps)
-    parser.add_argument("--seed", type=int, default=Recipe.seed)
+    parser.add_argument("--recipe", choices=sorted(RECIPES), default="whole", help="finish: more steps after a run")
+    parser.add_argument("--initial-weights", type=Path, metavar="FILE", help="start from this checkpoint of the preset")
+    parser.add_argument("--steps", type=int, help="default: the recipe's")
+    parser.add_argument("--seed", type=int, help="default: the recipe's")
     parser.add_argument("--processes", type=int, default=1, help="share the scenes of each step, at most 2 (default 1)")
     parser.add_argument("--threads", type=int, default=1, help="per process; one is fastest on shared cores")
     parser.add_argument("--device", default="auto", help="cpu, cuda, or auto: cuda when there is one")
@@ -72,7 +74,8 @@ def main(arguments: list[str] | None = None) -> int:
     if extra := [name for name, source in sources.items() if source is not None and name not in needed]:
         parser.error(f"preset {config.preset} has no such frozen part: leave out --{extra[0]}-weights")
     backbones = BackboneSources(**sources) if needed else None
-    recipe = replace(Recipe(), steps=options.steps, seed=options.seed)
+    chosen = {name: value for name in ("steps", "seed") if (value := getattr(options, name)) is not None}
+    recipe = replace(RECIPES[options.recipe], **chosen)
     device = options.device
     if device == "auto":
         device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -80,6 +83,8 @@ def main(arguments: list[str] | None = None) -> int:
         for source in sources.values():
             if source is not None:
                 resolve(source)  # before processes start: what is not there is wrong usage
+        if options.initial_weights is not None:
+            read_config(options.initial_weights)
     except CheckpointError as error:
         parser.error(str(error))
     run_workers(
@@ -92,6 +97,7 @@ def main(arguments: list[str] | None = None) -> int:
         options.validate_every,
         device,
         backbones,
+        options.initial_weights,
         options.quiet,
     )
     if options.json:
@@ -109,6 +115,7 @@ def _train(
     validate_every: int,
     device: str,
     backbones: BackboneSources | None,
+    initial: Path | None,
     quiet: bool,
 ) -> None:
     level = logging.INFO if worker.leads and not quiet else logging.WARNING
@@ -122,6 +129,7 @@ def _train(
             device=device,
             worker=worker,
             backbones=backbones,
+            initial=initial,
             listener=bars,
         )
         logging.getLogger(__name__).info("weights: %s", folder / WEIGHTS)

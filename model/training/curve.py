@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from .log_rows import read_rows
+from .recipe import Phase
 from .run_folder import LOG, STATE
 
 F64 = NDArray[np.float64]
@@ -81,7 +82,7 @@ def read_phases(path: Path) -> list[Span]:
     spans, start = [], 0.0
     for phase in recipe["phases"]:
         end = start + phase["share"] * recipe["steps"]
-        spans.append(Span(start, end, f"{phase['size']} px"))
+        spans.append(Span(start, end, Phase(**phase).label))
         start = end
     return spans
 

@@ -16,10 +16,11 @@ import torch
 
 from gapmes.service.progress import Listener, Stage, silent
 
+from ..checkpoint import CheckpointError, file_sha256, load_checkpoint
 from ..config import ModelConfig
 from ..network import GaPMeS
 from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
-from .precision import compute_coarsely
+from .precision import coarse_pays, compute_coarsely
 from .recipe import Recipe
 from .run_folder import append_row, claimed, forget_rows_after, restore_state, save_state, save_weights
 from .scenes import SceneSampler
@@ -41,18 +42,21 @@ def train(
     device: torch.device | str = "cpu",
     worker: Worker = Worker(),  # noqa: B008 - a frozen value
     backbones: BackboneSources | None = None,
+    initial: Path | None = None,
     listener: Listener = silent,
 ) -> GaPMeS:
     """Run the recipe to its end in `folder` and return the averaged weights; continues from what is there.
 
     Every random number of a step comes from (seed, step, worker), so a resumed run sees what an unbroken one would
-    have seen. `backbones` gives the frozen parts of a preset that has them; `listener` hears of every step. Several
-    workers divide each step's scenes between them: raises `ValueError` when they cannot.
+    have seen. `backbones` gives the frozen parts of a preset that has them; `initial` is a checkpoint of this
+    configuration to start from instead of from random numbers; `listener` hears of every step. Several workers divide
+    each step's scenes between them: raises `ValueError` when they cannot. Raises `CheckpointError` for a checkpoint of
+    another configuration.
     """
     for phase in recipe.phases:
         if phase.scenes % worker.count:
             raise ValueError(
-                f"processes: {worker.count} cannot share the {phase.scenes} scenes of a step at {phase.size} px evenly"
+                f"processes: {worker.count} cannot share the {phase.scenes} scenes of a step at {phase.label} evenly"
             )
     with claimed(folder) if worker.leads else nullcontext():
         return _run(
@@ -65,6 +69,7 @@ def train(
             device,
             worker,
             backbones,
+            initial,
             listener,
         )
 
@@ -79,23 +84,26 @@ def _run(
     device: torch.device | str,
     worker: Worker,
     backbones: BackboneSources | None,
+    initial: Path | None,
     listener: Listener,
 ) -> GaPMeS:
     torch.manual_seed(recipe.seed)
-    model = GaPMeS(config)
+    model = GaPMeS(config) if initial is None else _started_from(initial, config)
     fits = {} if backbones is None else load_backbones(model, backbones)
     for part, report in fits.items():
         log.info("%s: %s: %s", part, report.path, "; ".join(report.summary()))
     model = model.to(device).train()
     frozen = [p for p in model.parameters() if not p.requires_grad]
     average = copy.deepcopy(model, {id(p): p for p in frozen}).requires_grad_(False)  # shares what does not change
-    compute_coarsely(model)
+    if coarse_pays(device):
+        compute_coarsely(model)
     trained = [p for p in model.parameters() if p.requires_grad]
     optimiser = torch.optim.AdamW(trained, lr=recipe.learning_rate, betas=(0.9, 0.98), weight_decay=recipe.weight_decay)
     identity: dict[str, str | None] = {
         "config": config.to_json(),
         "recipe": json.dumps(asdict(recipe), sort_keys=True),
         "backbones": model.provenance.get(RECORD),  # the frozen parts are not in the state: others are another run
+        "initial": None if initial is None else file_sha256(initial),
     }
     start, seconds = restore_state(folder, identity, model, average, optimiser)
     if worker.leads:
@@ -133,6 +141,16 @@ def _run(
     return average.eval()
 
 
+def _started_from(path: Path, config: ModelConfig) -> GaPMeS:
+    model = load_checkpoint(path)
+    if model.config != config:
+        raise CheckpointError(
+            f"{path} has another configuration ({model.config.to_json()}) than this run ({config.to_json()}): "
+            "give the preset and the switches that it was trained with"
+        )
+    return model
+
+
 def _step(
     model: GaPMeS,
     optimiser: torch.optim.Optimizer,
@@ -147,7 +165,7 @@ def _step(
     for group in optimiser.param_groups:
         group["lr"] = rate
     zoomed = bool(random.random() < recipe.zoom_share)
-    size = phase.size * 2 if zoomed else phase.size
+    size = phase.sizes[step % len(phase.sizes)] * (2 if zoomed else 1)
     scenes = phase.scenes // worker.count
     sampler = SceneSampler(int(random.integers(2**31)), "train", first=worker.rank * scenes)
     views = phase.views[step % len(phase.views)]

@@ -24,6 +24,16 @@ def coarse_modules(model: GaPMeS) -> list[nn.Module]:
     return parts + [part for part in model.heads.children() if isinstance(part, TaskHead)]
 
 
+def coarse_pays(device: torch.device | str) -> bool:
+    """Whether the device computes in bfloat16 natively or with its vector units.
+
+    A processor without AVX-512 falls back to plain loops: a step took 34 s where float32 took 3.
+    """
+    if torch.device(device).type == "cuda":
+        return torch.cuda.is_bf16_supported()
+    return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+
+
 def compute_coarsely(model: GaPMeS) -> None:
     """From now on the coarse modules of `model` run under bfloat16 autocast and return float32; weights stay float32.
 

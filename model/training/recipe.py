@@ -1,4 +1,4 @@
-"""The recipe as data: curriculum over resolution, views and baseline, learning rate, noise and loss weights."""
+"""Recipes as data: curriculum over resolution, views and baseline, learning rate, noise and loss weights."""
 
 from __future__ import annotations
 
@@ -10,16 +10,20 @@ class Phase:
     """A stretch of training with one kind of batch."""
 
     share: float  # of all steps
-    size: int  # px, input images
+    sizes: tuple[int, ...]  # px, input images, taken in turn
     scenes: int  # per step
     views: tuple[int, ...]  # numbers of input views, taken in turn
     baseline: tuple[float, float]  # in units of the median scene depth
     field_of_view: tuple[float, float] = (38.0, 78.0)  # degrees
 
+    @property
+    def label(self) -> str:
+        return " and ".join(map(str, sorted(set(self.sizes)))) + " px"
+
 
 @dataclass(frozen=True)
 class Recipe:
-    """Everything that a run depends on besides code and data."""
+    """Everything that a run depends on besides code, data and what it starts from."""
 
     steps: int = 11_600
     seed: int = 1
@@ -31,15 +35,16 @@ class Recipe:
     clip: float = 1.0
     targets: int = 2
     zoom_share: float = 0.2  # of steps whose targets have twice the input resolution: keeps scales from collapsing
+    noise_until: float = 0.75  # share of the steps after which there is no Gumbel noise, as in inference
     input_noise: float = 0.01  # standard deviation, on every other step
     depth_weight: tuple[float, float] = (1.0, 0.3)  # from, to
     ssim_weight: float = 0.2
     balance_weight: float = 0.01
     phases: tuple[Phase, ...] = (
-        Phase(0.26, 64, 4, (2, 2, 3), (0.06, 0.6)),
-        Phase(0.26, 96, 2, (2, 3, 2, 4), (0.06, 0.8)),
-        Phase(0.336, 128, 2, (2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
-        Phase(0.144, 256, 2, (2, 2, 2, 3), (0.06, 0.7), (22.0, 80.0)),
+        Phase(0.26, (64,), 4, (2, 2, 3), (0.06, 0.6)),
+        Phase(0.26, (96,), 2, (2, 3, 2, 4), (0.06, 0.8)),
+        Phase(0.336, (128,), 2, (2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
+        Phase(0.144, (256,), 2, (2, 2, 2, 3), (0.06, 0.7), (22.0, 80.0)),
     )
 
     def phase(self, step: int) -> Phase:
@@ -58,9 +63,21 @@ class Recipe:
         return self.learning_rate * warm * (0.01 + 0.99 * left)
 
     def noise_scale_at(self, step: int) -> float:
-        """Gumbel noise, annealed to 0 at three quarters so that the last quarter trains what inference runs."""
-        return max(0.0, 1.0 - step / (0.75 * self.steps))
+        """Gumbel noise, from 1 in a line to 0; none in a recipe whose noise ends where it begins."""
+        return max(0.0, 1.0 - step / (self.noise_until * self.steps)) if self.noise_until else 0.0
 
     def depth_weight_at(self, step: int) -> float:
         start, end = self.depth_weight
         return start + (end - start) * step / self.steps
+
+
+FINISH = Recipe(
+    steps=700,
+    learning_rate=3e-4,
+    decay_from=0.0,
+    noise_until=0.0,
+    depth_weight=(0.5, 0.3),
+    phases=(Phase(1.0, (128, 128, 256), 2, (2, 2, 2, 3), (0.06, 0.8), (22.0, 80.0)),),
+)
+"""What follows a run that is over: more steps, at both sizes in turn, from a third of the learning rate."""
+RECIPES = {"whole": Recipe(), "finish": FINISH}

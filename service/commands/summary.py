@@ -26,14 +26,15 @@ def check_line(check: Mapping[str, Any]) -> str:
 
 
 def fading_line(document: Mapping[str, Any]) -> str:
-    """How many Gaussians the photographs took opacity from."""
+    """What the photographs changed."""
     fading = document["fading"]
     if not fading["passes"]:
         return "fading: off"
     passes = "1 pass" if fading["passes"] == 1 else f"{fading['passes']} passes"
     return (
         f"fading in {passes}: the photographs took half of the opacity or "
-        f"more of {fading['halved']:,} Gaussians, all that is drawn of {fading['gone']:,}"
+        f"more of {fading['halved']:,} Gaussians, all that is drawn of {fading['gone']:,}, "
+        f"and moved colours by {255 * fading['recoloured']:.1f} of 255 on average"
     )
 
 

@@ -1,9 +1,11 @@
-"""What each opacity does to a picture: the slope of a weighted square sum along it, and how far it moves the picture.
+"""What each Gaussian does to a picture: by its opacity, the slope of a weighted square sum along it and how far it
+moves the picture; by its colour, how much of the picture it is and what the pixels that show it have too much.
 
 Front to back, with C the finished picture, P what has been added up to and with a Gaussian, T the transmittance before
 it, c its colour, g its falloff and a = o g its alpha, a pixel changes with the opacity o by
     J = dC/do = g (T c - (C - P) / (1 - a)),
-since all that lies behind shines through 1 - a. That needs the finished picture and one more pass in the same order.
+since all that lies behind shines through 1 - a, and with its colour by its share T a. That needs the finished picture
+and one more pass in the same order.
 """
 
 from __future__ import annotations
@@ -21,7 +23,19 @@ from .access import get, put, smaller
 from .binning import TILE, Grid, TileLists, tile_lists
 from .blend import PIECE, choose, gather, measure_reach
 from .kernel_cache import kernel
-from .leverage_lanes import CHANNELS, LIGHT, RESIDUAL, REST, SUMS, WEIGHT, leverage_block
+from .leverage_lanes import (
+    CHANNELS,
+    EXCESS,
+    LIGHT,
+    MOVED,
+    RESIDUAL,
+    REST,
+    SHOWN,
+    SLOPE,
+    SUMS,
+    WEIGHT,
+    leverage_block,
+)
 from .options import checked_definition, checked_degree, checked_size
 from .order import depth_order
 from .parallel import checked_threads, run_ranges
@@ -42,6 +56,8 @@ class Leverage:
 
     slope: NDArray[np.float64]  # (N,) sum w r J: half the slope of the sum of w r^2
     moved: NDArray[np.float64]  # (N,) sum w J^2: the square of how far the picture moves
+    shown: NDArray[np.float64]  # (N,) sum w T a over the pixels: how many pixels it is, by weight
+    excess: NDArray[np.float64]  # (N, 3) sum w r T a over the pixels, of each channel
 
 
 def leverage(
@@ -57,7 +73,7 @@ def leverage(
     """`picture` (H, W, 3) is what `render` draws, over any background, `residual` (H, W, 3) what it has too much, and
     `weight` (H, W) what a pixel counts.
 
-    A pixel of weight 0 adds nothing, whatever its numbers, nor does a Gaussian at a pixel where `alpha_max` holds its
+    A pixel of weight 0 adds nothing, whatever its numbers, nor does an opacity at a pixel where `alpha_max` holds the
     alpha. The bits do not depend on the number of threads. Raises `InputError` for planes of another size, and as
     `render` does.
     """
@@ -70,7 +86,7 @@ def leverage(
     states = _tiles(picture, residual, weight, grid)
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
     threads = checked_threads(threads)
-    sums = np.zeros((PARTS, 2, len(gaussians)), np.float32)
+    sums = np.zeros((PARTS, len(gaussians), SUMS), np.float32)
     scene = prepared(gaussians, threads)
     with scene.workspace() as space:
         projection = project(scene, camera, rule, degree, threads, space)
@@ -79,9 +95,10 @@ def leverage(
         for lists in tile_lists(projection, order, grid, rule.max_entries, threads):
             walk = partial(_walk_part, lists, grid.columns, *records, states, cuts, sums)
             run_ranges(walk, range(PARTS + 1), threads)
-    slope, moved = sums.sum(axis=0, dtype=np.float64)
+    total = sums.sum(axis=0, dtype=np.float64)
     opacities = np.maximum(gaussians.opacities.astype(np.float64), rule.alpha_min)  # fainter ones are not drawn
-    return Leverage(slope / opacities, moved / opacities**2)
+    slope, moved = total[:, SLOPE] / opacities, total[:, MOVED] / opacities**2
+    return Leverage(slope, moved, total[:, SHOWN], total[:, EXCESS:])
 
 
 def _walk_part(
@@ -89,9 +106,7 @@ def _walk_part(
     part: int, _: int,
 ) -> None:  # fmt: skip
     first, last = (len(states) * edge // PARTS for edge in (part, part + 1))
-    leverage_tiles(
-        first, last, columns, lists.offsets, lists.members, records, narrow, states, cuts, sums[part, 0], sums[part, 1]
-    )
+    leverage_tiles(first, last, columns, lists.offsets, lists.members, records, narrow, states, cuts, sums[part])
 
 
 def _tiles(
@@ -110,9 +125,9 @@ def _tiles(
 
 
 @kernel()
-def leverage_tiles(first, last, columns, offsets, members, records, narrow, states, cuts, slope, moved):
-    """Walk the lists of tiles first..last-1, whose `states` go on where the batch before ended; adds to slope and moved
-    (N,)."""
+def leverage_tiles(first, last, columns, offsets, members, records, narrow, states, cuts, found):
+    """Walk the lists of tiles first..last-1, whose `states` go on where the batch before ended; adds to found
+    (N, SUMS)."""
     entries = np.empty(PIECE * ENTRY, np.float32)
     fields = np.empty(10 * PIECE, np.float32)
     reach, sums = np.empty(PIECE, np.float32), np.zeros(SUMS * PIECE, np.float32)
@@ -138,7 +153,6 @@ def leverage_tiles(first, last, columns, offsets, members, records, narrow, stat
                 leverage_block(entries, chosen, kept, x0, y0, state, at, alpha_max, stop, sums)
             for j in range(count):
                 member = np.int64(get(members, piece + j))
-                put(slope, member, get(slope, member) + get(sums, SUMS * j))
-                put(moved, member, get(moved, member) + get(sums, SUMS * j + 1))
-                put(sums, SUMS * j, ZERO)
-                put(sums, SUMS * j + 1, ZERO)
+                for n in range(SUMS):
+                    put(found, SUMS * member + n, get(found, SUMS * member + n) + get(sums, SUMS * j + n))
+                    put(sums, SUMS * j + n, ZERO)

@@ -12,12 +12,14 @@ from .vectors import BLUE, ENTRY, GREEN, PIXELS, RED, VECTORS, layer, pixel_plac
 
 # Of a block's state, PIXELS floats each: three colours of what is to come, and of the weighted residual.
 LIGHT, REST, RESIDUAL, WEIGHT, CHANNELS = 0, 1, 4, 7, 8
-SUMS = 2  # floats that an entry's sums take: of w r J and of w J^2, times its opacity and its square
+# An entry's sums: of w r J and of w J^2, times its opacity and its square, of w s, and of w r s per channel, with its
+# share s of a pixel's colour.
+SLOPE, MOVED, SHOWN, EXCESS, SUMS = 0, 1, 2, 3, 6
 
 
 def _add_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts: list[ir.Value],
-             state: list[list[ir.Value]]) -> tuple[ir.Value, ir.Value]:  # fmt: skip
-    """Put one entry before what is to come; returns its two sums over the block's pixels."""
+             state: list[list[ir.Value]]) -> list[ir.Value]:  # fmt: skip
+    """Put one entry before what is to come; returns its sums over the block's pixels."""
     b, each = lanes.b, range(VECTORS)
     alpha_max, stop = cuts
     none, one = lanes.constant(0.0), lanes.constant(1.0)
@@ -33,7 +35,7 @@ def _add_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts
     moves = [b.and_(counts[j], limited[j]) for j in each]
     own = [b.select(moves[j], weight[j], none) for j in each]
     through = [b.select(moves[j], b.fdiv(alpha[j], b.fsub(one, alpha[j])), none) for j in each]
-    slopes, squares = [none for _ in each], [none for _ in each]
+    slopes, squares, excess = [none for _ in each], [none for _ in each], []
     for channel, shade in enumerate((RED, GREEN, BLUE)):
         colour = spread_field(lanes, entry, shade)
         for j in each:
@@ -42,8 +44,11 @@ def _add_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts
             by = lanes.fma(lanes.minus(through[j]), rest, b.fmul(own[j], colour))
             slopes[j] = lanes.fma(b.load(state[RESIDUAL + channel][j]), by, slopes[j])
             squares[j] = lanes.fma(by, by, squares[j])
-    squares = [b.fmul(squares[j], b.load(state[WEIGHT][j])) for j in each]
-    return lanes.total(slopes), lanes.total(squares)
+        excess.append([b.fmul(weight[j], b.load(state[RESIDUAL + channel][j])) for j in each])
+    counted = [b.load(state[WEIGHT][j]) for j in each]
+    squares = [b.fmul(squares[j], counted[j]) for j in each]
+    shown = [b.fmul(weight[j], counted[j]) for j in each]
+    return [lanes.total(values) for values in (slopes, squares, shown, *excess)]
 
 
 @typed

@@ -76,24 +76,24 @@ def test_floaters_fade_and_the_surface_stays(views: list[FittedView], spoiled: G
     given = [views[0], views[2]]
     result = faded(spoiled, given)
     kept = result.gaussians.opacities / spoiled.opacities
-    assert np.median(kept[-40:]) < 0.65  # found: 0.53
-    assert np.median(kept[:-40]) > 0.85  # found: 0.92; what blurs its neighbours' texture fades a little as well
-    for view in views:  # found: 1.4, 1.1 and 2.2 dB, the second for the photograph that was kept back
-        assert error(result.gaussians, view) > error(spoiled, view) + 0.8
+    assert np.median(kept[-40:]) < 0.4  # found: 0.22
+    assert np.median(kept[:-40]) > 0.85  # found: 0.89; what blurs its neighbours' texture fades a little as well
+    for view in views:  # found: 2.6, 1.7 and 4.6 dB, the second for the photograph that was kept back
+        assert error(result.gaussians, view) > error(spoiled, view) + 1.2
     assert result.halved >= 10
     assert result.mean_opacity[1] < result.mean_opacity[0]
 
 
-def test_opacities_alone_change_and_none_rises(views: list[FittedView], spoiled: Gaussians) -> None:
+def test_opacities_and_colours_alone_change_and_no_opacity_rises(views: list[FittedView], spoiled: Gaussians) -> None:
     result = faded(spoiled, views, 4)
     assert (result.gaussians.opacities <= spoiled.opacities).all()
     assert (result.gaussians.opacities >= 0).all()
-    for name in ("means", "scales", "rotations_wxyz", "harmonics"):
+    for name in ("means", "scales", "rotations_wxyz"):
         assert getattr(result.gaussians, name) is getattr(spoiled, name)
     none = faded(spoiled, views, 0)
     assert none.gaussians is spoiled
     before = round(float(spoiled.opacities.mean(dtype=np.float64)), 6)
-    assert none.document() == {"passes": 0, "halved": 0, "gone": 0, "mean_opacity": [before, before]}
+    assert none.document() == {"passes": 0, "halved": 0, "gone": 0, "mean_opacity": [before, before], "recoloured": 0.0}
 
 
 def test_what_shows_its_photographs_already_stays(views: list[FittedView], spoiled: Gaussians) -> None:
@@ -103,14 +103,17 @@ def test_what_shows_its_photographs_already_stays(views: list[FittedView], spoil
     # Pixels that the scene does not cover in full are compared as if their colour went on behind it.
     seen = [replace(view, mask=render(spoiled, view.camera).alpha > 0.999) for view in seen]
     result = faded(spoiled, seen)
-    # Found: 0.0026, where a thousandth of the light comes through from behind.
-    assert np.abs(result.gaussians.opacities - spoiled.opacities).max() < 1 / 255
+    # Found: 0.0037, where a thousandth of the light comes through from behind.
+    assert np.abs(result.gaussians.opacities - spoiled.opacities).max() < 2 / 255
     assert result.halved == 0
+    assert C0 * np.abs(result.gaussians.harmonics - spoiled.harmonics).max() < 1 / 255  # found: 0.0005
 
 
 def test_masked_pixels_count_nothing(views: list[FittedView], spoiled: Gaussians) -> None:
     masked = [replace(view, mask=np.zeros((SIDE, SIDE), bool)) for view in views]
-    assert (faded(spoiled, masked).gaussians.opacities == spoiled.opacities).all()
+    unchanged = faded(spoiled, masked).gaussians
+    assert (unchanged.opacities == spoiled.opacities).all()
+    assert (unchanged.harmonics == spoiled.harmonics).all()
     # A floater fades by the photographs whose masks keep it.
     half = np.arange(SIDE)[:, None] < np.full(SIDE, SIDE // 2)
     some = faded(spoiled, [replace(view, mask=half) for view in views]).gaussians.opacities
@@ -129,8 +132,9 @@ def test_a_lone_splat_is_not_measured_against_the_void() -> None:
 
 
 def test_the_bits_do_not_depend_on_threads(views: list[FittedView], spoiled: Gaussians) -> None:
-    one, three = (faded(spoiled, views, threads=threads).gaussians.opacities for threads in (1, 3))
-    assert one.tobytes() == three.tobytes()
+    one, three = (faded(spoiled, views, threads=threads).gaussians for threads in (1, 3))
+    assert one.opacities.tobytes() == three.opacities.tobytes()
+    assert one.harmonics.tobytes() == three.harmonics.tobytes()
 
 
 @pytest.mark.parametrize(("unit", "offset"), [(1e-3, 0.0), (1.0, 1e6), (300.0, -5e4)])
@@ -155,6 +159,7 @@ def test_the_world_and_its_unit_do_not_matter(unit: float, offset: float, views:
     )
     here, there = faded(scene, views, near=0.1).gaussians, faded(moved, poses, near=0.1 * unit).gaussians
     assert np.abs(here.opacities - there.opacities).max() < 1e-4  # found: 2e-6
+    assert np.abs(here.harmonics - there.harmonics).max() < 1e-4  # found: 7e-7
 
 
 def test_colours_beyond_white_are_compared_as_they_are_seen(views: list[FittedView]) -> None:
@@ -179,6 +184,7 @@ def test_colours_at_the_end_of_float32_move_nothing() -> None:
     result = faded(scene, [FittedView(photograph, None, camera, 1.0)] * 2)
     assert np.isfinite(result.gaussians.opacities).all()
     assert (result.gaussians.opacities <= scene.opacities).all()
+    assert np.isfinite(result.gaussians.harmonics).all()
 
 
 def test_what_stands_behind_keeps_half_of_its_opacity(views: list[FittedView], spoiled: Gaussians) -> None:
@@ -188,7 +194,7 @@ def test_what_stands_behind_keeps_half_of_its_opacity(views: list[FittedView], s
     assert kept[behind].min() == pytest.approx(0.5)
     assert kept[~behind].min() < 0.5
     assert faded(spoiled, views, 8).gaussians.opacities[behind].min() < 0.1
-    assert heard == list(range(1, 9))
+    assert heard == list(range(1, 10))
 
 
 def test_what_is_too_faint_to_be_drawn_is_gone(views: list[FittedView], spoiled: Gaussians) -> None:
@@ -203,7 +209,44 @@ def test_what_is_too_faint_to_be_drawn_is_gone(views: list[FittedView], spoiled:
 def test_nothing_to_fade(views: list[FittedView], spoiled: Gaussians) -> None:
     result = faded(spoiled[:0], views)
     assert len(result.gaussians) == 0
-    assert result.document() == {"passes": 2, "halved": 0, "gone": 0, "mean_opacity": [0.0, 0.0]}
+    assert result.document() == {"passes": 2, "halved": 0, "gone": 0, "mean_opacity": [0.0, 0.0], "recoloured": 0.0}
+
+
+def test_colours_come_to_what_the_photographs_show(views: list[FittedView]) -> None:
+    """The plane from two photographs, its colours off by a shade, of which each pass takes a third."""
+    scene = joined(on_the_plane(views[0]), on_the_plane(views[2]))
+    shade = np.array([0.10, -0.06, 0.04], np.float32)
+    tinted = replace(scene, harmonics=scene.harmonics + shade / np.float32(C0))
+    given = [views[0], views[2]]
+    # found: 0.061, 0.039, 0.019, 0.010
+    off = [np.abs(_shade(faded(tinted, given, n).gaussians, tinted) + shade).max() for n in (1, 2, 4, 8)]
+    assert off[0] < 0.75 * np.abs(shade).max()
+    assert off[1] < 0.75 * off[0]
+    assert off[3] < off[2] < off[1]
+    for view in views:  # found: 3.4, 1.9 and 4.1 dB, the second for the photograph that was kept back
+        assert error(faded(tinted, given).gaussians, view) > error(tinted, view) + 1.0
+
+
+def _shade(found: Gaussians, before: Gaussians) -> np.ndarray:
+    return C0 * (found.harmonics - before.harmonics)[:, 0].mean(axis=0)
+
+
+def test_colours_stay_within_what_can_be_seen(views: list[FittedView], spoiled: Gaussians) -> None:
+    """Photographs of nothing but black, and of white: base colours end at 0 and 1, and beyond only where they were."""
+    for value in (0.0, 1.0):
+        flat = [replace(view, image=np.full_like(view.image, value)) for view in views]
+        before, after = (0.5 + C0 * one.harmonics[:, 0] for one in (spoiled, faded(spoiled, flat, 8).gaussians))
+        assert (after >= np.minimum(before, 0) - 1e-6).all()
+        assert (after <= np.maximum(before, 1) + 1e-6).all()
+        assert np.abs(after - value).mean() < 0.1 * np.abs(before - value).mean()  # found: 0.051 and 0.044
+
+
+def test_what_depends_on_the_direction_stays(views: list[FittedView], spoiled: Gaussians) -> None:
+    more = np.random.default_rng(2).normal(0, 0.1, (len(spoiled), 3, 3)).astype(np.float32)
+    scene = replace(spoiled, harmonics=np.concatenate([spoiled.harmonics, more], axis=1))
+    found = faded(scene, views).gaussians.harmonics
+    assert (found[:, 1:] == more).all()
+    assert np.abs(found[:, 0] - scene.harmonics[:, 0]).mean() > 0.01
 
 
 @pytest.mark.parametrize("passes", [-1, 9, True, 1.5])
@@ -218,5 +261,6 @@ def test_a_line_says_what_faded(views: list[FittedView], spoiled: Gaussians) -> 
     line = fading_line({"fading": result.document()})
     assert line.startswith("fading in 2 passes: ")
     assert f"of {result.halved:,} Gaussians, all that is drawn of {result.gone.sum():,}" in line
+    assert line.endswith(f"and moved colours by {255 * result.recoloured:.1f} of 255 on average")
     assert "in 1 pass:" in fading_line({"fading": faded(spoiled, views, 1).document()})
     assert fading_line({"fading": faded(spoiled, views, 0).document()}) == "fading: off"

@@ -76,7 +76,7 @@ def test_all_variants_share_recipe_and_scenes(tmp_path: Path) -> None:
     identities = [run._identity() for run in runs]
     assert all(i["recipe"] == identities[0]["recipe"] and i["budget"] == identities[0]["budget"] for i in identities)
     recipe = budget.recipe(1)
-    assert {(p.size, p.scenes, p.views) for p in (recipe.phase(step) for step in range(600))} == {(64, 4, (2,))}
+    assert {(p.sizes, p.scenes, p.views) for p in (recipe.phase(step) for step in range(600))} == {((64,), 4, (2,))}
     assert recipe.steps == 600
     assert {name for name, value in asdict(budget.recipe(2)).items() if value != asdict(recipe)[name]} == {"seed"}
     small = SMALL.batches()

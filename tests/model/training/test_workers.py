@@ -24,7 +24,7 @@ SHARED = replace(
     zoom_share=0.0,
     input_noise=0.0,
     balance_weight=0.0,  # the balance of a process is that of its own scenes
-    phases=(Phase(1.0, 32, 2, (2,), (0.1, 0.4)),),
+    phases=(Phase(1.0, (32,), 2, (2,), (0.1, 0.4)),),
 )
 CONFIG = preset("tiny", without_experts=True, without_tasks=True)  # no Gumbel noise, which each process draws anew
 

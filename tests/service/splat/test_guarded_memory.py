@@ -10,7 +10,7 @@ from gapmes.service.splat.access import BLOCK
 from gapmes.service.splat.binning import Grid, tile_lists
 from gapmes.service.splat.blend import Canvas, blend
 from gapmes.service.splat.leverage import leverage_tiles
-from gapmes.service.splat.leverage_lanes import CHANNELS
+from gapmes.service.splat.leverage_lanes import CHANNELS, SUMS
 from gapmes.service.splat.options import OUTPUTS
 from gapmes.service.splat.order import depth_order
 from gapmes.service.splat.prepare import DEPTH, EXTENT, RECORD, Workspace, prepared
@@ -63,14 +63,14 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
     state = guarded.array((grid.tiles, tile_floats(ALL_CHANNELS)), np.float32)
     canvas = Canvas(rgb, *planes, peaks, state, np.zeros(3, np.float32))
     walked = guarded.array((grid.tiles, tile_floats(CHANNELS)), np.float32)
-    slope, moved = (guarded.array((count,), np.float32) for _ in range(2))
+    found = guarded.array((count, SUMS), np.float32)
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
     subset = np.arange(count) % 2 == 0
     for threads in (1, 2):
         for array in (rgb, *planes, space.records, space.extents, space.depths):
             array.view(np.uint8)[...] = PATTERN
         walked[:] = 1.0
-        peaks[:] = slope[:] = moved[:] = 0.0
+        peaks[:] = found[:] = 0.0
         projection = project(prepared(gaussians, threads), view, rule, 1, threads, space)
         order = depth_order(space.depths, projection.drawn, gaussians)
         marked = projection.drawn[subset[projection.drawn]]
@@ -78,7 +78,7 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
         for number, lists in enumerate(tile_lists(projection, order, grid, max_entries, threads)):
             blend(lists, space.records, canvas, grid, rule, threads, first_batch=number == 0)
             given = lists.offsets, lists.members, space.records, space.records.view(np.float32)
-            leverage_tiles(0, grid.tiles, grid.columns, *given, walked, cuts, slope, moved)
+            leverage_tiles(0, grid.tiles, grid.columns, *given, walked, cuts, found)
         guarded.check()
         # and every pixel was written: the pattern is -2.9e-16 as a float, which no plane holds
         expected = render(gaussians, view, outputs=OUTPUTS, subset=subset)

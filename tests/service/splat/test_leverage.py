@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from splat_cases import camera, dots, moved, scene
 from gapmes.service.camera import Camera
 from gapmes.service.errors import InputError
 from gapmes.service.gaussians import Gaussians
-from gapmes.service.splat import Definition, leverage, render, render_reference
+from gapmes.service.harmonics import C0
+from gapmes.service.splat import Definition, Leverage, leverage, render, render_reference
 
 BEHIND = (0.2, 0.9, 0.4)
 
@@ -23,6 +25,13 @@ def change_by_opacity(gaussians: Gaussians, view: Camera, i: int, step: float) -
     opacities[i] -= np.float32(step)
     after = render_reference(moved(gaussians, opacities=opacities), view, background=BEHIND).rgb
     return (after - before) / (float(opacities[i]) - float(gaussians.opacities[i]))
+
+
+def change_by_colour(gaussians: Gaussians, view: Camera, i: int) -> np.ndarray:
+    """(H, W) the share of each pixel's colour that one Gaussian has: a picture in which it alone is not black."""
+    harmonics = np.full((len(gaussians), 1, 3), np.float32(-0.5 / C0))
+    harmonics[i] = 0.5 / C0
+    return render_reference(moved(gaussians, harmonics=harmonics), view).rgb[..., 0]
 
 
 def _weights(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
@@ -40,6 +49,11 @@ def case(count: int, seed: int, degree: int = 0) -> tuple[Gaussians, Camera, np.
     return gaussians, view, picture, rng.normal(size=picture.shape), _weights(rng, picture.shape[:2])
 
 
+def assert_same(one: Leverage, other: Leverage) -> None:
+    for field in fields(Leverage):
+        assert (getattr(one, field.name) == getattr(other, field.name)).all(), field.name
+
+
 @pytest.mark.parametrize(("count", "seed", "degree"), [(12, 1, 0), (60, 2, 2), (90, 3, 0)])
 def test_slopes_and_moves_are_those_of_the_reference(count: int, seed: int, degree: int) -> None:
     gaussians, view, picture, residual, weight = case(count, seed, degree)
@@ -55,6 +69,11 @@ def test_slopes_and_moves_are_those_of_the_reference(count: int, seed: int, degr
         assert found.slope[i] == pytest.approx((each * residual * change).sum(), rel=1e-5, abs=1e-4)
         assert found.moved[i] == pytest.approx((each * change**2).sum(), rel=1e-5, abs=1e-5)
     assert compared >= 0.9 * count
+    for i in range(count):
+        share = change_by_colour(gaussians, view, i)
+        # Found: at most 3e-7 of the largest.
+        assert found.shown[i] == pytest.approx((weight * share).sum(), rel=1e-5, abs=1e-5)
+        assert found.excess[i] == pytest.approx((each * residual * share[..., None]).sum((0, 1)), rel=1e-5, abs=1e-4)
     assert (found.moved > 0).sum() >= 0.6 * count
 
 
@@ -80,6 +99,8 @@ def test_what_is_not_drawn_has_no_leverage() -> None:
     assert found.moved[0] > 0
     assert not found.moved[1:].any()
     assert not found.slope[1:].any()
+    assert not found.shown[1:].any()
+    assert not found.excess[1:].any()
     none = leverage(gaussians, view, picture, np.ones_like(picture), np.zeros((24, 24)))
     assert not none.moved.any()
     empty = gaussians[np.zeros(4, bool)]
@@ -92,23 +113,20 @@ def test_lists_in_several_batches_go_on_where_the_one_before_ended(monkeypatch: 
     module = importlib.import_module("gapmes.service.splat.leverage")
     monkeypatch.setattr(module, "checked_definition", lambda *_: Definition(max_entries=7))
     parts = leverage(gaussians, *given)
-    assert (parts.slope == whole.slope).all()
-    assert (parts.moved == whole.moved).all()
+    assert_same(parts, whole)
 
 
 def test_the_number_of_threads_does_not_matter() -> None:
     gaussians, *given = case(90, 6)
     one, three = (leverage(gaussians, *given, threads=threads) for threads in (1, 3))
-    assert (one.slope == three.slope).all()
-    assert (one.moved == three.moved).all()
+    assert_same(one, three)
 
 
 def test_the_order_of_the_gaussians_does_not_matter() -> None:
     gaussians, *given = case(90, 4)
     order = np.random.default_rng(0).permutation(90)
     found, other = leverage(gaussians, *given), leverage(gaussians[order], *given)
-    assert (other.slope == found.slope[order]).all()
-    assert (other.moved == found.moved[order]).all()
+    assert_same(other, Leverage(*(getattr(found, field.name)[order] for field in fields(Leverage))))
 
 
 def test_pixels_without_weight_may_hold_anything() -> None:
@@ -117,8 +135,7 @@ def test_pixels_without_weight_may_hold_anything() -> None:
     picture[weight == 0], residual[weight == 0] = np.nan, np.inf
     with np.errstate(invalid="ignore"):
         found = leverage(gaussians, view, picture, residual, weight)
-    assert (found.slope == expected.slope).all()
-    assert (found.moved == expected.moved).all()
+    assert_same(found, expected)
 
 
 @pytest.mark.parametrize("name", ["picture", "residual", "weight"])
