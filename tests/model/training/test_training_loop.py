@@ -10,11 +10,11 @@ import numba
 import pytest
 import torch
 
-from gapmes.model.checkpoint import load_checkpoint
+from gapmes.model.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.training import loop, run_folder
-from gapmes.model.training.recipe import Phase, Recipe
+from gapmes.model.training.recipe import FINISH, Phase, Recipe
 from gapmes.model.training.scenes import SceneSampler
 from gapmes.model.training.step import to_tensors
 from gapmes.model.training.validation import validate, validation_batches
@@ -113,6 +113,39 @@ def test_recipe_schedules() -> None:
     assert recipe.noise_scale_at(recipe.steps - 1) == 0.0
     assert recipe.learning_rate_at(recipe.steps - 1) < 0.04 * recipe.learning_rate
     assert recipe.depth_weight_at(0) == 1.0
+
+
+def test_the_finish_takes_both_sizes_in_turn_without_noise() -> None:
+    (phase,) = FINISH.phases
+    assert phase.label == "128 and 256 px"
+    assert phase.scenes % 2 == 0  # two processes can share them
+    assert {FINISH.noise_scale_at(step) for step in range(FINISH.steps)} == {0.0}
+    rates = [FINISH.learning_rate_at(step) for step in range(FINISH.steps)]
+    assert max(rates) < 0.35 * Recipe().learning_rate
+    assert rates[FINISH.warm_up :] == sorted(rates[FINISH.warm_up :], reverse=True)
+    assert rates[-1] < 0.02 * max(rates)
+
+
+def test_a_run_starts_from_given_weights(tmp_path: Path) -> None:
+    torch.manual_seed(5)
+    given = GaPMeS(preset("tiny"))
+    save_checkpoint(tmp_path / "given.safetensors", given)
+    none = replace(SMALL, steps=0)
+    found = loop.train(preset("tiny"), none, tmp_path / "run", initial=tmp_path / "given.safetensors")
+    assert all(torch.equal(a, b) for a, b in zip(found.parameters(), given.parameters(), strict=True))
+    one = replace(SMALL, steps=1)
+    options = {"validate_every": 9, "validation_scenes": 1, "save_seconds": 0.0}
+    moved = loop.train(preset("tiny"), one, tmp_path / "on", initial=tmp_path / "given.safetensors", **options)
+    far = [float((a - b).detach().abs().max()) for a, b in zip(moved.parameters(), given.parameters(), strict=True)]
+    assert 0 < max(far) <= 1.01 * one.learning_rate_at(0)  # what AdamW moves a weight by in its first step
+    with pytest.raises(ValueError, match="another initial"):
+        loop.train(preset("tiny"), one, tmp_path / "on", **options)
+
+
+def test_weights_of_another_configuration_are_refused(tmp_path: Path) -> None:
+    save_checkpoint(tmp_path / "other.safetensors", GaPMeS(preset("tiny", without_tasks=True)))
+    with pytest.raises(CheckpointError, match=r"has another configuration .* than this run"):
+        loop.train(preset("tiny"), SMALL, tmp_path / "run", initial=tmp_path / "other.safetensors")
 
 
 def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
