@@ -2,8 +2,8 @@
 
 A Gaussian of one view whose depth is wrong hides in another view what that one shows rightly. The scene is drawn from
 its inputs' cameras; where a picture differs from its photograph, the Gaussians whose absence would mend that lose
-opacity. None rises above the network's own: a scene that is only faded cannot learn its inputs by heart with splats
-that nothing else supports. Colours follow one pass behind: what should go is not first given the colour that it hides.
+opacity. None rises above the network's own: no splat that nothing else supports becomes opaque for the one photograph
+that it fits. Colours follow one pass behind: what should go is not first given the colour that it hides.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from .splat import Definition, Leverage, leverage, render
 STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
 DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
 ROBUST = 0.05  # of a channel: difference at which a pixel counts half; exposures, highlights and noise differ as well
-BEHIND_KEEPS = 0.5  # of its opacity, at least: it is there for views that nobody has asked for
+BEHIND_KEEPS = 0.5  # of its opacity, at least, and all of its colour: it is there for views that nobody has asked for
 COLOUR_STEP = 0.5  # of the mean that the pixels which show a Gaussian have too much; 2 would not settle
-COLOUR_DAMPING = 0.05  # pixels; a Gaussian that is shown less hardly changes its colour
+COLOUR_DAMPING = 0.05  # of a pixel; a Gaussian of which less is to be seen in all keeps most of its colour
 COVERED = 1e-3  # opacity below which a pixel shows no colour that could be right or wrong
 
 
@@ -70,17 +70,18 @@ def faded(
     J = dC/do, r the picture (clipped to [0, 1]) less the photograph, sums over all pixels and channels of all views. A
     pixel whose difference has the mean size d over the channels weighs w = 1 / (1 + d / ROBUST) (Fair's weight of
     robust regression), one that a mask leaves out nothing. The next pass, or one more after the last, moves the base
-    colour by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING) in each channel, s the share of the pixel's colour
-    that the Gaussian has, and not beyond [0, 1] where the network's own was within (simultaneous iterative
-    reconstruction, Gilbert 1972). Where a pixel is not covered in full, its own mean colour
-    stands behind it: no Gaussian goes for being brighter than a background that nobody knows. `near` is that of
-    `render`; `done` hears how many passes are done. The bits do not depend on the number of threads.
+    colour of what does not stand behind by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING) in each channel, with
+    s = T a of `leverage`, and not beyond [0, 1] where the network's own was within (simultaneous iterative
+    reconstruction, Gilbert 1972). Where a pixel is not covered in full, its own mean colour stands behind it: no
+    Gaussian goes for being brighter than a background that nobody knows. `near` is that of `render`; `done` hears how
+    many rounds of drawing are done, passes + 1 in all. The bits do not depend on the number of threads.
 
     Raises `InputError` for a number of passes that is out of range.
     """
     checked_passes(passes)
     before = after = gaussians.opacities
     least = 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0)
+    moves = True if behind is None else ~behind[:, None]
     own = colours = _base_colours(gaussians)
     darkest, brightest = np.minimum(own, 0), np.maximum(own, 1)
     now = gaussians
@@ -88,7 +89,7 @@ def faded(
         sums = _sums(now, views, near, threads)
         if number:
             step = _finite(COLOUR_STEP * sums.excess, (sums.shown + COLOUR_DAMPING)[:, None])
-            colours = np.clip(colours - step, darkest, brightest)
+            colours = np.clip(colours - step * moves, darkest, brightest)
         if number < passes:
             after = np.clip(after - _finite(STEP * sums.slope, sums.moved + DAMPING), least, before).astype(np.float32)
         now = replace(gaussians, opacities=after, harmonics=_recoloured(gaussians, colours - own))
@@ -111,7 +112,7 @@ def _base_colours(gaussians: Gaussians) -> NDArray[np.float64]:
 
 
 def _recoloured(gaussians: Gaussians, change: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Harmonics whose base colours have moved by `change`; the same bits where it is 0."""
+    """Harmonics whose base colours have moved by `change`, the same values where it is 0."""
     harmonics = gaussians.harmonics.copy()
     harmonics[:, 0] += change / C0
     return harmonics
@@ -137,7 +138,7 @@ def _sums(now: Gaussians, views: Sequence[FittedView], near: float | None, threa
 
 
 def _leverage_of(gaussians: Gaussians, view: FittedView, near: float | None, threads: int | None) -> Leverage:
-    """What each opacity does to the difference of one view's picture and photograph."""
+    """What each Gaussian does to the difference of one view's picture and photograph."""
     options: dict[str, Any] = {"near": near, "threads": threads}
     image = render(gaussians, view.camera, outputs=("alpha",), **options)
     weight = (image.alpha > COVERED).astype(np.float32)

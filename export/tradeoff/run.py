@@ -137,7 +137,7 @@ class _Measure:
         return rows
 
     def fading(self, passes: int) -> Row:
-        """How often the opacity of what the photographs contradict is lowered."""
+        """How often what the photographs contradict is faded and recoloured."""
         plain = passes == DEFAULT_PASSES
         run = self.whole if plain else timed(None, self.given, KEEP_ALL, REPEATS, self.threads, passes)
         quality = model_error(self.exact if plain else self._pictures(run.gaussians), self.truth, self.lpips)

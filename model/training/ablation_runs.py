@@ -16,6 +16,7 @@ from ..network import GaPMeS
 from .ablation_table import COMPLETE, Scores
 from .log_rows import read_rows
 from .loop import train
+from .precision import coarse_pays
 from .recipe import Phase, Recipe
 from .run_folder import LOG
 from .step import TensorBatch
@@ -118,6 +119,7 @@ class Run:
             "config": asdict(self.config),
             "recipe": asdict(self.budget.recipe(self.seed)),
             "budget": asdict(self.budget),
+            "precision": {"bfloat16": coarse_pays("cpu")},
         }
         return json.loads(json.dumps(parts))  # tuples as JSON gives them back
 

@@ -13,12 +13,12 @@ import torch
 
 from gapmes.service.terminal import QUIET_HELP, ProgressBars
 
-from ..checkpoint import CheckpointError, read_config
+from ..checkpoint import CheckpointError
 from ..config import PRESETS, ModelConfig, preset
 from ..pretrained.backbones import BackboneSources
 from ..pretrained.sources import resolve
 from .log_rows import read_rows
-from .loop import train
+from .loop import check_start, train
 from .recipe import RECIPES, Recipe
 from .run_folder import LOG, WEIGHTS
 from .workers import Worker, run_workers
@@ -67,11 +67,18 @@ def main(arguments: list[str] | None = None) -> int:
     )
     sources = {part.name: getattr(options, f"{part.name}_weights") for part in PARTS}
     frozen = [part.name for part in PARTS if part.name != "depth" or not config.without_depth]
-    needed = frozen if config.freeze_vits else []  # it would freeze random ones
+    start = options.initial_weights
+    needed = frozen if config.freeze_vits and start is None else []  # it would freeze random ones
     if lacking := [name for name in needed if sources[name] is None]:
         names = ", ".join(f"--{name}-weights" for name in lacking)
         parser.error(f"preset {config.preset} has frozen parts, which need published weights: give {names}")
+    if start is None and options.recipe == "finish":
+        parser.error("recipe finish goes on from trained weights: give --initial-weights")
+    if start is not None and start.resolve().parent == options.out.resolve():
+        parser.error(f"--initial-weights {start} lies in the run's own folder and would be overwritten: use another")
     if extra := [name for name, source in sources.items() if source is not None and name not in needed]:
+        if start is not None:
+            parser.error(f"{start} carries its frozen parts: leave out --{extra[0]}-weights")
         parser.error(f"preset {config.preset} has no such frozen part: leave out --{extra[0]}-weights")
     backbones = BackboneSources(**sources) if needed else None
     chosen = {name: value for name in ("steps", "seed") if (value := getattr(options, name)) is not None}
@@ -83,8 +90,8 @@ def main(arguments: list[str] | None = None) -> int:
         for source in sources.values():
             if source is not None:
                 resolve(source)  # before processes start: what is not there is wrong usage
-        if options.initial_weights is not None:
-            read_config(options.initial_weights)
+        if start is not None:
+            check_start(start, config)
     except CheckpointError as error:
         parser.error(str(error))
     run_workers(
@@ -97,7 +104,7 @@ def main(arguments: list[str] | None = None) -> int:
         options.validate_every,
         device,
         backbones,
-        options.initial_weights,
+        start,
         options.quiet,
     )
     if options.json:

@@ -79,6 +79,8 @@ def read_phases(path: Path) -> list[Span]:
     if not path.is_file():
         return []
     recipe = json.loads(torch.load(path, weights_only=True, map_location="cpu", mmap=True)["recipe"])
+    if any("sizes" not in phase for phase in recipe["phases"]):
+        raise ValueError(f"{path} has a recipe of another version: its phases have no sizes")
     spans, start = [], 0.0
     for phase in recipe["phases"]:
         end = start + phase["share"] * recipe["steps"]

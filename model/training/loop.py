@@ -16,7 +16,7 @@ import torch
 
 from gapmes.service.progress import Listener, Stage, silent
 
-from ..checkpoint import CheckpointError, file_sha256, load_checkpoint
+from ..checkpoint import CheckpointError, file_sha256, load_checkpoint, read_config
 from ..config import ModelConfig
 from ..network import GaPMeS
 from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
@@ -49,10 +49,12 @@ def train(
 
     Every random number of a step comes from (seed, step, worker), so a resumed run sees what an unbroken one would
     have seen. `backbones` gives the frozen parts of a preset that has them; `initial` is a checkpoint of this
-    configuration to start from instead of from random numbers; `listener` hears of every step. Several workers divide
-    each step's scenes between them: raises `ValueError` when they cannot. Raises `CheckpointError` for a checkpoint of
-    another configuration.
+    configuration to start from instead of from random numbers, frozen parts and all; `listener` hears of every step.
+    Several workers divide each step's scenes between them: raises `ValueError` when they cannot. Raises
+    `CheckpointError` for a checkpoint of another configuration.
     """
+    if backbones is not None and initial is not None:
+        raise ValueError("backbones: the weights to start from carry the frozen parts already; give one of both")
     for phase in recipe.phases:
         if phase.scenes % worker.count:
             raise ValueError(
@@ -95,7 +97,8 @@ def _run(
     model = model.to(device).train()
     frozen = [p for p in model.parameters() if not p.requires_grad]
     average = copy.deepcopy(model, {id(p): p for p in frozen}).requires_grad_(False)  # shares what does not change
-    if coarse_pays(device):
+    coarse = coarse_pays(device)
+    if coarse:
         compute_coarsely(model)
     trained = [p for p in model.parameters() if p.requires_grad]
     optimiser = torch.optim.AdamW(trained, lr=recipe.learning_rate, betas=(0.9, 0.98), weight_decay=recipe.weight_decay)
@@ -104,6 +107,7 @@ def _run(
         "recipe": json.dumps(asdict(recipe), sort_keys=True),
         "backbones": model.provenance.get(RECORD),  # the frozen parts are not in the state: others are another run
         "initial": None if initial is None else file_sha256(initial),
+        "precision": "bfloat16" if coarse else "float32",
     }
     start, seconds = restore_state(folder, identity, model, average, optimiser)
     if worker.leads:
@@ -141,14 +145,19 @@ def _run(
     return average.eval()
 
 
-def _started_from(path: Path, config: ModelConfig) -> GaPMeS:
-    model = load_checkpoint(path)
-    if model.config != config:
+def check_start(path: Path, config: ModelConfig) -> None:
+    """Raises `CheckpointError` unless the file is a checkpoint of this configuration."""
+    found = read_config(path)
+    if found != config:
         raise CheckpointError(
-            f"{path} has another configuration ({model.config.to_json()}) than this run ({config.to_json()}): "
+            f"{path} has another configuration ({found.to_json()}) than this run ({config.to_json()}): "
             "give the preset and the switches that it was trained with"
         )
-    return model
+
+
+def _started_from(path: Path, config: ModelConfig) -> GaPMeS:
+    check_start(path, config)
+    return load_checkpoint(path)
 
 
 def _step(

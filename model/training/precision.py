@@ -30,8 +30,9 @@ def coarse_pays(device: torch.device | str) -> bool:
     A processor without AVX-512 falls back to plain loops: a step took 34 s where float32 took 3.
     """
     if torch.device(device).type == "cuda":
-        return torch.cuda.is_bf16_supported()
-    return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+        with torch.cuda.device(device):
+            return torch.cuda.is_bf16_supported(including_emulation=False)
+    return torch.backends.mkldnn.is_available() and bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
 
 
 def compute_coarsely(model: GaPMeS) -> None:

@@ -23,7 +23,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Everything that a run depends on besides code, data and what it starts from."""
+    """What a run depends on besides code, data, precision and what it starts from."""
 
     steps: int = 11_600
     seed: int = 1
@@ -57,7 +57,7 @@ class Recipe:
         return self.phases[-1]
 
     def learning_rate_at(self, step: int) -> float:
-        """Linear warm-up, a plateau, and a line down to 1 %, so that the costly last phases still learn."""
+        """Linear warm-up, a plateau up to `decay_from`, and a line down to 1 %, so that the last phases still learn."""
         warm = min(1.0, (step + 1) / self.warm_up)
         left = 1 - max(0.0, step / self.steps - self.decay_from) / (1 - self.decay_from)
         return self.learning_rate * warm * (0.01 + 0.99 * left)
@@ -79,5 +79,5 @@ FINISH = Recipe(
     depth_weight=(0.5, 0.3),
     phases=(Phase(1.0, (128, 128, 256), 2, (2, 2, 2, 3), (0.06, 0.8), (22.0, 80.0)),),
 )
-"""What follows a run that is over: more steps, at both sizes in turn, from a third of the learning rate."""
+"""`finish` goes on from trained weights: every third step at 256 px, at a fifth of the learning rate or less."""
 RECIPES = {"whole": Recipe(), "finish": FINISH}

@@ -98,7 +98,7 @@ def leverage(
     total = sums.sum(axis=0, dtype=np.float64)
     opacities = np.maximum(gaussians.opacities.astype(np.float64), rule.alpha_min)  # fainter ones are not drawn
     slope, moved = total[:, SLOPE] / opacities, total[:, MOVED] / opacities**2
-    return Leverage(slope, moved, total[:, SHOWN], total[:, EXCESS:])
+    return Leverage(slope, moved, total[:, SHOWN].copy(), total[:, EXCESS:].copy())
 
 
 def _walk_part(

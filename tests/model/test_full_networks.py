@@ -12,15 +12,16 @@ from full_networks import miniature
 from small_networks import scene
 
 from gapmes.model.backbones import DepthAnythingFeatures
-from gapmes.model.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from gapmes.model.checkpoint import CheckpointError, load_checkpoint, save_checkpoint, shipped_checkpoint
 from gapmes.model.config import preset
 from gapmes.model.cost_volume import Views
 from gapmes.model.full_trunk import FullTrunk
 from gapmes.model.network import GaPMeS
 from gapmes.model.pretrained.backbones import RECORD, BackboneSources, load_backbones
+from gapmes.model.training import command
 from gapmes.model.training.command import main as train_command
 from gapmes.model.training.loop import train
-from gapmes.model.training.recipe import Recipe
+from gapmes.model.training.recipe import FINISH, Recipe
 from gapmes.model.training.run_folder import STATE, WEIGHTS
 from gapmes.model.trunk import LightTrunk
 
@@ -190,6 +191,58 @@ def test_a_run_does_not_go_on_with_other_frozen_weights(tmp_path: Path, sources:
         with pytest.raises(ValueError, match="another backbones"):
             train(config, recipe, tmp_path / "run", backbones=others)
     assert record.read_text() == before
+
+
+def test_a_run_takes_the_frozen_parts_of_the_weights_that_it_starts_from(
+    tmp_path: Path, sources: BackboneSources
+) -> None:
+    config, given = miniature().config, tmp_path / "given.safetensors"
+    network = miniature()
+    load_backbones(network, sources)
+    save_checkpoint(given, network)
+    one = replace(Recipe(), steps=1)
+    train(config, one, tmp_path / "run", validate_every=9, validation_scenes=1, initial=given)
+    found = load_checkpoint(tmp_path / "run" / WEIGHTS)
+    assert found.provenance[RECORD] == network.provenance[RECORD]
+    for part in ("semantic.vit", "mono.model", "trunk"):
+        ours, theirs = found.get_submodule(part).state_dict(), network.get_submodule(part).state_dict()
+        assert all(torch.equal(ours[name], theirs[name]) for name in theirs), part
+    with pytest.raises(ValueError, match="carry the frozen parts already"):
+        train(config, one, tmp_path / "other", backbones=sources, initial=given)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--recipe", "finish"], "goes on from trained weights: give --initial-weights"),
+        (["--initial-weights", "OUT/weights.safetensors"], "lies in the run's own folder"),
+        (["--initial-weights", "nope.safetensors"], "nope.safetensors cannot be read as safetensors"),
+        (["--initial-weights", "TINY", "--without-tasks"], "has another configuration"),
+        (["--initial-weights", "TINY", "--depth-weights", "x"], "carries its frozen parts: leave out --depth-weights"),
+        (["--preset", "small", "--initial-weights", "TINY"], "has another configuration"),
+    ],
+)
+def test_weights_to_start_from_are_checked_before_anything_is_done(
+    arguments: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = {"TINY": str(shipped_checkpoint("tiny")), "OUT/weights.safetensors": str(tmp_path / "out" / WEIGHTS)}
+    with pytest.raises(SystemExit):
+        train_command([str(tmp_path / "out"), *(names.get(item, item) for item in arguments)])
+    assert expected in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_takes_recipe_steps_and_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[tuple[object, ...]] = []
+    monkeypatch.setattr(command, "run_workers", lambda *arguments: given.append(arguments))
+    start = shipped_checkpoint("tiny")
+    train_command([str(tmp_path), "--recipe", "finish", "--initial-weights", str(start), "--seed", "5"])
+    train_command([str(tmp_path), "--steps", "7"])
+    finish, whole = (next(x for x in arguments if isinstance(x, Recipe)) for arguments in given)
+    assert finish == replace(FINISH, seed=5)
+    assert whole == replace(Recipe(), steps=7)
+    assert start in given[0]
+    assert start not in given[1]
 
 
 def test_weights_that_are_not_there_are_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

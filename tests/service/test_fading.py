@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from plane_scene import DEPTH, PlaneScene
 
+from gapmes.service import fading
 from gapmes.service.camera import Camera
 from gapmes.service.commands.summary import fading_line
 from gapmes.service.errors import InputError
@@ -17,7 +19,7 @@ from gapmes.service.harmonics import C0
 from gapmes.service.images import FittedView, Photo, fit_view
 from gapmes.service.picture_error import psnr
 from gapmes.service.rotations import about_axis, quaternion_from_matrix, quaternion_product
-from gapmes.service.splat import render
+from gapmes.service.splat import Leverage, render
 
 SIDE = 64
 
@@ -171,10 +173,12 @@ def test_colours_beyond_white_are_compared_as_they_are_seen(views: list[FittedVi
     photograph = np.clip(seen.rgb, 0, 1).transpose(2, 0, 1).copy()
     result = faded(bright, [FittedView(photograph, seen.alpha > 0.9999, views[0].camera, 1.0)])
     assert (bright.opacities - result.gaussians.opacities).max() < 1e-3
+    assert (0.5 + C0 * bright.harmonics).max() > 1.2
+    assert C0 * np.abs(bright.harmonics - result.gaussians.harmonics).max() < 1e-3
 
 
-def test_colours_at_the_end_of_float32_move_nothing() -> None:
-    """The wide one behind makes sums infinite, of which no step can be told."""
+def test_colours_at_the_end_of_float32_leave_numbers() -> None:
+    """The wide one behind makes sums of the opacities infinite, of which no step can be told."""
     camera = Camera.make(SIDE, SIDE, 60.0, 60.0, SIDE / 2, SIDE / 2, np.eye(4))
     scales, harmonics = [[0.05] * 3, [2.0] * 3, [0.05] * 3], np.zeros((3, 1, 3))
     harmonics[1] = 1e38
@@ -187,10 +191,15 @@ def test_colours_at_the_end_of_float32_move_nothing() -> None:
     assert np.isfinite(result.gaussians.harmonics).all()
 
 
-def test_what_stands_behind_keeps_half_of_its_opacity(views: list[FittedView], spoiled: Gaussians) -> None:
+def test_what_stands_behind_keeps_half_of_its_opacity_and_its_colour(
+    views: list[FittedView], spoiled: Gaussians
+) -> None:
     heard: list[int] = []
     behind = np.arange(len(spoiled)) >= len(spoiled) - 40  # the floaters
-    kept = faded(spoiled, views, 8, behind=behind, done=heard.append).gaussians.opacities / spoiled.opacities
+    found = faded(spoiled, views, 8, behind=behind, done=heard.append).gaussians
+    assert (found.harmonics[behind] == spoiled.harmonics[behind]).all()
+    assert (found.harmonics[~behind] != spoiled.harmonics[~behind]).any()
+    kept = found.opacities / spoiled.opacities
     assert kept[behind].min() == pytest.approx(0.5)
     assert kept[~behind].min() < 0.5
     assert faded(spoiled, views, 8).gaussians.opacities[behind].min() < 0.1
@@ -225,6 +234,23 @@ def test_colours_come_to_what_the_photographs_show(views: list[FittedView]) -> N
     assert off[3] < off[2] < off[1]
     for view in views:  # found: 3.4, 1.9 and 4.1 dB, the second for the photograph that was kept back
         assert error(faded(tinted, given).gaussians, view) > error(tinted, view) + 1.0
+
+
+def test_colours_follow_one_pass_behind(views: list[FittedView], spoiled: Gaussians, monkeypatch) -> None:
+    """Each round is drawn with the colours of the one before; the first only lowers opacities."""
+    drawn: list[Gaussians] = []
+
+    def recorded(now: Gaussians, *rest: object) -> Leverage:
+        drawn.append(now)
+        return real(now, *rest)
+
+    real = fading._sums
+    monkeypatch.setattr(fading, "_sums", recorded)
+    last = faded(spoiled, views, 2).gaussians
+    assert len(drawn) == 3
+    steps = list(pairwise([*drawn, last]))
+    assert [bool((a.opacities != b.opacities).any()) for a, b in steps] == [True, True, False]
+    assert [bool((a.harmonics != b.harmonics).any()) for a, b in steps] == [False, True, True]
 
 
 def _shade(found: Gaussians, before: Gaussians) -> np.ndarray:

@@ -284,6 +284,8 @@ def test_fading_lowers_opacities_of_pixels_and_says_so(reconstructor, plane_scen
     before, after = twice["fading"]["mean_opacity"]
     assert never["fading"]["mean_opacity"] == [before, before]
     assert after < before - 0.01
+    assert never["fading"]["recoloured"] == 0
+    assert 1e-4 < twice["fading"]["recoloured"] < 0.2
     gone = sum(entry["count"] for entry in twice["dropped"] if entry["reason"] == FADED)
     assert gone == twice["fading"]["gone"] == len(scenes[0].gaussians) - len(scenes[1].gaussians)
     pairs = zip(never["check"]["input_views"], twice["check"]["input_views"], strict=True)

@@ -119,6 +119,7 @@ function trust(body, scene) {
   if (check.ambiguous_routes) facts.push(`For ${percent(check.ambiguous_routes)} of the patches rounding may decide the route.`);
   const fading = scene.fading;
   if (fading?.passes) facts.push(`${count(fading.halved)} Gaussians lost half of their opacity or more where the photographs contradict them, ${count(fading.gone)} all that is drawn of them.`);
+  if (fading?.recoloured) facts.push(`Colours moved towards the photographs by ${percent(fading.recoloured)} on average.`);
   body.append(make("p", {}, facts.join(" ")));
 }
 

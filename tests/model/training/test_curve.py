@@ -64,10 +64,17 @@ def test_phases_follow_the_recipe_and_its_steps(run: Path) -> None:
     spans = curve.read_phases(run / "state.pt")
     recipe = Recipe(steps=1000)
     for span, phase in zip(spans, recipe.phases, strict=True):
-        assert span.label == phase.label
+        assert span.label == f"{phase.sizes[0]} px"
         for step in (int(span.start) + 1, int(span.end) - 1):
             assert recipe.phase(step) is phase
     assert curve.read_phases(run / "none.pt") == []
+
+
+def test_a_recipe_of_another_version_is_said(run: Path) -> None:
+    recipe = {"steps": 10, "phases": [{"share": 1.0, "size": 64}]}
+    torch.save({"recipe": json.dumps(recipe)}, run / "state.pt")
+    with pytest.raises(ValueError, match="of another version"):
+        curve.read_phases(run / "state.pt")
 
 
 def test_minutes_stand_at_the_steps_where_they_were_reached(run: Path) -> None:

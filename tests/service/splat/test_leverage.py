@@ -88,7 +88,10 @@ def test_a_held_alpha_moves_nothing() -> None:
     free = height < 0.9899
     found = leverage(one, view, picture, picture, everywhere)
     assert found.slope[0] == pytest.approx((picture[free] ** 2).sum(), rel=1e-5)
-    assert leverage(one, view, picture, picture, 1.0 * ~free).moved[0] == 0.0
+    held = leverage(one, view, picture, picture, 1.0 * ~free)
+    assert held.moved[0] == 0.0
+    assert held.shown[0] == pytest.approx(height[~free].sum(), rel=1e-5)  # its colour does
+    assert held.excess[0] == pytest.approx((height[~free, None] * picture[~free]).sum(0), rel=1e-5)
 
 
 def test_what_is_not_drawn_has_no_leverage() -> None:
@@ -103,6 +106,7 @@ def test_what_is_not_drawn_has_no_leverage() -> None:
     assert not found.excess[1:].any()
     none = leverage(gaussians, view, picture, np.ones_like(picture), np.zeros((24, 24)))
     assert not none.moved.any()
+    assert not none.shown.any()
     empty = gaussians[np.zeros(4, bool)]
     assert leverage(empty, view, picture, picture, np.ones((24, 24))).slope.shape == (0,)
 
