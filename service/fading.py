@@ -24,7 +24,7 @@ from .splat import Definition, Leverage, leverage, render
 STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
 DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
 ROBUST = 0.05  # of a channel: difference at which a pixel counts half; exposures, highlights and noise differ as well
-BEHIND_KEEPS = 0.5  # of its opacity, at least, and all of its colour: it is there for views that nobody has asked for
+BEHIND_KEEPS = 0.5  # of its opacity, at least: it is there for views that nobody has asked for
 COLOUR_STEP = 0.5  # of the mean that the pixels which show a Gaussian have too much; 2 would not settle
 COLOUR_DAMPING = 0.05  # of a pixel; a Gaussian of which less is to be seen in all keeps most of its colour
 COVERED = 1e-3  # opacity below which a pixel shows no colour that could be right or wrong
@@ -70,18 +70,18 @@ def faded(
     J = dC/do, r the picture (clipped to [0, 1]) less the photograph, sums over all pixels and channels of all views. A
     pixel whose difference has the mean size d over the channels weighs w = 1 / (1 + d / ROBUST) (Fair's weight of
     robust regression), one that a mask leaves out nothing. The next pass, or one more after the last, moves the base
-    colour of what does not stand behind by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING) in each channel, with
-    s = T a of `leverage`, and not beyond [0, 1] where the network's own was within (simultaneous iterative
-    reconstruction, Gilbert 1972). Where a pixel is not covered in full, its own mean colour stands behind it: no
-    Gaussian goes for being brighter than a background that nobody knows. `near` is that of `render`; `done` hears how
-    many rounds of drawing are done, passes + 1 in all. The bits do not depend on the number of threads.
+    colour by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING) in each channel, with s = T a of `leverage`, and
+    not beyond [0, 1] where the network's own was within (simultaneous iterative reconstruction, Gilbert 1972): also of
+    what stands behind, which new views see past the edges of what hides it. Where a pixel is not covered in full, its
+    own mean colour stands behind it: no Gaussian goes for being brighter than a background that nobody knows. `near`
+    is that of `render`; `done` hears how many rounds of drawing are done, passes + 1 in all. The bits do not depend on
+    the number of threads.
 
     Raises `InputError` for a number of passes that is out of range.
     """
     checked_passes(passes)
     before = after = gaussians.opacities
     least = 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0)
-    moves = True if behind is None else ~behind[:, None]
     own = colours = _base_colours(gaussians)
     darkest, brightest = np.minimum(own, 0), np.maximum(own, 1)
     now = gaussians
@@ -89,7 +89,7 @@ def faded(
         sums = _sums(now, views, near, threads)
         if number:
             step = _finite(COLOUR_STEP * sums.excess, (sums.shown + COLOUR_DAMPING)[:, None])
-            colours = np.clip(colours - step * moves, darkest, brightest)
+            colours = np.clip(colours - step, darkest, brightest)
         if number < passes:
             after = np.clip(after - _finite(STEP * sums.slope, sums.moved + DAMPING), least, before).astype(np.float32)
         now = replace(gaussians, opacities=after, harmonics=_recoloured(gaussians, colours - own))

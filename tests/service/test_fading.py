@@ -191,14 +191,11 @@ def test_colours_at_the_end_of_float32_leave_numbers() -> None:
     assert np.isfinite(result.gaussians.harmonics).all()
 
 
-def test_what_stands_behind_keeps_half_of_its_opacity_and_its_colour(
-    views: list[FittedView], spoiled: Gaussians
-) -> None:
+def test_what_stands_behind_keeps_half_of_its_opacity(views: list[FittedView], spoiled: Gaussians) -> None:
     heard: list[int] = []
     behind = np.arange(len(spoiled)) >= len(spoiled) - 40  # the floaters
     found = faded(spoiled, views, 8, behind=behind, done=heard.append).gaussians
-    assert (found.harmonics[behind] == spoiled.harmonics[behind]).all()
-    assert (found.harmonics[~behind] != spoiled.harmonics[~behind]).any()
+    assert (found.harmonics[behind] != spoiled.harmonics[behind]).any()  # colours of both kinds follow
     kept = found.opacities / spoiled.opacities
     assert kept[behind].min() == pytest.approx(0.5)
     assert kept[~behind].min() < 0.5
