@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from http_requests import assert_problem, photograph, post, wait_until_ready
+from openvino_precisions import precisions
 from standin_model import METADATA, write_standin
 from starlette.testclient import TestClient
 
@@ -230,13 +231,13 @@ def test_a_file_that_was_replaced_meanwhile_is_told_apart(settings: Settings, tm
 @pytest.mark.skipif(find_spec("openvino") is None, reason="pip install 'gapmes[openvino]'")
 def test_another_engine_is_another_scene(several: TestClient, settings: Settings, tmp_path: Path) -> None:
     ids = {post(several).json()["id"]}
-    for engine in ("openvino-fp32", "openvino-bf16"):
+    for engine in (f"openvino-{precision}" for precision in precisions()):
         with serving(settings.model_copy(update={"engine": engine, "store": tmp_path / engine})) as client:
             scene = post(client).json()
             ids.add(scene["id"])
             assert scene["model"]["engine"]["precision"] == engine.removeprefix("openvino-")
             assert client.get("/models").json()["models"][0]["engine"] == scene["model"]["engine"]
-    assert len(ids) == 3
+    assert len(ids) == 1 + len(precisions())
 
 
 @pytest.mark.parametrize(
