@@ -140,7 +140,7 @@ def test_each_expert_runs_on_just_the_patches_that_chose_it(
     chosen = np.bincount(index[weight != 0], minlength=6)
     pairs = 3 * PATCHES * (1 if gates == "one expert" else 2)
     # a second choice whose weight underflows to 0 needs no run either: 1 of 96 with the shipped weights
-    assert 0.9 * pairs <= chosen.sum() <= pairs
+    assert pairs - (gates == "as trained") <= chosen.sum() <= pairs
     assert (weight.max(axis=-1) > 0).all()
     assert expert_rows(model, inputs) == (3 * chosen).tolist()
     if gates == "one expert":
@@ -157,6 +157,7 @@ def test_left_out_patches_run_through_no_expert(small_graph: onnx.ModelProto) ->
     (weight,) = session.run(["expert_weight"], feed(inputs["half masked"]))
     assert sum(expert_rows(small_graph, inputs["half masked"])) == 3 * (weight != 0).sum()
     assert ((weight != 0).any(axis=-1).sum()) == 3 * PATCHES // 2  # the patches that are not masked
+    assert (weight != 0).sum() >= 2 * 3 * PATCHES // 2 - 1  # one second choice underflows
 
 
 @pytest.mark.case("P9")
