@@ -1,4 +1,4 @@
-"""How the C library's allocator keeps what was freed: a process that waits for requests gives it back to the system."""
+"""How the C library's allocator keeps what was freed: a service that waits, and a command, give it back."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import typer
 from rich.console import Console
 
+from .allocator import give_back_freed
 from .commands import convert, demo, doctor, reconstruct, render, serve
 from .errors import CameraError, GapmesError, ImageError
 from .extra_commands import WithExtraCommands
@@ -31,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     With `--json` a refusal is also printed to stdout, as {"error": {...}}.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
+    give_back_freed()
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     try:
         app(arguments)

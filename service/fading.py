@@ -9,7 +9,7 @@ that it fits. Colours follow one pass behind: what should go is not first given 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -83,21 +83,19 @@ def faded(
     before = after = gaussians.opacities
     least = 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0)
     own = colours = _base_colours(gaussians)
-    darkest, brightest = np.minimum(own, 0), np.maximum(own, 1)
-    now = gaussians
     for number in range(passes + 1 if passes else 0):
-        sums = _sums(now, views, near, threads)
+        sums = _sums(_changed(gaussians, after, colours - own), views, near, threads)
         if number:
             step = _finite(COLOUR_STEP * sums.excess, (sums.shown + COLOUR_DAMPING)[:, None])
-            colours = np.clip(colours - step, darkest, brightest)
+            colours = np.clip(colours - step.astype(np.float32), np.minimum(own, 0), np.maximum(own, 1))
         if number < passes:
             after = np.clip(after - _finite(STEP * sums.slope, sums.moved + DAMPING), least, before).astype(np.float32)
-        now = replace(gaussians, opacities=after, harmonics=_recoloured(gaussians, colours - own))
+        del sums
         if done is not None:
             done(number + 1)
     cut = np.float32(Definition().alpha_min)
     return Fading(
-        now,
+        _changed(gaussians, after, colours - own) if passes else gaussians,
         passes,
         int(((after <= 0.5 * before) & (after < before)).sum()),
         (after < cut) & (before >= cut),
@@ -106,16 +104,16 @@ def faded(
     )
 
 
-def _base_colours(gaussians: Gaussians) -> NDArray[np.float64]:
+def _base_colours(gaussians: Gaussians) -> NDArray[np.float32]:
     """(N, 3) what is the same from all sides."""
-    return 0.5 + C0 * gaussians.harmonics[:, 0].astype(np.float64)
+    return np.float32(0.5) + np.float32(C0) * gaussians.harmonics[:, 0]
 
 
-def _recoloured(gaussians: Gaussians, change: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Harmonics whose base colours have moved by `change`, the same values where it is 0."""
+def _changed(gaussians: Gaussians, opacities: NDArray[np.float32], change: NDArray[np.float32]) -> Gaussians:
+    """With these opacities, and base colours that have moved by `change` (N, 3): the same values where it is 0."""
     harmonics = gaussians.harmonics.copy()
-    harmonics[:, 0] += change / C0
-    return harmonics
+    harmonics[:, 0] += change / np.float32(C0)
+    return replace(gaussians, opacities=opacities, harmonics=harmonics)
 
 
 def _finite(over: NDArray[np.float64], under: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -125,19 +123,16 @@ def _finite(over: NDArray[np.float64], under: NDArray[np.float64]) -> NDArray[np
 
 
 def _sums(now: Gaussians, views: Sequence[FittedView], near: float | None, threads: int | None) -> Leverage:
-    """Over all views. What the splatter keeps of a set lives as long as `now`: for one pass."""
-    count = len(now)
-    sums = Leverage(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, 3)))
+    """Over all views. What the splatter keeps of a set lives as long as `now`: for one round."""
+    sums = Leverage.of(len(now))
     for view in views:
-        found = _leverage_of(now, view, near, threads)
-        with np.errstate(invalid="ignore"):
-            for field in fields(Leverage):
-                total = getattr(sums, field.name)
-                total += getattr(found, field.name)
+        _add_leverage(sums, now, view, near, threads)
     return sums
 
 
-def _leverage_of(gaussians: Gaussians, view: FittedView, near: float | None, threads: int | None) -> Leverage:
+def _add_leverage(
+    sums: Leverage, gaussians: Gaussians, view: FittedView, near: float | None, threads: int | None
+) -> None:
     """What each Gaussian does to the difference of one view's picture and photograph."""
     options: dict[str, Any] = {"near": near, "threads": threads}
     image = render(gaussians, view.camera, outputs=("alpha",), **options)
@@ -147,7 +142,7 @@ def _leverage_of(gaussians: Gaussians, view: FittedView, near: float | None, thr
     picture = image.rgb / np.maximum(image.alpha, np.float32(COVERED))[..., None]
     residual = np.clip(picture, 0, 1) - view.image.transpose(1, 2, 0)
     weight /= 1 + np.abs(residual).mean(axis=2) / np.float32(ROBUST)
-    return leverage(gaussians, view.camera, picture, residual, weight, **options)
+    leverage(gaussians, view.camera, picture, residual, weight, onto=sums, **options)
 
 
 def _mean(values: NDArray[np.floating]) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .backends.choice import DEFAULT_ENGINE, EngineName
 from .budget import Budget
 from .camera import Camera
+from .contract import GAUSSIAN_OUTPUTS
 from .depth_range import DepthRange, depth_range
 from .depth_sweep import narrowed
 from .document import scene_document
@@ -37,6 +38,7 @@ from .view_checks import MIN_VIEWS, Notice, check_count, check_views
 from .world_frame import WorldFrame
 
 DEFAULT_BUDGET = Budget()
+MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +124,8 @@ class Reconstructor:
             shape = len(views), info.height, info.width
             thin, rows = thinned(outputs, rows, shape, budget.stride)
             found = frame.to_world(thin, rows)
+            del thin
+            outputs = {name: value for name, value in outputs.items() if name not in MOVED}
         if not is_warm():  # not before the network: 70 MB that would be in memory beside it
             with stages.stage("kernels"):  # compiled the first time, then loaded
                 warm_up()

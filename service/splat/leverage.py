@@ -52,12 +52,17 @@ ZERO = np.float32(0.0)
 
 @dataclass(frozen=True, eq=False)
 class Leverage:
-    """Sums over the pixels and channels of one picture, per Gaussian; 0 where it is not drawn."""
+    """Sums over the pixels and channels of pictures, per Gaussian; 0 where it is not drawn."""
 
     slope: NDArray[np.float64]  # (N,) sum w r J: half the slope of the sum of w r^2
     moved: NDArray[np.float64]  # (N,) sum w J^2: the square of how far the picture moves
     shown: NDArray[np.float64]  # (N,) sum w T a over the pixels: how many pixels it is, by weight
     excess: NDArray[np.float64]  # (N, 3) sum w r T a over the pixels, of each channel
+
+    @classmethod
+    def of(cls, count: int) -> Leverage:
+        """Of no picture yet."""
+        return cls(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, 3)))
 
 
 def leverage(
@@ -69,12 +74,14 @@ def leverage(
     *,
     near: float | None = None,
     threads: int | None = None,
+    onto: Leverage | None = None,
 ) -> Leverage:
     """`picture` (H, W, 3) is what `render` draws, over any background, `residual` (H, W, 3) what it has too much, and
     `weight` (H, W) what a pixel counts.
 
     A pixel of weight 0 adds nothing, whatever its numbers, nor does an opacity at a pixel where `alpha_max` holds the
-    alpha. The bits do not depend on the number of threads. Raises `InputError` for planes of another size, and as
+    alpha. What is found is added to `onto` where one is given: sums over several pictures. The bits do not depend on
+    the number of threads. Raises `InputError` for planes of another size, and as
     `render` does.
     """
     rule, degree = checked_definition(None, near, None), checked_degree(None, gaussians)
@@ -95,10 +102,14 @@ def leverage(
         for lists in tile_lists(projection, order, grid, rule.max_entries, threads):
             walk = partial(_walk_part, lists, grid.columns, *records, states, cuts, sums)
             run_ranges(walk, range(PARTS + 1), threads)
-    total = sums.sum(axis=0, dtype=np.float64)
     opacities = np.maximum(gaussians.opacities.astype(np.float64), rule.alpha_min)  # fainter ones are not drawn
-    slope, moved = total[:, SLOPE] / opacities, total[:, MOVED] / opacities**2
-    return Leverage(slope, moved, total[:, SHOWN].copy(), total[:, EXCESS:].copy())
+    found = Leverage.of(len(gaussians)) if onto is None else onto
+    columns = [(found.slope, SLOPE, opacities), (found.moved, MOVED, opacities**2), (found.shown, SHOWN, 1.0)]
+    columns += [(found.excess[:, channel], EXCESS + channel, 1.0) for channel in range(3)]
+    with np.errstate(invalid="ignore"):  # of colours near the end of float32
+        for column, which, unit in columns:
+            column += sums[:, :, which].sum(axis=0, dtype=np.float64) / unit
+    return found
 
 
 def _walk_part(
