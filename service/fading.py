@@ -3,7 +3,8 @@
 A Gaussian of one view whose depth is wrong hides in another view what that one shows rightly. The scene is drawn from
 its inputs' cameras; where a picture differs from its photograph, the Gaussians whose absence would mend that lose
 opacity. None rises above the network's own: no splat that nothing else supports becomes opaque for the one photograph
-that it fits. Colours follow one pass behind: what should go is not first given the colour that it hides.
+that it fits. Colours follow one pass behind: what should go is not first given the colour that it hides. Between the
+inputs, where there is no photograph, pictures of what two views confirm (`anchors.py`) stand in for one.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .anchors import Anchors
 from .fade_passes import DEFAULT_PASSES, checked_passes
 from .gaussians import Gaussians
 from .harmonics import C0
@@ -25,6 +27,7 @@ STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
 DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
 ROBUST = 0.05  # of a channel: difference at which a pixel counts half; exposures, highlights and noise differ as well
 BEHIND_KEEPS = 0.5  # of its opacity, at least: it is there for views that nobody has asked for
+ANCHORED = 2.0  # weight of a pixel of what is sure: between the inputs a few pictures stand for all views there
 COLOUR_STEP = 0.5  # of the mean that the pixels which show a Gaussian have too much; 2 would not settle
 COLOUR_DAMPING = 0.05  # of a pixel; a Gaussian of which less is to be seen in all keeps most of its colour
 COVERED = 1e-3  # opacity below which a pixel shows no colour that could be right or wrong
@@ -58,6 +61,7 @@ def faded(
     passes: int = DEFAULT_PASSES,
     *,
     behind: NDArray[np.bool_] | None = None,
+    anchors: Anchors | None = None,
     near: float | None = None,
     threads: int | None = None,
     done: Callable[[int], None] | None = None,
@@ -73,9 +77,10 @@ def faded(
     colour by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING) in each channel, with s = T a of `leverage`, and
     not beyond [0, 1] where the network's own was within (simultaneous iterative reconstruction, Gilbert 1972): also of
     what stands behind, which new views see past the edges of what hides it. Where a pixel is not covered in full, its
-    own mean colour stands behind it: no Gaussian goes for being brighter than a background that nobody knows. `near`
-    is that of `render`; `done` hears how many rounds of drawing are done, passes + 1 in all. The bits do not depend on
-    the number of threads.
+    own mean colour stands behind it: no Gaussian goes for being brighter than a background that nobody knows. For the
+    Gaussians that `anchors` says, the sums of a pass go over its pictures as well, with ANCHORED as their weight;
+    colours follow photographs alone. `near` is that of `render`; `done` hears how many rounds of drawing are done,
+    passes + 1 in all. The bits do not depend on the number of threads.
 
     Raises `InputError` for a number of passes that is out of range.
     """
@@ -84,13 +89,17 @@ def faded(
     least = 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0)
     own = colours = _base_colours(gaussians)
     for number in range(passes + 1 if passes else 0):
-        sums = _sums(_changed(gaussians, after, colours - own), views, near, threads)
+        now = _changed(gaussians, after, colours - own)
+        anchored = _anchored(now, anchors, near, threads) if number < passes else (0.0, 0.0)
+        sums = _sums(now, views, near, threads)
         if number:
             step = _finite(COLOUR_STEP * sums.excess, (sums.shown + COLOUR_DAMPING)[:, None])
             colours = np.clip(colours - step.astype(np.float32), np.minimum(own, 0), np.maximum(own, 1))
         if number < passes:
-            after = np.clip(after - _finite(STEP * sums.slope, sums.moved + DAMPING), least, before).astype(np.float32)
-        del sums
+            with np.errstate(invalid="ignore"):
+                slope, moved = sums.slope + anchored[0], sums.moved + anchored[1]
+            after = np.clip(after - _finite(STEP * slope, moved + DAMPING), least, before).astype(np.float32)
+        del now, sums  # what the splatter keeps of a set lives as long as the set: for one round
         if done is not None:
             done(number + 1)
     cut = np.float32(Definition().alpha_min)
@@ -123,11 +132,22 @@ def _finite(over: NDArray[np.float64], under: NDArray[np.float64]) -> NDArray[np
 
 
 def _sums(now: Gaussians, views: Sequence[FittedView], near: float | None, threads: int | None) -> Leverage:
-    """Over all views. What the splatter keeps of a set lives as long as `now`: for one round."""
+    """Over all views."""
     sums = Leverage.of(len(now))
     for view in views:
         _add_leverage(sums, now, view, near, threads)
     return sums
+
+
+def _anchored(
+    now: Gaussians, anchors: Anchors | None, near: float | None, threads: int | None
+) -> tuple[NDArray[np.float64] | float, NDArray[np.float64] | float]:
+    """What the pictures of what is sure add to `slope` and `moved` of the Gaussians that must not hide it."""
+    if anchors is None or not anchors.pictures:
+        return 0.0, 0.0
+    sums = _sums(now, anchors.pictures, near, threads)
+    slope, moved = (np.where(anchors.may_fade, ANCHORED * values, 0.0) for values in (sums.slope, sums.moved))
+    return slope, moved
 
 
 def _add_leverage(

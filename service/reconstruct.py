@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .anchors import anchors
 from .backends.choice import DEFAULT_ENGINE, EngineName
 from .budget import Budget
 from .camera import Camera
+from .confirmed import confirmed
 from .contract import GAUSSIAN_OUTPUTS
 from .depth_range import DepthRange, depth_range
 from .depth_sweep import narrowed
@@ -132,14 +134,13 @@ class Reconstructor:
         view_cameras = tuple(view.camera for view in views)
         scene = SceneViews(view_cameras, depths.near, depths.far)
         owner = np.minimum(rows // (info.height * info.width), len(views))  # the view whose pixel it is, if any
-        of_pixel = owner < len(views)  # what stands behind the scene is there for views that nobody has asked for
         with stages.stage("fade", fade + 1) as done:
-            fading = self._faded(found, ~of_pixel, views, scene, fade, done)
+            fading = self._faded(found, rows, frame.depths(outputs), views, scene, fade, done)
         if fading.gone.any():
             dropped = {**dropped, FADED: int(fading.gone.sum())}
         gaussians = fading.gaussians[~fading.gone]
         with stages.stage("leave out"):
-            may_go = of_pixel[~fading.gone]
+            may_go = (owner < len(views))[~fading.gone]
             lean, drawn, pruned = leave_out(gaussians, may_go, scene, budget, self.engine.threads)
         with stages.stage("check"):
             check = {
@@ -186,14 +187,21 @@ class Reconstructor:
     def _faded(
         self,
         gaussians: Gaussians,
-        behind: NDArray[np.bool_],
+        rows: NDArray[np.intp],
+        depths: NDArray[np.float64],
         views: Sequence[FittedView],
         scene: SceneViews,
         passes: int,
         done: Callable[[int], None] | None = None,
     ) -> Fading:
+        """`rows` are those of the network's Gaussians, `depths` (V, H, W) its z-depths in the cameras' units."""
         options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
-        return faded(gaussians, views, passes, behind=behind, done=done, **options)
+        of_pixel = rows < depths.size  # what stands behind the scene is there for views that nobody has asked for
+        sure = np.zeros(len(rows), np.bool_)
+        if passes:
+            sure[of_pixel] = confirmed(views, depths).ravel()[rows[of_pixel]]
+        kept = anchors(gaussians, sure, of_pixel & ~sure, [view.camera for view in views], **options)
+        return faded(gaussians, views, passes, behind=~of_pixel, anchors=kept, done=done, **options)
 
     def _foretold(
         self,
@@ -211,8 +219,8 @@ class Reconstructor:
             others = [views[other] for other in chosen]
             outputs, frame = self._run(others, depths)
             kept, _ = kept_rows(outputs, others, frame)
-            behind = kept >= len(others) * others[0].image[0].size
-            gaussians = self._faded(frame.to_world(outputs, kept), behind, others, scene, fade).gaussians
+            depth = frame.depths(outputs)
+            gaussians = self._faded(frame.to_world(outputs, kept), kept, depth, others, scene, fade).gaussians
             options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
             image = render(gaussians, view.camera, outputs=("alpha",), **options)
             rows.append({"from": chosen, **drawn_again(image, view)})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .bilinear import bilinear
 from .camera import Camera
 from .distortion import Lens, pinhole_window
 from .images import Photo, match_photo, resized
@@ -36,12 +37,12 @@ def undistorted(photo: Photo, lens: Lens, *, index: int | None = None) -> Photo:
         to_x, to_y = lens.bent(*np.meshgrid(x, y[rows]))
         column, row = (lens.fx * to_x + lens.cx) * scale_x - 0.5, (lens.fy * to_y + lens.cy) * scale_y - 0.5
         if photo.mask is None or mask is None:
-            rgb[rows] = _levels(_between(photo.rgb, column, row))
+            rgb[rows] = _levels(bilinear(photo.rgb, column, row))
             continue
         weights = photo.mask.astype(np.float32)[:, :, None]
-        weight = _between(weights, column, row)
+        weight = bilinear(weights, column, row)
         mask[rows] = weight[:, :, 0] >= HALF
-        colours = _between(photo.rgb * weights, column, row) / np.maximum(weight, HALF)
+        colours = bilinear(photo.rgb * weights, column, row) / np.maximum(weight, HALF)
         rgb[rows] = np.where(mask[rows, :, None], _levels(colours), 0)
     return Photo(rgb, mask, photo.orientation)
 
@@ -51,23 +52,6 @@ def match_lens(photo: Photo, lens: Lens, *, index: int | None = None) -> Photo:
     as for `match_photo`. Raises `ImageError`."""
     raw = Camera.make(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, np.eye(4), index=index)
     return match_photo(photo, raw, index=index)[0]
-
-
-def _between(values: NDArray, column: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float32]:
-    """(H, W, C) values at real-valued pixel indices, bilinear; beyond the border the outermost pixel goes on."""
-    left, over = _parts(column, values.shape[1])
-    upper, down = _parts(row, values.shape[0])
-    right, lower = np.minimum(left + 1, values.shape[1] - 1), np.minimum(upper + 1, values.shape[0] - 1)
-    above = values[upper, left] * (1 - over) + values[upper, right] * over
-    below = values[lower, left] * (1 - over) + values[lower, right] * over
-    return above * (1 - down) + below * down
-
-
-def _parts(places: NDArray[np.float64], size: int) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """Whole and fractional parts of places clipped to 0..size - 1."""
-    places = np.clip(places, 0.0, size - 1.0)
-    whole = places.astype(np.intp)
-    return whole, (places - whole).astype(np.float32)[:, :, None]
 
 
 def _levels(colours: NDArray) -> NDArray[np.uint8]:

@@ -45,6 +45,10 @@ class WorldFrame:
         """(2,) the depth range in this frame's unit."""
         return np.array([depths.near / self.unit, depths.far / self.unit], dtype=np.float32)
 
+    def depths(self, outputs: Mapping[str, NDArray]) -> F64:
+        """(V, H, W) the network's z-depths in the caller's units."""
+        return self.unit * outputs["depth"].astype(np.float64)
+
     def to_world(self, outputs: Mapping[str, NDArray], rows: NDArray[np.intp]) -> Gaussians:
         """The Gaussians in `rows` of the network's outputs, moved, turned and scaled into the caller's world."""
         means = self.origin + (outputs["means"][rows].astype(np.float64) @ self.rotation.T) * self.unit

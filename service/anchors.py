@@ -1,0 +1,54 @@
+"""Pictures that new views should show at least: what two views confirm, seen from cameras between the inputs.
+
+A Gaussian of a dark or plain surface matches the photographs at many depths, and one that only one photograph shows at
+all of them. Too near it contradicts no input, but from between them it hides what two of them have confirmed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .certified import certified_views
+from .gaussians import Gaussians
+from .images import FittedView
+from .splat import render
+
+BETWEEN = 2  # cameras between each input and the next
+COVERED = 0.9  # opacity from which a pixel's colour is taken for what should be seen there
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors:
+    """Pictures of what is sure, and which Gaussians must not hide it."""
+
+    pictures: tuple[FittedView, ...]  # each with the mask of where it shows anything
+    may_fade: NDArray[np.bool_]  # (N,)
+
+
+def anchors(
+    gaussians: Gaussians,
+    sure: NDArray[np.bool_],
+    may_fade: NDArray[np.bool_],
+    cameras: Sequence[Camera],
+    *,
+    near: float | None = None,
+    threads: int | None = None,
+) -> Anchors:
+    """Draw the `sure` (N,) Gaussians alone from BETWEEN cameras at equal steps between each of `cameras` and the next.
+
+    Pictures in which nothing is covered are left out; `near` and `threads` are those of `render`.
+    """
+    subset = gaussians[np.flatnonzero(sure)]
+    pictures = []
+    for camera in certified_views(cameras, BETWEEN)[len(cameras) :] if sure.any() and may_fade.any() else ():
+        image = render(subset, camera, outputs=("alpha",), near=near, threads=threads)
+        covered = image.alpha > COVERED
+        if covered.any():
+            colours = np.clip(image.rgb / np.maximum(image.alpha, COVERED)[..., None], 0, 1).transpose(2, 0, 1)
+            pictures.append(FittedView(np.ascontiguousarray(colours), covered, camera, 1.0))
+    return Anchors(tuple(pictures), may_fade)

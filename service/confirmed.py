@@ -1,0 +1,62 @@
+"""Which pixels two views confirm: their depths lead to each other, and the photographs match there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .bilinear import bilinear
+from .camera import Camera
+from .coarse_views import pixel_grid
+from .images import FittedView
+from .window_match import contrast, correlations
+
+F64 = NDArray[np.float64]
+
+AGREEMENT_PX = 1.0  # of parallax between a pixel's depth and the other view's own at the place where it is seen
+SAME_COLOUR = 0.1  # of a channel, mean over the three; exposures and highlights differ as well
+GOOD_MATCH = 0.8  # correlation of the windows about both
+TEXTURE = 0.01  # standard deviation of grey in such a window; any depth matches where nothing is to be seen
+
+
+def confirmed(views: Sequence[FittedView], depths: F64) -> NDArray[np.bool_]:
+    """(V, H, W) which pixels at least one other view confirms; `depths` (V, H, W) are z-depths in the cameras' units.
+
+    A pixel, put at its depth, is seen by the other view at a place whose own depth differs by at most AGREEMENT_PX of
+    parallax, whose colour differs by at most SAME_COLOUR, and where windows of 7 x 7 px of both photographs correlate
+    by GOOD_MATCH or more. A window without texture confirms nothing, nor does what a mask leaves out.
+    """
+    found = np.zeros((len(views), *views[0].image.shape[1:]), np.bool_)
+    for index, view in enumerate(views):
+        grey = view.image.mean(axis=0, dtype=np.float64)
+        textured = contrast(grey) > TEXTURE
+        if view.mask is not None:
+            textured &= view.mask
+        for other, seen_by in enumerate(views):
+            if other != index:
+                found[index] |= textured & _agrees(view, grey, depths[index], seen_by, depths[other])
+    return found
+
+
+def _agrees(view: FittedView, grey: F64, depth: F64, other: FittedView, other_depth: F64) -> NDArray[np.bool_]:
+    """(H, W) where the other view's depth, colour and window are those that the view expects there."""
+    pixels, z = other.camera.project(view.camera.unproject(pixel_grid(depth.shape), depth.ravel()))
+    place, z = np.nan_to_num(pixels, nan=-1.0).reshape(*depth.shape, 2), z.reshape(depth.shape)
+    seen = (z > 0) & ((place > 0) & (place < (other.camera.width, other.camera.height))).all(axis=2)
+    column, row = place[..., 0] - 0.5, place[..., 1] - 0.5
+    if other.mask is not None:
+        seen &= bilinear(other.mask.astype(np.float32)[..., None], column, row)[..., 0] > 0.5
+    theirs = bilinear(other_depth[..., None], column, row)[..., 0]
+    colour = bilinear(other.image.transpose(1, 2, 0), column, row)
+    safe = np.where(seen, z, 1.0)
+    agreed = np.abs(1 / safe - 1 / theirs) * _pixels_per_inverse_depth(view.camera, other.camera) < AGREEMENT_PX
+    agreed &= np.abs(colour - view.image.transpose(1, 2, 0)).mean(axis=2) < SAME_COLOUR
+    warped = colour.mean(axis=2, dtype=np.float64)
+    return seen & agreed & (correlations(grey, warped[None], seen[None])[0] > GOOD_MATCH)
+
+
+def _pixels_per_inverse_depth(camera: Camera, other: Camera) -> float:
+    """By how far the other view sees a point move at most, where the way between the two lies across."""
+    return other.fx * float(np.linalg.norm(camera.center - other.center))

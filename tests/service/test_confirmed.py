@@ -1,0 +1,145 @@
+"""Confirmed pixels: against a slow reference pixel by pixel, and what must never be confirmed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plane_scene import DEPTH, PlaneScene
+
+from gapmes.service.confirmed import AGREEMENT_PX, GOOD_MATCH, SAME_COLOUR, TEXTURE, confirmed
+from gapmes.service.images import FittedView, Photo, fit_view
+from gapmes.service.rotations import about_axis
+
+SIDE = 64
+
+
+@pytest.fixture(scope="module")
+def views() -> list[FittedView]:
+    scene = PlaneScene.make(np.random.default_rng(5), turn=0.3)
+    return [
+        fit_view(Photo(image), camera, SIDE, SIDE) for image, camera in zip(scene.images, scene.cameras, strict=True)
+    ]
+
+
+def plane_depths(views: list[FittedView]) -> np.ndarray:
+    """(V, H, W) z-depths of the plane."""
+    grid = np.stack(np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5), -1).reshape(-1, 2)
+    maps = [(DEPTH - v.camera.center[2]) / v.camera.rays(grid)[:, 2] for v in views]
+    return np.stack(maps).reshape(len(views), SIDE, SIDE)
+
+
+def reference(views: list[FittedView], depths: np.ndarray, index: int, x: int, y: int) -> tuple[bool, float]:
+    """One pixel in plain float64 loops, and how far the nearest of all its tests is from its limit."""
+    view, found, margin = views[index], False, np.inf
+    window = [(j, i) for j in range(y - 3, y + 4) for i in range(x - 3, x + 4) if 0 <= i < SIDE and 0 <= j < SIDE]
+
+    def place(other: FittedView, i: int, j: int) -> tuple[float, float, float]:
+        ray = view.camera.rotation @ np.array(
+            [(i + 0.5 - view.camera.cx) / view.camera.fx, (j + 0.5 - view.camera.cy) / view.camera.fy, 1.0]
+        )
+        point = other.camera.rotation.T @ (view.camera.center + depths[index, j, i] * ray - other.camera.center)
+        u, v = (other.camera.fx * point[0] / point[2], other.camera.fy * point[1] / point[2])
+        return u + other.camera.cx, v + other.camera.cy, point[2]
+
+    def at(values: np.ndarray, u: float, v: float) -> np.ndarray:
+        u, v = np.clip(u - 0.5, 0, SIDE - 1), np.clip(v - 0.5, 0, SIDE - 1)
+        i, j = int(u), int(v)
+        k, n = min(i + 1, SIDE - 1), min(j + 1, SIDE - 1)
+        a, b = u - i, v - j
+        return (1 - b) * ((1 - a) * values[..., j, i] + a * values[..., j, k]) + b * (
+            (1 - a) * values[..., n, i] + a * values[..., n, k]
+        )
+
+    mine = np.array([view.image[:, j, i].mean() for j, i in window])
+    for other, seen_by in enumerate(views):
+        if other == index:
+            continue
+        places = [place(seen_by, i, j) for j, i in window]
+        inside = np.array([0 < u < SIDE and 0 < v < SIDE and z > 0 for u, v, z in places])
+        u, v, z = place(seen_by, x, y)
+        if not (0 < u < SIDE and 0 < v < SIDE and z > 0) or inside.mean() < 0.6:
+            continue
+        way = np.linalg.norm(view.camera.center - seen_by.camera.center) * seen_by.camera.fx
+        parallax = abs(1 / z - 1 / at(depths[other], u, v)) * way
+        colour = np.abs(at(seen_by.image, u, v) - view.image[:, y, x]).mean()
+        theirs = np.array([at(seen_by.image, a, b).mean() for a, b, _ in places])[inside]
+        ours = mine[inside]
+        match = np.mean((ours - ours.mean()) * (theirs - theirs.mean())) / np.sqrt(ours.var() * theirs.var() + 1e-8)
+        limits = np.array(
+            [AGREEMENT_PX - parallax, SAME_COLOUR - colour, match - GOOD_MATCH, np.sqrt(mine.var()) - TEXTURE]
+        )
+        found |= bool((limits > 0).all())
+        margin = min(margin, np.abs(limits).min())
+    return found, margin
+
+
+def test_it_is_what_the_definition_says(views: list[FittedView]) -> None:
+    rng = np.random.default_rng(1)
+    depths = plane_depths(views) * (1 + 0.1 * rng.normal(size=(3, SIDE, SIDE)))
+    found = confirmed(views, depths)
+    checked = 0
+    for index, x, y in rng.integers(0, (3, SIDE, SIDE), (300, 3)):
+        expected, margin = reference(views, depths, index, x, y)
+        if margin > 1e-4:  # of pixels at a limit rounding decides
+            assert found[index, y, x] == expected, (index, x, y)
+            checked += 1
+    assert checked > 280
+    assert 0.1 < found.mean() < 0.9
+
+
+def test_a_surface_that_others_see_is_confirmed(views: list[FittedView]) -> None:
+    assert confirmed(views, plane_depths(views)).mean() > 0.75  # found: 0.85; the rest lies outside the other pictures
+
+
+def test_wrong_depth_is_not(views: list[FittedView]) -> None:
+    depths = plane_depths(views)
+    way = min(
+        np.linalg.norm(a.camera.center - b.camera.center) for a, b in ((views[0], views[1]), (views[1], views[2]))
+    )
+    step = 1.5 / (way * min(view.camera.fx for view in views))  # half a pixel more than may be
+    depths[1] = 1 / (1 / depths[1] + step)
+    found = confirmed(views, depths)
+    assert not found[1].any()
+    assert found[0].any()  # the third view still confirms it
+
+
+def test_what_shows_nothing_confirms_nothing(views: list[FittedView]) -> None:
+    flat = [replace(view, image=np.full_like(view.image, 0.1)) for view in views]
+    assert not confirmed(flat, plane_depths(views)).any()
+
+
+def test_other_colours_do_not_confirm(views: list[FittedView]) -> None:
+    brighter = [views[0], replace(views[1], image=views[1].image + np.float32(0.2))]
+    assert not confirmed(brighter, plane_depths(views)[:2]).any()
+
+
+def test_masked_pixels_neither_confirm_nor_are_confirmed(views: list[FittedView]) -> None:
+    depths, half = plane_depths(views), np.arange(SIDE)[None] < np.full((SIDE, 1), SIDE // 2)
+    masked = [replace(views[0], mask=half), *views[1:]]
+    whole, some = confirmed(views, depths), confirmed(masked, depths)
+    assert not some[0][~half].any()
+    assert (some[0] == (whole[0] & half)).all()
+    nothing = [views[0], replace(views[1], mask=np.zeros((SIDE, SIDE), bool))]
+    assert not confirmed(nothing, depths[:2]).any()
+
+
+def test_views_that_look_away_confirm_nothing(views: list[FittedView]) -> None:
+    pose = views[1].camera.world_from_cam.copy()
+    pose[:3, :3] = pose[:3, :3] @ about_axis(np.array([0.0, 1.0, 0.0]), np.pi)
+    away = replace(views[1], camera=views[1].camera.posed(pose))
+    assert not confirmed([views[0], away], plane_depths(views)[:2]).any()
+
+
+@pytest.mark.parametrize(("unit", "offset"), [(1e-3, 0.0), (300.0, -5e4)])
+def test_the_world_and_its_unit_do_not_matter(unit: float, offset: float, views: list[FittedView]) -> None:
+    depths = plane_depths(views)
+    turn, shift = about_axis(np.array([0.48, -0.6, 0.64]), 2.3), np.array([offset, -offset, 0.5 * offset])
+    moved = []
+    for view in views:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn @ view.camera.rotation, unit * (turn @ view.camera.center) + shift
+        moved.append(replace(view, camera=view.camera.posed(pose)))
+    here, there = confirmed(views, depths), confirmed(moved, unit * depths)
+    assert (here != there).mean() < 1e-3  # rounding at a limit
