@@ -7,9 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .bilinear import bilinear
-from .camera import Camera
-from .coarse_views import pixel_grid
+from .correspondence import disagreement, seen_by
 from .images import FittedView
 from .window_match import contrast, correlations
 
@@ -34,29 +32,17 @@ def confirmed(views: Sequence[FittedView], depths: F64) -> NDArray[np.bool_]:
         textured = contrast(grey) > TEXTURE
         if view.mask is not None:
             textured &= view.mask
-        for other, seen_by in enumerate(views):
+        for other, second in enumerate(views):
             if other != index:
-                found[index] |= textured & _agrees(view, grey, depths[index], seen_by, depths[other])
+                found[index] |= textured & _agrees(view, grey, depths[index], second, depths[other])
     return found
 
 
 def _agrees(view: FittedView, grey: F64, depth: F64, other: FittedView, other_depth: F64) -> NDArray[np.bool_]:
     """(H, W) where the other view's depth, colour and window are those that the view expects there."""
-    pixels, z = other.camera.project(view.camera.unproject(pixel_grid(depth.shape), depth.ravel()))
-    place, z = np.nan_to_num(pixels, nan=-1.0).reshape(*depth.shape, 2), z.reshape(depth.shape)
-    seen = (z > 0) & ((place > 0) & (place < (other.camera.width, other.camera.height))).all(axis=2)
-    column, row = place[..., 0] - 0.5, place[..., 1] - 0.5
-    if other.mask is not None:
-        seen &= bilinear(other.mask.astype(np.float32)[..., None], column, row)[..., 0] > 0.5
-    theirs = bilinear(other_depth[..., None], column, row)[..., 0]
-    colour = bilinear(other.image.transpose(1, 2, 0), column, row)
-    safe = np.where(seen, z, 1.0)
-    agreed = np.abs(1 / safe - 1 / theirs) * _pixels_per_inverse_depth(view.camera, other.camera) < AGREEMENT_PX
+    seen = seen_by(view, depth, other)
+    colour = seen.value(other.image.transpose(1, 2, 0))
+    agreed = seen.where & (disagreement(view, seen, other, other_depth) < AGREEMENT_PX)
     agreed &= np.abs(colour - view.image.transpose(1, 2, 0)).mean(axis=2) < SAME_COLOUR
     warped = colour.mean(axis=2, dtype=np.float64)
-    return seen & agreed & (correlations(grey, warped[None], seen[None])[0] > GOOD_MATCH)
-
-
-def _pixels_per_inverse_depth(camera: Camera, other: Camera) -> float:
-    """By how far the other view sees a point move at most, where the way between the two lies across."""
-    return other.fx * float(np.linalg.norm(camera.center - other.center))
+    return agreed & (correlations(grey, warped[None], seen.where[None])[0] > GOOD_MATCH)

@@ -32,6 +32,7 @@ from .masks import FADED, kept_rows, patch_mask
 from .photo_checks import check_photos
 from .pose_notices import pose_notices
 from .progress import Listener, Stages, silent
+from .refined import refined
 from .scene_views import SceneViews
 from .self_check import ambiguous_routes, drawn_again, from_others, self_check
 from .splat import is_warm, render, warm_up
@@ -93,10 +94,11 @@ class Reconstructor:
         a warning. `budget` says what may be left out of the scene and for which views that is proved. With three
         photographs or more each is also compared with its picture from a reconstruction of the `leave_one_out` others
         that are nearest to it (2 or more; all others where there are fewer; 0: not done). `fade` is how
-        often opacities are lowered and colours corrected where the photographs contradict them (`fading.py`; 0: the
-        network's own).
-        `listener` hears the stages cameras, images, network, gaussians, kernels (the first time), fade, leave out,
-        check, leave one out.
+        often opacities are lowered and colours corrected where the photographs contradict them (`fading.py`), after
+        depths have been moved to where the photographs match best (`refined.py`); with 0 all stays as the network
+        gave it.
+        `listener` hears the stages cameras, images, network, refine, gaussians, kernels (the first time), fade, leave
+        out, check, leave one out.
         Raises `InputError` and `ModelError`.
         """
         stages = Stages(listener)
@@ -121,6 +123,9 @@ class Reconstructor:
         masks = patch_mask(views, info.patch)
         with stages.stage("network"):
             outputs, frame = self._run(views, depths)
+        if fade:
+            with stages.stage("refine"):
+                outputs = _at_refined_depths(outputs, frame, views)
         with stages.stage("gaussians"):
             rows, dropped = kept_rows(outputs, views, frame)
             shape = len(views), info.height, info.width
@@ -218,6 +223,8 @@ class Reconstructor:
             chosen = nearest_others(scene.cameras, index, count)
             others = [views[other] for other in chosen]
             outputs, frame = self._run(others, depths)
+            if fade:
+                outputs = _at_refined_depths(outputs, frame, others)
             kept, _ = kept_rows(outputs, others, frame)
             depth = frame.depths(outputs)
             gaussians = self._faded(frame.to_world(outputs, kept), kept, depth, others, scene, fade).gaussians
@@ -226,6 +233,11 @@ class Reconstructor:
             rows.append({"from": chosen, **drawn_again(image, view)})
             done(index + 1)
         return rows
+
+
+def _at_refined_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView]) -> Arrays:
+    cameras = [view.camera for view in views]
+    return frame.at_depths(outputs, cameras, refined(views, frame.depths(outputs)))
 
 
 def _as_cameras(cameras: Sequence[Camera], images: int) -> tuple[Camera, ...]:

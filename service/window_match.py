@@ -42,12 +42,12 @@ def match_score(picture: F64, warped: F64, seen: NDArray[np.bool_]) -> tuple[flo
     return (float((np.clip(best, 0.0, 1.0) * weights).sum() / total), total) if total > 0 else (0.0, 0.0)
 
 
-def window_mean(values: F64) -> F64:
-    """(..., h, w) means over windows of 2 * RADIUS + 1 px, cut off at the border; by running sums."""
+def window_mean(values: F64, radius: int = RADIUS) -> F64:
+    """(..., h, w) means over windows of 2 * radius + 1 px, cut off at the border; by running sums."""
     for axis in (-2, -1):
         count = values.shape[axis]
-        low = np.maximum(np.arange(count) - RADIUS, 0)
-        high = np.minimum(np.arange(count) + RADIUS + 1, count)
+        low = np.maximum(np.arange(count) - radius, 0)
+        high = np.minimum(np.arange(count) + radius + 1, count)
         sums = np.cumsum(values, axis=axis)
         sums = np.concatenate([np.zeros_like(np.take(sums, [0], axis=axis)), sums], axis=axis)
         size = (high - low).reshape((-1, 1) if axis == -2 else (-1,))

@@ -49,6 +49,23 @@ class WorldFrame:
         """(V, H, W) the network's z-depths in the caller's units."""
         return self.unit * outputs["depth"].astype(np.float64)
 
+    def at_depths(self, outputs: Mapping[str, NDArray], cameras: Sequence[Camera], depths: F64) -> dict[str, NDArray]:
+        """The outputs with every pixel's Gaussian moved along its ray to `depths` (V, H, W), z-depths in the caller's
+        units, and scaled with it, so that it covers the same pixels. What stays in place keeps its bits."""
+        before = self.depths(outputs)
+        ratio = (depths / before).reshape(len(cameras), -1, 1)
+        count = before.size
+        centers = np.stack([self.rotation.T @ (camera.center - self.origin) / self.unit for camera in cameras])[:, None]
+        means = outputs["means"][:count].astype(np.float64).reshape(len(cameras), -1, 3)
+        means = np.where(ratio == 1, means, centers + ratio * (means - centers))
+        scales = ratio.reshape(-1, 1) * outputs["scales"][:count]
+        return {
+            **outputs,
+            "means": np.concatenate([means.reshape(-1, 3).astype(np.float32), outputs["means"][count:]]),
+            "scales": np.concatenate([scales.astype(np.float32), outputs["scales"][count:]]),
+            "depth": (depths / self.unit).astype(np.float32),
+        }
+
     def to_world(self, outputs: Mapping[str, NDArray], rows: NDArray[np.intp]) -> Gaussians:
         """The Gaussians in `rows` of the network's outputs, moved, turned and scaled into the caller's world."""
         means = self.origin + (outputs["means"][rows].astype(np.float64) @ self.rotation.T) * self.unit

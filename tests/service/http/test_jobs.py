@@ -63,7 +63,7 @@ def test_a_job_from_its_answer_to_its_scene(client: TestClient) -> None:
     assert [event["id"] for event in events[1:]] == [str(k + 1) for k in range(len(told))]
     assert [data["state"] for name, data in told if name == "state"] == ["queued", "running", "done"]
     ended = [data["stage"] for name, data in told if name == "stage" and "seconds" in data]
-    assert ended == ["cameras", "images", "network", "gaussians", "fade", "leave out", "check"]
+    assert ended == ["cameras", "images", "network", "refine", "gaussians", "fade", "leave out", "check"]
     job = client.get(job["links"]["self"]).json()
     assert (job["state"], job["stage"], job["ahead"]) == ("done", None, 0)
     scene = client.get(job["links"]["scene"])

@@ -1,0 +1,51 @@
+"""Where another view sees a view's pixels, once they have a depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .bilinear import bilinear
+from .coarse_views import pixel_grid
+from .images import FittedView
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """The pixels of one view (H, W) in the picture of another."""
+
+    column: F64  # (H, W) index of a pixel there, real-valued
+    row: F64
+    z: F64  # (H, W) z-depth there; 1 where it is not seen
+    where: Mask  # (H, W) in front of the other view, inside its picture, and kept by its mask
+
+    def value(self, picture: NDArray) -> NDArray:
+        """(H, W, C) what `picture` (H, W, C) of the other view has at these places."""
+        return bilinear(picture, self.column, self.row)
+
+
+def seen_by(view: FittedView, depth: F64, other: FittedView) -> Seen:
+    """`depth` (H, W) are z-depths of the view's pixels in the cameras' units."""
+    pixels, z = other.camera.project(view.camera.unproject(pixel_grid(depth.shape), depth.ravel()))
+    place, z = np.nan_to_num(pixels, nan=-1.0).reshape(*depth.shape, 2), z.reshape(depth.shape)
+    where = (z > 0) & ((place > 0) & (place < (other.camera.width, other.camera.height))).all(axis=2)
+    column, row = place[..., 0] - 0.5, place[..., 1] - 0.5
+    if other.mask is not None:
+        where &= bilinear(other.mask.astype(np.float32)[..., None], column, row)[..., 0] > 0.5
+    return Seen(column, row, np.where(where, z, 1.0), where)
+
+
+def disagreement(view: FittedView, seen: Seen, other: FittedView, other_depth: F64) -> F64:
+    """(H, W) px of parallax between the depth that a pixel has for the other view and that view's own (H, W) there."""
+    theirs = seen.value(other_depth[..., None])[..., 0]
+    return np.abs(1 / seen.z - 1 / theirs) * pixels_per_inverse_depth(view, other)
+
+
+def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:
+    """By how far the other view sees a point move at most, where the way between the two lies across."""
+    return other.camera.fx * float(np.linalg.norm(view.camera.center - other.camera.center))
