@@ -25,6 +25,7 @@ LIMIT = 0.25  # of the mean difference, from which two places are as different a
 RADIUS, EPSILON = 2, 1e-3  # px and variance of grey of the guided filter: weaker edges are smoothed across
 SEEN = 0.05  # share of a window that must be seen for its costs to count in full
 GAIN = 0.9  # of the cost of the depth as it is; what gains less stays
+NOTHING = 1e-4  # of a difference, a fortieth of an 8-bit level: what gains less stays as well
 RANGE = 2.0  # most by which a depth changes: with little parallax a pixel of it is all there is
 
 
@@ -34,8 +35,8 @@ def refined(views: Sequence[FittedView], depths: F64) -> F64:
     For each of OFFSETS_PX a pixel is compared with where the other views would see it: mean absolute difference of
     colours and of the slopes of grey, LIMIT at most, over the views whose own depth there lies within VISIBLE_PX. The
     costs are gathered within surfaces by a guided filter (He et al. 2010; on cost volumes: Hosni et al. 2011); the
-    least of them is refined by a parabola, and taken if it is less than GAIN times that of the depth as it is. What no
-    other view sees, what a mask leaves out, and views from the same place stay as they are.
+    least of them is refined by a parabola, and taken if it is less than GAIN times that of the depth as it is, by
+    NOTHING more. What no other view sees, what a mask leaves out, and views from the same place stay as they are.
     """
     features = [_features(view) for view in views]
     return np.stack([_of_view(views, features, depths, index) for index in range(len(views))])
@@ -78,7 +79,7 @@ def _least(costs: F64) -> tuple[F64, NDArray[np.bool_]]:
     step = OFFSETS_PX[1] - OFFSETS_PX[0]
     offset = OFFSETS_PX[0] + step * (best[0] + np.clip(vertex, -0.5, 0.5))
     as_it_is = costs[OFFSETS_PX.index(0.0)]
-    return offset, np.take_along_axis(costs, best, axis=0)[0] < GAIN * as_it_is
+    return offset, np.take_along_axis(costs, best, axis=0)[0] < GAIN * as_it_is - NOTHING
 
 
 def _features(view: FittedView) -> F32:

@@ -1,0 +1,153 @@
+"""Refined depths: nearer to the truth where photographs can tell, and untouched where they cannot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plane_scene import PlaneScene
+from test_confirmed import SIDE, plane_depths
+
+from gapmes.service.correspondence import disagreement, pixels_per_inverse_depth, seen_by
+from gapmes.service.images import FittedView, Photo, fit_view
+from gapmes.service.refined import GAIN, NOTHING, OFFSETS_PX, RANGE, _guided, _least, refined
+from gapmes.service.rotations import about_axis
+
+
+@pytest.fixture(scope="module")
+def views() -> list[FittedView]:
+    scene = PlaneScene.make(np.random.default_rng(5), turn=0.3)
+    return [
+        fit_view(Photo(image), camera, SIDE, SIDE) for image, camera in zip(scene.images, scene.cameras, strict=True)
+    ]
+
+
+def off_by(views: list[FittedView], depths: np.ndarray, pixels: np.ndarray | float) -> np.ndarray:
+    """Depths whose error is `pixels` of parallax in the view farthest away."""
+    most = [max(pixels_per_inverse_depth(b, a) for b in views if b is not a) for a in views]
+    return 1 / (1 / depths + pixels / np.array(most)[:, None, None])
+
+
+def errors(views: list[FittedView], depths: np.ndarray) -> np.ndarray:
+    """(V, H, W) of the inverse depth, in px of parallax in the view farthest away."""
+    most = [max(pixels_per_inverse_depth(b, a) for b in views if b is not a) for a in views]
+    return np.abs(1 / depths - 1 / plane_depths(views)) * np.array(most)[:, None, None]
+
+
+@pytest.mark.parametrize("pixels", [-0.9, -0.4, 0.4, 0.9])
+def test_a_surface_comes_back(pixels: float, views: list[FittedView]) -> None:
+    found = errors(views, refined(views, off_by(views, plane_depths(views), pixels)))
+    assert np.median(found) < 0.2 * abs(pixels)  # found: 0.08 to 0.11 of it
+
+
+def test_what_is_right_stays(views: list[FittedView]) -> None:
+    depths = plane_depths(views)
+    found = refined(views, depths)
+    assert (found == depths).mean() > 0.999  # found: 0.99976
+
+
+def test_waves_of_depth_are_lowered(views: list[FittedView]) -> None:
+    """What errs from pixel to pixel stays: a window has one offset."""
+    wave = 0.8 * np.sin(np.arange(SIDE) / 5.0) * np.ones((3, SIDE, SIDE))
+    rough = off_by(views, plane_depths(views), wave)
+    assert errors(views, refined(views, rough)).mean() < 0.4 * errors(views, rough).mean()  # found: 0.30
+
+
+def test_nothing_to_compare_leaves_the_bits(views: list[FittedView]) -> None:
+    depths = off_by(views, plane_depths(views), 0.7)
+    flat = [replace(view, image=np.full_like(view.image, 0.4)) for view in views]
+    assert (refined(flat, depths) == depths).all()
+    masked = [replace(view, mask=np.zeros((SIDE, SIDE), bool)) for view in views]
+    assert (refined(masked, depths) == depths).all()
+    pose = views[1].camera.world_from_cam.copy()
+    pose[:3, :3] = pose[:3, :3] @ about_axis(np.array([0.0, 1.0, 0.0]), np.pi)
+    away = [views[0], replace(views[1], camera=views[1].camera.posed(pose))]
+    assert (refined(away, depths[:2]) == depths[:2]).all()
+    same_place = [views[0], views[0]]
+    assert (refined(same_place, depths[[0, 0]]) == depths[[0, 0]]).all()
+
+
+def test_masked_pixels_stay_and_are_not_looked_at(views: list[FittedView]) -> None:
+    depths, half = off_by(views, plane_depths(views), 0.7), np.arange(SIDE)[None] < np.full((SIDE, 1), SIDE // 2)
+    found = refined([replace(views[0], mask=half), *views[1:]], depths)
+    assert (found[0] == depths[0])[~half].all()
+    assert (found[0] != depths[0])[half].any()
+    other = replace(views[1], mask=half)  # what its mask hides may be anything
+    spoiled = replace(other, image=np.where(half, other.image, 0.5).astype(np.float32))
+    here, there = refined([views[0], other], depths[:2])[0], refined([views[0], spoiled], depths[:2])[0]
+    far_off = seen_by(views[0], depths[0], other).column < SIDE / 2 - 12  # from the mask's end, where windows cross it
+    assert (here == there)[far_off].all()
+    assert (here != depths[0])[far_off].mean() > 0.3
+
+
+def test_it_moves_by_a_pixel_and_a_half_at_most_and_never_far(views: list[FittedView]) -> None:
+    """Cameras next to each other: a pixel of parallax would be all there is between near and far."""
+    depths = plane_depths(views) * np.random.default_rng(3).uniform(0.7, 1.4, (3, SIDE, SIDE))
+    found = refined(views, depths)
+    most = [max(pixels_per_inverse_depth(b, a) for b in views if b is not a) for a in views]
+    moved = np.abs(1 / found - 1 / depths) * np.array(most)[:, None, None]
+    assert moved.max() <= OFFSETS_PX[-1] + 0.25 * (1 + 1e-9)
+    close = []
+    for number, view in enumerate(views):
+        pose = views[0].camera.world_from_cam.copy()
+        pose[:3, 3] += 1e-3 * number
+        close.append(replace(view, camera=views[0].camera.posed(pose)))
+    ratio = refined(close, depths) / depths
+    assert ratio.min() >= 1 / RANGE - 1e-12
+    assert ratio.max() <= RANGE + 1e-12
+
+
+@pytest.mark.parametrize(("unit", "offset"), [(1e-3, 0.0), (300.0, -5e4)])
+def test_the_world_and_its_unit_do_not_matter(unit: float, offset: float, views: list[FittedView]) -> None:
+    depths = off_by(views, plane_depths(views), 0.7)
+    turn, shift = about_axis(np.array([0.48, -0.6, 0.64]), 2.3), np.array([offset, -offset, 0.5 * offset])
+    moved = []
+    for view in views:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn @ view.camera.rotation, unit * (turn @ view.camera.center) + shift
+        moved.append(replace(view, camera=view.camera.posed(pose)))
+    here, there = refined(views, depths), refined(moved, unit * depths) / unit
+    assert (np.abs(here / there - 1) > 1e-6).mean() < 1e-3  # rounding at a tie
+
+
+def test_the_least_cost_lies_between_the_steps() -> None:
+    """Parabolas whose vertices are known."""
+    vertices = np.random.default_rng(4).uniform(-0.7, 0.7, (8, 8))
+    costs = 1 + 4 * (np.array(OFFSETS_PX)[:, None, None] - vertices) ** 2
+    offset, gains = _least(costs)
+    assert np.abs(offset - vertices).max() < 1e-9
+    at_best = costs.min(axis=0)
+    assert (gains == (at_best < GAIN * costs[2] - NOTHING)).all()
+    edge = np.broadcast_to(np.array(OFFSETS_PX)[:, None, None], (5, 2, 2))  # falls towards the end of the range
+    assert (_least(edge)[0] == OFFSETS_PX[0]).all()
+
+
+def test_the_guided_filter_is_its_definition() -> None:
+    """Against sums over windows, pixel by pixel (He et al. 2010, equations 5, 6 and 8)."""
+    rng = np.random.default_rng(6)
+    guide, plane, size = rng.random((9, 11)), rng.random((9, 11)), 2
+
+    def window(values: np.ndarray, y: int, x: int) -> np.ndarray:
+        return values[max(y - size, 0) : y + size + 1, max(x - size, 0) : x + size + 1]
+
+    slope, level = np.empty_like(guide), np.empty_like(guide)
+    for y, x in np.ndindex(guide.shape):
+        g, p = window(guide, y, x), window(plane, y, x)
+        slope[y, x] = ((g * p).mean() - g.mean() * p.mean()) / (g.var() + 1e-3)
+        level[y, x] = p.mean() - slope[y, x] * g.mean()
+    expected = [
+        window(slope, y, x).mean() * guide[y, x] + window(level, y, x).mean() for y, x in np.ndindex(guide.shape)
+    ]
+    assert np.abs(_guided(guide, plane[None])[0].ravel() - expected).max() < 1e-12
+
+
+def test_what_a_depth_leads_to_agrees_with_itself(views: list[FittedView]) -> None:
+    """The plane's depths meet in the other view; an offset is measured in px."""
+    depths = plane_depths(views)
+    seen = seen_by(views[0], depths[0], views[1])
+    assert seen.where.mean() > 0.6
+    inner = seen.where & (seen.column > 0) & (seen.column < SIDE - 1) & (seen.row > 0) & (seen.row < SIDE - 1)
+    assert disagreement(views[0], seen, views[1], depths[1])[inner].max() < 0.01  # its depth between pixels is no line
+    nearer = 1 / (1 / depths[1] + 2 / pixels_per_inverse_depth(views[0], views[1]))
+    assert np.abs(disagreement(views[0], seen, views[1], nearer)[inner] - 2).max() < 0.02
