@@ -30,7 +30,7 @@ def test_at_depths_moves_along_the_rays() -> None:
         "depth": depth,
     }
     before = frame.depths(outputs)
-    assert np.abs(before / (scene.near * depth) - 1).max() < 1e-12
+    assert np.abs(before / (scene.near * depth.astype(np.float64)) - 1).max() < 1e-12
     wanted = np.where(rng.random(depth.shape) < 0.5, before, before * rng.uniform(0.6, 1.5, depth.shape))
     moved = frame.at_depths(outputs, cameras, wanted)
     assert np.abs(frame.depths(moved) / wanted - 1).max() < 1e-6  # float32
