@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .correspondence import disagreement, seen_by
+from .correspondence import disagreement, pixels_per_inverse_depth, seen_by
 from .images import FittedView
 from .window_match import contrast, correlations
 
 F64 = NDArray[np.float64]
 
+PARALLAX_PX = 4.0  # by which a point at the depth must move at least between both, or any depth would agree
 AGREEMENT_PX = 1.0  # of parallax between a pixel's depth and the other view's own at the place where it is seen
 SAME_COLOUR = 0.1  # of a channel, mean over the three; exposures and highlights differ as well
 GOOD_MATCH = 0.8  # correlation of the windows about both
@@ -23,13 +24,14 @@ def confirmed(views: Sequence[FittedView], depths: F64) -> NDArray[np.bool_]:
     """(V, H, W) which pixels at least one other view confirms; `depths` (V, H, W) are z-depths in the cameras' units.
 
     A pixel, put at its depth, is seen by the other view at a place whose own depth differs by at most AGREEMENT_PX of
-    parallax, whose colour differs by at most SAME_COLOUR, and where windows of 7 x 7 px of both photographs correlate
-    by GOOD_MATCH or more. A window without texture confirms nothing, nor does what a mask leaves out.
+    the PARALLAX_PX or more that it has to what is infinitely far, whose colour differs by at most SAME_COLOUR, and
+    where windows of 7 x 7 px of both photographs correlate by GOOD_MATCH or more, so far as masks keep them. A window
+    without texture confirms nothing, nor does what a mask leaves out.
     """
     found = np.zeros((len(views), *views[0].image.shape[1:]), np.bool_)
     for index, view in enumerate(views):
         grey = view.image.mean(axis=0, dtype=np.float64)
-        textured = contrast(grey) > TEXTURE
+        textured = contrast(grey, view.mask) > TEXTURE
         if view.mask is not None:
             textured &= view.mask
         for other, second in enumerate(views):
@@ -42,7 +44,9 @@ def _agrees(view: FittedView, grey: F64, depth: F64, other: FittedView, other_de
     """(H, W) where the other view's depth, colour and window are those that the view expects there."""
     seen = seen_by(view, depth, other)
     colour = seen.value(other.image.transpose(1, 2, 0))
-    agreed = seen.where & (disagreement(view, seen, other, other_depth) < AGREEMENT_PX)
+    agreed = seen.where & (pixels_per_inverse_depth(view, other) / seen.z >= PARALLAX_PX)
+    agreed &= disagreement(view, seen, other, other_depth) < AGREEMENT_PX
     agreed &= np.abs(colour - view.image.transpose(1, 2, 0)).mean(axis=2) < SAME_COLOUR
     warped = colour.mean(axis=2, dtype=np.float64)
-    return agreed & (correlations(grey, warped[None], seen.where[None])[0] > GOOD_MATCH)
+    compared = seen.where if view.mask is None else seen.where & view.mask
+    return agreed & (correlations(grey, warped[None], compared[None])[0] > GOOD_MATCH)

@@ -14,6 +14,8 @@ from .images import FittedView
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+KEPT = 0.999  # of a value's weight, up to rounding: none of it is of a masked pixel
+
 
 @dataclass(frozen=True, eq=False)
 class Seen:
@@ -22,7 +24,7 @@ class Seen:
     column: F64  # (H, W) index of a pixel there, real-valued
     row: F64
     z: F64  # (H, W) z-depth there; 1 where it is not seen
-    where: Mask  # (H, W) in front of the other view, inside its picture, and kept by its mask
+    where: Mask  # (H, W) in front of the other view, inside its picture, and in full on what its mask keeps
 
     def value(self, picture: NDArray) -> NDArray:
         """(H, W, C) what `picture` (H, W, C) of the other view has at these places."""
@@ -36,7 +38,7 @@ def seen_by(view: FittedView, depth: F64, other: FittedView) -> Seen:
     where = (z > 0) & ((place > 0) & (place < (other.camera.width, other.camera.height))).all(axis=2)
     column, row = place[..., 0] - 0.5, place[..., 1] - 0.5
     if other.mask is not None:
-        where &= bilinear(other.mask.astype(np.float32)[..., None], column, row)[..., 0] > 0.5
+        where &= bilinear(other.mask.astype(np.float32)[..., None], column, row)[..., 0] > KEPT
     return Seen(column, row, np.where(where, z, 1.0), where)
 
 
@@ -47,5 +49,5 @@ def disagreement(view: FittedView, seen: Seen, other: FittedView, other_depth: F
 
 
 def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:
-    """By how far the other view sees a point move at most, where the way between the two lies across."""
+    """By how far the other view sees a point move where the way between the two lies across, per unit of 1/z."""
     return other.camera.fx * float(np.linalg.norm(view.camera.center - other.camera.center))

@@ -125,6 +125,7 @@ def _check_outputs(outputs: Arrays, views: int, info: ModelInfo) -> None:
     for name, value in outputs.items():
         _require(np.isfinite(value), name, "finite")
     _require(outputs["scales"] >= 0, "scales", "at least 0")
+    _require(outputs["depth"] > 0, "depth", "above 0")
     _require((outputs["opacities"] >= 0) & (outputs["opacities"] <= 1), "opacities", "in [0, 1]")
 
 

@@ -24,6 +24,7 @@ GRADIENT = 6.0  # weight of a difference of grey slopes (per px) beside one of a
 LIMIT = 0.25  # of the mean difference, from which two places are as different as can be
 RADIUS, EPSILON = 2, 1e-3  # px and variance of grey of the guided filter: weaker edges are smoothed across
 SEEN = 0.05  # share of a window that must be seen for its costs to count in full
+LEAST_WAY = 0.05  # between two views, of the longest: another from nearly the same place tells nothing of depth
 GAIN = 0.9  # of the cost of the depth as it is; what gains less stays
 NOTHING = 1e-4  # of a difference, a fortieth of an 8-bit level: what gains less stays as well
 RANGE = 2.0  # most by which a depth changes: with little parallax a pixel of it is all there is
@@ -36,7 +37,8 @@ def refined(views: Sequence[FittedView], depths: F64) -> F64:
     colours and of the slopes of grey, LIMIT at most, over the views whose own depth there lies within VISIBLE_PX. The
     costs are gathered within surfaces by a guided filter (He et al. 2010; on cost volumes: Hosni et al. 2011); the
     least of them is refined by a parabola, and taken if it is less than GAIN times that of the depth as it is, by
-    NOTHING more. What no other view sees, what a mask leaves out, and views from the same place stay as they are.
+    NOTHING more. What no other view sees and what a mask leaves out stays as it is; a view from nearly the same place
+    (LEAST_WAY) is not compared.
     """
     features = [_features(view) for view in views]
     return np.stack([_of_view(views, features, depths, index) for index in range(len(views))])
@@ -45,12 +47,13 @@ def refined(views: Sequence[FittedView], depths: F64) -> F64:
 def _of_view(views: Sequence[FittedView], features: Sequence[F32], depths: F64, index: int) -> F64:
     view, inverse = views[index], 1 / depths[index]
     others = [other for other in range(len(views)) if other != index]
-    pixels = max(pixels_per_inverse_depth(views[other], view) for other in others)
+    moves = {other: pixels_per_inverse_depth(view, views[other]) for other in others}
+    pixels = max(moves.values())
     if pixels == 0:
         return depths[index]
     steps = [np.clip(inverse + offset / pixels, inverse / RANGE, inverse * RANGE) for offset in OFFSETS_PX]
     total, counted = np.zeros((len(OFFSETS_PX), *inverse.shape)), np.zeros(inverse.shape)
-    for other in others:
+    for other in (other for other in others if moves[other] >= LEAST_WAY * pixels):
         seen = seen_by(view, depths[index], views[other])
         visible = seen.where & (disagreement(view, seen, views[other], depths[other]) < VISIBLE_PX)
         if view.mask is not None:
@@ -58,12 +61,13 @@ def _of_view(views: Sequence[FittedView], features: Sequence[F32], depths: F64, 
         if visible.any():
             counted += visible
             for cost, step in zip(total, steps, strict=True):
-                there = seen_by(view, 1 / step, views[other]).value(features[other])
-                cost += visible * np.minimum(np.abs(there - features[index]).mean(axis=2), LIMIT)
+                there = seen_by(view, 1 / step, views[other])
+                apart = np.abs(there.value(features[other]) - features[index]).mean(axis=2)
+                cost += visible * np.where(there.where, np.minimum(apart, LIMIT), LIMIT)
     known = counted > 0
     grey = view.image.mean(axis=0, dtype=np.float64)
     share = np.maximum(_guided(grey, known[None].astype(np.float64)), SEEN)
-    gathered = _guided(grey, total / np.maximum(counted, 1)) / share
+    gathered = np.maximum(_guided(grey, total / np.maximum(counted, 1)) / share, 0)  # the filter undershoots
     offset, gains = _least(gathered)
     moved = np.clip(inverse + offset / pixels, inverse / RANGE, inverse * RANGE)
     return np.where(known & gains, 1 / moved, depths[index])
@@ -83,11 +87,12 @@ def _least(costs: F64) -> tuple[F64, NDArray[np.bool_]]:
 
 
 def _features(view: FittedView) -> F32:
-    """(H, W, 5) the colours and the slopes of grey across and down, 0 at the border."""
+    """(H, W, 5) the colours and the slopes of grey across and down, 0 at the border and beside masked pixels."""
     grey = view.image.mean(axis=0)
+    kept = np.ones(grey.shape, np.bool_) if view.mask is None else view.mask
     slopes = np.zeros((2, *grey.shape), np.float32)
-    slopes[0, :, 1:-1] = (grey[:, 2:] - grey[:, :-2]) / 2
-    slopes[1, 1:-1] = (grey[2:] - grey[:-2]) / 2
+    slopes[0, :, 1:-1] = (kept[:, 2:] & kept[:, :-2]) * (grey[:, 2:] - grey[:, :-2]) / 2
+    slopes[1, 1:-1] = (kept[2:] & kept[:-2]) * (grey[2:] - grey[:-2]) / 2
     return np.ascontiguousarray(np.concatenate([view.image, np.float32(GRADIENT) * slopes]).transpose(1, 2, 0))
 
 

@@ -14,8 +14,8 @@ from .camera_path import Path, PathName, camera_path
 from .errors import ViewError
 from .views import resolve_view
 
-# Nothing of a scene lies in front of its near depth as its own cameras see it; a tenth of it leaves room to move in
-# and keeps the near plane in the caller's units, whatever they are.
+# Hardly anything of a scene lies in front of its near depth as its own cameras see it; a tenth of it leaves room to
+# move in and keeps the near plane in the caller's units, whatever they are.
 NEAR_PLANE_SHARE = 0.1
 
 

@@ -22,7 +22,7 @@ from .model_info import ModelInfo
 from .overlap import inverse_depth_steps
 from .picture_error import psnr, ssim
 from .splat import Render, render
-from .window_match import contrast, window_mean
+from .window_match import contrast
 
 TEXTURE = 2 / 255  # standard deviation of grey in 7 x 7 px below which a window is as good as flat after 8-bit noise
 PARALLAX_PX = 0.25  # shift between near and far below which matching says nothing about depth
@@ -90,13 +90,8 @@ def ambiguous_routes(outputs: Mapping[str, NDArray], patch_mask: NDArray[np.bool
 
 def _flat(view: FittedView) -> NDArray[np.bool_]:
     grey = view.image.mean(axis=0, dtype=np.float64)
-    if view.mask is None:
-        return contrast(grey) < TEXTURE
-    kept = view.mask.astype(np.float64)  # windows at the mask's edge look at what it keeps alone
-    share = np.maximum(window_mean(kept), 1e-9)
-    mean = window_mean(grey * kept) / share
-    variance = window_mean(grey**2 * kept) / share - mean**2
-    return (variance < TEXTURE**2)[view.mask]
+    flat = contrast(grey, view.mask) < TEXTURE
+    return flat if view.mask is None else flat[view.mask]
 
 
 def parallax(views: Sequence[FittedView], index: int, depths: DepthRange) -> NDArray[np.bool_]:

@@ -26,9 +26,12 @@ def correlations(picture: F64, warped: F64, seen: NDArray[np.bool_]) -> F64:
     return np.where(amount >= MIN_SEEN, correlation, NOT_SEEN)
 
 
-def contrast(picture: F64) -> F64:
-    """(h, w) standard deviation of each window; 0 where it is noise."""
-    return np.sqrt(np.maximum(window_mean(picture**2) - window_mean(picture) ** 2 - _NOISE, 0.0))
+def contrast(picture: F64, kept: NDArray[np.bool_] | None = None) -> F64:
+    """(h, w) standard deviation of each window, of what is `kept` (h, w) of it; 0 where it is noise."""
+    weight = np.ones_like(picture) if kept is None else kept.astype(np.float64)
+    share = np.maximum(window_mean(weight), 1e-9)
+    mean = window_mean(picture * weight) / share
+    return np.sqrt(np.maximum(window_mean(picture**2 * weight) / share - mean**2 - _NOISE, 0.0))
 
 
 def match_score(picture: F64, warped: F64, seen: NDArray[np.bool_]) -> tuple[float, float]:

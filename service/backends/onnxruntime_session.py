@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from ..prepared_model import forget, prepared
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by onnxruntime when it is first imported
 
 _CPU = ["CPUExecutionProvider"]
+_sharing = threading.Lock()
 _REGION_BYTES = 4 << 20  # a region goes back when all of it is free, which one output that is still read prevents
 
 
@@ -41,15 +44,22 @@ def session_options(threads: int) -> Any:
     return options
 
 
-@cache
 def _share_arena() -> None:
-    """One arena for all sessions of the process, which grows by small regions: with regions that double in size the
-    outputs of two views held 16 MB more than they need."""
+    """One arena for all sessions of the process that ask for it, which grows by small regions: with regions that double
+    in size the outputs of two views held 16 MB more than they need. A program around us that has set up one of its own
+    keeps it, where onnxruntime says so."""
+    with _sharing:
+        _register_arena()
+
+
+@cache
+def _register_arena() -> None:
     import onnxruntime as ort
 
     sizes = {"max_mem": 0, "max_power_of_two_extend_bytes": _REGION_BYTES}
     where = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
-    ort.create_and_register_allocator(where, ort.OrtArenaCfg(sizes))
+    with suppress(RuntimeError):  # there is one already
+        ort.create_and_register_allocator(where, ort.OrtArenaCfg(sizes))
 
 
 class OnnxRuntimeSession:

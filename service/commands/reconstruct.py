@@ -48,7 +48,8 @@ def reconstruct(
         int, typer.Option(help="of three views or more, how many others foretell each (2 to 5); 0: not done")
     ] = DEFAULT_OTHERS,
     fade: Annotated[
-        int, typer.Option(help="passes that fade and recolour what the photographs contradict; 0: none")
+        int,
+        typer.Option(help="passes that fade and recolour what the photographs contradict; 0: none, no depth refined"),
     ] = DEFAULT_PASSES,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
     engine: Annotated[

@@ -89,7 +89,7 @@ FORM: dict[str, Any] = {
             "minimum": 0,
             "maximum": MAX_PASSES,
             "default": DEFAULT_PASSES,
-            "description": "passes that fade and recolour what the photographs contradict; 0: what the network gave",
+            "description": "passes that fade and recolour what the photographs contradict; 0: as the network gave it",
         },
         "model": {
             "type": "string",

@@ -81,8 +81,7 @@ def leverage(
 
     A pixel of weight 0 adds nothing, whatever its numbers, nor does an opacity at a pixel where `alpha_max` holds the
     alpha. What is found is added to `onto` where one is given: sums over several pictures. The bits do not depend on
-    the number of threads. Raises `InputError` for planes of another size, and as
-    `render` does.
+    the number of threads. Raises `InputError` for planes of another size, and as `render` does.
     """
     rule, degree = checked_definition(None, near, None), checked_degree(None, gaussians)
     grid = checked_size(camera)

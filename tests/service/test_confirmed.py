@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from plane_scene import DEPTH, PlaneScene
 
-from gapmes.service.confirmed import AGREEMENT_PX, GOOD_MATCH, SAME_COLOUR, TEXTURE, confirmed
+from gapmes.service.confirmed import AGREEMENT_PX, GOOD_MATCH, PARALLAX_PX, SAME_COLOUR, TEXTURE, confirmed
 from gapmes.service.images import FittedView, Photo, fit_view
 from gapmes.service.rotations import about_axis
 
@@ -68,7 +68,13 @@ def reference(views: list[FittedView], depths: np.ndarray, index: int, x: int, y
         ours = mine[inside]
         match = np.mean((ours - ours.mean()) * (theirs - theirs.mean())) / np.sqrt(ours.var() * theirs.var() + 1e-8)
         limits = np.array(
-            [AGREEMENT_PX - parallax, SAME_COLOUR - colour, match - GOOD_MATCH, np.sqrt(mine.var()) - TEXTURE]
+            [
+                AGREEMENT_PX - parallax,
+                way / z - PARALLAX_PX,
+                SAME_COLOUR - colour,
+                match - GOOD_MATCH,
+                np.sqrt(mine.var()) - TEXTURE,
+            ]
         )
         found |= bool((limits > 0).all())
         margin = min(margin, np.abs(limits).min())
@@ -115,12 +121,25 @@ def test_other_colours_do_not_confirm(views: list[FittedView]) -> None:
     assert not confirmed(brighter, plane_depths(views)[:2]).any()
 
 
+def test_a_twin_from_nearly_the_same_place_confirms_nothing(views: list[FittedView]) -> None:
+    """It would agree at any depth."""
+    pose = views[0].camera.world_from_cam.copy()
+    pose[0, 3] += 1e-6
+    twin = replace(views[0], camera=views[0].camera.posed(pose))
+    wrong = np.random.default_rng(2).uniform(2.5, 8.0, (SIDE, SIDE))
+    depths = plane_depths(views)
+    assert confirmed([views[0], twin, views[1]], np.stack([wrong, wrong, depths[1]]))[:2].mean() < 0.05
+    assert confirmed([views[0], twin, views[1]], np.stack([depths[0], depths[0], depths[1]]))[:2].mean() > 0.5
+
+
 def test_masked_pixels_neither_confirm_nor_are_confirmed(views: list[FittedView]) -> None:
     depths, half = plane_depths(views), np.arange(SIDE)[None] < np.full((SIDE, 1), SIDE // 2)
     masked = [replace(views[0], mask=half), *views[1:]]
     whole, some = confirmed(views, depths), confirmed(masked, depths)
     assert not some[0][~half].any()
-    assert (some[0] == (whole[0] & half)).all()
+    assert (some[0] == whole[0])[:, : SIDE // 2 - 3].all()  # where no window crosses the mask's end
+    spoiled = replace(masked[0], image=np.where(half, views[0].image, 0.5).astype(np.float32))
+    assert (confirmed([spoiled, *views[1:]], depths) == some).all()
     nothing = [views[0], replace(views[1], mask=np.zeros((SIDE, SIDE), bool))]
     assert not confirmed(nothing, depths[:2]).any()
 

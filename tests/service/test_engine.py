@@ -135,6 +135,20 @@ def test_numbers_that_are_not_finite_are_named(engine):
     assert caught.value.field == "harmonics"
 
 
+@pytest.mark.parametrize("value", [0.0, -1.0])
+def test_depths_that_no_camera_sees_are_refused(engine, monkeypatch, value):
+    """Everything after the network divides by them."""
+    real = engine._session.run
+
+    def run(names, feed):
+        return [np.full_like(v, value) if n == "depth" else v for n, v in zip(names, real(names, feed), strict=True)]
+
+    monkeypatch.setattr(engine._session, "run", run)
+    with pytest.raises(ModelError, match="numbers are not above 0") as caught:
+        engine.run(**inputs())
+    assert caught.value.field == "depth"
+
+
 def test_default_model_is_the_packaged_one():
     assert Engine(threads=1).info.file_sha256 == hashlib.sha256(shipped_model().read_bytes()).hexdigest()
 

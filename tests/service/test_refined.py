@@ -25,13 +25,13 @@ def views() -> list[FittedView]:
 
 def off_by(views: list[FittedView], depths: np.ndarray, pixels: np.ndarray | float) -> np.ndarray:
     """Depths whose error is `pixels` of parallax in the view farthest away."""
-    most = [max(pixels_per_inverse_depth(b, a) for b in views if b is not a) for a in views]
+    most = [max(pixels_per_inverse_depth(a, b) for b in views if b is not a) for a in views]
     return 1 / (1 / depths + pixels / np.array(most)[:, None, None])
 
 
 def errors(views: list[FittedView], depths: np.ndarray) -> np.ndarray:
     """(V, H, W) of the inverse depth, in px of parallax in the view farthest away."""
-    most = [max(pixels_per_inverse_depth(b, a) for b in views if b is not a) for a in views]
+    most = [max(pixels_per_inverse_depth(a, b) for b in views if b is not a) for a in views]
     return np.abs(1 / depths - 1 / plane_depths(views)) * np.array(most)[:, None, None]
 
 
@@ -76,18 +76,17 @@ def test_masked_pixels_stay_and_are_not_looked_at(views: list[FittedView]) -> No
     other = replace(views[1], mask=half)  # what its mask hides may be anything
     spoiled = replace(other, image=np.where(half, other.image, 0.5).astype(np.float32))
     here, there = refined([views[0], other], depths[:2])[0], refined([views[0], spoiled], depths[:2])[0]
-    far_off = seen_by(views[0], depths[0], other).column < SIDE / 2 - 12  # from the mask's end, where windows cross it
-    assert (here == there)[far_off].all()
-    assert (here != depths[0])[far_off].mean() > 0.3
+    assert (here == there).all()
+    assert (here != depths[0]).mean() > 0.3
 
 
-def test_it_moves_by_a_pixel_and_a_half_at_most_and_never_far(views: list[FittedView]) -> None:
+def test_it_moves_by_a_pixel_at_most_and_never_far(views: list[FittedView]) -> None:
     """Cameras next to each other: a pixel of parallax would be all there is between near and far."""
     depths = plane_depths(views) * np.random.default_rng(3).uniform(0.7, 1.4, (3, SIDE, SIDE))
     found = refined(views, depths)
-    most = [max(pixels_per_inverse_depth(b, a) for b in views if b is not a) for a in views]
+    most = [max(pixels_per_inverse_depth(a, b) for b in views if b is not a) for a in views]
     moved = np.abs(1 / found - 1 / depths) * np.array(most)[:, None, None]
-    assert moved.max() <= OFFSETS_PX[-1] + 0.25 * (1 + 1e-9)
+    assert moved.max() <= OFFSETS_PX[-1] * (1 + 1e-9)
     close = []
     for number, view in enumerate(views):
         pose = views[0].camera.world_from_cam.copy()
@@ -96,6 +95,22 @@ def test_it_moves_by_a_pixel_and_a_half_at_most_and_never_far(views: list[Fitted
     ratio = refined(close, depths) / depths
     assert ratio.min() >= 1 / RANGE - 1e-12
     assert ratio.max() <= RANGE + 1e-12
+
+
+def test_a_pixel_is_one_of_the_other_view(views: list[FittedView]) -> None:
+    """Of another lens, here one of 3/4 the focal length: the largest step is a pixel there."""
+    camera = views[1].camera
+    wide = replace(views[1], camera=replace(camera, fx=0.75 * camera.fx, fy=0.75 * camera.fy))
+    depths = plane_depths(views)[:2] * np.random.default_rng(3).uniform(0.9, 1.1, (2, SIDE, SIDE))
+    found = refined([views[0], wide], depths)
+    moved = np.abs(1 / found[0] - 1 / depths[0]).max() * pixels_per_inverse_depth(views[0], wide)
+    assert moved == pytest.approx(OFFSETS_PX[-1])
+
+
+def test_a_twin_from_the_same_place_changes_nothing(views: list[FittedView]) -> None:
+    depths = off_by(views, plane_depths(views), 0.7)
+    with_twin = refined([views[0], views[1], views[0]], depths[[0, 1, 0]])
+    assert (with_twin[0] == refined(views[:2], depths[:2])[0]).all()
 
 
 @pytest.mark.parametrize(("unit", "offset"), [(1e-3, 0.0), (300.0, -5e4)])

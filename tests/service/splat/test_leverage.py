@@ -155,3 +155,16 @@ def test_a_near_plane_that_makes_no_sense_is_refused() -> None:
     gaussians, *given = case(3, 0)
     with pytest.raises(InputError, match="near"):
         leverage(gaussians, *given, near=-1.0)
+
+
+def test_sums_go_on_over_several_pictures() -> None:
+    gaussians, view, picture, residual, weight = case(40, 5, 0)
+    one, two = (
+        leverage(gaussians, view, picture, residual, weight),
+        leverage(gaussians, view, picture, -residual, weight),
+    )
+    both = leverage(gaussians, view, picture, residual, weight)
+    assert leverage(gaussians, view, picture, -residual, weight, onto=both) is both
+    for field in fields(Leverage):
+        assert (getattr(both, field.name) == getattr(one, field.name) + getattr(two, field.name)).all(), field.name
+    assert both.moved.any()
