@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plane_scene import PlaneScene
-from test_fading import error, floaters, joined, on_the_plane
+from plane_views import SIDE, error, floaters, joined, on_the_plane, plane_views
 
 from gapmes.service.anchors import BETWEEN, COVERED, Anchors, anchors
 from gapmes.service.certified import certified_views
 from gapmes.service.fading import faded
 from gapmes.service.gaussians import Gaussians
-from gapmes.service.images import FittedView, Photo, fit_view
+from gapmes.service.images import FittedView
 from gapmes.service.splat import render
 
-SIDE = 64
 SPECKS = 40
 
 
 @pytest.fixture(scope="module")
 def views() -> list[FittedView]:
     """Two photographs of the plane, and between them one that is kept back."""
-    scene = PlaneScene.make(np.random.default_rng(5), turn=0.3)
-    fitted = [fit_view(Photo(i), c, SIDE, SIDE) for i, c in zip(scene.images, scene.cameras, strict=True)]
-    return [fitted[0], fitted[2], fitted[1]]
+    first, middle, last = plane_views()
+    return [first, last, middle]
 
 
 @pytest.fixture(scope="module")

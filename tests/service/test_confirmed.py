@@ -6,28 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_scene import DEPTH, PlaneScene
+from plane_views import SIDE, in_another_world, plane_depths, plane_views
 
 from gapmes.service.confirmed import AGREEMENT_PX, GOOD_MATCH, PARALLAX_PX, SAME_COLOUR, TEXTURE, confirmed
-from gapmes.service.images import FittedView, Photo, fit_view
+from gapmes.service.images import FittedView
 from gapmes.service.rotations import about_axis
-
-SIDE = 64
 
 
 @pytest.fixture(scope="module")
 def views() -> list[FittedView]:
-    scene = PlaneScene.make(np.random.default_rng(5), turn=0.3)
-    return [
-        fit_view(Photo(image), camera, SIDE, SIDE) for image, camera in zip(scene.images, scene.cameras, strict=True)
-    ]
-
-
-def plane_depths(views: list[FittedView]) -> np.ndarray:
-    """(V, H, W) z-depths of the plane."""
-    grid = np.stack(np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5), -1).reshape(-1, 2)
-    maps = [(DEPTH - v.camera.center[2]) / v.camera.rays(grid)[:, 2] for v in views]
-    return np.stack(maps).reshape(len(views), SIDE, SIDE)
+    return plane_views()
 
 
 def reference(views: list[FittedView], depths: np.ndarray, index: int, x: int, y: int) -> tuple[bool, float]:
@@ -155,10 +143,6 @@ def test_views_that_look_away_confirm_nothing(views: list[FittedView]) -> None:
 def test_the_world_and_its_unit_do_not_matter(unit: float, offset: float, views: list[FittedView]) -> None:
     depths = plane_depths(views)
     turn, shift = about_axis(np.array([0.48, -0.6, 0.64]), 2.3), np.array([offset, -offset, 0.5 * offset])
-    moved = []
-    for view in views:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn @ view.camera.rotation, unit * (turn @ view.camera.center) + shift
-        moved.append(replace(view, camera=view.camera.posed(pose)))
+    moved = in_another_world(views, turn, shift, unit)
     here, there = confirmed(views, depths), confirmed(moved, unit * depths)
     assert (here != there).mean() < 1e-3  # rounding at a limit

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from plane_scene import DEPTH, PlaneScene
+from plane_views import SIDE, error, floaters, in_another_world, joined, on_the_plane, plane_views
 
 from gapmes.service import fading
 from gapmes.service.camera import Camera
@@ -16,62 +16,21 @@ from gapmes.service.errors import InputError
 from gapmes.service.fading import faded
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import C0
-from gapmes.service.images import FittedView, Photo, fit_view
-from gapmes.service.picture_error import psnr
+from gapmes.service.images import FittedView
 from gapmes.service.rotations import about_axis, quaternion_from_matrix, quaternion_product
 from gapmes.service.splat import Leverage, render
-
-SIDE = 64
-
-
-def on_the_plane(view: FittedView) -> Gaussians:
-    """A Gaussian for each pixel of a photograph, where its ray meets the plane."""
-    camera = view.camera
-    grid = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), -1).reshape(-1, 2)
-    rays = camera.rays(grid)
-    depths = (DEPTH - camera.center[2]) / rays[:, 2]
-    count = len(grid)
-    return Gaussians.make(
-        camera.center + rays * depths[:, None],
-        np.repeat(0.4 * depths / camera.fx, 3).reshape(-1, 3),
-        np.tile([1.0, 0, 0, 0], (count, 1)),
-        np.full(count, 0.9),
-        ((view.image.reshape(3, -1).T - 0.5) / C0)[:, None],
-    )
-
-
-def joined(*sets: Gaussians) -> Gaussians:
-    names = ("means", "scales", "rotations_wxyz", "opacities", "harmonics")
-    return Gaussians.make(*(np.concatenate([getattr(one, name) for one in sets]) for name in names))
-
-
-def floaters(count: int, seed: int = 0) -> Gaussians:
-    """Specks of random colours half way between the cameras and the plane."""
-    rng = np.random.default_rng(seed)
-    means = np.column_stack([rng.uniform(-0.8, 1.2, count), rng.uniform(-0.6, 0.8, count), np.full(count, DEPTH / 2)])
-    harmonics = rng.uniform(-1.7, 1.7, (count, 1, 3))
-    return Gaussians.make(
-        means, np.full((count, 3), 0.03), np.tile([1.0, 0, 0, 0], (count, 1)), np.full(count, 0.8), harmonics
-    )
 
 
 @pytest.fixture(scope="module")
 def views() -> list[FittedView]:
     """Three photographs of the plane; the one between the others is kept back by the tests."""
-    scene = PlaneScene.make(np.random.default_rng(5), turn=0.3)
-    return [
-        fit_view(Photo(image), camera, SIDE, SIDE) for image, camera in zip(scene.images, scene.cameras, strict=True)
-    ]
+    return plane_views()
 
 
 @pytest.fixture(scope="module")
 def spoiled(views: list[FittedView]) -> Gaussians:
     """The plane from the first and the last photograph, then 40 floaters."""
     return joined(on_the_plane(views[0]), on_the_plane(views[2]), floaters(40))
-
-
-def error(gaussians: Gaussians, view: FittedView) -> float:
-    return psnr(np.clip(render(gaussians, view.camera).rgb, 0, 1).transpose(2, 0, 1), view.image)
 
 
 def test_floaters_fade_and_the_surface_stays(views: list[FittedView], spoiled: Gaussians) -> None:
@@ -147,11 +106,7 @@ def test_the_world_and_its_unit_do_not_matter(unit: float, offset: float, views:
     flat = joined(on_the_plane(views[0]), on_the_plane(views[2]), floaters(40))
     scene = replace(flat, means=flat.means + rng.normal(0, 0.02, flat.means.shape))
     turn, shift = about_axis(np.array([0.48, -0.6, 0.64]), 2.3), np.array([offset, -offset, 0.5 * offset])
-    poses = []
-    for view in views:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn @ view.camera.rotation, unit * (turn @ view.camera.center) + shift
-        poses.append(replace(view, camera=view.camera.posed(pose)))
+    poses = in_another_world(views, turn, shift, unit)
     moved = Gaussians.make(
         unit * scene.means @ turn.T + shift,
         unit * scene.scales,

@@ -6,21 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_scene import PlaneScene
-from test_confirmed import SIDE, plane_depths
+from plane_views import SIDE, in_another_world, plane_depths, plane_views
 
 from gapmes.service.correspondence import disagreement, pixels_per_inverse_depth, seen_by
-from gapmes.service.images import FittedView, Photo, fit_view
+from gapmes.service.images import FittedView
 from gapmes.service.refined import GAIN, NOTHING, OFFSETS_PX, RANGE, _guided, _least, refined
 from gapmes.service.rotations import about_axis
 
 
 @pytest.fixture(scope="module")
 def views() -> list[FittedView]:
-    scene = PlaneScene.make(np.random.default_rng(5), turn=0.3)
-    return [
-        fit_view(Photo(image), camera, SIDE, SIDE) for image, camera in zip(scene.images, scene.cameras, strict=True)
-    ]
+    return plane_views()
 
 
 def off_by(views: list[FittedView], depths: np.ndarray, pixels: np.ndarray | float) -> np.ndarray:
@@ -117,11 +113,7 @@ def test_a_twin_from_the_same_place_changes_nothing(views: list[FittedView]) -> 
 def test_the_world_and_its_unit_do_not_matter(unit: float, offset: float, views: list[FittedView]) -> None:
     depths = off_by(views, plane_depths(views), 0.7)
     turn, shift = about_axis(np.array([0.48, -0.6, 0.64]), 2.3), np.array([offset, -offset, 0.5 * offset])
-    moved = []
-    for view in views:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn @ view.camera.rotation, unit * (turn @ view.camera.center) + shift
-        moved.append(replace(view, camera=view.camera.posed(pose)))
+    moved = in_another_world(views, turn, shift, unit)
     here, there = refined(views, depths), refined(moved, unit * depths) / unit
     assert (np.abs(here / there - 1) > 1e-6).mean() < 1e-3  # rounding at a tie
 
