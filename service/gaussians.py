@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,26 +36,26 @@ class Gaussians:
 
         Raises `GaussiansError` that names the field, the first offending index and how many there are.
         """
-        fields: dict[str, NDArray] = {
+        given: dict[str, NDArray] = {
             "means": np.ascontiguousarray(means, dtype=np.float64),
             "scales": np.ascontiguousarray(scales, dtype=np.float32),
             "rotations_wxyz": np.ascontiguousarray(rotations_wxyz, dtype=np.float32),
             "opacities": np.ascontiguousarray(opacities, dtype=np.float32),
             "harmonics": np.ascontiguousarray(harmonics, dtype=np.float32),
         }
-        count = len(fields["means"])
+        count = len(given["means"])
         for name, tail in _TAIL.items():
-            if fields[name].shape != (count, *tail):
-                raise GaussiansError(f"shape is {fields[name].shape}, need {(count, *tail)}", field=name)
-        shape = fields["harmonics"].shape
+            if given[name].shape != (count, *tail):
+                raise GaussiansError(f"shape is {given[name].shape}, need {(count, *tail)}", field=name)
+        shape = given["harmonics"].shape
         if len(shape) != 3 or shape[0] != count or shape[1] not in (1, 4, 9, 16) or shape[2] != 3:
             raise GaussiansError(f"shape is {shape}, need ({count}, 1|4|9|16, 3)", field="harmonics")
-        for name, value in fields.items():
+        for name, value in given.items():
             _require(name, np.isfinite(value), value, "a finite number")
-        _require("scales", fields["scales"] >= 0, fields["scales"], "at least 0")
-        _require("opacities", (fields["opacities"] >= 0) & (fields["opacities"] <= 1), fields["opacities"], "in [0, 1]")
-        fields["rotations_wxyz"] = normalized_quaternions(fields["rotations_wxyz"])
-        return cls(**fields)
+        _require("scales", given["scales"] >= 0, given["scales"], "at least 0")
+        _require("opacities", (given["opacities"] >= 0) & (given["opacities"] <= 1), given["opacities"], "in [0, 1]")
+        given["rotations_wxyz"] = normalized_quaternions(given["rotations_wxyz"])
+        return cls(**given)
 
     def __len__(self) -> int:
         return len(self.means)
@@ -73,6 +73,11 @@ class Gaussians:
             self.opacities[selection],
             self.harmonics[selection],
         )
+
+
+def joined(*sets: Gaussians) -> Gaussians:
+    """All of several sets of the same degree, in order."""
+    return Gaussians(*(np.concatenate([getattr(one, field.name) for one in sets]) for field in fields(Gaussians)))
 
 
 def without_zero_bands(gaussians: Gaussians) -> Gaussians:

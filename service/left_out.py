@@ -86,9 +86,11 @@ def table(
     info: ModelInfo,
     dropped: Mapping[str, int],
     pruned: Mapping[str, Any],
+    *,
+    added: int = 0,
 ) -> list[dict[str, Any]]:
     """Rows {what, count, of, error}; `error` is the largest change of a certified colour, 0 where nothing changes, None
-    where it is not a change of the same scene."""
+    where it is not a change of the same scene. `added` Gaussians are not the network's."""
     rows: list[dict[str, Any]] = []
 
     def row(what: str, count: int, of: int, error: float | None = 0.0) -> None:
@@ -102,7 +104,7 @@ def table(
         row("runs of an expert on a patch", patch_mask.size * experts - runs, patch_mask.size * experts)
         idle = experts - len(np.unique(outputs["expert_index"][outputs["expert_weight"] > 0]))
         row("experts that no patch chose", idle, experts)
-    total = len(outputs["opacities"])
+    total = len(outputs["opacities"]) + added
     for reason, count in dropped.items():
         row(f"Gaussians: {reason}", count, total, 0.0 if reason in (TRANSPARENT, FADED) else None)
     lost = sum(dropped.values())

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 TRANSPARENT = "opacity is 0"
 MASKED = "its pixel is masked"
 UNSEEN = "behind masked pixels only"
+REPLACED = "stood behind depths that have moved"
 FADED = "faded until nothing of it is drawn"
 
 

@@ -10,38 +10,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .anchors import anchors
 from .backends.choice import DEFAULT_ENGINE, EngineName
 from .budget import Budget
 from .camera import Camera
-from .confirmed import confirmed
-from .contract import GAUSSIAN_OUTPUTS
 from .depth_range import DepthRange, depth_range
 from .depth_sweep import narrowed
 from .document import scene_document
 from .engine import Arrays, Engine
 from .errors import CameraError, ViewCountError
 from .fade_passes import DEFAULT_PASSES, checked_passes
-from .fading import Fading, faded
 from .fitting import fitted
 from .foretold import DEFAULT_OTHERS, checked_others, nearest_others
 from .gaussians import Gaussians
 from .images import EncodedPhoto, FittedView, Photo
 from .left_out import leave_out, table
-from .masks import FADED, kept_rows, patch_mask
+from .masks import FADED, patch_mask
+from .mending import MOVED, at_mended_depths, mended, placed
 from .photo_checks import check_photos
 from .pose_notices import pose_notices
 from .progress import Listener, Stages, silent
-from .refined import refined
 from .scene_views import SceneViews
 from .self_check import ambiguous_routes, drawn_again, from_others, self_check
 from .splat import is_warm, render, warm_up
-from .stride import thinned
 from .view_checks import MIN_VIEWS, Notice, check_count, check_views
 from .world_frame import WorldFrame
 
 DEFAULT_BUDGET = Budget()
-MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,32 +119,28 @@ class Reconstructor:
             outputs, frame = self._run(views, depths)
         if fade:
             with stages.stage("refine"):
-                outputs = _at_refined_depths(outputs, frame, views)
+                outputs = at_mended_depths(outputs, frame, views)
         with stages.stage("gaussians"):
-            rows, dropped = kept_rows(outputs, views, frame)
-            shape = len(views), info.height, info.width
-            thin, rows = thinned(outputs, rows, shape, budget.stride)
-            found = frame.to_world(thin, rows)
-            del thin
+            found = placed(outputs, frame, views, stride=budget.stride, moved=fade > 0)
             outputs = {name: value for name, value in outputs.items() if name not in MOVED}
         if not is_warm():  # not before the network: 70 MB that would be in memory beside it
             with stages.stage("kernels"):  # compiled the first time, then loaded
                 warm_up()
         view_cameras = tuple(view.camera for view in views)
         scene = SceneViews(view_cameras, depths.near, depths.far)
-        owner = np.minimum(rows // (info.height * info.width), len(views))  # the view whose pixel it is, if any
         with stages.stage("fade", fade + 1) as done:
-            fading = self._faded(found, rows, frame.depths(outputs), views, scene, fade, done)
-        if fading.gone.any():
-            dropped = {**dropped, FADED: int(fading.gone.sum())}
+            fading = mended(found, views, scene, fade, self.engine.threads, done)
+        dropped = {**found.dropped, FADED: int(fading.gone.sum())} if fading.gone.any() else found.dropped
         gaussians = fading.gaussians[~fading.gone]
         with stages.stage("leave out"):
-            may_go = (owner < len(views))[~fading.gone]
+            may_go = found.of_pixel[~fading.gone]
             lean, drawn, pruned = leave_out(gaussians, may_go, scene, budget, self.engine.threads)
         with stages.stage("check"):
             check = {
                 **self_check(views, depths, info, drawn),
-                "from_others": from_others(found, owner, views, threads=self.engine.threads, **scene.near_plane),
+                "from_others": from_others(
+                    found.gaussians, found.owner, views, threads=self.engine.threads, **scene.near_plane
+                ),
                 "leave_one_out": None,
                 "ambiguous_routes": ambiguous_routes(outputs, masks),
             }
@@ -166,8 +156,9 @@ class Reconstructor:
             depths=depths,
             outputs=outputs,
             gaussians=lean,
+            added=found.added,
             dropped=dropped,
-            left_out=table(outputs, masks, info, dropped, pruned),
+            left_out=table(outputs, masks, info, dropped, pruned, added=found.added),
             pruned=pruned,
             faded=fading.document(),
             check=check,
@@ -189,25 +180,6 @@ class Reconstructor:
         )
         return outputs, frame
 
-    def _faded(
-        self,
-        gaussians: Gaussians,
-        rows: NDArray[np.intp],
-        depths: NDArray[np.float64],
-        views: Sequence[FittedView],
-        scene: SceneViews,
-        passes: int,
-        done: Callable[[int], None] | None = None,
-    ) -> Fading:
-        """`rows` are those of the network's Gaussians, `depths` (V, H, W) its z-depths in the cameras' units."""
-        options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
-        of_pixel = rows < depths.size  # what stands behind the scene is there for views that nobody has asked for
-        sure = np.zeros(len(rows), np.bool_)
-        if passes:
-            sure[of_pixel] = confirmed(views, depths).ravel()[rows[of_pixel]]
-        kept = anchors(gaussians, sure, of_pixel & ~sure, [view.camera for view in views], **options)
-        return faded(gaussians, views, passes, behind=~of_pixel, anchors=kept, done=done, **options)
-
     def _foretold(
         self,
         views: Sequence[FittedView],
@@ -224,20 +196,14 @@ class Reconstructor:
             others = [views[other] for other in chosen]
             outputs, frame = self._run(others, depths)
             if fade:
-                outputs = _at_refined_depths(outputs, frame, others)
-            kept, _ = kept_rows(outputs, others, frame)
-            depth = frame.depths(outputs)
-            gaussians = self._faded(frame.to_world(outputs, kept), kept, depth, others, scene, fade).gaussians
+                outputs = at_mended_depths(outputs, frame, others)
+            found = placed(outputs, frame, others, moved=fade > 0)
+            gaussians = mended(found, others, scene, fade, self.engine.threads).gaussians
             options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
             image = render(gaussians, view.camera, outputs=("alpha",), **options)
             rows.append({"from": chosen, **drawn_again(image, view)})
             done(index + 1)
         return rows
-
-
-def _at_refined_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView]) -> Arrays:
-    cameras = [view.camera for view in views]
-    return frame.at_depths(outputs, cameras, refined(views, frame.depths(outputs)))
 
 
 def _as_cameras(cameras: Sequence[Camera], images: int) -> tuple[Camera, ...]:

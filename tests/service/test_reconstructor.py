@@ -19,7 +19,7 @@ from gapmes.service.errors import (
 )
 from gapmes.service.harmonics import evaluate_basis
 from gapmes.service.images import Photo, fit_view
-from gapmes.service.masks import FADED
+from gapmes.service.masks import FADED, REPLACED
 from gapmes.service.picture_error import psnr
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.rotations import about_axis, matrix_from_quaternion
@@ -124,7 +124,7 @@ def test_document_is_plain_json_and_complete(scene, plane_scene, engine):
     assert document["model"]["file_sha256"] == engine.info.file_sha256
     assert (document["near"], document["far"], document["depth_range_source"]) == (2.0, 8.0, "given")
     assert len(document["cameras"]) == len(document["view_cameras"]) == len(plane_scene.cameras)
-    assert document["gaussians"] == {"count": 3 * (HEIGHT * WIDTH + EXTRA), "sh_degree": 1}
+    assert document["gaussians"] == {"count": 3 * (HEIGHT * WIDTH + EXTRA), "sh_degree": 1, "added": 0}
     assert document["dropped"] == []
     assert document["warnings"] == []
     assert len(document["check"]["input_views"]) == len(plane_scene.cameras)
@@ -287,9 +287,10 @@ def test_fading_lowers_opacities_of_pixels_and_says_so(reconstructor, plane_scen
     assert after < before - 0.01
     assert never["fading"]["recoloured"] == 0
     assert 1e-4 < twice["fading"]["recoloured"] < 0.2
-    gone = sum(entry["count"] for entry in twice["dropped"] if entry["reason"] == FADED)
-    assert gone == twice["fading"]["gone"] == len(scenes[0].gaussians) - len(scenes[1].gaussians)
+    dropped = {entry["reason"]: entry["count"] for entry in twice["dropped"]}
+    assert dropped[REPLACED] == EXTRA * len(plane_scene.images)  # by as many as `added` says
+    added = twice["gaussians"]["added"] - dropped[REPLACED]
+    assert added > 0
+    assert dropped[FADED] == twice["fading"]["gone"] == len(scenes[0].gaussians) + added - len(scenes[1].gaussians)
     pairs = zip(never["check"]["input_views"], twice["check"]["input_views"], strict=True)
     assert all(faded["psnr"] > plain["psnr"] for plain, faded in pairs)
-    extra = EXTRA * len(plane_scene.images)  # behind the scene, for views that nobody has asked for
-    assert (scenes[1].gaussians.opacities[-extra:] >= 0.499 * scenes[0].gaussians.opacities[-extra:]).all()

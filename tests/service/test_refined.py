@@ -10,7 +10,8 @@ from plane_views import SIDE, in_another_world, plane_depths, plane_views
 
 from gapmes.service.correspondence import disagreement, pixels_per_inverse_depth, seen_by
 from gapmes.service.images import FittedView
-from gapmes.service.refined import GAIN, NOTHING, OFFSETS_PX, RANGE, _guided, _least, refined
+from gapmes.service.match_cost import GAIN, NOTHING
+from gapmes.service.refined import OFFSETS_PX, RANGE, _least, refined
 from gapmes.service.rotations import about_axis
 
 
@@ -128,25 +129,6 @@ def test_the_least_cost_lies_between_the_steps() -> None:
     assert (gains == (at_best < GAIN * costs[2] - NOTHING)).all()
     edge = np.broadcast_to(np.array(OFFSETS_PX)[:, None, None], (5, 2, 2))  # falls towards the end of the range
     assert (_least(edge)[0] == OFFSETS_PX[0]).all()
-
-
-def test_the_guided_filter_is_its_definition() -> None:
-    """Against sums over windows, pixel by pixel (He et al. 2010, equations 5, 6 and 8)."""
-    rng = np.random.default_rng(6)
-    guide, plane, size = rng.random((9, 11)), rng.random((9, 11)), 2
-
-    def window(values: np.ndarray, y: int, x: int) -> np.ndarray:
-        return values[max(y - size, 0) : y + size + 1, max(x - size, 0) : x + size + 1]
-
-    slope, level = np.empty_like(guide), np.empty_like(guide)
-    for y, x in np.ndindex(guide.shape):
-        g, p = window(guide, y, x), window(plane, y, x)
-        slope[y, x] = ((g * p).mean() - g.mean() * p.mean()) / (g.var() + 1e-3)
-        level[y, x] = p.mean() - slope[y, x] * g.mean()
-    expected = [
-        window(slope, y, x).mean() * guide[y, x] + window(level, y, x).mean() for y, x in np.ndindex(guide.shape)
-    ]
-    assert np.abs(_guided(guide, plane[None])[0].ravel() - expected).max() < 1e-12
 
 
 def test_what_a_depth_leads_to_agrees_with_itself(views: list[FittedView]) -> None:

@@ -7,7 +7,7 @@ from standin_model import EXTRA, HEIGHT, WIDTH
 from gapmes.service.budget import Budget
 from gapmes.service.errors import InputError
 from gapmes.service.left_out import leave_out
-from gapmes.service.masks import FADED
+from gapmes.service.masks import FADED, REPLACED
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.scene_views import SceneViews
 from gapmes.service.splat import render
@@ -74,7 +74,8 @@ def test_a_reconstruction_with_a_stride(engine, plane_scene):
     faded = reconstructor.reconstruct(photos, cameras, budget=Budget(None, stride=2), **{**given, "fade": 8})
     rows = {row["what"]: row["count"] for row in faded.document["left_out"]}
     gone = rows[f"Gaussians: {FADED}"]
-    assert gone == faded.document["fading"]["gone"] == len(thin.gaussians) - len(faded.gaussians) > 0
+    added = faded.document["gaussians"]["added"] - rows[f"Gaussians: {REPLACED}"]
+    assert gone == faded.document["fading"]["gone"] == len(thin.gaussians) + added - len(faded.gaussians) > 0
     assert rows["Gaussians between strides"] == row["count"]
 
 

@@ -1,0 +1,86 @@
+"""Depths that no other view confirms, on the surfaces that go on from confirmed pixels where photographs match better.
+
+A wall or a floor goes on where its texture ends, or where one view alone shows it. The inverse depth of a plane is
+linear in the pixel's position, so that what is confirmed about it tells the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .confirmed import confirmed
+from .images import FittedView
+from .match_cost import GAIN, NOTHING, difference, features, gathered
+
+F64 = NDArray[np.float64]
+
+REACHES = (6.0, 24.0)  # px: standard deviations of the weight of confirmed pixels, where no edge lies between
+EDGE = 0.2  # sum over a change in the three channels that is as far as a reach is
+RIDGE = 0.02  # of the reach squared: variance of positions below which slopes fade
+LEAST = 1e-9  # weight below which nothing that is confirmed is near
+
+
+def continued(views: Sequence[FittedView], depths: F64) -> F64:
+    """(V, H, W) z-depths, from those of the network, in the cameras' units.
+
+    For each unconfirmed pixel (`confirmed.py`) and each of REACHES a plane is fitted to the inverse depths of the
+    confirmed ones, by least squares, weighted by their distance along rows and columns in which edges lengthen the
+    way (domain transform, Gastal and Oliveira 2011). Its inverse depth, within the range of the view, is taken where
+    the photographs differ less there than at the depth as it is (`match_cost.py`, with the view that matches best),
+    by GAIN and by NOTHING more. What is confirmed, what a mask leaves out and a view without a confirmed pixel stay.
+    """
+    sure = confirmed(views, depths)
+    pictures = [features(view) for view in views]
+    result = depths.copy()
+    for index, view in enumerate(views):
+        if not sure[index].any():
+            continue
+        inverse = 1 / depths[index]
+        kept = np.ones(inverse.shape, np.bool_) if view.mask is None else view.mask
+        surfaces = [inverse, *(_planes(view, inverse, sure[index], reach) for reach in REACHES)]
+        costs = np.full((len(surfaces), *inverse.shape), np.inf)
+        for other in (other for other in range(len(views)) if other != index):
+            apart = [difference(view, pictures[index], 1 / s, views[other], pictures[other]) for s in surfaces]
+            costs = np.minimum(costs, gathered(view, np.where(kept, np.stack(apart), 0.0), kept))
+        best = costs.argmin(axis=0)[None]
+        gains = np.take_along_axis(costs, best, axis=0)[0] < GAIN * costs[0] - NOTHING
+        chosen = 1 / np.take_along_axis(np.stack(surfaces), best, axis=0)[0]
+        result[index] = np.where(gains & kept & ~sure[index], chosen, depths[index])
+    return result
+
+
+def _planes(view: FittedView, inverse: F64, sure: NDArray[np.bool_], reach: float) -> F64:
+    """(H, W) inverse depth of the plane through the confirmed pixels about each, within the range of `inverse`."""
+    y, x = np.mgrid[: inverse.shape[0], : inverse.shape[1]].astype(np.float64)
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, inverse, inverse * x, inverse * y])
+    sums = _spread(terms * sure, view.image, reach)
+    mass = np.maximum(sums[0], LEAST)
+    mean_x, mean_y, xx, xy, yy, level, xd, yd = sums[1:] / mass
+    ridge = RIDGE * reach**2
+    xx, yy = np.maximum(xx - mean_x**2, 0) + ridge, np.maximum(yy - mean_y**2, 0) + ridge
+    xy, xd, yd = xy - mean_x * mean_y, xd - mean_x * level, yd - mean_y * level
+    across, down = yy * xd - xy * yd, xx * yd - xy * xd
+    found = level + (across * (x - mean_x) + down * (y - mean_y)) / (xx * yy - xy**2)
+    return np.where(sums[0] > LEAST, np.clip(found, inverse.min(), inverse.max()), inverse)
+
+
+def _spread(planes: F64, picture: NDArray[np.float32], reach: float) -> F64:
+    """(K, H, W) weighted sums of `planes` over the pixels about each: exp(-sqrt(2) d / reach) for a way d along a row,
+    then along a column, in which a change of EDGE in `picture` (3, H, W) counts like `reach` px."""
+    for axis in (2, 1):
+        change = np.abs(np.diff(picture.astype(np.float64), axis=axis)).sum(axis=0)
+        weights = np.exp(-np.sqrt(2) / reach * (1 + reach / EDGE * change))
+        planes = np.moveaxis(_along(np.moveaxis(planes, axis, 0), np.moveaxis(weights, axis - 1, 0)), 0, axis)
+    return planes
+
+
+def _along(values: F64, weights: F64) -> F64:
+    """(L, K, M) sums over the first axis; `weights` (L - 1, M) are those of a step."""
+    forward, backward = values.copy(), values.copy()
+    for step in range(1, len(values)):
+        forward[step] += weights[step - 1] * forward[step - 1]
+        backward[-1 - step] += weights[-step] * backward[-step]
+    return forward + backward - values

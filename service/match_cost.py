@@ -1,0 +1,55 @@
+"""How much photographs differ at the places where one view's depths put its pixels in another one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .correspondence import seen_by
+from .images import FittedView
+from .window_match import window_mean
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+GRADIENT = 6.0  # weight of a difference of grey slopes (per px) beside one of a colour's channel
+LIMIT = 0.25  # of the mean difference, from which two places are as different as can be
+RADIUS, EPSILON = 2, 1e-3  # px and variance of grey of the guided filter: weaker edges are smoothed across
+SEEN = 0.05  # share of a window that must be seen for its costs to count in full
+GAIN = 0.9  # of the cost of the depth as it is; what gains less stays
+NOTHING = 1e-4  # of a difference, a fortieth of an 8-bit level: what gains less stays as well
+
+
+def features(view: FittedView) -> F32:
+    """(H, W, 5) the colours and the slopes of grey across and down, 0 at the border and beside masked pixels."""
+    grey = view.image.mean(axis=0)
+    kept = np.ones(grey.shape, np.bool_) if view.mask is None else view.mask
+    slopes = np.zeros((2, *grey.shape), np.float32)
+    slopes[0, :, 1:-1] = (kept[:, 2:] & kept[:, :-2]) * (grey[:, 2:] - grey[:, :-2]) / 2
+    slopes[1, 1:-1] = (kept[2:] & kept[:-2]) * (grey[2:] - grey[:-2]) / 2
+    return np.ascontiguousarray(np.concatenate([view.image, np.float32(GRADIENT) * slopes]).transpose(1, 2, 0))
+
+
+def difference(view: FittedView, own: F32, depth: F64, other: FittedView, others: F32) -> F64:
+    """(H, W) mean absolute difference of the `features` of both views at z-depths (H, W) in the cameras' units; LIMIT
+    at most, and LIMIT where the other view does not see the point."""
+    seen = seen_by(view, depth, other)
+    apart = np.abs(seen.value(others) - own).mean(axis=2)
+    return np.where(seen.where, np.minimum(apart, LIMIT), LIMIT)
+
+
+def gathered(view: FittedView, costs: F64, known: NDArray[np.bool_]) -> F64:
+    """(D, H, W) `costs` (D, H, W), 0 where not `known` (H, W), gathered within surfaces by a guided filter (He et al.
+    2010; on cost volumes: Hosni et al. 2011) over what is known."""
+    grey = view.image.mean(axis=0, dtype=np.float64)
+    share = np.maximum(_guided(grey, known[None].astype(np.float64)), SEEN)
+    return np.maximum(_guided(grey, costs) / share, 0)  # the filter undershoots
+
+
+def _guided(guide: F64, planes: F64) -> F64:
+    """Guided filter of every plane (D, H, W) by the picture (H, W)."""
+    mean = window_mean(guide, RADIUS)
+    variance = window_mean(guide**2, RADIUS) - mean**2
+    level = window_mean(planes, RADIUS)
+    slope = (window_mean(guide * planes, RADIUS) - mean * level) / (variance + EPSILON)
+    return window_mean(slope, RADIUS) * guide + window_mean(level - slope * mean, RADIUS)

@@ -1,0 +1,92 @@
+"""What is done after the network: depths move, a backdrop stands behind them, opacities and colours are corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .anchors import anchors
+from .backdrop import backdrop
+from .confirmed import confirmed
+from .continued import continued
+from .contract import GAUSSIAN_OUTPUTS
+from .engine import Arrays
+from .fading import Fading, faded
+from .gaussians import Gaussians, joined
+from .images import FittedView
+from .masks import REPLACED, kept_rows
+from .refined import refined
+from .scene_views import SceneViews
+from .stride import thinned
+from .world_frame import WorldFrame
+
+MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Gaussians in the caller's world, and what each of them is."""
+
+    gaussians: Gaussians
+    rows: NDArray[np.intp]  # (N,) the pixels' in order, then those of what stands behind the scene;
+    around: int  # and from this row on of what stands around the photographs
+    depths: NDArray[np.float64]  # (V, H, W) z-depths of the pixels, in the cameras' units
+    dropped: dict[str, int]  # of the network's Gaussians, by reason
+    added: int  # that are not the network's
+
+    @property
+    def of_pixel(self) -> NDArray[np.bool_]:
+        """(N,) which belong to a pixel."""
+        return self.rows < self.depths.size
+
+    @property
+    def owner(self) -> NDArray[np.intp]:
+        """(N,) the view whose pixel it is, V for one of none."""
+        return np.minimum(self.rows // self.depths[0].size, len(self.depths))
+
+
+def at_mended_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView]) -> Arrays:
+    """The network's outputs with every pixel's Gaussian at its continued and refined depth."""
+    depths = refined(views, continued(views, frame.depths(outputs)))
+    return frame.at_depths(outputs, [view.camera for view in views], depths)
+
+
+def placed(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], *, stride: int = 1, moved: bool) -> Placed:
+    """The network's Gaussians that belong into the scene, one for a square of `stride` px; where depths have `moved`, a
+    backdrop of these depths instead of the network's own."""
+    rows, dropped = kept_rows(outputs, views, frame)
+    depths = frame.depths(outputs)
+    thin, rows = thinned(outputs, rows, depths.shape, stride)
+    if not moved:
+        return Placed(frame.to_world(thin, rows), rows, len(outputs["opacities"]), depths, dropped, 0)
+    own = rows[rows < depths.size]
+    if len(own) < len(rows):
+        dropped = {**dropped, REPLACED: len(rows) - len(own)}
+    gaussians = frame.to_world(thin, own)
+    sheet, around = backdrop(views, depths, gaussians.harmonics.shape[1])
+    rows = np.concatenate([own, depths.size + np.arange(len(sheet))])
+    return Placed(joined(gaussians, sheet), rows, depths.size + around, depths, dropped, len(sheet))
+
+
+def mended(
+    scene: Placed,
+    views: Sequence[FittedView],
+    cameras: SceneViews,
+    passes: int,
+    threads: int | None,
+    done: Callable[[int], None] | None = None,
+) -> Fading:
+    """Faded and recoloured; what stands behind the scene keeps at least half of its opacity, since it is there for
+    views that nobody has asked for, what stands around it nothing."""
+    options: dict[str, Any] = {"threads": threads, **cameras.near_plane}
+    of_pixel = scene.of_pixel
+    sure = np.zeros(len(scene.rows), np.bool_)
+    if passes:
+        sure[of_pixel] = confirmed(views, scene.depths).ravel()[scene.rows[of_pixel]]
+    kept = anchors(scene.gaussians, sure, of_pixel & ~sure, [view.camera for view in views], **options)
+    behind = ~of_pixel & (scene.rows < scene.around)
+    return faded(scene.gaussians, views, passes, behind=behind, anchors=kept, done=done, **options)

@@ -1,0 +1,108 @@
+"""The backdrop: behind every surface, around every photograph, in its colours, and without a hole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plane_views import SIDE, in_another_world, plane_depths, plane_views
+
+from gapmes.service.backdrop import CELL, MARGIN, PUSH_BACK, RINGS, backdrop
+from gapmes.service.harmonics import C0
+from gapmes.service.images import FittedView
+from gapmes.service.rotations import about_axis
+from gapmes.service.splat import render
+
+CELLS = SIDE // CELL
+SHEET = (CELLS + 2 * sum(MARGIN)) ** 2
+AROUND = (CELLS + 2 * len(MARGIN) + 2 * len(RINGS)) ** 2 - SHEET
+
+
+@pytest.fixture(scope="module")
+def views() -> list[FittedView]:
+    return plane_views()
+
+
+@pytest.fixture(scope="module")
+def depths(views: list[FittedView]) -> np.ndarray:
+    return plane_depths(views)
+
+
+def test_one_for_each_cell(views: list[FittedView], depths: np.ndarray) -> None:
+    for coefficients in (1, 4):
+        sheet, around = backdrop(views, depths, coefficients)
+        assert (len(sheet), around) == (3 * (SHEET + AROUND), 3 * SHEET)
+        assert sheet.harmonics.shape[1] == coefficients
+        assert (sheet.harmonics[:, 1:] == 0).all()
+
+
+def test_it_stands_behind_its_surface(views: list[FittedView], depths: np.ndarray) -> None:
+    sheet, around = backdrop(views[:1], depths[:1], 1)
+    pixels, z = views[0].camera.project(sheet.means)
+    inside = ((pixels > 0) & (pixels < SIDE)).all(axis=1)
+    assert inside.sum() == CELLS**2
+    column, row = pixels[inside].astype(int).T
+    assert (z[inside] >= depths[0][row, column] / PUSH_BACK * (1 - 1e-9)).all()
+    assert z.max() <= depths[0].max() / PUSH_BACK * (1 + 1e-9)
+    assert not inside[around:].any()
+    reach = CELL * (sum(MARGIN) + sum(RINGS))
+    assert pixels.min() > -reach
+    assert pixels.max() < SIDE + reach
+
+
+def test_no_hole_far_beyond_the_border(views: list[FittedView], depths: np.ndarray) -> None:
+    """Half of the picture to each side is covered, corners included."""
+    sheet, _ = backdrop(views[:1], depths[:1], 1)
+    wide = views[0].camera.cropped(-SIDE // 2, -SIDE // 2, 2 * SIDE, 2 * SIDE)
+    assert render(sheet, wide, outputs=("alpha",)).alpha.min() > 0.9  # found: 0.93
+
+
+def test_a_gap_shows_the_farther_surface(views: list[FittedView]) -> None:
+    """A near red strip before a far green wall: behind the strip and beyond it the sheet is green and far."""
+    strip = (np.arange(SIDE) >= 28) & (np.arange(SIDE) < 36)
+    image = np.zeros((3, SIDE, SIDE), np.float32)
+    image[0, :, strip], image[1, :, ~strip] = 0.9, 0.7
+    depth = np.where(strip, 1.0, 4.0) * np.ones((SIDE, 1))
+    sheet, _ = backdrop([replace(views[0], image=image)], depth[None], 1)
+    colours = 0.5 + C0 * sheet.harmonics[:, 0]
+    assert np.abs(colours - (0, 0.7, 0)).max() < 1e-3
+    assert np.abs(views[0].camera.project(sheet.means)[1] - 4 / PUSH_BACK).max() < 1e-6
+
+
+def test_where_a_mask_keeps_nothing_nothing_stands(views: list[FittedView], depths: np.ndarray) -> None:
+    left = np.arange(SIDE)[None] < np.full((SIDE, 1), SIDE // 2)
+    masked = replace(views[0], mask=left, image=np.where(left, views[0].image, 1.0).astype(np.float32))
+    sheet, around = backdrop([masked], depths[:1], 1)
+    pixels, _ = views[0].camera.project(sheet.means)
+    assert (pixels[:, 0] < SIDE // 2).all()
+    assert 0 < around < SHEET
+    other = replace(masked, image=np.where(left, views[0].image, 0.0).astype(np.float32))
+    again, _ = backdrop([other], depths[:1], 1)
+    assert (again.harmonics == sheet.harmonics).all()  # what the mask hides may be anything
+    nothing, none = backdrop([replace(views[0], mask=np.zeros((SIDE, SIDE), bool))], depths[:1], 1)
+    assert (len(nothing), none) == (0, 0)
+
+
+def test_one_depth_everywhere_is_a_range_of_nothing(views: list[FittedView]) -> None:
+    sheet, _ = backdrop(views[:1], np.full((1, SIDE, SIDE), 3.0), 1)
+    assert np.isfinite(sheet.harmonics).all()
+    assert np.abs(views[0].camera.project(sheet.means)[1] - 3 / PUSH_BACK).max() < 1e-6
+
+
+def test_a_wide_picture_has_its_cells(views: list[FittedView]) -> None:
+    camera = replace(views[0].camera, width=2 * SIDE)
+    wide = replace(views[0], image=np.concatenate([views[0].image] * 2, axis=2), camera=camera)
+    sheet, around = backdrop([wide], np.full((1, SIDE, 2 * SIDE), 3.0), 1)
+    extra = 2 * (len(MARGIN) + len(RINGS))
+    assert len(sheet) == (CELLS + extra) * (2 * CELLS + extra)
+    assert around == (CELLS + 2 * sum(MARGIN)) * (2 * CELLS + 2 * sum(MARGIN))
+
+
+def test_the_world_and_its_unit_do_not_matter(views: list[FittedView], depths: np.ndarray) -> None:
+    turn, shift = about_axis(np.array([0.48, -0.6, 0.64]), 2.3), np.array([5e4, -2e4, 1e4])
+    moved, _ = backdrop(in_another_world(views, turn, shift, 300.0), 300.0 * depths, 1)
+    here, _ = backdrop(views, depths, 1)
+    assert np.abs(moved.means - (300.0 * here.means @ turn.T + shift)).max() < 1e-6
+    assert moved.scales == pytest.approx(300 * here.scales, rel=1e-5)
+    assert moved.harmonics == pytest.approx(here.harmonics, abs=1e-5)

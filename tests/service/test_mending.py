@@ -1,0 +1,120 @@
+"""What is done after the network: whose each Gaussian is, what takes the place of what, and what may fade."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plane_views import SIDE, floaters, on_the_plane, plane_depths, plane_views
+
+from gapmes.service.backdrop import OPACITY, backdrop
+from gapmes.service.depth_range import DepthRange
+from gapmes.service.gaussians import joined
+from gapmes.service.images import FittedView
+from gapmes.service.masks import MASKED, REPLACED, TRANSPARENT
+from gapmes.service.mending import Placed, at_mended_depths, mended, placed
+from gapmes.service.scene_views import SceneViews
+from gapmes.service.world_frame import WorldFrame
+
+PIXELS = 3 * SIDE**2
+NEAR, FAR = 2.0, 8.0
+
+
+@pytest.fixture(scope="module")
+def views() -> list[FittedView]:
+    return plane_views()
+
+
+@pytest.fixture(scope="module")
+def cameras(views: list[FittedView]) -> SceneViews:
+    return SceneViews(tuple(view.camera for view in views), NEAR, FAR)
+
+
+@pytest.fixture(scope="module")
+def frame(views: list[FittedView]) -> WorldFrame:
+    return WorldFrame.of([view.camera for view in views], DepthRange(NEAR, FAR, "given"))
+
+
+def outputs(views: list[FittedView], frame: WorldFrame) -> dict[str, np.ndarray]:
+    """A network's whose depths are right; 5 Gaussians stand behind the scene."""
+    world = joined(*(on_the_plane(view) for view in views), floaters(5))
+    return {
+        "means": ((world.means - frame.origin) @ frame.rotation / frame.unit).astype(np.float32),
+        "scales": world.scales / np.float32(frame.unit),
+        "rotations_wxyz": world.rotations_wxyz,
+        "opacities": world.opacities.copy(),
+        "harmonics": world.harmonics,
+        "depth": (plane_depths(views) / frame.unit).astype(np.float32),
+    }
+
+
+def test_where_nothing_moved_the_networks_own_stand(views: list[FittedView], frame: WorldFrame) -> None:
+    found = placed(outputs(views, frame), frame, views, moved=False)
+    assert len(found.gaussians) == PIXELS + 5
+    assert (found.rows == np.arange(PIXELS + 5)).all()
+    assert (found.around, found.added, found.dropped) == (PIXELS + 5, 0, {})
+    assert (found.owner == np.repeat([0, 1, 2, 3], [SIDE**2] * 3 + [5])).all()
+
+
+def test_the_backdrop_takes_the_place_of_the_networks(views: list[FittedView], frame: WorldFrame) -> None:
+    given = outputs(views, frame)
+    given["opacities"][[3, 7]] = 0
+    found = placed(given, frame, views, moved=True)
+    sheet, around = backdrop(views, found.depths, 1)
+    assert (found.added, found.around) == (len(sheet), PIXELS + around)
+    assert found.dropped == {TRANSPARENT: 2, REPLACED: 5}
+    assert len(found.gaussians) == PIXELS - 2 + len(sheet)
+    assert (found.gaussians.means[-len(sheet) :] == sheet.means).all()
+    assert (found.of_pixel == (np.arange(len(found.rows)) < PIXELS - 2)).all()
+    assert set(found.rows[:8]) == {0, 1, 2, 4, 5, 6, 8, 9}
+
+
+def test_a_stride_and_a_mask_leave_the_backdrop(views: list[FittedView], frame: WorldFrame) -> None:
+    thin = placed(outputs(views, frame), frame, views, stride=4, moved=True)
+    assert thin.of_pixel.sum() == PIXELS // 16
+    left = np.arange(SIDE)[None] < np.full((SIDE, 1), SIDE // 2)
+    masked = [replace(views[0], mask=left), *views[1:]]
+    found = placed(outputs(views, frame), frame, masked, moved=True)
+    assert found.dropped[MASKED] == SIDE**2 // 2
+    assert (found.owner == 0).sum() == SIDE**2 // 2
+    assert found.added == len(backdrop(masked, found.depths, 1)[0]) < thin.added
+
+
+def test_what_stands_behind_keeps_half_and_what_stands_around_may_go(
+    views: list[FittedView], frame: WorldFrame, cameras: SceneViews
+) -> None:
+    """Without the pixels' own Gaussians and in a wrong colour, all of it contradicts the photographs."""
+    whole = placed(outputs(views, frame), frame, views, moved=True)
+    behind = ~whole.of_pixel
+    wrong = whole.gaussians[behind]
+    wrong.harmonics[:] = 5.0
+    alone = Placed(wrong, whole.rows[behind], whole.around, whole.depths, {}, whole.added)
+    found = mended(alone, views, cameras, 8, 1).gaussians.opacities
+    sheet = alone.rows < alone.around
+    assert found[sheet].min() == pytest.approx(OPACITY / 2)
+    assert found[~sheet].min() < 0.1
+
+
+def test_without_a_pass_nothing_changes(views: list[FittedView], frame: WorldFrame, cameras: SceneViews) -> None:
+    found = placed(outputs(views, frame), frame, views, moved=False)
+    after = mended(found, views, cameras, 0, 1)
+    assert after.gaussians is found.gaussians
+    assert after.halved == 0
+
+
+def test_wrong_depths_move_towards_the_truth(views: list[FittedView], frame: WorldFrame) -> None:
+    """A patch a fifth too far, and all the rest off by half a pixel of parallax."""
+    truth, given = plane_depths(views), outputs(views, frame)
+    wrong = truth * 1.04
+    wrong[0, 24:40, 24:40] *= 1.2
+    cameras = [view.camera for view in views]
+    before = frame.at_depths(given, cameras, wrong)
+    after = at_mended_depths(before, frame, views)
+    errors = [np.median(np.abs(frame.depths(one) / truth - 1)) for one in (before, after)]
+    assert errors[1] < 0.05 * errors[0]  # found: 0.023
+    patch = np.abs(frame.depths(after) / truth - 1)[0, 24:40, 24:40]
+    assert np.median(patch) < 0.005  # found: 0.0011
+    points = frame.origin + after["means"][:PIXELS].astype(np.float64) @ frame.rotation.T * frame.unit
+    z = np.concatenate([c.project(p)[1] for c, p in zip(cameras, points.reshape(3, -1, 3), strict=True)])
+    assert z == pytest.approx(frame.depths(after).ravel(), rel=1e-5)
