@@ -25,6 +25,7 @@ from .stride import thinned
 from .world_frame import WorldFrame
 
 MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
+CONTINUED_VIEWS = 2  # of more views others confirm most of what is seen, and the rest gains nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +51,11 @@ class Placed:
 
 
 def at_mended_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView]) -> Arrays:
-    """The network's outputs with every pixel's Gaussian at its continued and refined depth."""
-    depths = refined(views, continued(views, frame.depths(outputs)))
+    """The network's outputs with every pixel's Gaussian at its refined depth; of two views continued first."""
+    depths = frame.depths(outputs)
+    if len(views) <= CONTINUED_VIEWS:
+        depths = continued(views, depths)
+    depths = refined(views, depths)
     return frame.at_depths(outputs, [view.camera for view in views], depths)
 
 

@@ -89,8 +89,8 @@ class Reconstructor:
         photographs or more each is also compared with its picture from a reconstruction of the `leave_one_out` others
         that are nearest to it (2 or more; all others where there are fewer; 0: not done). `fade` is how
         often opacities are lowered and colours corrected where the photographs contradict them (`fading.py`), after
-        depths have been moved to where the photographs match best (`refined.py`); with 0 all stays as the network
-        gave it.
+        depths have moved to where the photographs match best and a backdrop stands behind them (`mending.py`); with 0
+        all stays as the network gave it.
         `listener` hears the stages cameras, images, network, refine, gaussians, kernels (the first time), fade, leave
         out, check, leave one out.
         Raises `InputError` and `ModelError`.

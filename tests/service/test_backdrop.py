@@ -11,7 +11,7 @@ from plane_views import SIDE, in_another_world, plane_depths, plane_views
 from gapmes.service.backdrop import CELL, MARGIN, PUSH_BACK, RINGS, backdrop
 from gapmes.service.harmonics import C0
 from gapmes.service.images import FittedView
-from gapmes.service.rotations import about_axis
+from gapmes.service.rotations import about_axis, matrix_from_quaternion, quaternion_from_matrix, quaternion_product
 from gapmes.service.splat import render
 
 CELLS = SIDE // CELL
@@ -46,6 +46,9 @@ def test_it_stands_behind_its_surface(views: list[FittedView], depths: np.ndarra
     assert (z[inside] >= depths[0][row, column] / PUSH_BACK * (1 - 1e-9)).all()
     assert z.max() <= depths[0].max() / PUSH_BACK * (1 + 1e-9)
     assert not inside[around:].any()
+    thin = matrix_from_quaternion(sheet.rotations_wxyz)[:, :, 2]  # the axis of the least scale looks at the camera
+    assert np.abs(thin @ views[0].camera.rotation[:, 2]) == pytest.approx(1, abs=1e-6)
+    assert (sheet.scales.argmin(axis=1) == 2).all()
     reach = CELL * (sum(MARGIN) + sum(RINGS))
     assert pixels.min() > -reach
     assert pixels.max() < SIDE + reach
@@ -60,7 +63,7 @@ def test_no_hole_far_beyond_the_border(views: list[FittedView], depths: np.ndarr
 
 def test_a_gap_shows_the_farther_surface(views: list[FittedView]) -> None:
     """A near red strip before a far green wall: behind the strip and beyond it the sheet is green and far."""
-    strip = (np.arange(SIDE) >= 28) & (np.arange(SIDE) < 36)
+    strip = (np.arange(SIDE) >= 3 * CELL) & (np.arange(SIDE) < 4 * CELL)  # a whole column of cells
     image = np.zeros((3, SIDE, SIDE), np.float32)
     image[0, :, strip], image[1, :, ~strip] = 0.9, 0.7
     depth = np.where(strip, 1.0, 4.0) * np.ones((SIDE, 1))
@@ -70,13 +73,47 @@ def test_a_gap_shows_the_farther_surface(views: list[FittedView]) -> None:
     assert np.abs(views[0].camera.project(sheet.means)[1] - 4 / PUSH_BACK).max() < 1e-6
 
 
+def test_a_ring_stands_behind_all_that_is_as_near_as_it_reaches(views: list[FittedView]) -> None:
+    """Something near at the right border goes on beside it, not far out, where it would hide the wall."""
+    depth = np.full((SIDE, SIDE), 4.0)
+    depth[2 * CELL : 6 * CELL, -4 * CELL :] = 1.0
+    sheet, around = backdrop(views[:1], depth[None], 1)
+    pixels, z = views[0].camera.project(sheet.means)
+    beside = (pixels[:, 0] > SIDE) & (np.abs(pixels[:, 1] - SIDE / 2) < CELL)
+    assert z[:around][beside[:around]] == pytest.approx(1 / PUSH_BACK)
+    ring = z[around:][beside[around:]]
+    assert ring[np.argsort(pixels[around:, 0][beside[around:]])] == pytest.approx(4 / PUSH_BACK)
+
+
+def test_a_hidden_depth_does_not_matter(views: list[FittedView], depths: np.ndarray) -> None:
+    mask = np.ones((SIDE, SIDE), bool)
+    mask[:CELL, :CELL] = False
+    masked = [replace(views[0], mask=mask)]
+    sets = []
+    for hidden in (1e-3, 4.0, 1e6):
+        changed = depths[:1].copy()
+        changed[0][~mask] = hidden
+        sets.append(backdrop(masked, changed, 1)[0])
+    for other in sets[1:]:
+        assert (other.means == sets[0].means).all()
+        assert (other.harmonics == sets[0].harmonics).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_units_at_the_end_of_float32(views: list[FittedView], depths: np.ndarray) -> None:
+    for unit in (1e-30, 1e30, 1e38):
+        moved = in_another_world(views, np.eye(3), np.zeros(3), unit)
+        sheet, _ = backdrop(moved, unit * depths, 1)
+        assert np.isfinite(sheet.scales).all()
+
+
 def test_where_a_mask_keeps_nothing_nothing_stands(views: list[FittedView], depths: np.ndarray) -> None:
     left = np.arange(SIDE)[None] < np.full((SIDE, 1), SIDE // 2)
     masked = replace(views[0], mask=left, image=np.where(left, views[0].image, 1.0).astype(np.float32))
     sheet, around = backdrop([masked], depths[:1], 1)
     pixels, _ = views[0].camera.project(sheet.means)
     assert (pixels[:, 0] < SIDE // 2).all()
-    assert 0 < around < SHEET
+    assert 0 < around == len(sheet) < SHEET  # a mask says what is to be seen: no ring about it
     other = replace(masked, image=np.where(left, views[0].image, 0.0).astype(np.float32))
     again, _ = backdrop([other], depths[:1], 1)
     assert (again.harmonics == sheet.harmonics).all()  # what the mask hides may be anything
@@ -105,4 +142,6 @@ def test_the_world_and_its_unit_do_not_matter(views: list[FittedView], depths: n
     here, _ = backdrop(views, depths, 1)
     assert np.abs(moved.means - (300.0 * here.means @ turn.T + shift)).max() < 1e-6
     assert moved.scales == pytest.approx(300 * here.scales, rel=1e-5)
+    turned = quaternion_product(quaternion_from_matrix(turn), here.rotations_wxyz)
+    assert np.abs((turned * moved.rotations_wxyz).sum(axis=1)) == pytest.approx(1, abs=1e-6)
     assert moved.harmonics == pytest.approx(here.harmonics, abs=1e-5)

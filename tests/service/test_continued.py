@@ -66,17 +66,53 @@ def test_what_fits_no_better_stays(views: list[FittedView], spoiled: np.ndarray)
     assert (found[0][PATCH] == spoiled[0][PATCH]).mean() > 0.9  # found: 0.996
 
 
-def test_masked_pixels_stay_and_are_not_looked_at(views: list[FittedView], spoiled: np.ndarray) -> None:
+def test_one_view_that_matches_is_enough(views: list[FittedView], spoiled: np.ndarray) -> None:
+    """Whichever it is; the other one shows noise, where it confirms nothing."""
+    noise = np.random.default_rng(8).random(views[0].image.shape, dtype=np.float32)
+    for stranger in (1, 2):
+        mixed = list(views)
+        mixed[stranger] = replace(views[stranger], image=noise)
+        found = np.abs(continued(mixed, spoiled)[0] / plane_depths(views)[0] - 1)[PATCH]
+        assert (found < 0.01).mean() > 0.9
+
+
+def test_a_twin_tells_nothing_and_disturbs_nothing(views: list[FittedView], spoiled: np.ndarray) -> None:
+    """From the same place every depth matches."""
+    pair, twin = continued(views[:2], spoiled[:2]), continued([*views[:2], views[0]], spoiled[[0, 1, 0]])
+    assert (twin[0] == pair[0]).all()
+
+
+def test_what_stands_before_the_plane_and_nobody_else_sees_stays(
+    views: list[FittedView], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So near that it lies beside the other pictures: a grey thing, like enough to the plane behind it to be confused
+    with that if any match were better than none."""
+    truth = plane_depths(views)
+    depths = truth.copy()
+    depths[0][PATCH] /= 4
+    for other in views[1:]:
+        assert not seen_by(views[0], depths[0], other).where[PATCH].any()
+    image = views[0].image.copy()
+    image[(slice(None), *PATCH)] = np.random.default_rng(9).uniform(0.4, 0.6, (3, 16, 16))
+    thing = [replace(views[0], image=image), *views[1:]]
+    assert (continued(thing, depths)[0] == depths[0])[PATCH].mean() > 0.95  # found: all
+    assert (np.abs(continued(views, depths)[0] / truth[0] - 1) < 0.01)[PATCH].mean() > 0.95  # the plane itself: all
+    monkeypatch.setattr("gapmes.service.continued.SURE_MATCH", 1.0)
+    assert (continued(thing, depths)[0] == depths[0])[PATCH].mean() < 0.5  # found: 0.31
+
+
+@pytest.mark.parametrize("hidden", [1e-3, 1e3])
+def test_masked_pixels_stay_and_their_depths_do_not_matter(
+    hidden: float, views: list[FittedView], spoiled: np.ndarray
+) -> None:
     mask = np.ones((SIDE, SIDE), bool)
     mask[28:36, 28:36] = False
-    hidden = replace(views[0], mask=mask)
-    found = continued([hidden, *views[1:]], spoiled)
-    assert (found[0][~mask] == spoiled[0][~mask]).all()
-    other = replace(hidden, image=np.where(mask, hidden.image, 0.5).astype(np.float32))
-    near = np.zeros((SIDE, SIDE), bool)
-    near[20:44, 20:44] = True  # windows about it, and rows and columns across it
-    changed = continued([other, *views[1:]], spoiled)[0] != found[0]
-    assert not changed[~near].any()
+    masked, other = [replace(views[0], mask=mask), *views[1:]], spoiled.copy()
+    other[0][~mask] = hidden
+    found, changed = continued(masked, spoiled), continued(masked, other)
+    assert (found[0] != spoiled[0])[mask].any()
+    assert (changed[0] == other[0])[~mask].all()
+    assert (changed[0] == found[0])[mask].all()
 
 
 @pytest.mark.parametrize(("unit", "offset"), [(1e-3, 0.0), (300.0, -5e4)])
@@ -95,10 +131,17 @@ def test_a_plane_is_found_from_a_few_of_its_pixels(views: list[FittedView]) -> N
     inverse = 0.5 + 0.2 * x - 0.1 * y
     sure = np.random.default_rng(5).random((SIDE, SIDE)) < 0.3
     flat = replace(views[0], image=np.full_like(views[0].image, 0.5))
-    found = _planes(flat, np.where(sure, inverse, 0.35 + 0.4 * (x > 0.5)), sure, 6.0)
-    assert (
-        np.abs(found - inverse)[8:-8, 8:-8].max() < 1e-3
-    )  # found: 1.3e-4: the ridge's share of the slope
+    found = _planes(flat, np.where(sure, inverse, 0.35 + 0.4 * (x > 0.5)), sure, np.ones_like(sure), 6.0)
+    assert np.abs(found - inverse)[8:-8, 8:-8].max() < 1e-3  # found: 1.3e-4: the ridge's share of the slope
+
+
+def test_a_plane_ends_where_the_view_does(views: list[FittedView]) -> None:
+    """Slopes are not followed beyond the depths that there are."""
+    inverse = np.broadcast_to(0.2 + 0.01 * np.minimum(np.arange(SIDE), 20), (SIDE, SIDE)).copy()
+    sure = np.broadcast_to(np.arange(SIDE) < 20, (SIDE, SIDE))
+    flat = replace(views[0], image=np.full_like(views[0].image, 0.5))
+    found = _planes(flat, inverse, sure, np.ones_like(sure), 6.0)
+    assert found[:, -1] == pytest.approx(0.4)
 
 
 def test_an_edge_keeps_surfaces_apart(views: list[FittedView]) -> None:
@@ -106,7 +149,7 @@ def test_an_edge_keeps_surfaces_apart(views: list[FittedView]) -> None:
     image = np.broadcast_to(np.where(left, 0.2, 0.8).astype(np.float32), (3, SIDE, SIDE))
     inverse = np.broadcast_to(np.where(left, 1.0, 0.5), (SIDE, SIDE))
     sure = np.random.default_rng(5).random((SIDE, SIDE)) < 0.3
-    found = _planes(replace(views[0], image=image), inverse.copy(), sure, 24.0)
+    found = _planes(replace(views[0], image=image), inverse.copy(), sure, np.ones_like(sure), 24.0)
     assert np.abs(found - inverse).max() < 1e-4  # found: 6e-6
 
 
