@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from .world_frame import WorldFrame
 
 MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
 CONTINUED_VIEWS = 2  # of more views others confirm most of what is seen, and the rest gains nothing
+SMOOTHING = 0.1  # px^2 in the input, added to all three variances
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +71,21 @@ def placed(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], *, s
     own = rows[rows < depths.size]
     if len(own) < len(rows):
         dropped = {**dropped, REPLACED: len(rows) - len(own)}
-    gaussians = frame.to_world(thin, own)
+    gaussians = _smoothed(frame.to_world(thin, own), (stride * depths).ravel()[own], own // depths[0].size, views)
     sheet, around = backdrop(views, depths, gaussians.harmonics.shape[1])
     rows = np.concatenate([own, depths.size + np.arange(len(sheet))])
     return Placed(joined(gaussians, sheet), rows, depths.size + around, depths, dropped, len(sheet))
+
+
+def _smoothed(
+    gaussians: Gaussians, depths: NDArray[np.float64], owner: NDArray[np.intp], views: Sequence[FittedView]
+) -> Gaussians:
+    """Wider by SMOOTHING of its view's pixel each, so that a larger picture shows surfaces, not the grid of the pixels
+    (the 3D smoothing filter of Yu et al., Mip-Splatting, 2024); `depths` (N,) times the stride and `owner` (N,)."""
+    focal = np.array([np.sqrt(view.camera.fx * view.camera.fy) for view in views])
+    pixel = depths / focal[owner]
+    squares = gaussians.scales.astype(np.float64) ** 2 + SMOOTHING * pixel[:, None] ** 2
+    return replace(gaussians, scales=np.sqrt(squares).astype(np.float32))
 
 
 def mended(

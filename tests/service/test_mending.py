@@ -16,7 +16,7 @@ from gapmes.service.depth_range import DepthRange
 from gapmes.service.gaussians import Gaussians, joined
 from gapmes.service.images import FittedView
 from gapmes.service.masks import MASKED, REPLACED, TRANSPARENT
-from gapmes.service.mending import Placed, at_mended_depths, mended, placed
+from gapmes.service.mending import SMOOTHING, Placed, at_mended_depths, mended, placed
 from gapmes.service.scene_views import SceneViews
 from gapmes.service.world_frame import WorldFrame
 
@@ -145,3 +145,20 @@ def test_wrong_depths_move_towards_the_truth(count: int) -> None:
     points = frame.origin + after["means"][: truth.size].astype(np.float64) @ frame.rotation.T * frame.unit
     z = np.concatenate([c.project(p)[1] for c, p in zip(cameras, points.reshape(count, -1, 3), strict=True)])
     assert z == pytest.approx(frame.depths(after).ravel(), rel=1e-5)
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_gaussians_of_pixels_are_wider_by_a_share_of_their_pixel(
+    stride: int, views: list[FittedView], frame: WorldFrame
+) -> None:
+    given = outputs(views, frame)
+    given["opacities"][[3, 7]] = 0
+    before = placed(given, frame, views, stride=stride, moved=False)
+    after = placed(given, frame, views, stride=stride, moved=True)
+    count = int(before.of_pixel.sum())
+    assert (before.rows[:count] == after.rows[:count]).all()
+    focal = np.repeat([np.sqrt(view.camera.fx * view.camera.fy) for view in views], SIDE**2)[before.rows[:count]]
+    pixel = stride * before.depths.ravel()[before.rows[:count]] / focal
+    grown = np.sqrt(before.gaussians.scales[:count] ** 2 + SMOOTHING * pixel[:, None] ** 2)
+    assert after.gaussians.scales[:count] == pytest.approx(grown, rel=1e-6)
+    assert (after.gaussians.means[:count] == before.gaussians.means[:count]).all()
