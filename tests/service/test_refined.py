@@ -48,7 +48,7 @@ def test_waves_of_depth_are_lowered(views: list[FittedView]) -> None:
     """What errs from pixel to pixel stays: a window has one offset."""
     wave = 0.8 * np.sin(np.arange(SIDE) / 5.0) * np.ones((3, SIDE, SIDE))
     rough = off_by(views, plane_depths(views), wave)
-    assert errors(views, refined(views, rough)).mean() < 0.4 * errors(views, rough).mean()  # found: 0.30
+    assert errors(views, refined(views, rough)).mean() < 0.4 * errors(views, rough).mean()  # found: 0.33
 
 
 def test_nothing_to_compare_leaves_the_bits(views: list[FittedView]) -> None:

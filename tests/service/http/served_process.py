@@ -29,7 +29,7 @@ def serving(store: Path, model: Path, log: Path, *more: str, **environment: str)
             env=os.environ | environment,
         )
     try:
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=300) as client:
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60) as client:
             until(lambda: answers(client), 120)
             yield client, process
     finally:
