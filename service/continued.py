@@ -15,6 +15,7 @@ from .confirmed import confirmed
 from .correspondence import seen_by
 from .images import FittedView
 from .match_cost import GAIN, NOTHING, difference, features, gathered
+from .plane_kernels import spread_along_rows, spread_down_columns
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -75,20 +76,17 @@ def _planes(view: FittedView, inverse: F64, sure: Mask, kept: Mask, reach: float
     return np.where(sums[0] > LEAST, np.clip(found, inverse[kept].min(), inverse[kept].max()), inverse)
 
 
-def _spread(planes: F64, picture: NDArray[np.float32], reach: float) -> F64:
+def _spread(planes: F64, picture: NDArray[np.floating], reach: float) -> F64:
     """(K, H, W) weighted sums of `planes` over the pixels about each: exp(-sqrt(2) d / reach) for a way d along a row,
     then along a column, in which a change of EDGE in `picture` (3, H, W) counts like `reach` px."""
-    for axis in (2, 1):
-        change = np.abs(np.diff(picture.astype(np.float64), axis=axis)).sum(axis=0)
-        weights = np.exp(-np.sqrt(2) / reach * (1 + reach / EDGE * change))
-        planes = np.moveaxis(_along(np.moveaxis(planes, axis, 0), np.moveaxis(weights, axis - 1, 0)), 0, axis)
-    return planes
+    planes, steps = np.ascontiguousarray(planes), picture.astype(np.float64)
+    along, sums = np.empty_like(planes), np.empty_like(planes)
+    spread_along_rows(planes, _steps(steps, 2, reach), along)
+    spread_down_columns(along, _steps(steps, 1, reach), sums)
+    return sums
 
 
-def _along(values: F64, weights: F64) -> F64:
-    """(L, K, M) sums over the first axis; `weights` (L - 1, M) are those of a step."""
-    forward, backward = values.copy(), values.copy()
-    for step in range(1, len(values)):
-        forward[step] += weights[step - 1] * forward[step - 1]
-        backward[-1 - step] += weights[-step] * backward[-step]
-    return forward + backward - values
+def _steps(picture: F64, axis: int, reach: float) -> F64:
+    """(H, W - 1) or (H - 1, W) what a step to the next pixel of a row or column multiplies a weight by."""
+    change = np.abs(np.diff(picture, axis=axis)).sum(axis=0)
+    return np.ascontiguousarray(np.exp(-np.sqrt(2) / reach * (1 + reach / EDGE * change)))

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from .correspondence import seen_by
 from .images import FittedView
+from .plane_kernels import compare_planes
 from .window_match import window_mean
 
 F32 = NDArray[np.float32]
@@ -33,9 +34,9 @@ def features(view: FittedView) -> F32:
 def difference(view: FittedView, own: F32, depth: F64, other: FittedView, others: F32) -> F64:
     """(H, W) mean absolute difference of the `features` of both views at z-depths (H, W) in the cameras' units; LIMIT
     at most, and LIMIT where the other view does not see the point."""
-    seen = seen_by(view, depth, other)
-    apart = np.abs(seen.value(others) - own).mean(axis=2)
-    return np.where(seen.where, np.minimum(apart, LIMIT), LIMIT)
+    seen, cost = seen_by(view, depth, other), np.empty(depth.shape)
+    compare_planes(own, others, seen.column, seen.row, seen.where.view(np.uint8), LIMIT, cost)
+    return cost
 
 
 def gathered(view: FittedView, costs: F64, known: NDArray[np.bool_]) -> F64:

@@ -9,7 +9,7 @@ import pytest
 from plane_views import SIDE, in_another_world, plane_depths, plane_views
 
 from gapmes.service.confirmed import confirmed
-from gapmes.service.continued import EDGE, _along, _planes, _spread, continued
+from gapmes.service.continued import EDGE, _planes, _spread, continued
 from gapmes.service.correspondence import seen_by
 from gapmes.service.images import FittedView
 from gapmes.service.rotations import about_axis
@@ -167,8 +167,3 @@ def test_weights_are_their_definition() -> None:
         for b in range(min(row, 3), max(row, 3)):
             way += 1 + reach / EDGE * np.abs(image[:, b + 1, column].astype(float) - image[:, b, column]).sum()
         assert found[row, column] == pytest.approx(np.exp(-np.sqrt(2) * way / reach), rel=1e-9, abs=1e-300)
-
-
-def test_sums_along_an_axis_go_both_ways() -> None:
-    values, weights = np.array([1.0, 10.0, 100.0])[:, None, None], np.array([0.5, 0.1])[:, None]
-    assert _along(values, weights)[:, 0, 0] == pytest.approx([1 + 5 + 5, 10 + 0.5 + 10, 100 + 1 + 0.05])

@@ -1,0 +1,96 @@
+"""Loops over pixels that numpy would take many passes for: window means, comparison of warped features, edge-aware
+sums."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .splat.access import get, larger, put, smaller
+from .splat.kernel_cache import kernel
+
+
+@kernel()
+def mean_planes(planes, radius, means):
+    """`means` (D, H, W) of `planes` (D, H, W) over windows of 2 * radius + 1 px, cut off at the border; by running sums
+    down the columns, then along the rows."""
+    height, width = planes.shape[1], planes.shape[2]
+    sums = np.zeros((height + 1) * width)
+    along = np.zeros(width + 1)
+    for plane in range(planes.shape[0]):
+        start = plane * height * width
+        for at in range(height * width):
+            put(sums, at + width, get(sums, at) + get(planes, start + at))
+        for y in range(height):
+            low, high = larger(y - radius, 0), smaller(y + radius + 1, height)
+            total = 0.0
+            for x in range(width):
+                total += (get(sums, high * width + x) - get(sums, low * width + x)) / (high - low)
+                put(along, x + 1, total)
+            for x in range(width):
+                low, high = larger(x - radius, 0), smaller(x + radius + 1, width)
+                put(means, start + y * width + x, (get(along, high) - get(along, low)) / (high - low))
+
+
+@kernel()
+def compare_planes(own, others, column, row, seen, limit, found):
+    """`found` (H, W) mean absolute difference of `own` (H, W, C) and `others` (h, w, C) between its pixels at `column`
+    and `row` (H, W), at most `limit`; `limit` where `seen` (H, W) is 0."""
+    height, width, channels = others.shape
+    share = np.float32(1.0) / np.float32(channels)
+    for at in range(found.size):
+        put(found, at, limit)
+        if get(seen, at) == 0:
+            continue
+        x = smaller(larger(get(column, at), 0.0), width - 1.0)
+        y = smaller(larger(get(row, at), 0.0), height - 1.0)
+        left, upper = np.int64(x), np.int64(y)
+        over, down = np.float32(x - left), np.float32(y - upper)
+        right, lower = smaller(left + 1, width - 1), smaller(upper + 1, height - 1)
+        corners = (upper * width + left) * channels, (upper * width + right) * channels
+        below = (lower * width + left) * channels, (lower * width + right) * channels
+        before, above = np.float32(1.0) - over, np.float32(1.0) - down
+        total = np.float32(0.0)
+        for channel in range(channels):
+            top = get(others, corners[0] + channel) * before + get(others, corners[1] + channel) * over
+            base = get(others, below[0] + channel) * before + get(others, below[1] + channel) * over
+            value = top * above + base * down
+            total += abs(value - get(own, at * channels + channel))
+        put(found, at, smaller(np.float64(total * share), limit))
+
+
+@kernel()
+def spread_along_rows(planes, weights, sums):
+    """`sums` (K, H, W) of `planes` (K, H, W) over each row, where a step from one pixel to the next multiplies by its
+    `weights` (H, W - 1)."""
+    height, width = planes.shape[1], planes.shape[2]
+    for plane_row in range(planes.shape[0] * height):
+        start, edge = plane_row * width, (plane_row % height) * (width - 1)
+        total = 0.0
+        for x in range(width):
+            total = get(planes, start + x) + (total * get(weights, edge + x - 1) if x > 0 else 0.0)
+            put(sums, start + x, total)
+        total = 0.0
+        for x in range(width - 2, -1, -1):
+            total = (total + get(planes, start + x + 1)) * get(weights, edge + x)
+            put(sums, start + x, get(sums, start + x) + total)
+
+
+@kernel()
+def spread_down_columns(planes, weights, sums):
+    """The same over each column, with `weights` (H - 1, W)."""
+    height, width = planes.shape[1], planes.shape[2]
+    total = np.zeros(width)
+    for plane in range(planes.shape[0]):
+        start = plane * height * width
+        for x in range(width):
+            put(sums, start + x, get(planes, start + x))
+            put(total, x, 0.0)
+        for y in range(1, height):
+            for x in range(width):
+                at = start + y * width + x
+                put(sums, at, get(planes, at) + get(sums, at - width) * get(weights, (y - 1) * width + x))
+        for y in range(height - 2, -1, -1):
+            for x in range(width):
+                at = start + y * width + x
+                put(total, x, (get(total, x) + get(planes, at + width)) * get(weights, y * width + x))
+                put(sums, at, get(sums, at) + get(total, x))

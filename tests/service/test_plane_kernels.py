@@ -1,0 +1,59 @@
+"""Loops over pixels against the same written with slices and single sums."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gapmes.service.bilinear import bilinear
+from gapmes.service.plane_kernels import compare_planes, mean_planes, spread_along_rows, spread_down_columns
+
+LIMIT = 0.4
+
+
+@pytest.mark.parametrize("shape", [(2, 9, 14), (1, 1, 1), (1, 3, 40), (1, 40, 3)])
+@pytest.mark.parametrize("radius", [0, 2, 50])
+def test_means_over_windows_that_the_border_cuts(shape: tuple[int, int, int], radius: int) -> None:
+    planes = np.random.default_rng(1).normal(size=shape)
+    found = np.full_like(planes, np.nan)
+    mean_planes(planes, radius, found)
+    for number, y, x in np.ndindex(shape):
+        rows, columns = (slice(max(at - radius, 0), at + radius + 1) for at in (y, x))
+        assert found[number, y, x] == pytest.approx(planes[number, rows, columns].mean(), abs=1e-12)
+
+
+def test_features_are_compared_between_pixels_and_up_to_the_limit() -> None:
+    """Against `bilinear` and a mean in float64; 3e-8 of 1 apart, the rounding of float32, found in most pixels."""
+    rng = np.random.default_rng(2)
+    own, others = (rng.random((height, 11, 5), dtype=np.float32) for height in (8, 7))
+    column, row = rng.uniform(-3, 14, (8, 11)), rng.uniform(-3, 10, (8, 11))  # also beyond the border
+    column[0, 0], row[0, 0] = 10.0, 6.0  # the last pixel itself
+    seen = rng.random((8, 11)) < 0.8
+    found = np.full((8, 11), np.nan)
+    compare_planes(own, others, column, row, seen.view(np.uint8), LIMIT, found)
+    apart = np.abs(bilinear(others.astype(np.float64), column, row) - own).mean(axis=2)
+    expected = np.where(seen, np.minimum(apart, LIMIT), LIMIT)
+    assert np.abs(found - expected).max() < 3e-7
+    assert 0.1 < (found[seen] == LIMIT).mean() < 0.9
+    assert (found[~seen] == LIMIT).all()
+
+
+def test_sums_along_lines_go_both_ways_and_stay_in_their_line() -> None:
+    rng = np.random.default_rng(3)
+    planes, weights = rng.normal(size=(2, 5, 8)), rng.random((5, 7))
+    along, down = np.full_like(planes, np.nan), np.full((2, 8, 5), np.nan)
+    spread_along_rows(planes, weights, along)
+    for number, y, x in np.ndindex(planes.shape):
+        total = sum(planes[number, y, other] * np.prod(weights[y, min(x, other) : max(x, other)]) for other in range(8))
+        assert along[number, y, x] == pytest.approx(total, abs=1e-12)
+    turned = np.ascontiguousarray(planes.transpose(0, 2, 1))
+    spread_down_columns(turned, np.ascontiguousarray(weights.T), down)
+    assert np.abs(down.transpose(0, 2, 1) - along).max() < 1e-12
+
+
+def test_lines_of_one_pixel_are_their_own_sums() -> None:
+    planes = np.random.default_rng(4).normal(size=(3, 1, 1))
+    for spread, none in ((spread_along_rows, np.empty((1, 0))), (spread_down_columns, np.empty((0, 1)))):
+        found = np.full_like(planes, np.nan)
+        spread(planes, none, found)
+        assert (found == planes).all()
