@@ -21,7 +21,7 @@ from .fade_passes import DEFAULT_PASSES, checked_passes
 from .gaussians import Gaussians
 from .harmonics import C0
 from .images import FittedView
-from .splat import Definition, Leverage, leverage, render
+from .splat import Definition, Leverage, Render, drawn_leverage
 
 STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
 DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
@@ -154,15 +154,17 @@ def _add_leverage(
     sums: Leverage, gaussians: Gaussians, view: FittedView, near: float | None, threads: int | None
 ) -> None:
     """What each Gaussian does to the difference of one view's picture and photograph."""
-    options: dict[str, Any] = {"near": near, "threads": threads}
-    image = render(gaussians, view.camera, outputs=("alpha",), **options)
-    weight = (image.alpha > COVERED).astype(np.float32)
-    if view.mask is not None:
-        weight *= view.mask
-    picture = image.rgb / np.maximum(image.alpha, np.float32(COVERED))[..., None]
-    residual = np.clip(picture, 0, 1) - view.image.transpose(1, 2, 0)
-    weight /= 1 + np.abs(residual).mean(axis=2) / np.float32(ROBUST)
-    leverage(gaussians, view.camera, picture, residual, weight, onto=sums, **options)
+
+    def judged(image: Render) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        weight = (image.alpha > COVERED).astype(np.float32)
+        if view.mask is not None:
+            weight *= view.mask
+        picture = image.rgb / np.maximum(image.alpha, np.float32(COVERED))[..., None]
+        residual = np.clip(picture, 0, 1) - view.image.transpose(1, 2, 0)
+        weight /= 1 + np.abs(residual).mean(axis=2) / np.float32(ROBUST)
+        return picture, residual, weight
+
+    drawn_leverage(gaussians, view.camera, judged, near=near, threads=threads, onto=sums)
 
 
 def _mean(values: NDArray[np.floating]) -> float:

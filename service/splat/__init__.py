@@ -3,11 +3,12 @@
 from .definition import INRIA as INRIA
 from .definition import Definition as Definition
 from .leverage import Leverage as Leverage
+from .leverage import drawn_leverage as drawn_leverage
 from .leverage import leverage as leverage
 from .reference import render_reference as render_reference
 from .render import Render as Render
-from .render import is_warm as is_warm
 from .render import render as render
 from .render import render_views as render_views
-from .render import warm_up as warm_up
 from .supersample import render_supersampled as render_supersampled
+from .warm import is_warm as is_warm
+from .warm import warm_up as warm_up

@@ -10,6 +10,7 @@ and one more pass in the same order.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -20,7 +21,7 @@ from ..camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
 from .access import get, put, smaller
-from .binning import TILE, Grid, TileLists, tile_lists
+from .binning import TILE, TileLists
 from .blend import PIECE, choose, gather, measure_reach
 from .kernel_cache import kernel
 from .leverage_lanes import (
@@ -36,13 +37,12 @@ from .leverage_lanes import (
     WEIGHT,
     leverage_block,
 )
-from .options import checked_definition, checked_degree, checked_size
-from .order import depth_order
-from .parallel import checked_threads, run_ranges
-from .prepare import prepared
-from .project import project
-from .tile_state import ACROSS, BLOCKS, corner, live_blocks, tile_floats
-from .vectors import ENTRY, SIDE
+from .options import checked_background, checked_definition, checked_degree
+from .parallel import run_ranges
+from .render import Render, draw
+from .sight import Sight, sight
+from .tile_state import BLOCKS, corner, live_blocks, place, tile_floats
+from .vectors import ENTRY, PIXELS
 
 F32 = NDArray[np.float32]
 
@@ -84,30 +84,52 @@ def leverage(
     the number of threads. Raises `InputError` for planes of another size, and as `render` does.
     """
     rule, degree = checked_definition(None, near, None), checked_degree(None, gaussians)
-    grid = checked_size(camera)
+    with sight(gaussians, camera, rule, degree, threads) as view:
+        return _weighed(view, picture, residual, weight, onto)
+
+
+def drawn_leverage(
+    gaussians: Gaussians,
+    camera: Camera,
+    judge: Callable[[Render], tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]],
+    *,
+    near: float | None = None,
+    threads: int | None = None,
+    onto: Leverage | None = None,
+) -> Leverage:
+    """`leverage` of the picture, residual and weight that `judge` makes of the set drawn over black, with its `alpha`:
+    what the camera sees is projected once for both."""
+    rule, degree = checked_definition(None, near, None), checked_degree(None, gaussians)
+    with sight(gaussians, camera, rule, degree, threads) as view:
+        picture, residual, weight = judge(draw(view, ("alpha",), None, checked_background(None)))
+        return _weighed(view, picture, residual, weight, onto)
+
+
+def _weighed(
+    view: Sight,
+    picture: NDArray[np.floating],
+    residual: NDArray[np.floating],
+    weight: NDArray[np.floating],
+    onto: Leverage | None,
+) -> Leverage:
+    size, count, rule = (view.camera.height, view.camera.width), len(view.gaussians), view.definition
     for name, plane in (("picture", picture), ("residual", residual), ("weight", weight)):
-        need = (camera.height, camera.width, 3)[: 2 if name == "weight" else 3]
+        need = size if name == "weight" else (*size, 3)
         if plane.shape != need:
             raise InputError(f"is {plane.shape}, need {need} as the camera's picture", field=name)
-    states = _tiles(picture, residual, weight, grid)
+    states = np.zeros((view.grid.tiles, tile_floats(CHANNELS)), np.float32)
+    # One layout for every caller: numba would compile the kernel again for others.
+    planes = (np.require(plane, np.float32, ["C", "W"]) for plane in (picture, residual, weight))
+    fill_tiles(*planes, view.grid.columns, states)
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
-    threads = checked_threads(threads)
-    sums = np.zeros((PARTS, len(gaussians), SUMS), np.float32)
-    scene = prepared(gaussians, threads)
-    with scene.workspace() as space:
-        projection = project(scene, camera, rule, degree, threads, space)
-        order = depth_order(space.depths, projection.drawn, gaussians)
-        records = space.records, space.records.view(np.float32)
-        for lists in tile_lists(projection, order, grid, rule.max_entries, threads):
-            walk = partial(_walk_part, lists, grid.columns, *records, states, cuts, sums)
-            run_ranges(walk, range(PARTS + 1), threads)
-    opacities = np.maximum(gaussians.opacities.astype(np.float64), rule.alpha_min)  # fainter ones are not drawn
-    found = Leverage.of(len(gaussians)) if onto is None else onto
-    columns = [(found.slope, SLOPE, opacities), (found.moved, MOVED, opacities**2), (found.shown, SHOWN, 1.0)]
-    columns += [(found.excess[:, channel], EXCESS + channel, 1.0) for channel in range(3)]
-    with np.errstate(invalid="ignore"):  # of colours near the end of float32
-        for column, which, unit in columns:
-            column += sums[:, :, which].sum(axis=0, dtype=np.float64) / unit
+    sums = np.zeros((PARTS, count, SUMS), np.float32)
+    records = view.projection.space.records
+    for lists in view.lists():
+        walk = partial(_walk_part, lists, view.grid.columns, records, records.view(np.float32), states, cuts, sums)
+        run_ranges(walk, range(PARTS + 1), view.threads)
+    opacities = np.maximum(view.gaussians.opacities.astype(np.float64), rule.alpha_min)  # fainter ones are not drawn
+    found = Leverage.of(count) if onto is None else onto
+    add_parts(sums, opacities, found.slope, found.moved, found.shown, found.excess)
     return found
 
 
@@ -119,19 +141,45 @@ def _walk_part(
     leverage_tiles(first, last, columns, lists.offsets, lists.members, records, narrow, states, cuts, sums[part])
 
 
-def _tiles(
-    picture: NDArray[np.floating], residual: NDArray[np.floating], weight: NDArray[np.floating], grid: Grid
-) -> F32:
-    """(tiles, floats of a tile), 0 outside the picture and where nothing counts: such pixels have no light."""
-    whole = np.zeros((grid.rows * TILE, grid.columns * TILE, CHANNELS), np.float32)
-    planes = whole[: grid.height, : grid.width]
-    counted = weight > 0
-    planes[counted, LIGHT] = 1
-    planes[counted, REST : REST + 3] = picture[counted]
-    planes[counted, RESIDUAL : RESIDUAL + 3] = residual[counted] * weight[counted, None]
-    planes[counted, WEIGHT] = weight[counted]
-    blocks = whole.reshape(grid.rows, ACROSS, SIDE, grid.columns, ACROSS, SIDE, CHANNELS)
-    return np.ascontiguousarray(blocks.transpose(0, 3, 1, 4, 6, 2, 5)).reshape(grid.tiles, tile_floats(CHANNELS))
+@kernel()
+def fill_tiles(picture, residual, weight, columns, states):
+    """Into `states` (tiles, floats of a tile), 0 at first: they stay 0 outside the picture and where nothing counts,
+    as such pixels have no light."""
+    height, width = weight.shape
+    size = states.shape[1]
+    for y in range(height):
+        for x in range(width):
+            pixel = y * width + x
+            counts = get(weight, pixel)
+            if not counts > ZERO:
+                continue
+            at = ((y // TILE) * columns + x // TILE) * size + place(y % TILE, x % TILE, size)
+            put(states, at + LIGHT * PIXELS, np.float32(1.0))
+            put(states, at + WEIGHT * PIXELS, counts)
+            for channel in range(3):
+                put(states, at + (REST + channel) * PIXELS, get(picture, 3 * pixel + channel))
+                put(states, at + (RESIDUAL + channel) * PIXELS, get(residual, 3 * pixel + channel) * counts)
+
+
+@kernel()
+def add_parts(parts, opacities, slope, moved, shown, excess):
+    """Add the sums of all parts (PARTS, N, SUMS), by the unit that each is in."""
+    count = opacities.size
+    for i in range(count):
+        opacity = get(opacities, i)
+        for which in range(SUMS):
+            total = 0.0
+            for part in range(PARTS):
+                total += get(parts, (part * count + i) * SUMS + which)
+            if which == SLOPE:
+                put(slope, i, get(slope, i) + total / opacity)
+            elif which == MOVED:
+                put(moved, i, get(moved, i) + total / (opacity * opacity))
+            elif which == SHOWN:
+                put(shown, i, get(shown, i) + total)
+            else:
+                at = 3 * i + which - EXCESS
+                put(excess, at, get(excess, at) + total)
 
 
 @kernel()

@@ -28,7 +28,9 @@ def depth_order(depths: NDArray[np.float64], drawn: NDArray[np.int32], gaussians
     keys, order = radix_sorted(narrow.view(np.uint32), drawn.copy())
     state = settle_equals(keys, depths, order)
     if state == UNSORTED:
-        order = drawn[np.argsort(depths[drawn])]
+        runs = _in_runs(keys[1:] == keys[:-1])
+        rows = order[runs]
+        order[runs] = rows[np.argsort(depths[rows])]  # each run keeps its place
     if state != SORTED:
         _order_ties(depths, order, gaussians)
     return order

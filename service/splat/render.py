@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import time
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -14,22 +13,18 @@ from numpy.typing import NDArray
 from ..camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
-from .binning import TileLists, tile_lists
+from .binning import TileLists
 from .blend import Canvas, blend
 from .definition import Definition
-from .leverage import leverage
 from .options import (
     ANALYSIS,
     checked_background,
     checked_definition,
     checked_degree,
     checked_outputs,
-    checked_size,
 )
-from .order import depth_order
-from .parallel import checked_threads
-from .prepare import DEPTH, prepared
-from .project import project
+from .prepare import DEPTH
+from .sight import Sight, sight
 from .tile_state import BLOCKS, bytes_of, tile_floats
 from .vectors import ALL_CHANNELS, COLOURS_ONLY, WITH_DEPTH
 
@@ -105,39 +100,39 @@ def render(
     definition = checked_definition(definition, near, compatibility)
     behind = checked_background(background)
     degree = checked_degree(sh_degree, gaussians)
-    threads = checked_threads(threads)
     marked = checked_outputs(outputs, subset, gaussians)
-    grid = checked_size(camera)
+    with sight(gaussians, camera, definition, degree, threads) as view:
+        return draw(view, outputs, marked, behind)
 
-    clock = [time.perf_counter()]
-    scene = prepared(gaussians, threads)
-    clock.append(time.perf_counter())
-    with scene.workspace() as space:
-        projection = project(scene, camera, definition, degree, threads, space)
-        clock.append(time.perf_counter())
-        order = depth_order(space.depths, projection.drawn, gaussians)
-        clock.append(time.perf_counter())
-        if marked is not None:  # a depth with a minus sign marks a Gaussian, see `vectors.py`
-            rows = projection.drawn[marked[projection.drawn]]
-            space.records.view(np.float32)[rows, DEPTH] *= -1
-        several = int(projection.counts.sum()) > definition.max_entries
-        canvas = new_canvas(camera, outputs, len(gaussians), grid.tiles if several else 0, behind)
-        entries = batches = blocks = pairs = 0
-        binning, mark = 0.0, time.perf_counter()
-        for lists in tile_lists(projection, order, grid, definition.max_entries, threads):
-            binning += time.perf_counter() - mark
-            found = blend(lists, space.records, canvas, grid, definition, threads, first_batch=batches == 0)
-            entries, batches = entries + len(lists.members), batches + 1
-            blocks, pairs = blocks + found.blocks, pairs + found.pairs
-            mark = time.perf_counter()
-            if not (found.unfinished or lists.last):  # what lies behind is hidden everywhere
-                rest = TileLists(np.zeros(grid.tiles + 1, np.int64), np.empty(0, np.int32), True)
-                blend(rest, space.records, canvas, grid, definition, threads, first_batch=False)
-                break
-        clock.append(time.perf_counter())
+
+def draw(
+    view: Sight, outputs: Collection[str], marked: NDArray[np.bool_] | None, background: NDArray[np.float32]
+) -> Render:
+    """`render`, of what is projected already; `marked` (N,) is the subset that `removed` is about."""
+    projection, order, definition, grid = view.projection, view.order, view.definition, view.grid
+    records, count = projection.space.records, len(view.gaussians)
+    if marked is not None:  # a depth with a minus sign marks a Gaussian, see `vectors.py`
+        rows = projection.drawn[marked[projection.drawn]]
+        records.view(np.float32)[rows, DEPTH] *= -1
+    several = int(projection.counts.sum()) > definition.max_entries
+    canvas = new_canvas(view.camera, outputs, count, grid.tiles if several else 0, background)
+    entries = batches = blocks = pairs = 0
+    start = mark = time.perf_counter()
+    binning = 0.0
+    for lists in view.lists():
+        binning += time.perf_counter() - mark
+        found = blend(lists, records, canvas, grid, definition, view.threads, first_batch=batches == 0)
+        entries, batches = entries + len(lists.members), batches + 1
+        blocks, pairs = blocks + found.blocks, pairs + found.pairs
+        mark = time.perf_counter()
+        if not (found.unfinished or lists.last):  # what lies behind is hidden everywhere
+            rest = TileLists(np.zeros(grid.tiles + 1, np.int64), np.empty(0, np.int32), True)
+            blend(rest, records, canvas, grid, definition, view.threads, first_batch=False)
+            break
+    seconds = {**view.seconds, "bin": binning, "blend": time.perf_counter() - start - binning}
 
     stats = {
-        "count": len(gaussians),
+        "count": count,
         "projected": len(order),
         "culled": projection.culled,
         "crossing_near": projection.crossing,
@@ -147,13 +142,7 @@ def render(
         "blocks": blocks,
         "skipped": entries * BLOCKS - blocks,
         **({"pairs": pairs} if "pairs" in outputs else {}),
-        "seconds": {
-            "prepare": clock[1] - clock[0],
-            "project": clock[2] - clock[1],
-            "order": clock[3] - clock[2],
-            "bin": binning,
-            "blend": clock[4] - clock[3] - binning,
-        },
+        "seconds": seconds,
     }
     planes = {
         name: plane if name in outputs and plane is not None else nothing()
@@ -188,24 +177,3 @@ def new_canvas(
 def render_views(gaussians: Gaussians, cameras: Iterable[Camera], **options: Any) -> list[Render]:
     """`render` for each camera, with the same options; what does not depend on the camera is computed once."""
     return [render(gaussians, camera, **options) for camera in cameras]
-
-
-@functools.cache
-def warm_up() -> None:
-    """Compile or load from the cache what drawing colours, or colours, opacity and depth, needs, and `leverage`;
-    nothing the second time.
-
-    The loops of the other outputs and of the exclusive stop compile when they are first asked for.
-    """
-    camera = Camera.make(32, 32, 32.0, 32.0, 16.0, 16.0, np.eye(4))
-    two = np.ones((2, 3), np.float32)
-    gaussians = Gaussians.make(2.0 * two, two, [[1.0, 0.0, 0.0, 0.0]] * 2, [0.5, 0.4], np.zeros((2, 1, 3)))
-    for max_entries in (1, 2):  # lists in several batches have a kernel of their own
-        render(gaussians, camera, threads=1, definition=Definition(max_entries=max_entries)).rgb8()
-    picture = render(gaussians, camera, threads=1, outputs=()).rgb
-    leverage(gaussians, camera, picture, picture, np.ones(picture.shape[:2], np.bool_))
-
-
-def is_warm() -> bool:
-    """Whether `warm_up` has returned in this process."""
-    return warm_up.cache_info().currsize > 0

@@ -41,3 +41,19 @@ def test_order_is_that_of_the_float64_depths_however_close(seed, unit, spread):
     order = depth_order(depths, drawn, dots(np.zeros((len(depths), 3)), np.ones(len(depths)), (0, 0, 0)))
     assert (np.diff(depths[order]) >= 0).all()
     assert sorted(order) == sorted(drawn)
+
+
+@pytest.mark.case("E16")
+@pytest.mark.parametrize("runs", [1, 3])
+def test_runs_of_depths_that_are_equal_in_float32_are_sorted_in_their_place(runs: int) -> None:
+    """A few hundred of them, longer than insertion takes, among thousands that differ, and exact ties among those."""
+    rng = np.random.default_rng(runs)
+    depths = rng.uniform(1.0, 9.0, 3000)
+    for run in range(runs):
+        depths[run * 400 : run * 400 + 300] = 2.0 + 2.0 * run + 1e-9 * rng.integers(0, 200, 300)
+    rows = rng.uniform(size=(3000, 3))
+    drawn = rng.permutation(3000)[:2500].astype(np.int32)
+    order = depth_order(depths, drawn, dots(rows, np.ones(3000), (0, 0, 0)))
+    assert sorted(order) == sorted(drawn)
+    keys = [(depths[i], *rows[i]) for i in order]
+    assert keys == sorted(keys)

@@ -6,7 +6,7 @@ import numba
 import pytest
 
 from gapmes.service.splat.kernel_cache import KERNELS, cache_folder, kernel, source_stamp
-from gapmes.service.splat.render import warm_up
+from gapmes.service.splat.warm import warm_up
 
 
 @pytest.fixture

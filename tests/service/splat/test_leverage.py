@@ -13,7 +13,7 @@ from gapmes.service.camera import Camera
 from gapmes.service.errors import InputError
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import C0
-from gapmes.service.splat import Definition, Leverage, leverage, render, render_reference
+from gapmes.service.splat import Definition, Leverage, Render, drawn_leverage, leverage, render, render_reference
 
 BEHIND = (0.2, 0.9, 0.4)
 
@@ -118,6 +118,24 @@ def test_lists_in_several_batches_go_on_where_the_one_before_ended(monkeypatch: 
     monkeypatch.setattr(module, "checked_definition", lambda *_: Definition(max_entries=7))
     parts = leverage(gaussians, *given)
     assert_same(parts, whole)
+
+
+@pytest.mark.parametrize("max_entries", [7, 10**6])
+def test_drawing_and_weighing_at_once_is_both_in_turn(monkeypatch: pytest.MonkeyPatch, max_entries: int) -> None:
+    gaussians, view, _, residual, weight = case(90, 3)
+    image = render(gaussians, view, outputs=("alpha",))
+    expected = leverage(gaussians, view, image.rgb, residual, weight)
+    module = importlib.import_module("gapmes.service.splat.leverage")
+    monkeypatch.setattr(module, "checked_definition", lambda *_: Definition(max_entries=max_entries))
+    drawn: list[Render] = []
+
+    def judge(image: Render) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        drawn.append(image)
+        return image.rgb, residual, weight
+
+    assert_same(drawn_leverage(gaussians, view, judge), expected)
+    assert (drawn[0].rgb == image.rgb).all()
+    assert (drawn[0].alpha == image.alpha).all()
 
 
 def test_the_number_of_threads_does_not_matter() -> None:

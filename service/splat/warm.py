@@ -1,0 +1,34 @@
+"""Have the kernels compiled before somebody waits for them."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from ..camera import Camera
+from ..gaussians import Gaussians
+from .definition import Definition
+from .leverage import leverage
+from .render import render
+
+
+@functools.cache
+def warm_up() -> None:
+    """Compile or load from the cache what drawing colours, or colours, opacity and depth, needs, and `leverage`;
+    nothing the second time.
+
+    The loops of the other outputs and of the exclusive stop compile when they are first asked for.
+    """
+    camera = Camera.make(32, 32, 32.0, 32.0, 16.0, 16.0, np.eye(4))
+    two = np.ones((2, 3), np.float32)
+    gaussians = Gaussians.make(2.0 * two, two, [[1.0, 0.0, 0.0, 0.0]] * 2, [0.5, 0.4], np.zeros((2, 1, 3)))
+    for max_entries in (1, 2):  # lists in several batches have a kernel of their own
+        render(gaussians, camera, threads=1, definition=Definition(max_entries=max_entries)).rgb8()
+    picture = render(gaussians, camera, threads=1, outputs=()).rgb
+    leverage(gaussians, camera, picture, picture, np.ones(picture.shape[:2], np.bool_))
+
+
+def is_warm() -> bool:
+    """Whether `warm_up` has returned in this process."""
+    return warm_up.cache_info().currsize > 0
