@@ -125,7 +125,7 @@ class Doctor:
         return "ok", f"{'; '.join(parts)}; {limit}"
 
     def _kernels(self) -> tuple[State, str]:
-        from .splat import warm_up
+        from .kernels import warm_up
         from .splat.kernel_cache import KERNELS
 
         there = KERNELS.is_dir()

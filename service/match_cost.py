@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from .correspondence import seen_by
 from .images import FittedView
-from .plane_kernels import compare_planes
-from .window_match import window_mean
+from .plane_kernels import compare_planes, mean_planes
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -49,8 +48,16 @@ def gathered(view: FittedView, costs: F64, known: NDArray[np.bool_]) -> F64:
 
 def _guided(guide: F64, planes: F64) -> F64:
     """Guided filter of every plane (D, H, W) by the picture (H, W)."""
-    mean = window_mean(guide, RADIUS)
-    variance = window_mean(guide**2, RADIUS) - mean**2
-    level = window_mean(planes, RADIUS)
-    slope = (window_mean(guide * planes, RADIUS) - mean * level) / (variance + EPSILON)
-    return window_mean(slope, RADIUS) * guide + window_mean(level - slope * mean, RADIUS)
+    mean = _means(guide)
+    variance = _means(guide**2) - mean**2
+    level = _means(planes)
+    slope = (_means(guide * planes) - mean * level) / (variance + EPSILON)
+    return _means(slope) * guide + _means(level - slope * mean)
+
+
+def _means(values: F64) -> F64:
+    """(..., H, W) over windows of RADIUS."""
+    planes = np.require(values, np.float64, ["C", "W"]).reshape(-1, *values.shape[-2:])
+    means = np.empty_like(planes)
+    mean_planes(planes, RADIUS, means)
+    return means.reshape(values.shape)

@@ -23,6 +23,7 @@ from .fitting import fitted
 from .foretold import DEFAULT_OTHERS, checked_others, nearest_others
 from .gaussians import Gaussians
 from .images import EncodedPhoto, FittedView, Photo
+from .kernels import is_warm, warm_up
 from .left_out import leave_out, table
 from .masks import FADED, patch_mask
 from .mending import MOVED, at_mended_depths, mended, placed
@@ -31,7 +32,7 @@ from .pose_notices import pose_notices
 from .progress import Listener, Stages, silent
 from .scene_views import SceneViews
 from .self_check import ambiguous_routes, drawn_again, from_others, self_check
-from .splat import is_warm, render, warm_up
+from .splat import render
 from .view_checks import MIN_VIEWS, Notice, check_count, check_views
 from .world_frame import WorldFrame
 
@@ -91,7 +92,7 @@ class Reconstructor:
         often opacities are lowered and colours corrected where the photographs contradict them (`fading.py`), after
         depths have moved to where the photographs match best and a backdrop stands behind them (`mending.py`); with 0
         all stays as the network gave it.
-        `listener` hears the stages cameras, images, network, refine, gaussians, kernels (the first time), fade, leave
+        `listener` hears the stages cameras, images, network, kernels (the first time), refine, gaussians, fade, leave
         out, check, leave one out.
         Raises `InputError` and `ModelError`.
         """
@@ -117,15 +118,15 @@ class Reconstructor:
         masks = patch_mask(views, info.patch)
         with stages.stage("network"):
             outputs, frame = self._run(views, depths)
+        if not is_warm():  # not before the network: 70 MB that would be in memory beside it
+            with stages.stage("kernels"):  # compiled the first time, then loaded
+                warm_up()
         if fade:
             with stages.stage("refine"):
                 outputs = at_mended_depths(outputs, frame, views)
         with stages.stage("gaussians"):
             found = placed(outputs, frame, views, stride=budget.stride, moved=fade > 0)
             outputs = {name: value for name, value in outputs.items() if name not in MOVED}
-        if not is_warm():  # not before the network: 70 MB that would be in memory beside it
-            with stages.stage("kernels"):  # compiled the first time, then loaded
-                warm_up()
         view_cameras = tuple(view.camera for view in views)
         scene = SceneViews(view_cameras, depths.near, depths.far)
         with stages.stage("fade", fade + 1) as done:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .plane_kernels import mean_planes
-
 F64 = NDArray[np.float64]
 
 RADIUS = 3  # windows of 7 x 7 px
@@ -48,8 +46,17 @@ def match_score(picture: F64, warped: F64, seen: NDArray[np.bool_]) -> tuple[flo
 
 
 def window_mean(values: F64, radius: int = RADIUS) -> F64:
-    """(..., h, w) means over windows of 2 * radius + 1 px, cut off at the border."""
-    planes = np.ascontiguousarray(values, np.float64).reshape(-1, *values.shape[-2:])
-    means = np.empty_like(planes)
-    mean_planes(planes, radius, means)
-    return means.reshape(values.shape)
+    """(..., h, w) means over windows of 2 * radius + 1 px, cut off at the border; by running sums.
+
+    Half as fast as `plane_kernels.mean_planes`, but photographs are checked before the network runs, and loading
+    compiled loops takes 60 MB that would be in memory beside it.
+    """
+    for axis in (-2, -1):
+        count = values.shape[axis]
+        low = np.maximum(np.arange(count) - radius, 0)
+        high = np.minimum(np.arange(count) + radius + 1, count)
+        sums = np.cumsum(values, axis=axis)
+        sums = np.concatenate([np.zeros_like(np.take(sums, [0], axis=axis)), sums], axis=axis)
+        size = (high - low).reshape((-1, 1) if axis == -2 else (-1,))
+        values = (np.take(sums, high, axis=axis) - np.take(sums, low, axis=axis)) / size
+    return values

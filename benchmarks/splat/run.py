@@ -16,8 +16,8 @@ import numba
 from gapmes.service.camera import Camera
 from gapmes.service.captures.capture import read_camera_file
 from gapmes.service.gaussians import Gaussians
+from gapmes.service.kernels import warm_up
 from gapmes.service.ply import read_ply
-from gapmes.service.splat import warm_up
 from gapmes.service.threads import available_threads
 
 from .measure import Other, Row, measure

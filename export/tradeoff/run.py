@@ -15,11 +15,11 @@ from gapmes.service.camera import Camera
 from gapmes.service.effort import draw
 from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.gaussians import Gaussians
+from gapmes.service.kernels import warm_up
 from gapmes.service.ply import ply_bytes
 from gapmes.service.progress import Listener, Stages, silent
 from gapmes.service.pruning import BAND_NORMS, colour_range
 from gapmes.service.scene_views import NEAR_PLANE_SHARE
-from gapmes.service.splat import warm_up
 
 from ..evaluation.lpips import Lpips
 from . import files, knobs

@@ -132,8 +132,8 @@ class Runtime:
         with self._bars as listener:
             self._stages = Stages(listener)
             with self._timed("import"):
+                from ..kernels import warm_up
                 from ..models import Models
-                from ..splat import warm_up
             with self._timed("model"):
                 models = Models(self.settings, prepare=self.settings.store / MODELS)
                 with models.using(DEFAULT):  # the others when one is first asked for

@@ -10,5 +10,3 @@ from .render import Render as Render
 from .render import render as render
 from .render import render_views as render_views
 from .supersample import render_supersampled as render_supersampled
-from .warm import is_warm as is_warm
-from .warm import warm_up as warm_up

@@ -13,7 +13,7 @@ from cli_runs import assert_refusal, reconstruct, run
 from PIL import Image
 
 from gapmes.service import read_ply
-from gapmes.service.splat import warm_up
+from gapmes.service.kernels import warm_up
 
 
 def test_reconstruct_and_render(scene_dir: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]) -> None:

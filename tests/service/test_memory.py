@@ -10,8 +10,8 @@ import pytest
 from http_requests import post
 from served_process import serving
 
+from gapmes.service.kernels import warm_up
 from gapmes.service.shipped import sample_folder, shipped_model
-from gapmes.service.splat import warm_up
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads Linux's /proc")
 MOST_BYTES = 400e6

@@ -5,8 +5,8 @@ import os
 import numba
 import pytest
 
+from gapmes.service.kernels import warm_up
 from gapmes.service.splat.kernel_cache import KERNELS, cache_folder, kernel, source_stamp
-from gapmes.service.splat.warm import warm_up
 
 
 @pytest.fixture

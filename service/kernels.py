@@ -1,4 +1,4 @@
-"""Have the kernels compiled before somebody waits for them."""
+"""Have the compiled loops ready before somebody waits for them."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import functools
 
 import numpy as np
 
-from ..camera import Camera
-from ..gaussians import Gaussians
-from .definition import Definition
-from .leverage import leverage
-from .render import render
+from .camera import Camera
+from .gaussians import Gaussians
+from .plane_kernels import compare_planes, mean_planes, spread_along_rows, spread_down_columns
+from .splat import Definition, leverage, render
 
 
 @functools.cache
 def warm_up() -> None:
-    """Compile or load from the cache what drawing colours, or colours, opacity and depth, needs, and `leverage`;
+    """Compile or load from the cache what a reconstruction needs, and drawing colours, or colours, opacity and depth;
     nothing the second time.
 
     The loops of the other outputs and of the exclusive stop compile when they are first asked for.
@@ -27,6 +26,11 @@ def warm_up() -> None:
         render(gaussians, camera, threads=1, definition=Definition(max_entries=max_entries)).rgb8()
     picture = render(gaussians, camera, threads=1, outputs=()).rgb
     leverage(gaussians, camera, picture, picture, np.ones(picture.shape[:2], np.bool_))
+    planes, features = np.zeros((1, 2, 2)), np.zeros((2, 2, 1), np.float32)
+    mean_planes(planes, 1, planes.copy())
+    compare_planes(features, features, planes[0], planes[0], np.ones((2, 2), np.uint8), 1.0, planes[0].copy())
+    spread_along_rows(planes, planes[0, :, :1].copy(), planes.copy())
+    spread_down_columns(planes, planes[0, :1], planes.copy())
 
 
 def is_warm() -> bool:
