@@ -21,7 +21,7 @@ from .fade_passes import DEFAULT_PASSES, checked_passes
 from .gaussians import Gaussians
 from .harmonics import C0
 from .images import FittedView
-from .splat import Definition, Leverage, Render, drawn_leverage
+from .splat import Definition, Leverage, Render, leverage
 
 STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
 DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
@@ -164,7 +164,7 @@ def _add_leverage(
         weight /= 1 + np.abs(residual).mean(axis=2) / np.float32(ROBUST)
         return picture, residual, weight
 
-    drawn_leverage(gaussians, view.camera, judged, near=near, threads=threads, onto=sums)
+    leverage(gaussians, view.camera, judged, near=near, threads=threads, onto=sums)
 
 
 def _mean(values: NDArray[np.floating]) -> float:

@@ -14,18 +14,17 @@ from .splat import Definition, leverage, render
 
 @functools.cache
 def warm_up() -> None:
-    """Compile or load from the cache what a reconstruction needs, and drawing colours, or colours, opacity and depth;
-    nothing the second time.
+    """Compile or load from the cache what a reconstruction and its pictures need; nothing the second time.
 
-    The loops of the other outputs and of the exclusive stop compile when they are first asked for.
+    The loops of the exclusive stop, which other renderers have, compile when they are first asked for.
     """
     camera = Camera.make(32, 32, 32.0, 32.0, 16.0, 16.0, np.eye(4))
     two = np.ones((2, 3), np.float32)
     gaussians = Gaussians.make(2.0 * two, two, [[1.0, 0.0, 0.0, 0.0]] * 2, [0.5, 0.4], np.zeros((2, 1, 3)))
     for max_entries in (1, 2):  # lists in several batches have a kernel of their own
         render(gaussians, camera, threads=1, definition=Definition(max_entries=max_entries)).rgb8()
-    picture = render(gaussians, camera, threads=1, outputs=()).rgb
-    leverage(gaussians, camera, picture, picture, np.ones(picture.shape[:2], np.bool_))
+    render(gaussians, camera, threads=1, outputs=("peaks", "removed", "alpha"), subset=np.ones(2, np.bool_))
+    leverage(gaussians, camera, lambda image: (image.rgb, image.rgb, image.alpha), threads=1)  # and colours alone
     planes, features = np.zeros((1, 2, 2)), np.zeros((2, 2, 1), np.float32)
     mean_planes(planes, 1, planes.copy())
     compare_planes(features, features, planes[0], planes[0], np.ones((2, 2), np.uint8), 1.0, planes[0].copy())

@@ -118,7 +118,7 @@ class Reconstructor:
         masks = patch_mask(views, info.patch)
         with stages.stage("network"):
             outputs, frame = self._run(views, depths)
-        if not is_warm():  # not before the network: 70 MB that would be in memory beside it
+        if not is_warm():  # not before the network: they would be in memory beside it
             with stages.stage("kernels"):  # compiled the first time, then loaded
                 warm_up()
         if fade:

@@ -3,7 +3,6 @@
 from .definition import INRIA as INRIA
 from .definition import Definition as Definition
 from .leverage import Leverage as Leverage
-from .leverage import drawn_leverage as drawn_leverage
 from .leverage import leverage as leverage
 from .reference import render_reference as render_reference
 from .render import Render as Render

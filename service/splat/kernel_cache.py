@@ -3,7 +3,8 @@
 Compiling all kernels takes seconds; loading them takes a tenth. Numba writes its cache next to the source, or else into
 the user's cache folder, and fails when neither can be written (a container with a read-only root and no home). It also
 takes a stored kernel for current as long as the kernel's own file is unchanged, although what the kernel calls in other
-files is compiled into it: so each state of this package's sources has a folder of its own.
+files is compiled into it: so each state of this package's sources has a folder of its own. A kernel outside the package
+may call what is in its own file and in this package, no other.
 """
 
 from __future__ import annotations

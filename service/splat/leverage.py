@@ -45,6 +45,7 @@ from .tile_state import BLOCKS, corner, live_blocks, place, tile_floats
 from .vectors import ENTRY, PIXELS
 
 F32 = NDArray[np.float32]
+Planes = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]
 
 PARTS = 4  # of the tiles, each with sums of its own, always the same: threads take parts, and change no rounding
 ZERO = np.float32(0.0)
@@ -68,58 +69,38 @@ class Leverage:
 def leverage(
     gaussians: Gaussians,
     camera: Camera,
-    picture: NDArray[np.floating],
-    residual: NDArray[np.floating],
-    weight: NDArray[np.floating],
+    judge: Callable[[Render], Planes],
     *,
     near: float | None = None,
     threads: int | None = None,
     onto: Leverage | None = None,
 ) -> Leverage:
-    """`picture` (H, W, 3) is what `render` draws, over any background, `residual` (H, W, 3) what it has too much, and
-    `weight` (H, W) what a pixel counts.
+    """Draw the set over black and weigh what `judge` makes of the image, which has its `alpha`: the `picture` (H, W, 3)
+    as it is over any background, `residual` (H, W, 3), what it has too much, and `weight` (H, W), what a pixel counts.
 
     A pixel of weight 0 adds nothing, whatever its numbers, nor does an opacity at a pixel where `alpha_max` holds the
-    alpha. What is found is added to `onto` where one is given: sums over several pictures. The bits do not depend on
-    the number of threads. Raises `InputError` for planes of another size, and as `render` does.
+    alpha. What is found is added to `onto`, of the same set, where one is given: sums over several pictures. The bits
+    do not depend on the number of threads. Raises `InputError` for planes or sums of another size, and as `render`
+    does.
     """
     rule, degree = checked_definition(None, near, None), checked_degree(None, gaussians)
+    if onto is not None and len(onto.slope) != len(gaussians):
+        raise InputError(f"is of {len(onto.slope)} Gaussians, need {len(gaussians)} as the set", field="onto")
     with sight(gaussians, camera, rule, degree, threads) as view:
-        return _weighed(view, picture, residual, weight, onto)
+        planes = judge(draw(view, ("alpha",), None, checked_background(None)))
+        return _weighed(view, planes, Leverage.of(len(gaussians)) if onto is None else onto)
 
 
-def drawn_leverage(
-    gaussians: Gaussians,
-    camera: Camera,
-    judge: Callable[[Render], tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]],
-    *,
-    near: float | None = None,
-    threads: int | None = None,
-    onto: Leverage | None = None,
-) -> Leverage:
-    """`leverage` of the picture, residual and weight that `judge` makes of the set drawn over black, with its `alpha`:
-    what the camera sees is projected once for both."""
-    rule, degree = checked_definition(None, near, None), checked_degree(None, gaussians)
-    with sight(gaussians, camera, rule, degree, threads) as view:
-        picture, residual, weight = judge(draw(view, ("alpha",), None, checked_background(None)))
-        return _weighed(view, picture, residual, weight, onto)
-
-
-def _weighed(
-    view: Sight,
-    picture: NDArray[np.floating],
-    residual: NDArray[np.floating],
-    weight: NDArray[np.floating],
-    onto: Leverage | None,
-) -> Leverage:
+def _weighed(view: Sight, given: Planes, found: Leverage) -> Leverage:
     size, count, rule = (view.camera.height, view.camera.width), len(view.gaussians), view.definition
-    for name, plane in (("picture", picture), ("residual", residual), ("weight", weight)):
+    for name, plane in zip(("picture", "residual", "weight"), given, strict=True):
         need = size if name == "weight" else (*size, 3)
         if plane.shape != need:
             raise InputError(f"is {plane.shape}, need {need} as the camera's picture", field=name)
     states = np.zeros((view.grid.tiles, tile_floats(CHANNELS)), np.float32)
-    # One layout for every caller: numba would compile the kernel again for others.
-    planes = (np.require(plane, np.float32, ["C", "W"]) for plane in (picture, residual, weight))
+    with np.errstate(over="ignore"):  # at pixels that do not count
+        # One layout for every caller: numba would compile the kernel again for others.
+        planes = [np.require(plane, np.float32, ["C", "W"]) for plane in given]
     fill_tiles(*planes, view.grid.columns, states)
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
     sums = np.zeros((PARTS, count, SUMS), np.float32)
@@ -128,7 +109,6 @@ def _weighed(
         walk = partial(_walk_part, lists, view.grid.columns, records, records.view(np.float32), states, cuts, sums)
         run_ranges(walk, range(PARTS + 1), view.threads)
     opacities = np.maximum(view.gaussians.opacities.astype(np.float64), rule.alpha_min)  # fainter ones are not drawn
-    found = Leverage.of(count) if onto is None else onto
     add_parts(sums, opacities, found.slope, found.moved, found.shown, found.excess)
     return found
 

@@ -108,17 +108,16 @@ def render(
 def draw(
     view: Sight, outputs: Collection[str], marked: NDArray[np.bool_] | None, background: NDArray[np.float32]
 ) -> Render:
-    """`render`, of what is projected already; `marked` (N,) is the subset that `removed` is about."""
+    """`render`, of what is projected already; `marked` (N,) is the subset that `removed` is about, and stays marked."""
+    start = time.perf_counter()
     projection, order, definition, grid = view.projection, view.order, view.definition, view.grid
     records, count = projection.space.records, len(view.gaussians)
     if marked is not None:  # a depth with a minus sign marks a Gaussian, see `vectors.py`
         rows = projection.drawn[marked[projection.drawn]]
         records.view(np.float32)[rows, DEPTH] *= -1
-    several = int(projection.counts.sum()) > definition.max_entries
-    canvas = new_canvas(view.camera, outputs, count, grid.tiles if several else 0, background)
+    canvas = new_canvas(view.camera, outputs, count, grid.tiles if view.several else 0, background)
     entries = batches = blocks = pairs = 0
-    start = mark = time.perf_counter()
-    binning = 0.0
+    binning, mark = 0.0, time.perf_counter()
     for lists in view.lists():
         binning += time.perf_counter() - mark
         found = blend(lists, records, canvas, grid, definition, view.threads, first_batch=batches == 0)

@@ -33,21 +33,21 @@ class Sight:
     projection: Projection
     order: NDArray[np.int32]  # (M,) what is drawn, nearest first
     seconds: dict[str, float]  # of each stage
-    _binned: list[TileLists] = field(default_factory=list)  # all there is, where one batch is
+    _binned: list[TileLists] = field(default_factory=list)  # kept where one batch is all
+
+    @property
+    def several(self) -> bool:
+        """Whether more than one batch of lists is needed."""
+        return int(self.projection.counts.sum()) > self.definition.max_entries
 
     def lists(self) -> Iterable[TileLists]:
         """Of every tile, in batches as `tile_lists` makes them."""
-        if self._binned:
-            return self._binned
-        return self._new_lists()
-
-    def _new_lists(self) -> Iterator[TileLists]:
-        for number, lists in enumerate(
-            tile_lists(self.projection, self.order, self.grid, self.definition.max_entries, self.threads)
-        ):
-            if number == 0 and lists.last:
-                self._binned.append(lists)
-            yield lists
+        batches = tile_lists(self.projection, self.order, self.grid, self.definition.max_entries, self.threads)
+        if self.several:
+            return batches
+        if not self._binned:
+            self._binned.extend(batches)
+        return self._binned
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from guarded import Guarded
 
 from gapmes.service.bilinear import bilinear
 from gapmes.service.plane_kernels import compare_planes, mean_planes, spread_along_rows, spread_down_columns
@@ -57,3 +58,29 @@ def test_lines_of_one_pixel_are_their_own_sums() -> None:
         found = np.full_like(planes, np.nan)
         spread(planes, none, found)
         assert (found == planes).all()
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 37), (37, 1), (17, 33)])
+def test_nothing_is_read_or_written_beside_the_planes(height: int, width: int) -> None:
+    """NaN stand beside what is read: one that came in would be found in the sums even with a weight of 0."""
+    rng, guarded, shape = np.random.default_rng(5), Guarded(), (2, height, width)
+    planes, steps = beside_nan(rng.random(shape)), rng.random((height, width))
+    across, down = beside_nan(steps[:, 1:]), beside_nan(steps[1:])
+    own, others = (beside_nan(rng.random((height, width, 5)).astype(np.float32)) for _ in range(2))
+    column, row = (beside_nan(rng.choice([-9.0, 0.0, side - 1.0, 99.0], (height, width))) for side in (width, height))
+    found = [guarded.array(shape, np.float64) for _ in range(3)]
+    cost = guarded.array((height, width), np.float64)
+    mean_planes(planes, 2, found[0])
+    spread_along_rows(planes, across, found[1])
+    spread_down_columns(planes, down, found[2])
+    compare_planes(own, others, column, row, np.ones((height, width), np.uint8), np.inf, cost)
+    guarded.check()
+    for array in (*found, cost):
+        assert np.isfinite(array).all()
+
+
+def beside_nan(values: np.ndarray) -> np.ndarray:
+    """The same values, in the middle of a buffer of NaN."""
+    buffer = np.full(values.size + 512, np.nan, values.dtype)
+    buffer[256 : 256 + values.size] = values.ravel()
+    return buffer[256 : 256 + values.size].reshape(values.shape)

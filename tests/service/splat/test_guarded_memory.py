@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from guarded import PATTERN, Guarded
 from splat_cases import bits, camera, compare, dots, scene
 
 from gapmes.service.camera import Camera
@@ -9,7 +10,7 @@ from gapmes.service.splat import Definition, render
 from gapmes.service.splat.access import BLOCK
 from gapmes.service.splat.binning import Grid, tile_lists
 from gapmes.service.splat.blend import Canvas, blend
-from gapmes.service.splat.leverage import leverage_tiles
+from gapmes.service.splat.leverage import PARTS, add_parts, fill_tiles, leverage_tiles
 from gapmes.service.splat.leverage_lanes import CHANNELS, SUMS
 from gapmes.service.splat.options import OUTPUTS
 from gapmes.service.splat.order import depth_order
@@ -17,27 +18,6 @@ from gapmes.service.splat.prepare import DEPTH, EXTENT, RECORD, Workspace, prepa
 from gapmes.service.splat.project import project
 from gapmes.service.splat.tile_state import tile_floats
 from gapmes.service.splat.vectors import ALL_CHANNELS
-
-GUARD = 4096  # bytes on either side
-PATTERN = 0xA5
-
-
-class Guarded:
-    """Arrays in the middle of larger buffers."""
-
-    def __init__(self):
-        self.buffers = []
-
-    def array(self, shape, dtype):
-        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-        buffer = np.full(2 * GUARD + size, PATTERN, np.uint8)
-        self.buffers.append(buffer)
-        return buffer[GUARD : GUARD + size].view(dtype).reshape(shape)
-
-    def check(self):
-        for buffer in self.buffers:
-            assert (buffer[:GUARD] == PATTERN).all()
-            assert (buffer[-GUARD:] == PATTERN).all()
 
 
 @pytest.mark.case("E11")
@@ -63,14 +43,17 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
     state = guarded.array((grid.tiles, tile_floats(ALL_CHANNELS)), np.float32)
     canvas = Canvas(rgb, *planes, peaks, state, np.zeros(3, np.float32))
     walked = guarded.array((grid.tiles, tile_floats(CHANNELS)), np.float32)
-    found = guarded.array((count, SUMS), np.float32)
+    parts = guarded.array((PARTS, count, SUMS), np.float32)
+    found = parts[0]
+    sums = [guarded.array((count, *more), np.float64) for more in ((), (), (), (3,))]
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
     subset = np.arange(count) % 2 == 0
     for threads in (1, 2):
         for array in (rgb, *planes, space.records, space.extents, space.depths):
             array.view(np.uint8)[...] = PATTERN
-        walked[:] = 1.0
-        peaks[:] = found[:] = 0.0
+        walked[:] = 0.0
+        fill_tiles(np.ones((*shape, 3), np.float32), rgb, np.ones(shape, np.float32), grid.columns, walked)
+        peaks[:] = parts[:] = 0.0
         projection = project(prepared(gaussians, threads), view, rule, 1, threads, space)
         order = depth_order(space.depths, projection.drawn, gaussians)
         marked = projection.drawn[subset[projection.drawn]]
@@ -79,6 +62,7 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
             blend(lists, space.records, canvas, grid, rule, threads, first_batch=number == 0)
             given = lists.offsets, lists.members, space.records, space.records.view(np.float32)
             leverage_tiles(0, grid.tiles, grid.columns, *given, walked, cuts, found)
+        add_parts(parts, np.ones(count), *sums)
         guarded.check()
         # and every pixel was written: the pattern is -2.9e-16 as a float, which no plane holds
         expected = render(gaussians, view, outputs=OUTPUTS, subset=subset)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ from splat_cases import camera, dots, moved, scene
 
 from gapmes.service.camera import Camera
 from gapmes.service.errors import InputError
-from gapmes.service.gaussians import Gaussians
+from gapmes.service.gaussians import Gaussians, joined
 from gapmes.service.harmonics import C0
-from gapmes.service.splat import Definition, Leverage, Render, drawn_leverage, leverage, render, render_reference
+from gapmes.service.splat import Definition, Leverage, Render, leverage, render, render_reference
 
 BEHIND = (0.2, 0.9, 0.4)
+LEVERAGE = importlib.import_module("gapmes.service.splat.leverage")  # the package has the function by this name
 
 
 def change_by_opacity(gaussians: Gaussians, view: Camera, i: int, step: float) -> np.ndarray:
@@ -49,6 +51,13 @@ def case(count: int, seed: int, degree: int = 0) -> tuple[Gaussians, Camera, np.
     return gaussians, view, picture, rng.normal(size=picture.shape), _weights(rng, picture.shape[:2])
 
 
+def weighed(
+    gaussians: Gaussians, view: Camera, picture: np.ndarray, residual: np.ndarray, weight: np.ndarray, **options: Any
+) -> Leverage:
+    """Whatever is drawn."""
+    return leverage(gaussians, view, lambda _: (picture, residual, weight), **options)
+
+
 def assert_same(one: Leverage, other: Leverage) -> None:
     for field in fields(Leverage):
         assert (getattr(one, field.name) == getattr(other, field.name)).all(), field.name
@@ -57,7 +66,7 @@ def assert_same(one: Leverage, other: Leverage) -> None:
 @pytest.mark.parametrize(("count", "seed", "degree"), [(12, 1, 0), (60, 2, 2), (90, 3, 0)])
 def test_slopes_and_moves_are_those_of_the_reference(count: int, seed: int, degree: int) -> None:
     gaussians, view, picture, residual, weight = case(count, seed, degree)
-    found = leverage(gaussians, view, picture, residual, weight)
+    found = weighed(gaussians, view, picture, residual, weight)
     each = weight[..., None]
     compared = 0
     for i in range(count):
@@ -86,77 +95,98 @@ def test_a_held_alpha_moves_nothing() -> None:
     height = picture[..., 0] / np.float32(0.9)
     assert (height >= 0.9899).any()
     free = height < 0.9899
-    found = leverage(one, view, picture, picture, everywhere)
+    found = weighed(one, view, picture, picture, everywhere)
     assert found.slope[0] == pytest.approx((picture[free] ** 2).sum(), rel=1e-5)
-    held = leverage(one, view, picture, picture, 1.0 * ~free)
+    held = weighed(one, view, picture, picture, 1.0 * ~free)
     assert held.moved[0] == 0.0
     assert held.shown[0] == pytest.approx(height[~free].sum(), rel=1e-5)  # its colour does
     assert held.excess[0] == pytest.approx((height[~free, None] * picture[~free]).sum(0), rel=1e-5)
 
 
-def test_what_is_not_drawn_has_no_leverage() -> None:
+def test_what_is_not_drawn_has_no_weighed() -> None:
     view = camera(24, 24)
     gaussians = dots([[0, 0, 2], [0, 0, -2], [0, 0, 3], [9, 0, 2]], [0.5, 0.5, 0.003, 0.5], 0.7, scale=0.1)
     picture = render(gaussians, view).rgb
-    found = leverage(gaussians, view, picture, np.ones_like(picture), np.ones((24, 24)))
+    found = weighed(gaussians, view, picture, np.ones_like(picture), np.ones((24, 24)))
     assert found.moved[0] > 0
     assert not found.moved[1:].any()
     assert not found.slope[1:].any()
     assert not found.shown[1:].any()
     assert not found.excess[1:].any()
-    none = leverage(gaussians, view, picture, np.ones_like(picture), np.zeros((24, 24)))
+    none = weighed(gaussians, view, picture, np.ones_like(picture), np.zeros((24, 24)))
     assert not none.moved.any()
     assert not none.shown.any()
     empty = gaussians[np.zeros(4, bool)]
-    assert leverage(empty, view, picture, picture, np.ones((24, 24))).slope.shape == (0,)
+    assert weighed(empty, view, picture, picture, np.ones((24, 24))).slope.shape == (0,)
 
 
 def test_lists_in_several_batches_go_on_where_the_one_before_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     gaussians, *given = case(90, 3)
-    whole = leverage(gaussians, *given)
-    module = importlib.import_module("gapmes.service.splat.leverage")
-    monkeypatch.setattr(module, "checked_definition", lambda *_: Definition(max_entries=7))
-    parts = leverage(gaussians, *given)
+    whole = weighed(gaussians, *given)
+    monkeypatch.setattr(LEVERAGE, "checked_definition", lambda *_: Definition(max_entries=7))
+    parts = weighed(gaussians, *given)
     assert_same(parts, whole)
 
 
-@pytest.mark.parametrize("max_entries", [7, 10**6])
-def test_drawing_and_weighing_at_once_is_both_in_turn(monkeypatch: pytest.MonkeyPatch, max_entries: int) -> None:
+@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("wall", [False, True])
+def test_what_is_judged_is_drawn_from_the_same_projection(
+    monkeypatch: pytest.MonkeyPatch, several: bool, wall: bool
+) -> None:
+    """Of lists in one batch these are shared too; a wall in front ends drawing before the last of several batches."""
     gaussians, view, _, residual, weight = case(90, 3)
-    image = render(gaussians, view, outputs=("alpha",))
-    expected = leverage(gaussians, view, image.rgb, residual, weight)
-    module = importlib.import_module("gapmes.service.splat.leverage")
-    monkeypatch.setattr(module, "checked_definition", lambda *_: Definition(max_entries=max_entries))
+    if wall:
+        near = dots([[0.0, 0.0, 0.5]] * 30, [0.99] * 30, (0.3, 0.6, 0.9), 3.0)
+        gaussians = joined(near, gaussians)
+    expected = render(gaussians, view, outputs=("alpha",))
+    whole = weighed(gaussians, view, expected.rgb, residual, weight)
+    calls: list[str] = []
+    for module, name in (("sight", "project"), ("sight", "depth_order"), ("binning", "_fill")):
+        _count(monkeypatch, f"gapmes.service.splat.{module}", name, calls)
+    monkeypatch.setattr(LEVERAGE, "checked_definition", lambda *_: Definition(max_entries=7 if several else 10**6))
     drawn: list[Render] = []
 
     def judge(image: Render) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         drawn.append(image)
         return image.rgb, residual, weight
 
-    assert_same(drawn_leverage(gaussians, view, judge), expected)
-    assert (drawn[0].rgb == image.rgb).all()
-    assert (drawn[0].alpha == image.alpha).all()
+    assert_same(leverage(gaussians, view, judge), whole)
+    assert (drawn[0].rgb == expected.rgb).all()
+    assert (drawn[0].alpha == expected.alpha).all()
+    assert (calls.count("project"), calls.count("depth_order")) == (1, 1)
+    assert calls.count("_fill") > 2 if several else calls.count("_fill") == 1
+
+
+def _count(monkeypatch: pytest.MonkeyPatch, module: str, name: str, calls: list[str]) -> None:
+    """Note each call of a module's function in `calls`."""
+    real = getattr(importlib.import_module(module), name)
+
+    def counted(*given: Any, **options: Any) -> Any:
+        calls.append(name)
+        return real(*given, **options)
+
+    monkeypatch.setattr(f"{module}.{name}", counted)
 
 
 def test_the_number_of_threads_does_not_matter() -> None:
     gaussians, *given = case(90, 6)
-    one, three = (leverage(gaussians, *given, threads=threads) for threads in (1, 3))
+    one, three = (weighed(gaussians, *given, threads=threads) for threads in (1, 3))
     assert_same(one, three)
 
 
 def test_the_order_of_the_gaussians_does_not_matter() -> None:
     gaussians, *given = case(90, 4)
     order = np.random.default_rng(0).permutation(90)
-    found, other = leverage(gaussians, *given), leverage(gaussians[order], *given)
+    found, other = weighed(gaussians, *given), weighed(gaussians[order], *given)
     assert_same(other, Leverage(*(getattr(found, field.name)[order] for field in fields(Leverage))))
 
 
 def test_pixels_without_weight_may_hold_anything() -> None:
     gaussians, view, picture, residual, weight = case(60, 5)
-    expected = leverage(gaussians, view, picture, residual, weight)
-    picture[weight == 0], residual[weight == 0] = np.nan, np.inf
-    with np.errstate(invalid="ignore"):
-        found = leverage(gaussians, view, picture, residual, weight)
+    expected = weighed(gaussians, view, picture, residual, weight)
+    picture, left_out = picture.astype(np.float64), weight == 0
+    picture[left_out], residual[left_out] = 1e300, np.inf
+    found = weighed(gaussians, view, picture, residual, weight)
     assert_same(found, expected)
 
 
@@ -166,23 +196,40 @@ def test_planes_of_another_size_are_refused(name: str) -> None:
     given = dict(zip(("picture", "residual", "weight"), planes, strict=True))
     given[name] = given[name][:1]
     with pytest.raises(InputError, match=r"\(1, 44.*need \(37, 44"):
-        leverage(gaussians, view, **given)
+        weighed(gaussians, view, **given)
+
+
+def test_sums_of_another_set_are_refused() -> None:
+    gaussians, *given = case(3, 0)
+    with pytest.raises(InputError, match="onto: is of 2 Gaussians, need 3"):
+        weighed(gaussians, *given, onto=Leverage.of(2))
+
+
+def test_strided_and_read_only_planes_are_weighed_alike_by_the_same_kernels() -> None:
+    gaussians, view, *planes = case(40, 2)
+    expected = weighed(gaussians, view, *planes)
+    spread = [np.repeat(plane, 2, axis=1)[:, ::2] for plane in planes]
+    for plane in spread:
+        plane.flags.writeable = False
+    assert_same(weighed(gaussians, view, *spread), expected)
+    for kernel in (LEVERAGE.fill_tiles, LEVERAGE.add_parts, LEVERAGE.leverage_tiles):
+        assert len(kernel.signatures) == 1  # nothing is compiled while a request waits
 
 
 def test_a_near_plane_that_makes_no_sense_is_refused() -> None:
     gaussians, *given = case(3, 0)
     with pytest.raises(InputError, match="near"):
-        leverage(gaussians, *given, near=-1.0)
+        weighed(gaussians, *given, near=-1.0)
 
 
 def test_sums_go_on_over_several_pictures() -> None:
     gaussians, view, picture, residual, weight = case(40, 5, 0)
     one, two = (
-        leverage(gaussians, view, picture, residual, weight),
-        leverage(gaussians, view, picture, -residual, weight),
+        weighed(gaussians, view, picture, residual, weight),
+        weighed(gaussians, view, picture, -residual, weight),
     )
-    both = leverage(gaussians, view, picture, residual, weight)
-    assert leverage(gaussians, view, picture, -residual, weight, onto=both) is both
+    both = weighed(gaussians, view, picture, residual, weight)
+    assert weighed(gaussians, view, picture, -residual, weight, onto=both) is both
     for field in fields(Leverage):
         assert (getattr(both, field.name) == getattr(one, field.name) + getattr(two, field.name)).all(), field.name
     assert both.moved.any()

@@ -1,0 +1,26 @@
+"""Arrays between guards: kernels write without bounds checks, and what lies beside their arrays must stay."""
+
+from __future__ import annotations
+
+import numpy as np
+
+GUARD = 4096  # bytes on either side
+PATTERN = 0xA5
+
+
+class Guarded:
+    """Arrays in the middle of larger buffers."""
+
+    def __init__(self):
+        self.buffers = []
+
+    def array(self, shape, dtype):
+        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        buffer = np.full(2 * GUARD + size, PATTERN, np.uint8)
+        self.buffers.append(buffer)
+        return buffer[GUARD : GUARD + size].view(dtype).reshape(shape)
+
+    def check(self):
+        for buffer in self.buffers:
+            assert (buffer[:GUARD] == PATTERN).all()
+            assert (buffer[-GUARD:] == PATTERN).all()
