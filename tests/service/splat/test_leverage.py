@@ -185,7 +185,7 @@ def test_pixels_without_weight_may_hold_anything() -> None:
     gaussians, view, picture, residual, weight = case(60, 5)
     expected = weighed(gaussians, view, picture, residual, weight)
     picture, left_out = picture.astype(np.float64), weight == 0
-    picture[left_out], residual[left_out] = 1e300, np.inf
+    picture[left_out], residual[left_out] = (np.nan, 1e300, -1e300), (np.inf, np.nan, 1e300)
     found = weighed(gaussians, view, picture, residual, weight)
     assert_same(found, expected)
 
