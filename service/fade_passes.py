@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from .errors import InputError
 
-DEFAULT_PASSES = 2  # each gains less than the one before
+DEFAULT_PASSES = 4  # each gains less than the one before
 MAX_PASSES = 8
 
 

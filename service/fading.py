@@ -17,20 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .anchors import Anchors
+from .compared import Compared
 from .fade_passes import DEFAULT_PASSES, checked_passes
 from .gaussians import Gaussians
 from .harmonics import C0
 from .images import FittedView
-from .splat import Definition, Leverage, Render, leverage
+from .splat import Definition
 
 STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
 DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
-ROBUST = 0.05  # of a channel: difference at which a pixel counts half; exposures, highlights and noise differ as well
+MOMENTUM = 0.4  # share of its last step that each opacity and colour goes again
 BEHIND_KEEPS = 0.5  # of its opacity, at least: it is there for views that nobody has asked for
 ANCHORED = 2.0  # weight of a pixel of what is sure: between the inputs a few pictures stand for all views there
-COLOUR_STEP = 0.5  # of the mean that the pixels which show a Gaussian have too much; 2 would not settle
+COLOUR_STEP = 1.2  # of the mean that the pixels which show a Gaussian have too much: those share it with others
 COLOUR_DAMPING = 0.05  # of a pixel; a Gaussian of which less is to be seen in all keeps most of its colour
-COVERED = 1e-3  # opacity below which a pixel shows no colour that could be right or wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,46 +71,64 @@ def faded(
 
     A pass draws every view once and moves each opacity o by -STEP sum(w r J) / (sum(w J^2) + DAMPING), to what it was
     at first at most and to 0 at least, or to BEHIND_KEEPS of what it was where it stands `behind` (N,) the scene:
-    J = dC/do, r the picture (clipped to [0, 1]) less the photograph, sums over all pixels and channels of all views. A
-    pixel whose difference has the mean size d over the channels weighs w = 1 / (1 + d / ROBUST) (Fair's weight of
-    robust regression), one that a mask leaves out nothing. The next pass, or one more after the last, moves the base
-    colour by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING) in each channel, with s = T a of `leverage`, and
-    not beyond [0, 1] where the network's own was within (simultaneous iterative reconstruction, Gilbert 1972): also of
-    what stands behind, which new views see past the edges of what hides it. Where a pixel is not covered in full, its
-    own mean colour stands behind it: no Gaussian goes for being brighter than a background that nobody knows. For the
-    Gaussians that `anchors` says, the sums of a pass go over its pictures as well, with ANCHORED as their weight;
-    colours follow photographs alone. `near` is that of `render`; `done` hears how many rounds of drawing are done,
-    passes + 1 in all. The bits do not depend on the number of threads.
+    J = dC/do, r the picture (clipped to [0, 1]) less the photograph, sums over all pixels and channels of all views,
+    with their weights w and what stands behind them as `Compared` says. The next pass, or one more after the last,
+    moves the base colour by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING) in each channel, with s = T a of
+    `leverage`, and not beyond [0, 1] where the network's own was within (simultaneous iterative reconstruction,
+    Gilbert 1972): also of what stands behind, which new views see past the edges of what hides it. Either goes on by
+    MOMENTUM of its last step (the heavy ball of Polyak, 1964).
+
+    For the Gaussians that `anchors` says, the sums of a pass go over its pictures as well, with ANCHORED as their
+    weight; colours follow photographs alone. `near` is that of `render`; `done` hears how many rounds of drawing are
+    done, passes + 1 in all. The bits do not depend on the number of threads.
 
     Raises `InputError` for a number of passes that is out of range.
     """
     checked_passes(passes)
-    before = after = gaussians.opacities
-    least = 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0)
-    own = colours = _base_colours(gaussians)
+    before, own = gaussians.opacities, _base_colours(gaussians)
+    opacities = _Moving(before, 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0), before)
+    colours = _Moving(own, np.minimum(own, 0), np.maximum(own, 1))
+    given, sure = Compared(views), Compared(() if anchors is None else anchors.pictures)
     for number in range(passes + 1 if passes else 0):
-        now = _changed(gaussians, after, colours - own)
-        anchored = _anchored(now, anchors, near, threads) if number < passes else (0.0, 0.0)
-        sums = _sums(now, views, near, threads)
+        now = _changed(gaussians, opacities.now, colours.now - own)
+        sums = given.sums(now, near, threads)
         if number:
-            step = _finite(COLOUR_STEP * sums.excess, (sums.shown + COLOUR_DAMPING)[:, None])
-            colours = np.clip(colours - step.astype(np.float32), np.minimum(own, 0), np.maximum(own, 1))
+            colours.move(-_finite(COLOUR_STEP * sums.excess, (sums.shown + COLOUR_DAMPING)[:, None]))
         if number < passes:
-            with np.errstate(invalid="ignore"):
-                slope, moved = sums.slope + anchored[0], sums.moved + anchored[1]
-            after = np.clip(after - _finite(STEP * slope, moved + DAMPING), least, before).astype(np.float32)
+            slope, moved = sums.slope, sums.moved
+            if anchors is not None and sure.views:
+                between = sure.sums(now, near, threads)
+                with np.errstate(invalid="ignore"):
+                    slope = slope + np.where(anchors.may_fade, ANCHORED * between.slope, 0)
+                    moved = moved + np.where(anchors.may_fade, ANCHORED * between.moved, 0)
+            opacities.move(-_finite(STEP * slope, moved + DAMPING))
         del now, sums  # what the splatter keeps of a set lives as long as the set: for one round
         if done is not None:
             done(number + 1)
+    after = opacities.now
     cut = np.float32(Definition().alpha_min)
     return Fading(
-        _changed(gaussians, after, colours - own) if passes else gaussians,
+        _changed(gaussians, after, colours.now - own) if passes else gaussians,
         passes,
         int(((after <= 0.5 * before) & (after < before)).sum()),
         (after < cut) & (before >= cut),
         (_mean(before), _mean(after)),
-        _mean(np.abs(colours - own)),
+        _mean(np.abs(colours.now - own)),
     )
+
+
+@dataclass(eq=False)
+class _Moving:
+    """Numbers that go step by step, each within its range, and a share of the last step again."""
+
+    now: NDArray[np.float32]
+    least: NDArray[np.floating] | float
+    most: NDArray[np.floating]
+    last: NDArray[np.float32] | float = 0.0
+
+    def move(self, step: NDArray[np.float64]) -> None:
+        new = np.clip(self.now + step + MOMENTUM * self.last, self.least, self.most).astype(np.float32)
+        self.now, self.last = new, new - self.now
 
 
 def _base_colours(gaussians: Gaussians) -> NDArray[np.float32]:
@@ -129,42 +147,6 @@ def _finite(over: NDArray[np.float64], under: NDArray[np.float64]) -> NDArray[np
     """The quotient; 0 where a sum was not finite, of colours near the end of float32."""
     with np.errstate(invalid="ignore", over="ignore"):
         return np.nan_to_num(over / under, nan=0.0, posinf=0.0, neginf=0.0)
-
-
-def _sums(now: Gaussians, views: Sequence[FittedView], near: float | None, threads: int | None) -> Leverage:
-    """Over all views."""
-    sums = Leverage.of(len(now))
-    for view in views:
-        _add_leverage(sums, now, view, near, threads)
-    return sums
-
-
-def _anchored(
-    now: Gaussians, anchors: Anchors | None, near: float | None, threads: int | None
-) -> tuple[NDArray[np.float64] | float, NDArray[np.float64] | float]:
-    """What the pictures of what is sure add to `slope` and `moved` of the Gaussians that must not hide it."""
-    if anchors is None or not anchors.pictures:
-        return 0.0, 0.0
-    sums = _sums(now, anchors.pictures, near, threads)
-    slope, moved = (np.where(anchors.may_fade, ANCHORED * values, 0.0) for values in (sums.slope, sums.moved))
-    return slope, moved
-
-
-def _add_leverage(
-    sums: Leverage, gaussians: Gaussians, view: FittedView, near: float | None, threads: int | None
-) -> None:
-    """What each Gaussian does to the difference of one view's picture and photograph."""
-
-    def judged(image: Render) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        weight = (image.alpha > COVERED).astype(np.float32)
-        if view.mask is not None:
-            weight *= view.mask
-        picture = image.rgb / np.maximum(image.alpha, np.float32(COVERED))[..., None]
-        residual = np.clip(picture, 0, 1) - view.image.transpose(1, 2, 0)
-        weight /= 1 + np.abs(residual).mean(axis=2) / np.float32(ROBUST)
-        return picture, residual, weight
-
-    leverage(gaussians, view.camera, judged, near=near, threads=threads, onto=sums)
 
 
 def _mean(values: NDArray[np.floating]) -> float:

@@ -34,7 +34,7 @@ def _share(value: float) -> str:
     return f"{value * 255:g}/255"
 
 
-FADE_PASSES = (0, 1, 2, 4)
+FADE_PASSES = (0, 1, 2, 4, 8)
 BANDS = "harmonics (random ones)"  # the shipped network yields constant colours only
 
 SCENE_SETTINGS = (

@@ -3,6 +3,7 @@
 from .definition import INRIA as INRIA
 from .definition import Definition as Definition
 from .leverage import Leverage as Leverage
+from .leverage import Planes as Planes
 from .leverage import leverage as leverage
 from .reference import render_reference as render_reference
 from .render import Render as Render

@@ -64,7 +64,7 @@ def test_what_hides_the_sure_fades_more_and_the_rest_as_before(
     without, with_ = (faded(spoiled, views[:2], 1, anchors=one).gaussians for one in (None, kept))
     assert (without.opacities[:-SPECKS] == with_.opacities[:-SPECKS]).all()
     assert with_.opacities[-SPECKS:].mean() < 0.9 * without.opacities[-SPECKS:].mean()
-    # Found: 20.34 and 20.54 dB for the photograph that was kept back, 18.63 dB before.
+    # Found: 20.28 and 20.46 dB for the photograph that was kept back, 18.63 dB before.
     without, with_ = (faded(spoiled, views[:2], 2, anchors=one).gaussians for one in (None, kept))
     assert error(with_, views[2]) > error(without, views[2]) + 0.1
 
@@ -80,7 +80,7 @@ def test_what_no_input_sees_fades_if_it_hides_what_is_sure(views: list[FittedVie
     sure = np.arange(len(scene)) < len(scene) - 1
     kept = anchors(scene, sure, ~sure, [view.camera for view in views[:2]])
     assert faded(scene, views[:2]).gaussians.opacities[-1] == np.float32(0.8)
-    assert faded(scene, views[:2], anchors=kept).gaussians.opacities[-1] < 0.4  # found: 0.31
+    assert faded(scene, views[:2], anchors=kept).gaussians.opacities[-1] < 0.4  # found: 0
     may_not = Anchors(kept.pictures, np.zeros(len(scene), bool))
     assert faded(scene, views[:2], anchors=may_not).gaussians.opacities[-1] == np.float32(0.8)
 

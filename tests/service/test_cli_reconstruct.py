@@ -53,7 +53,7 @@ def test_reconstruct_and_render(scene_dir: Path, standin_model: Path, capfd: pyt
 
 def test_fading_is_as_asked_for(scene_dir: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for asked, said in (
-        ((), "fading in 2 passes: "),
+        ((), "fading in 4 passes: "),
         (("--fade", 1), "fading in 1 pass: "),
         (("--fade", 0), "fading: off"),
     ):

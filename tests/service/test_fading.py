@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from plane_views import SIDE, error, floaters, in_another_world, joined, on_the_plane, plane_views
 
-from gapmes.service import fading
+from gapmes.service import fade_passes
 from gapmes.service.camera import Camera
 from gapmes.service.commands.summary import fading_line
+from gapmes.service.compared import Compared
 from gapmes.service.errors import InputError
 from gapmes.service.fading import faded
 from gapmes.service.gaussians import Gaussians
@@ -37,12 +38,24 @@ def test_floaters_fade_and_the_surface_stays(views: list[FittedView], spoiled: G
     given = [views[0], views[2]]
     result = faded(spoiled, given)
     kept = result.gaussians.opacities / spoiled.opacities
-    assert np.median(kept[-40:]) < 0.4  # found: 0.22
-    assert np.median(kept[:-40]) > 0.85  # found: 0.89; what blurs its neighbours' texture fades a little as well
-    for view in views:  # found: 2.6, 1.7 and 4.6 dB, the second for the photograph that was kept back
-        assert error(result.gaussians, view) > error(spoiled, view) + 1.2
+    assert np.median(kept[-40:]) < 0.1  # found: 0
+    assert np.median(kept[:-40]) > 0.78  # found: 0.81; what blurs its neighbours' texture fades as well
+    for view in views:  # found: 4.9, 2.1 and 7.7 dB, the second for the photograph that was kept back
+        assert error(result.gaussians, view) > error(spoiled, view) + 1.6
     assert result.halved >= 10
     assert result.mean_opacity[1] < result.mean_opacity[0]
+
+
+def test_passes_settle(views: list[FittedView], spoiled: Gaussians, monkeypatch) -> None:
+    """Many more than anyone asks for: surfaces do not go on fading, which would only let the void through."""
+    monkeypatch.setattr(fade_passes, "MAX_PASSES", 32)
+    given = [views[0], views[2]]
+    some, more, most = (faded(spoiled, given, passes).gaussians for passes in (8, 16, 32))
+    for view in views:  # found: 0.4 dB more to 0.2 less from 8 to 32; 7 to 11 less where the void counts nothing
+        found = [error(scene, view) for scene in (spoiled, some, more, most)]
+        assert min(found[1:]) > found[0] + 1.5
+        assert max(found[1:]) - min(found[1:]) < 1.0
+        assert render(most, view.camera).alpha.mean() > 0.94  # found: 0.955 or more
 
 
 def test_opacities_and_colours_alone_change_and_no_opacity_rises(views: list[FittedView], spoiled: Gaussians) -> None:
@@ -59,15 +72,17 @@ def test_opacities_and_colours_alone_change_and_no_opacity_rises(views: list[Fit
 
 def test_what_shows_its_photographs_already_stays(views: list[FittedView], spoiled: Gaussians) -> None:
     """Even floaters: the photographs are pictures of the very scene."""
-    cameras = [view.camera for view in views]
-    seen = [FittedView(render(spoiled, c).rgb.transpose(2, 0, 1).copy(), None, c, 1.0) for c in cameras]
-    # Pixels that the scene does not cover in full are compared as if their colour went on behind it.
-    seen = [replace(view, mask=render(spoiled, view.camera).alpha > 0.999) for view in seen]
+    # Where the scene does not cover a pixel in full, it is compared as if its colour went on behind it.
+    drawn = [(view.camera, render(spoiled, view.camera)) for view in views]
+    whole = [np.clip(image.rgb / np.maximum(image.alpha, 0.001)[..., None], 0, 1) for _, image in drawn]
+    seen = [
+        FittedView(colour.transpose(2, 0, 1).copy(), None, camera, 1.0)
+        for colour, (camera, _) in zip(whole, drawn, strict=True)
+    ]
     result = faded(spoiled, seen)
-    # Found: 0.0037, where a thousandth of the light comes through from behind.
-    assert np.abs(result.gaussians.opacities - spoiled.opacities).max() < 1 / 255
+    assert np.abs(result.gaussians.opacities - spoiled.opacities).max() < 1e-6  # found: 0
     assert result.halved == 0
-    assert C0 * np.abs(result.gaussians.harmonics - spoiled.harmonics).max() < 1 / 255  # found: 0.0005
+    assert C0 * np.abs(result.gaussians.harmonics - spoiled.harmonics).max() < 1e-6  # found: 0
 
 
 def test_masked_pixels_count_nothing(views: list[FittedView], spoiled: Gaussians) -> None:
@@ -170,21 +185,20 @@ def test_what_is_too_faint_to_be_drawn_is_gone(views: list[FittedView], spoiled:
 def test_nothing_to_fade(views: list[FittedView], spoiled: Gaussians) -> None:
     result = faded(spoiled[:0], views)
     assert len(result.gaussians) == 0
-    assert result.document() == {"passes": 2, "halved": 0, "gone": 0, "mean_opacity": [0.0, 0.0], "recoloured": 0.0}
+    assert result.document() == {"passes": 4, "halved": 0, "gone": 0, "mean_opacity": [0.0, 0.0], "recoloured": 0.0}
 
 
 def test_colours_come_to_what_the_photographs_show(views: list[FittedView]) -> None:
-    """The plane from two photographs, its colours off by a shade, of which each pass takes a third."""
+    """The plane from two photographs, its colours off by a shade: the first pass takes most of it, the rest settles."""
     scene = joined(on_the_plane(views[0]), on_the_plane(views[2]))
     shade = np.array([0.10, -0.06, 0.04], np.float32)
     tinted = replace(scene, harmonics=scene.harmonics + shade / np.float32(C0))
     given = [views[0], views[2]]
-    # found: 0.061, 0.039, 0.019, 0.010
+    # found: 0.009, 0.024, 0.007, 0.006; the second goes too far by the momentum
     off = [np.abs(_shade(faded(tinted, given, n).gaussians, tinted) + shade).max() for n in (1, 2, 4, 8)]
-    assert off[0] < 0.75 * np.abs(shade).max()
-    assert off[1] < 0.75 * off[0]
-    assert off[3] < off[2] < off[1]
-    for view in views:  # found: 3.4, 1.9 and 4.1 dB, the second for the photograph that was kept back
+    assert max(off) < 0.3 * np.abs(shade).max()
+    assert max(off[2:]) < 0.1 * np.abs(shade).max()
+    for view in views:  # found: 6.2, 2.6 and 7.8 dB, the second for the photograph that was kept back
         assert error(faded(tinted, given).gaussians, view) > error(tinted, view) + 1.0
 
 
@@ -192,12 +206,12 @@ def test_colours_follow_one_pass_behind(views: list[FittedView], spoiled: Gaussi
     """Each round is drawn with the colours of the one before; the first only lowers opacities."""
     drawn: list[Gaussians] = []
 
-    def recorded(now: Gaussians, *rest: object) -> Leverage:
+    def recorded(compared: Compared, now: Gaussians, *rest: object) -> Leverage:
         drawn.append(now)
-        return real(now, *rest)
+        return real(compared, now, *rest)
 
-    real = fading._sums
-    monkeypatch.setattr(fading, "_sums", recorded)
+    real = Compared.sums
+    monkeypatch.setattr(Compared, "sums", recorded)
     last = faded(spoiled, views, 2).gaussians
     assert len(drawn) == 3
     steps = list(pairwise([*drawn, last]))
@@ -216,7 +230,7 @@ def test_colours_stay_within_what_can_be_seen(views: list[FittedView], spoiled: 
         before, after = (0.5 + C0 * one.harmonics[:, 0] for one in (spoiled, faded(spoiled, flat, 8).gaussians))
         assert (after >= np.minimum(before, 0) - 1e-6).all()
         assert (after <= np.maximum(before, 1) + 1e-6).all()
-        assert np.abs(after - value).mean() < 0.1 * np.abs(before - value).mean()  # found: 0.051 and 0.044
+        assert np.abs(after - value).mean() < 0.1 * np.abs(before - value).mean()  # found: 0.001 of it
 
 
 def test_what_depends_on_the_direction_stays(views: list[FittedView], spoiled: Gaussians) -> None:
@@ -237,7 +251,7 @@ def test_a_number_of_passes_that_makes_no_sense_is_refused(passes, views: list[F
 def test_a_line_says_what_faded(views: list[FittedView], spoiled: Gaussians) -> None:
     result = faded(spoiled, views)
     line = fading_line({"fading": result.document()})
-    assert line.startswith("fading in 2 passes: ")
+    assert line.startswith("fading in 4 passes: ")
     assert f"of {result.halved:,} Gaussians, all that is drawn of {result.gone.sum():,}" in line
     assert line.endswith(f"and moved colours by {255 * result.recoloured:.1f} of 255 on average")
     assert "in 1 pass:" in fading_line({"fading": faded(spoiled, views, 1).document()})

@@ -37,7 +37,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Report, Path]:
         patch.setattr(knobs, "SCENE_SETTINGS", knobs.SCENE_SETTINGS[:3:2] + knobs.SCENE_SETTINGS[-1:])
         patch.setattr(files, "quick_files", lambda _: [files.ModelFile("precision", "fp32", "", files.shipped_model())])
         patch.setattr(run._Measure, "views", lambda *_: [])
-        patch.setattr(knobs, "FADE_PASSES", (0, 2))
+        patch.setattr(knobs, "FADE_PASSES", (0, 4))
         return run.report([sample_folder()], out, quick=True), out
 
 
@@ -75,7 +75,7 @@ def test_the_four_errors_stand_apart(quick: tuple[Report, Path]) -> None:
             assert row.bound.actual <= row.bound.bound + 1e-6
         bounded = row.knob in ("alpha cut", "early stop") or "harmonics" in row.knob
         assert row.group != "picture" or (row.bound is not None) == bounded
-    never, default = rows["fading", "0"], rows["fading", "2"]
+    never, default = rows["fading", "0"], rows["fading", "4"]
     assert default.default
     assert default.model == plain.model
     assert never.model is not None

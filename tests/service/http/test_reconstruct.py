@@ -267,9 +267,9 @@ def test_a_budget_that_makes_no_sense_is_refused(client: TestClient, fields: dic
 
 
 def test_fading_belongs_to_the_scene(client: TestClient) -> None:
-    default, asked, none = post(client).json(), post(client, fade="2").json(), post(client, fade="0").json()
+    default, asked, none = post(client).json(), post(client, fade="4").json(), post(client, fade="0").json()
     assert default["id"] == asked["id"] != none["id"]
-    assert default["fading"]["passes"] == 2
+    assert default["fading"]["passes"] == 4
     assert none["fading"]["passes"] == none["fading"]["halved"] == 0
     before, after = default["fading"]["mean_opacity"]
     assert none["fading"]["mean_opacity"] == [before, before]

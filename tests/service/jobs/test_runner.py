@@ -21,6 +21,7 @@ from gapmes.service.budget import Budget
 from gapmes.service.camera import Camera
 from gapmes.service.database import Database
 from gapmes.service.errors import InputError, StorageFull
+from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.jobs.leases import Lease
 from gapmes.service.jobs.rows import Job
 from gapmes.service.jobs.runner import Compute, Runner
@@ -100,7 +101,7 @@ def test_work_of_a_release_with_one_model_is_for_the_default_one() -> None:
     document = replace(work(), fade=5).document()
     assert Work.of_document(document, [b"one", b"two"]).fade == 5
     assert document.pop("fade") == 5
-    assert Work.of_document(document, [b"one", b"two"]).fade == 2
+    assert Work.of_document(document, [b"one", b"two"]).fade == DEFAULT_PASSES
     assert document.pop("model") == "ds"
     assert Work.of_document(document, [b"one", b"two"]).model == "default"
 
