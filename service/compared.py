@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,41 +19,35 @@ COVERED = 1e-3  # opacity below which a pixel shows no colour that could be righ
 
 @dataclass(eq=False)
 class Compared:
-    """Pictures that the scene should show, and how much of each it covered when it was first compared.
+    """Views whose pictures the scene should show, and how much of each the scene covered when it was first compared.
 
     A pixel whose difference has the mean size d over the channels weighs 1 / (1 + d / ROBUST) (Fair's weight of robust
     regression), one that a mask leaves out nothing. Where a pixel is not covered in full, its own mean colour stands
     behind it: no Gaussian is wrong for being brighter than a background that nobody knows. Behind what was covered at
-    first and no longer is stands what the picture shows least, black or white: letting the void through brings nothing
-    closer.
+    first and no longer is stands in each channel black or white, whichever is farther from what should be shown: no
+    colour that can be shown comes closer by letting the void through.
     """
 
     views: Sequence[FittedView]
-    covered: list[NDArray[np.float32]] = field(default_factory=list)
+    _covered: dict[int, NDArray[np.float32]] = field(default_factory=dict, init=False)  # (H, W) by the view's number
 
     def sums(self, now: Gaussians, near: float | None, threads: int | None) -> Leverage:
-        """What each Gaussian does to the differences of all of them."""
+        """Over all views; the first set that is compared tells what was covered. `near` is that of `render`."""
         sums = Leverage.of(len(now))
         for number, view in enumerate(self.views):
-
-            def judged(image: Render, number: int = number, view: FittedView = view) -> Planes:
-                if number == len(self.covered):
-                    self.covered.append(image.alpha)
-                return _judged(image, view, self.covered[number])
-
-            leverage(now, view.camera, judged, near=near, threads=threads, onto=sums)
+            leverage(now, view.camera, partial(self._judged, number), near=near, threads=threads, onto=sums)
         return sums
 
-
-def _judged(image: Render, view: FittedView, covered: NDArray[np.float32]) -> Planes:
-    """The picture (H, W, 3) with what stands behind it, its difference, and each pixel's weight (H, W)."""
-    photograph = view.image.transpose(1, 2, 0)
-    weight = (image.alpha > COVERED).astype(np.float32)
-    if view.mask is not None:
-        weight *= view.mask
-    picture = image.rgb / np.maximum(image.alpha, np.float32(COVERED))[..., None]
-    lost = np.maximum(covered - image.alpha, 0)[..., None]
-    picture += lost * ((photograph < 0.5) - picture)
-    residual = np.clip(picture, 0, 1) - photograph
-    weight /= 1 + np.abs(residual).mean(axis=2) / np.float32(ROBUST)
-    return picture, residual, weight
+    def _judged(self, number: int, image: Render) -> Planes:
+        """What is drawn with what stands behind it (H, W, 3), its difference (H, W, 3), each pixel's weight (H, W)."""
+        view = self.views[number]
+        wanted = view.image.transpose(1, 2, 0)
+        weight = (image.alpha > COVERED).astype(np.float32)
+        if view.mask is not None:
+            weight *= view.mask
+        drawn = image.rgb / np.maximum(image.alpha, np.float32(COVERED))[..., None]
+        lost = np.maximum(self._covered.setdefault(number, image.alpha) - image.alpha, 0)[..., None]
+        drawn += lost * ((wanted < 0.5) - drawn)
+        difference = np.clip(drawn, 0, 1) - wanted
+        weight /= 1 + np.abs(difference).mean(axis=2) / np.float32(ROBUST)
+        return drawn, difference, weight

@@ -21,12 +21,12 @@ from .compared import Compared
 from .fade_passes import DEFAULT_PASSES, checked_passes
 from .gaussians import Gaussians
 from .harmonics import C0
+from .heavy_ball import HeavyBall
 from .images import FittedView
 from .splat import Definition
 
 STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
 DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
-MOMENTUM = 0.4  # share of its last step that each opacity and colour goes again
 BEHIND_KEEPS = 0.5  # of its opacity, at least: it is there for views that nobody has asked for
 ANCHORED = 2.0  # weight of a pixel of what is sure: between the inputs a few pictures stand for all views there
 COLOUR_STEP = 1.2  # of the mean that the pixels which show a Gaussian have too much: those share it with others
@@ -75,8 +75,8 @@ def faded(
     with their weights w and what stands behind them as `Compared` says. The next pass, or one more after the last,
     moves the base colour by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING) in each channel, with s = T a of
     `leverage`, and not beyond [0, 1] where the network's own was within (simultaneous iterative reconstruction,
-    Gilbert 1972): also of what stands behind, which new views see past the edges of what hides it. Either goes on by
-    MOMENTUM of its last step (the heavy ball of Polyak, 1964).
+    Gilbert 1972): also of what stands behind, which new views see past the edges of what hides it. Both keep some of
+    their way (`HeavyBall`). A Gaussian too faint to be drawn is not seen again, and stays so.
 
     For the Gaussians that `anchors` says, the sums of a pass go over its pictures as well, with ANCHORED as their
     weight; colours follow photographs alone. `near` is that of `render`; `done` hears how many rounds of drawing are
@@ -86,23 +86,20 @@ def faded(
     """
     checked_passes(passes)
     before, own = gaussians.opacities, _base_colours(gaussians)
-    opacities = _Moving(before, 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0), before)
-    colours = _Moving(own, np.minimum(own, 0), np.maximum(own, 1))
+    opacities = HeavyBall(before, 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0), before)
+    colours = HeavyBall(own, np.minimum(own, 0), np.maximum(own, 1))
     given, sure = Compared(views), Compared(() if anchors is None else anchors.pictures)
     for number in range(passes + 1 if passes else 0):
         now = _changed(gaussians, opacities.now, colours.now - own)
+        between = (0.0, 0.0) if number == passes else _between(now, anchors, sure, near, threads)
         sums = given.sums(now, near, threads)
         if number:
             colours.move(-_finite(COLOUR_STEP * sums.excess, (sums.shown + COLOUR_DAMPING)[:, None]))
         if number < passes:
-            slope, moved = sums.slope, sums.moved
-            if anchors is not None and sure.views:
-                between = sure.sums(now, near, threads)
-                with np.errstate(invalid="ignore"):
-                    slope = slope + np.where(anchors.may_fade, ANCHORED * between.slope, 0)
-                    moved = moved + np.where(anchors.may_fade, ANCHORED * between.moved, 0)
-            opacities.move(-_finite(STEP * slope, moved + DAMPING))
-        del now, sums  # what the splatter keeps of a set lives as long as the set: for one round
+            with np.errstate(invalid="ignore"):
+                step = _finite(STEP * (sums.slope + between[0]), sums.moved + between[1] + DAMPING)
+            opacities.move(-step)
+        del now, between, sums  # what the splatter keeps of a set lives as long as the set: for one round
         if done is not None:
             done(number + 1)
     after = opacities.now
@@ -115,20 +112,6 @@ def faded(
         (_mean(before), _mean(after)),
         _mean(np.abs(colours.now - own)),
     )
-
-
-@dataclass(eq=False)
-class _Moving:
-    """Numbers that go step by step, each within its range, and a share of the last step again."""
-
-    now: NDArray[np.float32]
-    least: NDArray[np.floating] | float
-    most: NDArray[np.floating]
-    last: NDArray[np.float32] | float = 0.0
-
-    def move(self, step: NDArray[np.float64]) -> None:
-        new = np.clip(self.now + step + MOMENTUM * self.last, self.least, self.most).astype(np.float32)
-        self.now, self.last = new, new - self.now
 
 
 def _base_colours(gaussians: Gaussians) -> NDArray[np.float32]:
@@ -147,6 +130,17 @@ def _finite(over: NDArray[np.float64], under: NDArray[np.float64]) -> NDArray[np
     """The quotient; 0 where a sum was not finite, of colours near the end of float32."""
     with np.errstate(invalid="ignore", over="ignore"):
         return np.nan_to_num(over / under, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _between(
+    now: Gaussians, anchors: Anchors | None, sure: Compared, near: float | None, threads: int | None
+) -> tuple[NDArray[np.float64] | float, NDArray[np.float64] | float]:
+    """What the pictures of what is sure add to `slope` and `moved` (N,) of the Gaussians that must not hide it."""
+    if anchors is None or not sure.views:
+        return 0.0, 0.0
+    sums = sure.sums(now, near, threads)
+    slope, moved = (np.where(anchors.may_fade, ANCHORED * values, 0.0) for values in (sums.slope, sums.moved))
+    return slope, moved
 
 
 def _mean(values: NDArray[np.floating]) -> float:

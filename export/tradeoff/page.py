@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import LogLocator, ScalarFormatter
 
 from .errors import EQUAL_DB
 from .knobs import BANDS
@@ -19,7 +20,7 @@ TITLES = {
     "scene": "Scene: time of a picture of what is kept",
     "picture": "Picture: time at twice the network's size",
 }
-COLOURS = ("#0b62a4", "#c2541b", "#2e7d4f", "#7a4fa3", "#8a6d1c")
+COLOURS = ("#0b62a4", "#c2541b", "#2e7d4f", "#7a4fa3", "#8a6d1c", "#b3267a", "#4f6d7a")
 
 
 def write(report: Report, out: Path) -> None:
@@ -99,30 +100,39 @@ def pareto(report: Report) -> Figure:
 def _scatter(
     axes: Axes, points: Sequence[tuple[Row, float, float]], across: str, up: str, *, joined: bool = False
 ) -> float:
-    """Points labelled by value and coloured by knob, on a logarithmic axis of time. What equals the most exact setting
-    has no finite PSNR and lies on a line of its own, whose height is returned."""
+    """Points labelled by value and coloured by knob, on a logarithmic axis of time; where knobs share their default,
+    it is labelled once. What equals the most exact setting has no finite PSNR and lies on a line of its own, whose
+    height is returned."""
     finite = [value for _, _, value in points if value < EQUAL_DB]
     top = max(finite, default=0.0) + 0.1 * (max(finite, default=1.0) - min(finite, default=0.0) + 1)
     knobs = list(dict.fromkeys(row.knob for row, _, _ in points))
+    shared = Counter((x, y) for row, x, y in points if row.default)
     axes.set_xscale("log")
     for number, knob in enumerate(knobs):
         own = [(row, x, min(y, top)) for row, x, y in points if row.knob == knob]
         style = "o-" if joined else "o"
-        colour = COLOURS[number % len(COLOURS)]
+        colour = COLOURS[number]
         axes.plot([x for _, x, _ in own], [y for _, _, y in own], style, color=colour, label=knob, markersize=5)
         for row, x, y in own:
+            if row.default and shared[x, y] > 1:
+                continue
             weight = "bold" if row.default else "normal"
             side = ((6, 3), (-6, -9), (6, -9), (-6, 4))[number % 4]
             axes.annotate(row.value, (x, y), xytext=side, textcoords="offset points", fontsize=7, color=colour,
                           weight=weight, ha="left" if side[0] > 0 else "right")  # fmt: skip
+    for (x, y), count in shared.items():
+        if count > 1:
+            axes.annotate("default", (x, y), xytext=(-6, 6), textcoords="offset points", fontsize=7, weight="bold",
+                          ha="right")  # fmt: skip
     if len(finite) < len(points):
         axes.axhline(top, color="#cccccc", linestyle=":", zorder=0)
-        axes.annotate("equal", (0.99, top), xycoords=("axes fraction", "data"), fontsize=7, ha="right", va="bottom",
+        axes.annotate("equal", (0.01, top), xycoords=("axes fraction", "data"), fontsize=7, ha="left", va="bottom",
                       color="#777777")  # fmt: skip
     axes.set_xlabel(across, fontsize=9)
     axes.set_ylabel(up, fontsize=9)
     axes.margins(x=0.15, y=0.1)
     axes.tick_params(labelsize=8)
+    axes.xaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
     axes.xaxis.set_major_formatter(ScalarFormatter())
     axes.xaxis.set_minor_formatter(ScalarFormatter())
     axes.tick_params(axis="x", which="minor", labelsize=6)
