@@ -1,0 +1,85 @@
+"""How far float32 itself is from float64: an exported file and torch, each beside torch in float64.
+
+`python -m benchmarks.network.rounding MODEL.onnx=CHECKPOINT [--cases NAME …] [--views N …]`: cases as in verification,
+with trained gates. Where torch's own float32 is off by more than the file is from torch, no file can come closer to
+the truth by coming closer to torch.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from numpy.typing import NDArray
+
+from gapmes.export.cases import Case, verification_cases
+from gapmes.export.graph import SceneGraph
+from gapmes.export.routes import flipped_patches
+from gapmes.export.variant import Variant, load_variant
+from gapmes.export.verify import deviations
+from gapmes.model.architectures import Network, config_from_json
+from gapmes.service.contract import INPUTS
+
+Outputs = dict[str, NDArray[np.generic]]
+
+
+def evaluated(network: Network, case: Case, dtype: torch.dtype) -> Outputs:
+    """All outputs of torch, computed in `dtype` throughout; the network is left in it."""
+    graph = SceneGraph(network.to(dtype)).eval()
+    usual = torch.get_default_dtype()
+    torch.set_default_dtype(dtype)
+    try:
+        given = [value.to(dtype) if value.is_floating_point() else value for value in case.inputs.tensors()]
+        with torch.no_grad():
+            return dict(zip(graph.output_names, [value.numpy() for value in graph(*given)], strict=True))
+    finally:
+        torch.set_default_dtype(usual)
+
+
+def worst(values: Outputs, reference: Outputs, case: Case) -> str:
+    """The output with the largest 99th percentile, in units of its largest magnitude, outside changed routes."""
+    flipped = flipped_patches(values, reference, case.inputs.patch_mask.numpy())
+    found = deviations(values, reference, flipped, case)
+    name = max(found, key=lambda one: found[one].p99)
+    return f"{found[name].p99:.1e} ({name})"
+
+
+def session_outputs(session: onnxruntime.InferenceSession, names: Mapping[str, object], case: Case) -> Outputs:
+    feed = {name: value.numpy() for name, value in zip(INPUTS, case.inputs.tensors(), strict=True)}
+    return dict(zip(names, session.run(list(names), feed), strict=True))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.network.rounding", description=__doc__.splitlines()[0])
+    parser.add_argument("model", help="MODEL.onnx=CHECKPOINT")
+    parser.add_argument("--cases", nargs="+", default=["random", "sample", "noise"])
+    parser.add_argument("--views", nargs="+", type=int, default=[2, 3])
+    options = parser.parse_args()
+    file, checkpoint = options.model.split("=")
+    metadata = {p.key: p.value for p in onnx.load(file, load_external_data=False).metadata_props}
+    network = load_variant(Path(checkpoint), Variant.of(config_from_json(metadata["gapmes.config"]))).network
+    session = onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"])
+    lines = [
+        "| case | views | onnxruntime beside torch | torch beside float64 | onnxruntime beside float64 |",
+        "|---" * 5 + "|",
+    ]
+    sys.stdout.write("\n".join(lines) + "\n")
+    for case in verification_cases(int(metadata["gapmes.height"]), int(metadata["gapmes.width"])):
+        if case.gates != "as trained" or case.name not in options.cases or case.views not in options.views:
+            continue
+        exact = evaluated(network, case, torch.float64)
+        single = evaluated(network, case, torch.float32)
+        given = session_outputs(session, single, case)
+        cells = [worst(given, single, case), worst(single, exact, case), worst(given, exact, case)]
+        sys.stdout.write(f"| {case.name} | {case.views} | {' | '.join(cells)} |\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
