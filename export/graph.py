@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from gapmes.model.architectures import Network
@@ -67,6 +69,18 @@ class SceneGraph(nn.Module):
             if routing.margin is not None:
                 outputs.append(routing.margin.reshape(-1, patches))
         return tuple(outputs)
+
+
+def evaluated(network: Network, inputs: SceneInputs, dtype: torch.dtype) -> dict[str, NDArray[np.generic]]:
+    """Every output by its name, computed in `dtype` throughout; the network stays in it."""
+    graph, usual = SceneGraph(network.to(dtype)).eval(), torch.get_default_dtype()
+    given = [value.to(dtype) if value.is_floating_point() else value for value in inputs.tensors()]
+    torch.set_default_dtype(dtype)
+    try:
+        with torch.no_grad():
+            return dict(zip(graph.output_names, [value.numpy() for value in graph(*given)], strict=True))
+    finally:
+        torch.set_default_dtype(usual)
 
 
 @contextmanager

@@ -37,7 +37,13 @@ def test_the_curl_lines_yield_a_ply_and_a_picture(tmp_path: Path) -> None:
             wait_until_ready(client, process, tmp_path / "log", Stages())
         commands = script.replace("http://127.0.0.1:8000", address)
         subprocess.run(["bash", "-ec", commands], cwd=folder, check=True, capture_output=True, env=dict(os.environ))
-    assert len(read_ply(folder / "scene.ply")) > 0.95 * 2 * 256 * 256  # one for a pixel, but what faded; found: 0.99
+        with httpx.Client(base_url=address, timeout=300) as client:
+            (listed,) = client.get("/scenes").json()["scenes"]
+            scene = client.get(f"/scenes/{listed['id']}").json()
+    kept, gone = len(read_ply(folder / "scene.ply")), sum(row["count"] for row in scene["dropped"])
+    assert kept == scene["gaussians"]["count"] > 0.9 * 2 * 256 * 256
+    # One for every pixel and what was added; what is missing is told.
+    assert kept + gone + scene["pruning"]["dropped"] >= 2 * 256 * 256 + scene["gaussians"]["added"]
     with Image.open(io.BytesIO((folder / "view.png").read_bytes())) as picture:
         assert picture.size == (256, 256)
 

@@ -19,27 +19,14 @@ import torch
 from numpy.typing import NDArray
 
 from gapmes.export.cases import Case, verification_cases
-from gapmes.export.graph import SceneGraph
+from gapmes.export.graph import evaluated
 from gapmes.export.routes import flipped_patches
 from gapmes.export.variant import Variant, load_variant
 from gapmes.export.verify import deviations
-from gapmes.model.architectures import Network, config_from_json
+from gapmes.model.architectures import config_from_json
 from gapmes.service.contract import INPUTS
 
 Outputs = dict[str, NDArray[np.generic]]
-
-
-def evaluated(network: Network, case: Case, dtype: torch.dtype) -> Outputs:
-    """All outputs of torch, computed in `dtype` throughout; the network is left in it."""
-    graph = SceneGraph(network.to(dtype)).eval()
-    usual = torch.get_default_dtype()
-    torch.set_default_dtype(dtype)
-    try:
-        given = [value.to(dtype) if value.is_floating_point() else value for value in case.inputs.tensors()]
-        with torch.no_grad():
-            return dict(zip(graph.output_names, [value.numpy() for value in graph(*given)], strict=True))
-    finally:
-        torch.set_default_dtype(usual)
 
 
 def worst(values: Outputs, reference: Outputs, case: Case) -> str:
@@ -51,6 +38,7 @@ def worst(values: Outputs, reference: Outputs, case: Case) -> str:
 
 
 def session_outputs(session: onnxruntime.InferenceSession, names: Mapping[str, object], case: Case) -> Outputs:
+    """The exported file's outputs of these `names`."""
     feed = {name: value.numpy() for name, value in zip(INPUTS, case.inputs.tensors(), strict=True)}
     return dict(zip(names, session.run(list(names), feed), strict=True))
 
@@ -73,8 +61,8 @@ def main() -> None:
     for case in verification_cases(int(metadata["gapmes.height"]), int(metadata["gapmes.width"])):
         if case.gates != "as trained" or case.name not in options.cases or case.views not in options.views:
             continue
-        exact = evaluated(network, case, torch.float64)
-        single = evaluated(network, case, torch.float32)
+        exact = evaluated(network, case.inputs, torch.float64)
+        single = evaluated(network, case.inputs, torch.float32)
         given = session_outputs(session, single, case)
         cells = [worst(given, single, case), worst(single, exact, case), worst(given, exact, case)]
         sys.stdout.write(f"| {case.name} | {case.views} | {' | '.join(cells)} |\n")

@@ -21,7 +21,7 @@ from gapmes.service.splat import Definition, render, render_reference
 
 from ..cases import sample_scene
 from ..evaluation.lpips import Lpips
-from ..graph import SceneGraph
+from ..graph import evaluated
 from ..pictures import NEAR_SHARE
 from ..variant import load_variant
 from .files import ModelFile
@@ -77,14 +77,8 @@ def network_rounding(file: ModelFile, threads: int | None) -> Rounding:
     inputs = sample_scene(2, file.size, file.size)
     engine = Engine(file.path, threads=threads)
     values = engine.run(*(tensor.numpy() for tensor in inputs.tensors()))
-    graph = SceneGraph(load_variant(shipped_checkpoint("tiny"), file.variant).network.double()).eval()
-    torch.set_default_dtype(torch.float64)
-    try:
-        with torch.no_grad():
-            wide = [t.double() if t.is_floating_point() else t for t in inputs.tensors()]
-            exact = dict(zip(graph.output_names, (v.numpy() for v in graph(*wide)), strict=True))
-    finally:
-        torch.set_default_dtype(torch.float32)
+    network = load_variant(shipped_checkpoint("tiny"), file.variant).network
+    exact = evaluated(network, inputs, torch.float64)
     k, pose = inputs.intrinsics[0].double().numpy(), inputs.world_from_cam[0].double().numpy().copy()
     pose[:3, 3] = inputs.world_from_cam[:2, :3, 3].double().mean(0).numpy()
     s = file.size

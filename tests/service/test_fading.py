@@ -40,6 +40,8 @@ def test_floaters_fade_and_the_surface_stays(views: list[FittedView], spoiled: G
     kept = result.gaussians.opacities / spoiled.opacities
     assert np.median(kept[-40:]) < 0.1  # found: 0
     assert np.median(kept[:-40]) > 0.78  # found: 0.81; what blurs its neighbours' texture fades as well
+    twice = faded(spoiled, given, 2).gaussians
+    assert np.median((twice.opacities / spoiled.opacities)[:-40]) > 0.85  # found: 0.88
     for view in views:  # found: 4.9, 2.1 and 7.7 dB, the second for the photograph that was kept back
         assert error(result.gaussians, view) > error(spoiled, view) + 1.6
     assert result.halved >= 10
@@ -51,7 +53,7 @@ def test_passes_settle(views: list[FittedView], spoiled: Gaussians, monkeypatch)
     monkeypatch.setattr(fade_passes, "MAX_PASSES", 32)
     given = [views[0], views[2]]
     some, more, most = (faded(spoiled, given, passes).gaussians for passes in (8, 16, 32))
-    for view in views:  # found: 0.4 dB more to 0.2 less from 8 to 32; 7 to 11 less where the void counts nothing
+    for view in views:  # found: 0.8 dB more to 0.2 less from 8 to 32; 7 to 15 less where the void counts nothing
         found = [error(scene, view) for scene in (spoiled, some, more, most)]
         assert min(found[1:]) > found[0] + 1.5
         assert max(found[1:]) - min(found[1:]) < 1.0
@@ -70,30 +72,47 @@ def test_opacities_and_colours_alone_change_and_no_opacity_rises(views: list[Fit
     assert none.document() == {"passes": 0, "halved": 0, "gone": 0, "mean_opacity": [before, before], "recoloured": 0.0}
 
 
+def photographed(scene: Gaussians, views: list[FittedView]) -> list[FittedView]:
+    """Pictures of the scene itself, whose colour goes on behind what it does not cover in full."""
+    drawn = [render(scene, view.camera) for view in views]
+    whole = [np.clip(image.rgb / np.maximum(image.alpha, 0.001)[..., None], 0, 1) for image in drawn]
+    return [replace(view, image=one.transpose(2, 0, 1).copy()) for view, one in zip(views, whole, strict=True)]
+
+
 def test_what_shows_its_photographs_already_stays(views: list[FittedView], spoiled: Gaussians) -> None:
     """Even floaters: the photographs are pictures of the very scene."""
-    # Where the scene does not cover a pixel in full, it is compared as if its colour went on behind it.
-    drawn = [(view.camera, render(spoiled, view.camera)) for view in views]
-    whole = [np.clip(image.rgb / np.maximum(image.alpha, 0.001)[..., None], 0, 1) for _, image in drawn]
-    seen = [
-        FittedView(colour.transpose(2, 0, 1).copy(), None, camera, 1.0)
-        for colour, (camera, _) in zip(whole, drawn, strict=True)
-    ]
-    result = faded(spoiled, seen)
+    result = faded(spoiled, photographed(spoiled, views))
     assert np.abs(result.gaussians.opacities - spoiled.opacities).max() < 1e-6  # found: 0
     assert result.halved == 0
     assert C0 * np.abs(result.gaussians.harmonics - spoiled.harmonics).max() < 1e-6  # found: 0
 
 
+@pytest.mark.parametrize("passes", [1, 2, 4, 8])
+@pytest.mark.parametrize("behind", [1e-3, 1e-4])
+def test_what_hardly_shines_through_moves_little(
+    behind: float, passes: int, views: list[FittedView], spoiled: Gaussians
+) -> None:
+    """Pictures of the very scene over black, compared where at most this share of the light comes from behind."""
+    drawn = [render(spoiled, view.camera) for view in views]
+    seen = [
+        replace(view, image=image.rgb.transpose(2, 0, 1).copy(), mask=image.alpha > 1 - behind)
+        for view, image in zip(views, drawn, strict=True)
+    ]
+    result = faded(spoiled, seen, passes)
+    # Found for 1, 2, 4, 8 passes: 2.2, 4.6, 4.1, 5.2 times that share at a thousandth, at most 2 times at a tenth of it.
+    assert np.abs(result.gaussians.opacities - spoiled.opacities).max() < 7 * behind
+    assert result.halved == 0
+    # Found: at most 3.3 and 1.6.
+    assert C0 * np.abs(result.gaussians.harmonics - spoiled.harmonics).max() < 7 * behind
+
+
 @pytest.mark.parametrize("passes", [4, 8])
 def test_small_differences_do_not_add_up(passes: int, views: list[FittedView], spoiled: Gaussians) -> None:
     """Photographs of the very scene, rounded to 8 bits."""
-    drawn = [render(spoiled, view.camera) for view in views]
-    seen = []
-    for view, image in zip(views, drawn, strict=True):
-        colour = np.clip(image.rgb / np.maximum(image.alpha, 0.001)[..., None], 0, 1)
-        seen.append(replace(view, image=(np.round(255 * colour) / 255).astype(np.float32).transpose(2, 0, 1).copy()))
-    result = faded(spoiled, seen, passes)
+    seen = photographed(spoiled, views)
+    result = faded(
+        spoiled, [replace(view, image=np.round(255 * view.image) / np.float32(255)) for view in seen], passes
+    )
     assert result.halved == 0
     faint = np.abs(result.gaussians.opacities - spoiled.opacities)
     tint = C0 * np.abs(result.gaussians.harmonics - spoiled.harmonics)
@@ -215,7 +234,8 @@ def test_colours_come_to_what_the_photographs_show(views: list[FittedView]) -> N
     # found: 0.009, 0.024, 0.007, 0.006; the second goes too far by the momentum
     off = [np.abs(_shade(faded(tinted, given, n).gaussians, tinted) + shade).max() for n in (1, 2, 4, 8)]
     assert max(off) < 0.3 * np.abs(shade).max()
-    assert max(off[2:]) < 0.1 * np.abs(shade).max()
+    assert off[3] < off[2] < off[1]
+    assert off[2] < 0.1 * np.abs(shade).max()
     for view in views:  # found: 6.2, 2.6 and 7.8 dB, the second for the photograph that was kept back
         assert error(faded(tinted, given).gaussians, view) > error(tinted, view) + 1.0
 
