@@ -99,7 +99,7 @@ def test_what_hardly_shines_through_moves_little(
         for view, image in zip(views, drawn, strict=True)
     ]
     result = faded(spoiled, seen, passes)
-    # Found for 1, 2, 4, 8 passes: 2.2, 4.6, 4.1, 5.2 times that share at a thousandth, at most 2 times at a tenth of it.
+    # Found for 1, 2, 4, 8 passes: 2.2, 4.6, 4.1, 5.2 times that share at a thousandth, at most 2 times at a tenth of it
     assert np.abs(result.gaussians.opacities - spoiled.opacities).max() < 7 * behind
     assert result.halved == 0
     # Found: at most 3.3 and 1.6.
