@@ -14,7 +14,6 @@ import torch
 from torch.export import Dim
 
 from gapmes.model.architectures import Network
-from gapmes.model.config import PIXELS_PER_PATCH
 from gapmes.service.contract import INPUTS
 
 from .fold import folded
@@ -31,11 +30,13 @@ TRACE_VIEWS = 3  # not the least, at which a loop over other views would run onc
 def export_graph(network: Network, height: int, width: int) -> onnx.ModelProto:
     """The float32 graph of `network` for H x W pixels and 2 to 6 views, checked and shape-inferred.
 
-    Raises `ValueError` for a size that is not a multiple of 16, `onnx.checker.ValidationError` for a broken graph.
+    Raises `ValueError` for a size that is not a multiple of the network's step, `onnx.checker.ValidationError` for a
+    broken graph.
     """
+    step = network.config.size_step
     for name, size in (("height", height), ("width", width)):
-        if size < 2 * PIXELS_PER_PATCH or size % PIXELS_PER_PATCH:
-            raise ValueError(f"{name} is {size} px, need a multiple of {PIXELS_PER_PATCH} of at least 32")
+        if size < 32 or size % step:
+            raise ValueError(f"{name} is {size} px, need a multiple of {step} of at least 32")
     graph = SceneGraph(network).eval()
     example = random_scene(TRACE_VIEWS, height, width, seed=0)
     views = Dim("V", min=MIN_VIEWS, max=MAX_VIEWS)

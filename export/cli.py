@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Collection
 from dataclasses import replace
@@ -13,9 +14,10 @@ import typer
 from rich.console import Console
 
 from gapmes.model.architectures import ARCHITECTURES
-from gapmes.model.checkpoint import CheckpointError, read_config, shipped_checkpoint
+from gapmes.model.checkpoint import read_config, shipped_checkpoint
 from gapmes.model.config import PRESETS
 from gapmes.model.depthsplat.config import Compatibility
+from gapmes.model.weights_file import CheckpointError
 from gapmes.service.terminal import ProgressBars, Quiet
 
 from .measurements import write_tables
@@ -44,7 +46,9 @@ def export(
             help="A .safetensors checkpoint of ours (default: the shipped one), or a published DepthSplat .pth."
         ),
     ] = None,
-    size: Annotated[str, typer.Option(help="HEIGHTxWIDTH in pixels, multiples of 16.")] = "256x256",
+    size: Annotated[
+        str, typer.Option(help="HEIGHTxWIDTH in pixels, multiples of 16, of 32 for some of DepthSplat.")
+    ] = "256x256",
     precision: Annotated[str, typer.Option(help=f"One of {', '.join(TOLERANCES)}.")] = "fp32",
     top_k: Annotated[int | None, typer.Option(help="Experts per patch, at most all [default: as trained].")] = None,
     keep_all: Annotated[
@@ -53,6 +57,12 @@ def export(
     compatibility: Annotated[
         str | None,
         typer.Option(help="Of depthsplat: none, authors (as in their code), or switches by name [default: none]."),
+    ] = None,
+    scale_max: Annotated[
+        float | None,
+        typer.Option(
+            help="Of depthsplat: largest Gaussian, world units [default: the published weights' own, else 3]."
+        ),
     ] = None,
     quick: Annotated[bool, typer.Option(help="Verify at two view counts instead of five; a short --report.")] = False,
     report: Annotated[
@@ -75,8 +85,18 @@ def export(
     if report is None and scene:
         raise typer.BadParameter("goes with --report", param_hint="--scene")
     if report is not None or stability is not None:
-        given = {"--out": out, "--checkpoint": checkpoint, "--preset": preset, "--top-k": top_k, "--keep-all": keep_all}
-        given |= {"--compatibility": compatibility, "--architecture": architecture != "gapmes"}
+        given: dict[str, object] = {
+            "--out": out,
+            "--checkpoint": checkpoint,
+            "--preset": preset,
+            "--top-k": top_k,
+            "--keep-all": keep_all,
+        }
+        given |= {
+            "--compatibility": compatibility,
+            "--scale-max": scale_max,
+            "--architecture": architecture != "gapmes",
+        }
         if wrong := [name for name, value in given.items() if value]:
             raise typer.BadParameter(
                 "nothing is exported with --report and --stability, which measure the shipped network",
@@ -93,7 +113,7 @@ def export(
     if architecture == "depthsplat" and (top_k is not None or keep_all):
         raise typer.BadParameter("is of gapmes networks: depthsplat has no experts", param_hint="--top-k, --keep-all")
     try:
-        source, variant = _what(architecture, preset, checkpoint, compatibility)
+        source, variant = _what(architecture, preset, checkpoint, compatibility, scale_max)
         with ProgressBars(quiet=quiet) as bars:
             result = export_checkpoint(
                 source,
@@ -123,7 +143,7 @@ def _one_of(value: str, choices: Collection[str], option: str) -> None:
 
 
 def _what(
-    architecture: str, preset: str | None, checkpoint: Path | None, compatibility: str | None
+    architecture: str, preset: str | None, checkpoint: Path | None, compatibility: str | None, scale_max: float | None
 ) -> tuple[Path, Variant]:
     """The checkpoint and the network that it is read as. Raises `CheckpointError`."""
     if architecture == "depthsplat":
@@ -137,9 +157,12 @@ def _what(
             switches = Compatibility.named(compatibility or "none")
         except ValueError as error:
             raise typer.BadParameter(str(error), param_hint="--compatibility") from error
-        return checkpoint, Variant(architecture=architecture, compatibility=switches)
-    if compatibility is not None:
-        raise typer.BadParameter("goes with --architecture depthsplat", param_hint="--compatibility")
+        if scale_max is not None and not 0 < scale_max < math.inf:
+            raise typer.BadParameter(f"is {scale_max}, need a length above 0", param_hint="--scale-max")
+        return checkpoint, Variant(architecture=architecture, compatibility=switches, scale_max=scale_max)
+    for option, value in (("--compatibility", compatibility), ("--scale-max", scale_max)):
+        if value is not None:
+            raise typer.BadParameter("goes with --architecture depthsplat", param_hint=option)
     source = checkpoint or shipped_checkpoint(preset or "tiny")
     found = read_config(source).preset
     if preset is not None and found != preset:

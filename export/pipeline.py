@@ -13,8 +13,8 @@ from pathlib import Path
 import onnx
 
 from gapmes.model.architectures import licence
-from gapmes.model.checkpoint import file_sha256
 from gapmes.model.pretrained.fit import Fit
+from gapmes.model.weights_file import file_sha256
 from gapmes.service.progress import Listener, Stage, Stages, silent
 
 from .build import export_graph

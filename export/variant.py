@@ -19,12 +19,13 @@ class Variant:
     keep_all: bool = False  # every expert on every patch, every pair of views on every plane
     architecture: str = "gapmes"
     compatibility: Compatibility = PLAIN  # of DepthSplat
+    scale_max: float | None = None  # of DepthSplat's Gaussians, world units; None: as published
 
     @staticmethod
     def of(config: NetworkConfig) -> Variant:
         """What a file's configuration says that it computes; `keep_all` changes no result."""
         if isinstance(config, DepthSplatConfig):
-            return Variant(architecture="depthsplat", compatibility=config.compatibility)
+            return Variant(architecture="depthsplat", compatibility=config.compatibility, scale_max=config.scale_max)
         return Variant(None if config.without_experts else config.top_k)
 
 
@@ -33,7 +34,7 @@ def load_variant(checkpoint: Path, variant: Variant) -> Loaded:
 
     Raises `CheckpointError`, and `ValueError` for a wrong `top_k`.
     """
-    loaded = load_network(checkpoint, variant.architecture, variant.compatibility)
+    loaded = load_network(checkpoint, variant.architecture, variant.compatibility, variant.scale_max)
     network = loaded.network
     if isinstance(network, DepthSplat):
         if variant.top_k is not None or variant.keep_all:

@@ -19,8 +19,8 @@ import onnxruntime
 import torch
 
 from gapmes.model.architectures import Network, config_from_json
-from gapmes.model.checkpoint import file_sha256
 from gapmes.model.config import ModelConfig
+from gapmes.model.weights_file import file_sha256
 from gapmes.service.contract import GAUSSIAN_OUTPUTS, IMAGE_OUTPUTS, INPUTS, REQUIRED_OUTPUTS
 
 from .cases import Case, verification_cases

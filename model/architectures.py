@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from .checkpoint import CheckpointError, load_checkpoint, read_metadata
+from .checkpoint import load_checkpoint, read_metadata
 from .config import ModelConfig
 from .depthsplat.checkpoint import LICENCE as DEPTHSPLAT_LICENCE
 from .depthsplat.checkpoint import load_depthsplat
@@ -14,6 +14,7 @@ from .depthsplat.config import PLAIN, Compatibility, DepthSplatConfig
 from .depthsplat.network import DepthSplat
 from .network import GaPMeS
 from .pretrained.fit import Fit
+from .weights_file import CheckpointError
 
 ARCHITECTURES = ("gapmes", "depthsplat")
 
@@ -36,10 +37,15 @@ class Loaded:
     fit: Fit | None
 
 
-def load_network(checkpoint: Path, architecture: str = "gapmes", compatibility: Compatibility = PLAIN) -> Loaded:
-    """Raises `CheckpointError`."""
+def load_network(
+    checkpoint: Path,
+    architecture: str = "gapmes",
+    compatibility: Compatibility = PLAIN,
+    scale_max: float | None = None,
+) -> Loaded:
+    """The last two are of DepthSplat. Raises `CheckpointError`."""
     if architecture == "depthsplat":
-        return Loaded(*load_depthsplat(checkpoint, compatibility))
+        return Loaded(*load_depthsplat(checkpoint, compatibility, scale_max))
     if architecture != "gapmes":
         raise CheckpointError(f"architecture {architecture!r} is unknown, choose one of {', '.join(ARCHITECTURES)}")
     return Loaded(load_checkpoint(checkpoint), None)

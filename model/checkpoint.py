@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
+from torch import Tensor
 
-from .config import ModelConfig
+from .config import PRESETS, ModelConfig
 from .network import GaPMeS
+from .pretrained.files import read_tensors
+from .pretrained.recognise import looks_like
+from .weights_file import CheckpointError
 
 WEIGHTS_LICENCE = "MIT"
 SHIPPED = Path(__file__).parent / "weights"
-
-
-class CheckpointError(ValueError):
-    """A file that is not a checkpoint of ours, or that does not fit the configuration it claims."""
 
 
 def shipped_checkpoint(preset: str) -> Path:
@@ -42,16 +42,39 @@ def save_checkpoint(path: Path, model: GaPMeS, *, extra: dict[str, str] | None =
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """What a checkpoint says of itself; raises `CheckpointError` when it is not one of ours."""
+    """What a checkpoint says of itself; raises `CheckpointError`, which tells what another file looks like."""
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such file")
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
     except (OSError, SafetensorError) as error:
-        cure = "" if path.suffix == ".safetensors" else "; a DepthSplat .pth goes with --architecture depthsplat"
-        raise CheckpointError(f"{path} cannot be read as safetensors: {error}{cure}") from error
+        raise CheckpointError(f"{path} cannot be read as safetensors: {error}{_likely(path)}") from error
     if "gapmes.config" not in metadata:
-        raise CheckpointError(f"{path} carries no gapmes.config; is it a checkpoint of another network?")
+        raise CheckpointError(f"{path} carries no gapmes.config: it is no checkpoint of ours{_likely(path)}")
     return metadata
+
+
+def _likely(path: Path) -> str:
+    """What else a file may be, as the end of a sentence; nothing where it cannot be told."""
+    try:
+        tensors = read_tensors(path).tensors
+    except CheckpointError:
+        return ""
+    own = _preset_of(tensors)
+    kind = f"the tensors of preset {own}, whose configuration is lost" if own else looks_like(path, tensors)
+    return f"; it holds {kind}" if kind else ""
+
+
+def _preset_of(tensors: Mapping[str, Tensor]) -> str:
+    """The preset whose tensors have just these names and shapes, or nothing."""
+    shapes = {name: value.shape for name, value in tensors.items()}
+    for name, config in PRESETS.items():
+        with torch.device("meta"):
+            wanted = {key: value.shape for key, value in GaPMeS(config).state_dict().items()}
+        if shapes == wanted:
+            return name
+    return ""
 
 
 def read_config(path: Path) -> ModelConfig:
@@ -80,15 +103,12 @@ def load_checkpoint(path: Path) -> GaPMeS:
         if tensors[name].shape != expected[name].shape
     ]
     if missing or unexpected or shapes:
+        own = _preset_of(tensors)
+        cure = f"; its tensors are those of preset {own}" if own else ""
         raise CheckpointError(
-            f"{path} does not fit its configuration: missing {missing[:5]}, unexpected {unexpected[:5]}, "
-            f"misshapen {sorted(shapes)[:5]} ({len(missing)}, {len(unexpected)}, {len(shapes)} in all)"
+            f"{path} does not fit its configuration (preset {model.config.preset}): missing {missing[:5]}, "
+            f"unexpected {unexpected[:5]}, misshapen {sorted(shapes)[:5]} ({len(missing)}, {len(unexpected)}, "
+            f"{len(shapes)} in all){cure}"
         )
     model.load_state_dict({k: v.to(torch.float32) if v.is_floating_point() else v for k, v in tensors.items()})
     return model.eval()
-
-
-def file_sha256(path: Path) -> str:
-    """Hex digest of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -54,6 +54,11 @@ class ModelConfig:
     without_tasks: bool = False  # Table 5: no task gate, every head reads the full map
 
     @property
+    def size_step(self) -> int:
+        """px; sides of a picture are multiples of it."""
+        return PIXELS_PER_PATCH
+
+    @property
     def streams(self) -> tuple[str, ...]:
         """Names of the aligned streams in channel order."""
         return ("texture", "semantic") if self.without_depth else ("depth", "texture", "semantic")

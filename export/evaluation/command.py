@@ -51,7 +51,7 @@ def evaluate(
 
     import torch
 
-    from gapmes.model.checkpoint import CheckpointError
+    from gapmes.model.weights_file import CheckpointError
 
     from ..pipeline import ExportRejected, VerificationBroken
     from .lpips import default_weights

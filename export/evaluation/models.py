@@ -9,7 +9,8 @@ from pathlib import Path
 import torch
 from safetensors import safe_open
 
-from gapmes.model.checkpoint import file_sha256, shipped_checkpoint
+from gapmes.model.checkpoint import shipped_checkpoint
+from gapmes.model.weights_file import file_sha256
 from gapmes.service.engine import Arrays, Engine
 from gapmes.service.errors import ModelError
 from gapmes.service.progress import Listener, silent

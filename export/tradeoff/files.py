@@ -9,7 +9,8 @@ from pathlib import Path
 
 import onnx
 
-from gapmes.model.checkpoint import WEIGHTS_LICENCE, file_sha256, shipped_checkpoint
+from gapmes.model.checkpoint import WEIGHTS_LICENCE, shipped_checkpoint
+from gapmes.model.weights_file import file_sha256
 from gapmes.service.shipped import shipped_model
 
 from ..metadata import add_metadata

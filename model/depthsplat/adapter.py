@@ -13,7 +13,7 @@ from ..cost_volume import Views
 from ..geometry import matrix_to_quaternion, pixel_grid, quaternion_product
 from ..harmonics import rotate_bands
 from ..heads import unit_quaternions
-from .config import SCALE_MAX, SCALE_MIN, SH_DEGREE, Compatibility
+from .config import SCALE_MIN, SH_DEGREE, DepthSplatConfig
 
 COEFFICIENTS = (SH_DEGREE + 1) ** 2
 RAW_CHANNELS = 1 + 2 + 3 + 4 + 3 * COEFFICIENTS  # opacity, offset, scale, rotation, harmonics
@@ -25,7 +25,7 @@ FOREIGN_AXES = (0, 1, 2)
 
 
 def gaussians_from_raw(
-    images: Tensor, raw: Tensor, depth: Tensor, views: Views, keep: Tensor, compatibility: Compatibility
+    images: Tensor, raw: Tensor, depth: Tensor, views: Views, keep: Tensor, config: DepthSplatConfig
 ) -> GaussianBatch:
     """images (n, 3, H, W) in [0, 1]; raw (n, RAW_CHANNELS, H, W); depth and keep (n, 1, H, W)."""
     n, _, height, width = images.shape
@@ -34,12 +34,12 @@ def gaussians_from_raw(
     size = torch.tensor([width, height], dtype=images.dtype, device=images.device).reshape(1, 2, 1, 1)
     positions = pixel_grid(height, width, images.device).unsqueeze(0) + (offset.sigmoid() - 0.5) / size
     means = place(positions, depth, intrinsics, poses)
-    scales = F.softplus(scale - SCALE_SHIFT).clamp(SCALE_MIN, SCALE_MAX).flatten(2).transpose(1, 2)
+    scales = F.softplus(scale - SCALE_SHIFT).clamp(SCALE_MIN, config.scale_max).flatten(2).transpose(1, 2)
 
     identity = torch.tensor([1.0, 0.0, 0.0, 0.0], device=images.device).reshape(1, 4, 1, 1)
     wxyz = torch.cat([rotation[:, 3:], rotation[:, :3]], dim=1)  # stored as xyzw
     rotations = unit_quaternions(wxyz, identity).flatten(2).transpose(1, 2)
-    if not compatibility.camera_rotations:
+    if not config.compatibility.camera_rotations:
         rotations = quaternion_product(matrix_to_quaternion(poses[:, :3, :3]).unsqueeze(1), rotations)
 
     coefficients = colour.flatten(2).transpose(1, 2).reshape(n, -1, 3, COEFFICIENTS).transpose(2, 3)
@@ -48,7 +48,7 @@ def gaussians_from_raw(
     dc = coefficients[:, :, :1] + (pixels - 0.5) / C0
     turn = poses[:, :3, :3]
     bands = coefficients[:, :, 1:]
-    if compatibility.foreign_harmonics:
+    if config.compatibility.foreign_harmonics:
         turned = rotate_bands(bands, turn, axes=FOREIGN_AXES, signed=False)
     else:
         turned = rotate_bands(bands, turn)

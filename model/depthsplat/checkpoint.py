@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from torch import Tensor
 
-from ..checkpoint import CheckpointError
 from ..pretrained.dinov2 import OPTIONAL, vit_parts
 from ..pretrained.files import TensorFile, read_tensors
 from ..pretrained.fit import Fit, LeftOut, Part, Recognised, fit
-from ..pretrained.recognise import VitFile, find_vit
-from .config import CNN_CHANNELS, FEATURES, HEAD_WIDTHS, PLAIN, VITS, Compatibility, DepthSplatConfig
+from ..pretrained.recognise import VitFile, find_vit, looks_like
+from ..weights_file import CheckpointError
+from .config import COARSEST, PLAIN, SCALE_MAX, VITS, Compatibility, DepthSplatConfig
+from .dpt import joined_channels
 from .network import DepthSplat
 
 ROOT = "encoder."  # of the published Gaussian-splatting files, which hold the whole trainer
@@ -21,11 +23,19 @@ VIT = f"{TRUNK}pretrained."
 LICENCE = "MIT if it is one of the authors' own"  # as their page of models states it; a file does not tell whose it is
 _HEAD = "gaussian_head."
 _JOINED = "depth_predictor.upsampler.concat_projects.0.weight"
+# Where it is not SCALE_MAX: by the beginning of a published file's sha256, which its name repeats, as their page's
+# commands run it (small and base, trained last at 448x768).
+_SCALE_MAXIMA = {"c08188db": 0.1, "f8ddd845": 0.1}
 _KNOWN_BESIDE = {"decoder.": "the renderer's", "losses.": "a training loss's"}
 
 
-def load_depthsplat(path: Path, compatibility: Compatibility = PLAIN) -> tuple[DepthSplat, Fit]:
+def load_depthsplat(
+    path: Path, compatibility: Compatibility = PLAIN, scale_max: float | None = None
+) -> tuple[DepthSplat, Fit]:
     """The network that the file holds, in float32 and evaluation mode, and what became of every tensor.
+
+    `scale_max`, of a Gaussian in world units, is no tensor's: None takes what the authors run the file with, where its
+    sha256 is that of a published one, else 3.
 
     Raises `CheckpointError` for a file that cannot be read or is no DepthSplat of a published layout (naming what it
     is), and lists what is missing, unexpected or misshapen.
@@ -34,12 +44,17 @@ def load_depthsplat(path: Path, compatibility: Compatibility = PLAIN) -> tuple[D
     root = ROOT if any(name.startswith(ROOT + TRUNK) for name in file.tensors) else ""
     if not any(name.startswith(root + TRUNK) for name in file.tensors):
         some = ", ".join(sorted(file.tensors)[:5])
+        kind = looks_like(path, file.tensors)
+        if "gapmes.config" in file.metadata:
+            kind = "a checkpoint of ours, which gapmes-export takes without --architecture"
         raise CheckpointError(
             f"{path} is no checkpoint of DepthSplat: none of its {len(file.tensors)} tensors is named {TRUNK}* "
-            f"({some}, …); expected is a depthsplat-gs-….pth"
+            f"({some}, …); expected is a depthsplat-gs-….pth" + (f"; it holds {kind}" if kind else "")
         )
     vit = find_vit(path, file.tensors, root + VIT)
-    config = recognised_config(path, file, root, vit, compatibility)
+    if scale_max is None:
+        scale_max = _SCALE_MAXIMA.get(file.sha256[:8], SCALE_MAX)
+    config = recognised_config(path, file, root, vit, compatibility, scale_max)
     network = DepthSplat(config)
 
     def names(source: str) -> tuple[Part, ...] | LeftOut | None:
@@ -51,7 +66,8 @@ def load_depthsplat(path: Path, compatibility: Compatibility = PLAIN) -> tuple[D
             return None if parts is None else tuple(Part(f"{VIT}vit.{p.target}", p.index, p.of) for p in parts)
         return (Part(source.removeprefix(root)),) if source.startswith(root) else None
 
-    size = f"DepthSplat {config.vit}, {config.scales} scale{'s' if config.scales > 1 else ''}"
+    size = f"DepthSplat {config.vit}, {_counted(config.scales)}, matched first at 1/{config.coarsest}"
+    size += f", Gaussians of at most {config.scale_max:g} units"
     recognised = Recognised(size, f"DepthSplat's, names under {root!r}", LICENCE, f"It looks like {size}.")
     optional = {f"{VIT}vit.{name}": reason for name, reason in OPTIONAL.items()}
     report, tensors = fit(file, network.state_dict(), names, recognised=recognised, optional=optional)
@@ -60,9 +76,10 @@ def load_depthsplat(path: Path, compatibility: Compatibility = PLAIN) -> tuple[D
 
 
 def recognised_config(
-    path: Path, file: TensorFile, root: str, vit: VitFile, compatibility: Compatibility
+    path: Path, file: TensorFile, root: str, vit: VitFile, compatibility: Compatibility, scale_max: float
 ) -> DepthSplatConfig:
-    """Size from the ViT, number of scales from the parts that only two scales have. Raises `CheckpointError`."""
+    """Size from the ViT, number of scales from the parts that only two scales have, the coarsest resolution from how
+    many maps are joined at 1/2. Raises `CheckpointError`."""
     sizes = [name for name, config in VITS.items() if vit.fits(config)]
     if not sizes:
         raise CheckpointError(f"{path}: {vit.name} is none of {', '.join(VITS)} of DepthSplat")
@@ -73,12 +90,20 @@ def recognised_config(
             "Gaussians"
         )
     scales = 2 if f"{root}depth_predictor.mv_pyramid.stages.1.0.weight" in tensors else 1
-    config = DepthSplatConfig(sizes[0], scales, compatibility)
+    plain = DepthSplatConfig(sizes[0], scales, compatibility, scale_max=scale_max)
     joined = tensors.get(root + _JOINED)
-    wanted = sum(CNN_CHANNELS[:2]) + HEAD_WIDTHS[config.vit][0] + (FEATURES // 2 + 1 if scales == 2 else 0)
-    if joined is not None and joined.ndim == 4 and joined.shape[1] != wanted:
-        raise CheckpointError(
-            f"{path}: {_JOINED} joins {joined.shape[1]} channels, {wanted} with features at 1/4 resolution; networks "
-            "that match at 1/8 have no published checkpoint and are not supported"
-        )
-    return config
+    if joined is None or joined.ndim != 4:
+        return plain  # what is missing or misshapen is said when the tensors are fitted
+    wanted = {}
+    for config in (replace(plain, coarsest=coarsest) for coarsest in COARSEST):
+        wanted[config.coarsest] = joined_channels(config, 0, depth=True)
+        if joined.shape[1] == wanted[config.coarsest]:
+            return config
+    choices = " or ".join(f"{channels} if it matches first at 1/{coarsest}" for coarsest, channels in wanted.items())
+    raise CheckpointError(
+        f"{path}: {_JOINED} joins {joined.shape[1]} channels, DepthSplat {plain.vit} of {_counted(scales)} {choices}"
+    )
+
+
+def _counted(scales: int) -> str:
+    return "1 scale" if scales == 1 else f"{scales} scales"

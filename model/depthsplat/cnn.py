@@ -1,4 +1,4 @@
-"""The CNN of UniMatch: texture at 1/2, 1/2 and 1/4 resolution."""
+"""The CNN of UniMatch: texture at 1/2, 1/2 and 1/4 resolution, or at 1/2, 1/4 and 1/8."""
 
 from __future__ import annotations
 
@@ -30,18 +30,19 @@ class ResidualBlock(nn.Module):
 class CnnEncoder(nn.Module):
     """Texture features, independent of the other views."""
 
-    def __init__(self) -> None:
+    def __init__(self, coarsest: int = 4) -> None:
         super().__init__()
         first, second, third = CNN_CHANNELS
         self.conv1 = nn.Conv2d(3, first, 7, stride=2, padding=3, bias=False)
         self.norm = InstanceNorm(first)
         self.layer1 = nn.Sequential(ResidualBlock(first, first), ResidualBlock(first, first))
-        self.layer2 = nn.Sequential(ResidualBlock(first, second), ResidualBlock(second, second))
+        self.layer2 = nn.Sequential(ResidualBlock(first, second, coarsest // 4), ResidualBlock(second, second))
         self.layer3 = nn.Sequential(ResidualBlock(second, third, stride=2), ResidualBlock(third, third))
         self.conv2 = nn.Conv2d(third, FEATURES, 1)
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """(n, 3, H, W) normalised -> (n, 64, H/2, W/2), (n, 96, H/2, W/2), (n, 128, H/4, W/4)."""
+        """(n, 3, H, W) normalised -> (n, 64, H/2, W/2), (n, 96, H/2, W/2), (n, 128, H/4, W/4); the last two at half
+        of that where the coarsest resolution is 1/8."""
         first = self.layer1(F.relu(self.norm(self.conv1(images))))
         second = self.layer2(first)
         return first, second, self.conv2(self.layer3(second))

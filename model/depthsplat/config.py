@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass, fields
 
 from ..config import VitConfig
 
-CNN_CHANNELS = (64, 96, 128)  # at 1/2, 1/2 and 1/4 resolution
-FEATURES = 128  # channels of the multi-view features at 1/4 resolution
+CNN_CHANNELS = (64, 96, 128)  # at 1/2, 1/2 and 1/4 resolution, or at 1/2, 1/4 and 1/8
+COARSEST = (4, 8)  # of the pictures' resolution, the share at which the published networks match first
+FEATURES = 128  # channels of the multi-view features at the coarsest resolution
 WINDOWS = 2  # attention windows along each axis
 NEIGHBOURS = 2  # other views that a view is compared with, the nearest ones
 PLANES = 128  # candidates of the first scale, uniform in inverse depth
@@ -63,8 +64,10 @@ class DepthSplatConfig:
     """Everything that defines the graph; stored in every exported file."""
 
     vit: str  # small, base or large
-    scales: int  # 1: depth at 1/4 resolution; 2: refined at 1/2
+    scales: int  # 1: depth at the coarsest resolution; 2: refined at twice that
     compatibility: Compatibility = PLAIN
+    coarsest: int = 4  # the first scale matches at 1/4 or 1/8 of the pictures' resolution
+    scale_max: float = SCALE_MAX  # of a Gaussian, world units; no tensor tells it
 
     @property
     def preset(self) -> str:
@@ -77,7 +80,12 @@ class DepthSplatConfig:
     @property
     def upsample_factor(self) -> int:
         """From the finest matched resolution to the pictures'."""
-        return 4 if self.scales == 1 else 2
+        return self.coarsest // 2 ** (self.scales - 1)
+
+    @property
+    def size_step(self) -> int:
+        """px; sides of a picture are multiples of it: the U-Net of the first scale has three levels."""
+        return 4 * self.coarsest
 
     def to_json(self) -> str:
         return json.dumps({"architecture": "depthsplat", **asdict(self)}, sort_keys=True)

@@ -43,7 +43,7 @@ class MultiViewDepth(nn.Module):
         super().__init__()
         self.config = config
         hidden = VITS[config.vit].hidden
-        self.backbone = CnnEncoder()
+        self.backbone = CnnEncoder(config.coarsest)
         self.transformer = MultiViewTransformer()
         self.pretrained = IntermediateVit(config.vit)
         self.mv_pyramid = FeaturePyramid(FEATURES) if config.scales == 2 else None
@@ -69,7 +69,7 @@ class MultiViewDepth(nn.Module):
             self.depth_head.append(
                 nn.Sequential(replicate_conv(width, 2 * width), nn.GELU(), replicate_conv(2 * width, planes))
             )
-        self.upsampler = DptHead(config.vit, config.scales, DEPTH_HEAD[config.vit], depth=True)
+        self.upsampler = DptHead(config, DEPTH_HEAD[config.vit], depth=True)
 
     def forward(self, images: Tensor, views: Views) -> MatchedDepth:
         """images (n, 3, H, W) in [0, 1]."""
@@ -82,7 +82,9 @@ class MultiViewDepth(nn.Module):
         )
         multi_view = [coarse] if self.mv_pyramid is None else self.mv_pyramid(coarse)
         vit = self.pretrained(normalised)
-        last = F.interpolate(vit[-1], scale_factor=2.0, mode="bilinear", align_corners=True)
+        last = vit[-1]  # at 1/8 resolution
+        if self.config.coarsest == 4:
+            last = F.interpolate(last, scale_factor=2.0, mode="bilinear", align_corners=True)
         mono = [last] if self.mono_pyramid is None else self.mono_pyramid(last)
 
         low, high = views.per_view(views.inverse_far), views.per_view(views.inverse_near)

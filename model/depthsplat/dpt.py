@@ -6,7 +6,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .config import CNN_CHANNELS, FEATURES, HEAD_WIDTHS, VITS
+from .config import CNN_CHANNELS, FEATURES, HEAD_WIDTHS, VITS, DepthSplatConfig
+
+# Of each level of the head, which of the CNN's maps have its resolution.
+TEXTURE = {4: ((0, 1), (2,), ()), 8: ((0,), (1,), (2,))}
 
 
 def replicate_conv(inputs: int, outputs: int) -> nn.Conv2d:
@@ -61,23 +64,35 @@ class Scratch(nn.Module):
             )
 
 
-class DptHead(nn.Module):
-    """Of one network size and number of scales; with `depth` it reads a depth and adds detail to it, without it gives
-    features."""
+def matched_levels(config: DepthSplatConfig) -> range:
+    """Of the head's levels, 0 at 1/2 resolution, those that the network matches at, fine to coarse."""
+    finest = config.upsample_factor.bit_length() - 2
+    return range(finest, finest + config.scales)
 
-    def __init__(self, vit: str, scales: int, channels: int, *, depth: bool) -> None:
+
+def joined_channels(config: DepthSplatConfig, level: int, *, depth: bool) -> int:
+    """How many channels one of the first three levels joins."""
+    matched = matched_levels(config)
+    channels = HEAD_WIDTHS[config.vit][level] + sum(CNN_CHANNELS[number] for number in TEXTURE[config.coarsest][level])
+    if level in matched:
+        channels += FEATURES if level == matched[-1] else FEATURES // 2
+    return channels + int(depth and level == matched[0])
+
+
+class DptHead(nn.Module):
+    """Of one network; with `depth` it reads a depth and adds detail to it, without it gives features.
+
+    What joins the ViT's map at each of the first three levels, at 1/2, 1/4 and 1/8 resolution, follows from where the
+    network matches: texture of that level, multi-view features, and at the finest matched level the depth.
+    """
+
+    def __init__(self, config: DepthSplatConfig, channels: int, *, depth: bool) -> None:
         super().__init__()
         self.depth = depth
-        widths, hidden = HEAD_WIDTHS[vit], VITS[vit].hidden
-        texture, second, third = CNN_CHANNELS
-        fine = FEATURES // 2 if scales == 2 else 0  # multi-view features at 1/2 resolution
-        fine_depth, coarse_depth = int(depth and scales == 2), int(depth and scales == 1)
+        widths, hidden = HEAD_WIDTHS[config.vit], VITS[config.vit].hidden
+        self.texture, self.matched = TEXTURE[config.coarsest], matched_levels(config)
         self.concat_projects = nn.ModuleList(
-            [
-                nn.Conv2d(texture + second + widths[0] + fine + fine_depth, widths[0], 1),
-                nn.Conv2d(third + widths[1] + FEATURES + coarse_depth, widths[1], 1),
-                nn.Conv2d(widths[2], widths[2], 1),
-            ]
+            [nn.Conv2d(joined_channels(config, level, depth=depth), widths[level], 1) for level in range(3)]
         )
         self.projects = nn.ModuleList([nn.Conv2d(hidden, width, 1) for width in widths])
         self.resize_layers = nn.ModuleList(
@@ -100,13 +115,12 @@ class DptHead(nn.Module):
         """vit: four maps (n, hidden, H/8, W/8); cnn as `CnnEncoder` gives them; multi_view coarse to fine; depth (n, 1,
         h, w) at the finest matched resolution. Returns (n, 1 or channels, H, W)."""
         maps = [resize(project(x)) for x, project, resize in zip(vit, self.projects, self.resize_layers, strict=True)]
-        extra = [] if depth is None else [depth]
-        two = len(multi_view) == 2
-        fine = [*multi_view[1:], *extra] if two else []
-        maps[0] = self.concat_projects[0](torch.cat([cnn[0], cnn[1], *fine, maps[0]], dim=1))
-        coarse = [multi_view[0]] if two else [multi_view[0], *extra]
-        maps[1] = self.concat_projects[1](torch.cat([cnn[2], maps[1], *coarse], dim=1))
-        maps[2] = self.concat_projects[2](maps[2])
+        for level, project in enumerate(self.concat_projects):
+            found = [multi_view[self.matched[-1] - level]] if level in self.matched else []
+            found += [depth] if depth is not None and level == self.matched[0] else []
+            # the layout's order of channels: the ViT's map is the last of the first level
+            joined = [*found, maps[0]] if level == 0 else [maps[level], *found]
+            maps[level] = project(torch.cat([*(cnn[number] for number in self.texture[level]), *joined], dim=1))
         s = self.scratch
         layers = [getattr(s, f"layer{number}_rn")(x) for number, x in enumerate(maps, start=1)]
         x: Tensor | None = None

@@ -27,7 +27,7 @@ class DepthSplat(nn.Module):
         self.config = config
         features = FEATURE_HEAD[config.vit]
         self.depth_predictor = MultiViewDepth(config)
-        self.feature_upsampler = DptHead(config.vit, config.scales, features, depth=False)
+        self.feature_upsampler = DptHead(config, features, depth=False)
         self.gaussian_regressor = nn.Sequential(
             nn.Conv2d(3 + 1 + 1 + features, REGRESSOR_WIDTH, 3, padding=1),
             nn.GELU(),
@@ -58,6 +58,6 @@ class DepthSplat(nn.Module):
         regressed = self.gaussian_regressor(torch.cat([flat, depth, confidence, features], dim=1))
         raw = self.gaussian_head(torch.cat([regressed, flat, features, confidence], dim=1))
         keep = kept(patch_mask, flat)[1]
-        gaussians = gaussians_from_raw(flat, raw, depth, views, keep, self.config.compatibility)
+        gaussians = gaussians_from_raw(flat, raw, depth, views, keep, self.config)
         maps = (batch, count, height, width)
         return Prediction(gaussians, depth.reshape(maps), confidence.reshape(maps), None)

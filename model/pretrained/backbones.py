@@ -6,9 +6,10 @@ import json
 from dataclasses import dataclass, fields
 
 from ..backbones import DepthAnythingFeatures
-from ..checkpoint import WEIGHTS_LICENCE, CheckpointError
+from ..checkpoint import WEIGHTS_LICENCE
 from ..full_trunk import FullTrunk
 from ..network import GaPMeS
+from ..weights_file import CheckpointError
 from .depth_anything import load_depth_anything
 from .dinov2 import load_vit
 from .fit import Fit

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..checkpoint import CheckpointError
+from ..weights_file import CheckpointError
 
 # Fields by which the same tensors compute something else.
 VIT_FIELDS = ("num_attention_heads", "layer_norm_eps", "hidden_act", "qkv_bias", "use_swiglu_ffn")

@@ -9,7 +9,7 @@ from torch import Tensor
 from transformers import DepthAnythingForDepthEstimation
 
 from ..backbones import DepthAnythingFeatures
-from ..checkpoint import CheckpointError
+from ..weights_file import CheckpointError
 from .config_file import DEPTH_FIELDS, TAP_FIELDS, VIT_FIELDS, compare, read_config, vit_section
 from .dinov2 import OPTIONAL, refuse_variants, shape_of, vit_parts, with_source
 from .files import TensorFile, read_tensors

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 from transformers import Dinov2Config
 
 from ..backbones import VitFeatures
-from ..checkpoint import CheckpointError
 from ..config import VitConfig
+from ..weights_file import CheckpointError
 from .config_file import VIT_FIELDS, compare, read_config, vit_section
 from .files import TensorFile, read_tensors
 from .fit import Fit, LeftOut, Part, fit

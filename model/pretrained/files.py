@@ -16,7 +16,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from ..checkpoint import CheckpointError, file_sha256
+from ..weights_file import CheckpointError, file_sha256
 
 SAFETENSORS = ".safetensors"
 INDEX = ".safetensors.index.json"

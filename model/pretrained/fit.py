@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ..checkpoint import CheckpointError
+from ..weights_file import CheckpointError
 from .files import TensorFile
 
 SHOWN = 5  # names of each kind in a message; the report has them all

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from torch import Tensor
 
-from ..checkpoint import CheckpointError
 from ..config import PRESETS, VitConfig
+from ..weights_file import CheckpointError
 from .fit import Recognised
 
 ORIGINAL, TRANSFORMERS_4, TRANSFORMERS_5 = "original", "transformers 4", "transformers 5"
@@ -24,6 +24,9 @@ _ANCHORS_TRANSFORMERS = re.compile(
 _ANCHORS_ORIGINAL = re.compile(r"^(?P<prefix>(?:.*\.)?)(?:cls_token|pos_embed|patch_embed\.proj\.(?:weight|bias))$")
 # The original stores blocks in chunks where it was trained so; the number within a chunk counts from the first block.
 _BLOCK = re.compile(r"^(?:encoder\.layer\.|blocks\.(?:\d+\.(?=\d))?)(?P<block>\d+)\.(?P<rest>.+)$")
+
+_DEPTHSPLAT, _GAUSSIANS = "depth_predictor.", "gaussian_head."  # parts of DepthSplat's names
+_UNIMATCH = ("backbone.conv1.", "transformer.layers.")  # how some of UniMatch's names begin
 
 
 @dataclass(frozen=True)
@@ -98,15 +101,42 @@ def find_vit(path: Path, tensors: Mapping[str, Tensor], prefix: str | None = Non
     if not found:
         some = ", ".join(sorted(tensors)[:5])
         under = f" under {prefix!r}" if prefix is not None else ""
+        kind = network_kind(tensors) if prefix is None else ""
         raise CheckpointError(
             f"{path} holds no ViT of DINOv2's kind{under}: no class token, position or patch embedding among its "
             f"{len(tensors)} tensors ({some}, …); expected are the files of DINOv2 or Depth-Anything-V2"
+            + (f"; it holds {kind}" if kind else "")
         )
     if len(found) > 1:
         places = ", ".join(repr(key[0]) for key in sorted(found))
         raise CheckpointError(f"{path} holds {len(found)} ViTs, under {places}; say which by its prefix")
     (prefix, original), _ = found.popitem()
     return _measure(tensors, prefix, original)
+
+
+def looks_like(path: Path, tensors: Mapping[str, Tensor]) -> str:
+    """What network these tensors are of and what takes it, or nothing where that cannot be told."""
+    if kind := network_kind(tensors):
+        return kind
+    try:
+        vit = find_vit(path, tensors)
+    except CheckpointError:
+        return ""
+    presets = [name for name, config in PRESETS.items() if vit.fits(config.semantic_vit)]
+    option = "--depth-weights" if vit.depth_head else "--semantic-weights"
+    taken = f"{option} of a training of preset {' or '.join(presets)} takes" if presets else "no preset has"
+    return f"{vit.name}, which {taken}"
+
+
+def network_kind(names: Collection[str]) -> str:
+    """The same of what is no single ViT: DepthSplat's and UniMatch's, told from the names alone."""
+    if any(_DEPTHSPLAT in name for name in names):
+        if any(_GAUSSIANS in name for name in names):
+            return "DepthSplat's tensors, which gapmes-export takes with --architecture depthsplat"
+        return "DepthSplat's tensors for depth alone, of which --trunk-weights of a training takes the trunk"
+    if all(any(name.startswith(part) for name in names) for part in _UNIMATCH):
+        return "UniMatch's tensors, which --trunk-weights of a training takes"
+    return ""
 
 
 def split_block(name: str) -> tuple[int, str] | None:

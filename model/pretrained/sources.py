@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..checkpoint import CheckpointError
+from ..weights_file import CheckpointError
 from .files import INDEX, SAFETENSORS, TORCH, shard_names
 
 PREFERRED = ("model.safetensors", "model" + INDEX, "pytorch_model.bin")

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from .files import read_tensors
 from .fit import Fit, LeftOut, Part, Recognised, fit
+from .recognise import looks_like
 from .sources import resolve
 
 PARTS = ("backbone.", "transformer.")
@@ -29,7 +30,9 @@ def load_trunk(trunk: nn.Module, source: str | Path, *, cache: Path | None = Non
         return LeftOut("another part of that network than its multi-view trunk")
 
     layout = "DepthSplat's" if root else "UniMatch's"
-    hint = "Expected are gmflow-scale1-…pth or gmdepth-scale1-…pth of UniMatch, or a checkpoint of DepthSplat."
+    kind = looks_like(found.path, file.tensors)
+    held = f"It holds {kind}. " if kind and not any(name.startswith(root + PARTS[0]) for name in file.tensors) else ""
+    hint = held + "Expected are gmflow-scale1-…pth or gmdepth-scale1-…pth of UniMatch, or a checkpoint of DepthSplat."
     recognised = Recognised("multi-view trunk", f"{layout}, names under {root!r}", "", hint)
     expected: dict[str, Tensor] = trunk.state_dict()
     report, tensors = fit(file, expected, names, recognised=recognised)

@@ -13,10 +13,10 @@ import torch
 
 from gapmes.service.terminal import QUIET_HELP, ProgressBars
 
-from ..checkpoint import CheckpointError
 from ..config import PRESETS, ModelConfig, preset
 from ..pretrained.backbones import BackboneSources
 from ..pretrained.sources import resolve
+from ..weights_file import CheckpointError
 from .log_rows import read_rows
 from .loop import check_start, train
 from .recipe import RECIPES, Recipe

@@ -16,10 +16,11 @@ import torch
 
 from gapmes.service.progress import Listener, Stage, silent
 
-from ..checkpoint import CheckpointError, file_sha256, load_checkpoint, read_config
+from ..checkpoint import load_checkpoint, read_config
 from ..config import ModelConfig
 from ..network import GaPMeS
 from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
+from ..weights_file import CheckpointError, file_sha256
 from .precision import coarse_pays, compute_coarsely
 from .recipe import Recipe
 from .run_folder import append_row, claimed, forget_rows_after, restore_state, save_state, save_weights

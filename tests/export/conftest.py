@@ -14,8 +14,9 @@ from full_networks import miniature
 
 from gapmes.export.build import export_graph
 from gapmes.export.metadata import add_metadata, contract_metadata
-from gapmes.model.checkpoint import WEIGHTS_LICENCE, file_sha256, load_checkpoint, shipped_checkpoint
+from gapmes.model.checkpoint import WEIGHTS_LICENCE, load_checkpoint, shipped_checkpoint
 from gapmes.model.network import GaPMeS
+from gapmes.model.weights_file import file_sha256
 
 SIZE = 64
 

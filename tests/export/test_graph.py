@@ -18,9 +18,9 @@ from gapmes.export.graph import SceneGraph
 from gapmes.export.samples import FLAT, UNDETERMINED, hostile_scenes, random_scene
 from gapmes.export.tolerance import TOLERANCES
 from gapmes.export.verify import verify
-from gapmes.model.checkpoint import file_sha256
 from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
+from gapmes.model.weights_file import file_sha256
 from gapmes.service.contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from gapmes.service.shipped import shipped_model
 

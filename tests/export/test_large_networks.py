@@ -46,9 +46,8 @@ def check(model: onnx.ModelProto, network: Network) -> None:
     assert len(results) == len(VIEWS) + 1
 
 
-@pytest.fixture(scope="module")
-def depthsplat() -> DepthSplat:
-    """Two scales on a ViT small enough for tests."""
+def small_depthsplat(scales: int, coarsest: int) -> DepthSplat:
+    """On a ViT small enough for tests."""
     with pytest.MonkeyPatch.context() as patch:
         for table, value in (
             (sizes.VITS, VIT),
@@ -58,7 +57,12 @@ def depthsplat() -> DepthSplat:
             (sizes.HEAD_WIDTHS, (8, 16, 32, 48)),
         ):
             patch.setitem(table, "miniature", value)  # type: ignore[index]
-        return randomised(DepthSplat(sizes.DepthSplatConfig("miniature", 2)))
+        return randomised(DepthSplat(sizes.DepthSplatConfig("miniature", scales, coarsest=coarsest)))
+
+
+@pytest.fixture(scope="module")
+def depthsplat() -> DepthSplat:
+    return small_depthsplat(2, 4)
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +75,13 @@ def test_depthsplat_exports_with_a_number_of_views_that_is_not_baked_in(
 ) -> None:
     assert tuple(output.name for output in graph.graph.output) == REQUIRED_OUTPUTS
     check(graph, depthsplat)
+
+
+def test_depthsplat_that_matches_at_an_eighth_exports_too() -> None:
+    network = small_depthsplat(2, 8)
+    check(export_graph(network, SIZE, SIZE), network)
+    with pytest.raises(ValueError, match="height is 80 px, need a multiple of 32 of at least 32"):
+        export_graph(network, 80, 64)
 
 
 def test_a_full_network_exports_with_a_number_of_views_that_is_not_baked_in(miniature_graph: onnx.ModelProto) -> None:

@@ -17,7 +17,8 @@ from gapmes.export.cli import app
 from gapmes.export.quantise import quantised
 from gapmes.export.report import Report
 from gapmes.export.samples import random_scene
-from gapmes.model.checkpoint import file_sha256, load_checkpoint
+from gapmes.model.checkpoint import load_checkpoint
+from gapmes.model.weights_file import file_sha256
 from gapmes.service.contract import INPUTS
 from gapmes.service.shipped import shipped_model
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from small_networks import scene, tiny
 
-from gapmes.model.checkpoint import CheckpointError, load_checkpoint, save_checkpoint, shipped_checkpoint
+from gapmes.model.checkpoint import load_checkpoint, save_checkpoint, shipped_checkpoint
+from gapmes.model.config import PRESETS
+from gapmes.model.weights_file import CheckpointError
 
 
 def test_round_trip_is_exact(tmp_path: Path) -> None:
@@ -38,10 +41,58 @@ def test_a_file_that_does_not_fit_names_the_tensors(tmp_path: Path) -> None:
 def test_a_foreign_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "foreign.safetensors"
     save_file({"a": torch.zeros(1)}, path)
-    with pytest.raises(CheckpointError, match="another network"):
+    with pytest.raises(CheckpointError, match=r"carries no gapmes\.config: it is no checkpoint of ours$"):
         load_checkpoint(path)
-    with pytest.raises(CheckpointError, match="cannot be read"):
+    with pytest.raises(CheckpointError, match=r"missing\.safetensors: no such file"):
         load_checkpoint(tmp_path / "missing.safetensors")
+    path.write_bytes(b"text")
+    with pytest.raises(CheckpointError, match="cannot be read as safetensors"):
+        load_checkpoint(path)
+
+
+# Tensors by which a network is told, and what the refusal says of them.
+KINDS: list[tuple[dict[str, tuple[int, ...]], str]] = [
+    ({"encoder.depth_predictor.a": (1,), "encoder.gaussian_head.b": (1,)}, "DepthSplat's.*--architecture depthsplat"),
+    ({"depth_predictor.a": (1,)}, "DepthSplat's tensors for depth alone.*--trunk-weights"),
+    ({"backbone.conv1.weight": (64, 3, 7, 7), "transformer.layers.0.a": (1,)}, "UniMatch's.*--trunk-weights"),
+    (
+        {"pos_embed": (1, 1370, 768), "patch_embed.proj.weight": (768, 3, 14, 14), "blocks.11.norm1.bias": (768,)},
+        r"DINOv2 ViT-B/14.*--semantic-weights of a training of preset base",
+    ),
+    (
+        {"pretrained.pos_embed": (1, 1370, 384), "pretrained.patch_embed.proj.weight": (384, 3, 14, 14)}
+        | {"pretrained.blocks.11.norm1.bias": (384,), "depth_head.projects.0.bias": (48,)},
+        r"Depth-Anything ViT-S/14.*--depth-weights of a training of preset small",
+    ),
+    ({"pos_embed": (1, 1370, 99), "patch_embed.proj.weight": (99, 3, 14, 14)}, "no preset has"),
+]
+
+
+@pytest.mark.parametrize(("shapes", "said"), KINDS)
+@pytest.mark.parametrize("suffix", ["safetensors", "pth"])
+def test_a_refused_file_is_told_by_what_it_holds(
+    shapes: dict[str, tuple[int, ...]], said: str, suffix: str, tmp_path: Path
+) -> None:
+    path = tmp_path / f"other.{suffix}"
+    tensors = {name: torch.zeros(shape) for name, shape in shapes.items()}
+    if suffix == "pth":
+        torch.save(tensors, path)
+    else:
+        save_file(tensors, path)
+    with pytest.raises(CheckpointError, match=said):
+        load_checkpoint(path)
+
+
+def test_a_preset_is_known_by_its_tensors(tmp_path: Path) -> None:
+    weights = load_file(shipped_checkpoint("tiny"))
+    path = tmp_path / "bare.safetensors"
+    save_file(weights, path)
+    with pytest.raises(CheckpointError, match="the tensors of preset tiny, whose configuration is lost"):
+        load_checkpoint(path)
+    other = replace(PRESETS["tiny"], experts=4)
+    save_file(weights, path, metadata={"gapmes.config": other.to_json()})
+    with pytest.raises(CheckpointError, match=r"\(preset tiny\): missing .*; its tensors are those of preset tiny"):
+        load_checkpoint(path)
 
 
 def test_shipped_weights_load_and_others_are_named() -> None:

@@ -12,7 +12,7 @@ from full_networks import miniature
 from small_networks import scene
 
 from gapmes.model.backbones import DepthAnythingFeatures
-from gapmes.model.checkpoint import CheckpointError, load_checkpoint, save_checkpoint, shipped_checkpoint
+from gapmes.model.checkpoint import load_checkpoint, save_checkpoint, shipped_checkpoint
 from gapmes.model.config import preset
 from gapmes.model.cost_volume import Views
 from gapmes.model.full_trunk import FullTrunk
@@ -24,6 +24,7 @@ from gapmes.model.training.loop import train
 from gapmes.model.training.recipe import FINISH, Recipe
 from gapmes.model.training.run_folder import STATE, WEIGHTS
 from gapmes.model.trunk import LightTrunk
+from gapmes.model.weights_file import CheckpointError
 
 PAPER = 14.6e6  # trained parameters
 DOCUMENTED = {"depth": 5_348_622, "mixture": 8_574_732, "heads": 366_008, "mono_context": 172_256}
@@ -216,7 +217,7 @@ def test_a_run_takes_the_frozen_parts_of_the_weights_that_it_starts_from(
     [
         (["--recipe", "finish"], "goes on from trained weights: give --initial-weights"),
         (["--initial-weights", "OUT/weights.safetensors"], "lies in the run's own folder"),
-        (["--initial-weights", "nope.safetensors"], "nope.safetensors cannot be read as safetensors"),
+        (["--initial-weights", "nope.safetensors"], "nope.safetensors: no such file"),
         (["--initial-weights", "TINY", "--without-tasks"], "has another configuration"),
         (["--initial-weights", "TINY", "--depth-weights", "x"], "carries its frozen parts: leave out --depth-weights"),
         (["--preset", "small", "--initial-weights", "TINY"], "has another configuration"),

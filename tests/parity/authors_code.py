@@ -28,7 +28,6 @@ STAND_INS = (
     "diff_gaussian_rasterization",
     "lpips",
 )
-ADAPTER = SimpleNamespace(gaussian_scale_min=1e-10, gaussian_scale_max=3.0, sh_degree=2)
 
 
 class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -46,8 +45,11 @@ class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         pass
 
 
-def encoder(depthsplat: Path, dinov2: Path, vit: str, scales: int) -> nn.Module:
-    """Their encoder with random weights; vit `vits` or `vitb`. Raises what an import of their code raises."""
+def encoder(depthsplat: Path, dinov2: Path, vit: str, scales: int, coarsest: int, scale_max: float) -> nn.Module:
+    """Their encoder with random weights; vit `vits` or `vitb`, matching first at 1/coarsest of the resolution.
+
+    Raises what an import of their code raises.
+    """
     if not any(isinstance(finder, _StandIns) for finder in sys.meta_path):
         sys.meta_path.append(_StandIns())
     if str(depthsplat) not in sys.path:
@@ -68,11 +70,11 @@ def encoder(depthsplat: Path, dinov2: Path, vit: str, scales: int) -> nn.Module:
         name="depthsplat",
         num_depth_candidates=128,
         num_surfaces=1,
-        gaussian_adapter=ADAPTER,
+        gaussian_adapter=SimpleNamespace(gaussian_scale_min=1e-10, gaussian_scale_max=scale_max, sh_degree=2),
         gaussians_per_pixel=1,
         num_scales=scales,
-        upsample_factor=4 if scales == 1 else 2,
-        lowest_feature_resolution=4,
+        upsample_factor=coarsest // 2 ** (scales - 1),
+        lowest_feature_resolution=coarsest,
         depth_unet_channels=128,
         grid_sample_disable_cudnn=False,
         init_sh_input_img=True,

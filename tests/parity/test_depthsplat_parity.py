@@ -65,19 +65,32 @@ def far_apart(views: int, height: int, width: int) -> list[Tensor]:
     return [value.double().unsqueeze(0) for value in (images, intrinsics, poses, near_far)]
 
 
-@pytest.mark.parametrize(("vit", "scales"), [("small", 1), ("base", 2)])
+# The published networks: those for 256x256 px match first at 1/4 resolution, those for larger pictures at 1/8, two of
+# them with smaller Gaussians.
+@pytest.mark.parametrize(
+    ("vit", "scales", "coarsest", "scale_max"),
+    [("small", 1, 4, 3.0), ("base", 2, 4, 3.0), ("small", 1, 8, 0.1), ("base", 2, 8, 0.1)],
+)
 @pytest.mark.parametrize(("height", "width"), [(256, 256), (256, 448)])
 @pytest.mark.parametrize("views", [2, 4])
 def test_the_authors_code_gives_the_same_gaussians(
-    repositories: tuple[Path, Path], tmp_path: Path, vit: str, scales: int, height: int, width: int, views: int
+    repositories: tuple[Path, Path],
+    tmp_path: Path,
+    vit: str,
+    scales: int,
+    coarsest: int,
+    scale_max: float,
+    height: int,
+    width: int,
+    views: int,
 ) -> None:
     from authors_code import encoder
 
-    theirs = encoder(*repositories, VITS[vit], scales)
+    theirs = encoder(*repositories, VITS[vit], scales, coarsest, scale_max)
     randomised(theirs)
     path = tmp_path / "random.pth"
     torch.save({"state_dict": {f"encoder.{name}": value for name, value in theirs.state_dict().items()}}, path)
-    ours = load_depthsplat(path, Compatibility.authors())[0].double()
+    ours = load_depthsplat(path, Compatibility.authors(), scale_max)[0].double()
     images, intrinsics, poses, near_far = far_apart(views, height, width)
     context = {
         "image": images,

@@ -60,9 +60,9 @@ def published_layout(network: DepthSplat) -> dict[str, Tensor]:
     return tensors | {name: torch.cat([parts[k] for k in "qkv"]) for name, parts in qkv.items()}
 
 
-def write_checkpoint(folder: Path, vit: str = "small", scales: int = 1, seed: int = 0) -> tuple[Path, DepthSplat]:
+def write_checkpoint(folder: Path, vit: str = "small", scales: int = 1, coarsest: int = 4) -> tuple[Path, DepthSplat]:
     """As the authors' trainer saves it, and the network that it was made from."""
-    network = randomised(DepthSplat(DepthSplatConfig(vit, scales)), seed)
+    network = randomised(DepthSplat(DepthSplatConfig(vit, scales, coarsest=coarsest)))
     path = folder / f"depthsplat-gs-{vit}.pth"
     torch.save({"state_dict": published_layout(network), "epoch": 3, "global_step": 9}, path)
     return path, network

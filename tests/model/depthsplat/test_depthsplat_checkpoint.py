@@ -8,13 +8,21 @@ import pytest
 import torch
 from random_checkpoint import published_layout, write_checkpoint
 
-from gapmes.model.checkpoint import CheckpointError
+from gapmes.model.checkpoint import shipped_checkpoint
+from gapmes.model.depthsplat import checkpoint
 from gapmes.model.depthsplat.checkpoint import load_depthsplat
 from gapmes.model.depthsplat.config import Compatibility, DepthSplatConfig
 from gapmes.model.depthsplat.network import DepthSplat
+from gapmes.model.weights_file import CheckpointError, file_sha256
 
 # what the authors' page of models says of the checkpoints, in millions; rounded there, ViT's mask token not counted
-PUBLISHED_SIZES = {("small", 1): 37, ("base", 2): 117, ("large", 2): 360}
+PUBLISHED_SIZES = {
+    ("small", 1, 4): 37,
+    ("base", 2, 4): 117,
+    ("large", 2, 4): 360,
+    ("small", 1, 8): 37,
+    ("base", 2, 8): 117,
+}
 
 
 @pytest.fixture(scope="module")
@@ -22,11 +30,14 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DepthSplat]:
     return write_checkpoint(tmp_path_factory.mktemp("small"))
 
 
-@pytest.mark.parametrize(("vit", "scales"), [("small", 1), ("base", 2)])
-def test_every_tensor_of_a_published_file_is_used(tmp_path: Path, vit: str, scales: int) -> None:
-    path, network = write_checkpoint(tmp_path, vit, scales)
+@pytest.mark.parametrize(
+    ("vit", "scales", "coarsest"), [("small", 1, 4), ("base", 2, 4), ("small", 1, 8), ("base", 2, 8)]
+)
+def test_every_tensor_of_a_published_file_is_used(tmp_path: Path, vit: str, scales: int, coarsest: int) -> None:
+    path, network = write_checkpoint(tmp_path, vit, scales, coarsest)
     loaded, report = load_depthsplat(path)
-    assert loaded.config == DepthSplatConfig(vit, scales)
+    assert loaded.config == DepthSplatConfig(vit, scales, coarsest=coarsest)
+    assert f"matched first at 1/{coarsest}, Gaussians of at most 3 units" in report.recognised
     assert not report.left_out
     assert len(report.sha256) == 64
     ours = network.state_dict()
@@ -35,12 +46,33 @@ def test_every_tensor_of_a_published_file_is_used(tmp_path: Path, vit: str, scal
             assert torch.equal(value, ours[name]), name
 
 
-@pytest.mark.parametrize(("vit", "scales"), sorted(PUBLISHED_SIZES))
-def test_the_networks_are_as_large_as_the_published_ones(vit: str, scales: int) -> None:
+@pytest.mark.parametrize(("vit", "scales", "coarsest"), sorted(PUBLISHED_SIZES))
+def test_the_networks_are_as_large_as_the_published_ones(vit: str, scales: int, coarsest: int) -> None:
     with torch.device("meta"):
-        network = DepthSplat(DepthSplatConfig(vit, scales))
+        network = DepthSplat(DepthSplatConfig(vit, scales, coarsest=coarsest))
     millions = sum(p.numel() for p in network.parameters()) / 1e6
-    assert millions == pytest.approx(PUBLISHED_SIZES[vit, scales], rel=0.04)
+    assert millions == pytest.approx(PUBLISHED_SIZES[vit, scales, coarsest], rel=0.04)
+
+
+def test_the_largest_gaussian_is_that_of_the_published_file(
+    small: tuple[Path, DepthSplat], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No tensor tells it: the file's sha256 does, and whoever loads it may say it."""
+    path = small[0]
+    assert load_depthsplat(path)[0].config.scale_max == 3
+    monkeypatch.setitem(checkpoint._SCALE_MAXIMA, file_sha256(path)[:8], 0.1)
+    loaded, report = load_depthsplat(path)
+    assert loaded.config.scale_max == 0.1
+    assert "Gaussians of at most 0.1 units" in report.recognised
+    assert load_depthsplat(path, scale_max=0.5)[0].config.scale_max == 0.5
+
+
+def test_maps_that_no_published_network_joins_are_refused(small: tuple[Path, DepthSplat], tmp_path: Path) -> None:
+    tensors = published_layout(small[1])
+    tensors["encoder." + checkpoint._JOINED] = torch.zeros(48, 99, 1, 1)
+    torch.save({"state_dict": tensors}, tmp_path / "joined.pth")
+    with pytest.raises(CheckpointError, match=r"joins 99 channels, .*208 if it matches first at 1/4 or 112 if .* 1/8"):
+        load_depthsplat(tmp_path / "joined.pth")
 
 
 def test_what_is_missing_unexpected_or_misshapen_is_named(small: tuple[Path, DepthSplat], tmp_path: Path) -> None:
@@ -75,6 +107,11 @@ def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
     torch.save({"fc.weight": torch.zeros(3, 3)}, tmp_path / "other.pth")
     with pytest.raises(CheckpointError, match=r"no checkpoint of DepthSplat.*expected is a depthsplat-gs"):
         load_depthsplat(tmp_path / "other.pth")
+    with pytest.raises(CheckpointError, match="holds a checkpoint of ours, which gapmes-export takes without"):
+        load_depthsplat(shipped_checkpoint("tiny"))
+    torch.save({"backbone.conv1.weight": torch.zeros(1), "transformer.layers.0.a": torch.zeros(1)}, tmp_path / "u.pth")
+    with pytest.raises(CheckpointError, match="it holds UniMatch's tensors, which --trunk-weights"):
+        load_depthsplat(tmp_path / "u.pth")
 
 
 def test_switches_are_chosen_by_name() -> None:
@@ -86,5 +123,7 @@ def test_switches_are_chosen_by_name() -> None:
 
 
 def test_the_configuration_survives_json() -> None:
-    config = DepthSplatConfig("base", 2, Compatibility(camera_rotations=True))
+    config = DepthSplatConfig("base", 2, Compatibility(camera_rotations=True), 8, 0.1)
     assert DepthSplatConfig.from_json(config.to_json()) == config
+    older = '{"architecture": "depthsplat", "vit": "small", "scales": 1}'
+    assert DepthSplatConfig.from_json(older) == DepthSplatConfig("small", 1)

@@ -34,6 +34,19 @@ def predict(network: DepthSplat, inputs: list[torch.Tensor], switches: Compatibi
         return network(*inputs)
 
 
+@pytest.mark.parametrize(("scales", "coarsest"), [(1, 8), (2, 8), (2, 4)])
+def test_every_published_layout_has_a_part_for_each_pixel(scales: int, coarsest: int) -> None:
+    config = DepthSplatConfig("small", scales, coarsest=coarsest, scale_max=0.02)
+    found = predict(randomised(DepthSplat(config)), scene(2))
+    assert found.gaussians.means.shape == (1, 2 * SIZE * SIZE, 3)
+    # one confidence for each cell of the finest matched resolution
+    cells = found.confidence.reshape(2, SIZE // config.upsample_factor, config.upsample_factor, -1)
+    assert torch.equal(cells, cells[:, :, :1].expand_as(cells))
+    assert len(cells[0, :, 0].unique(dim=0)) == SIZE // config.upsample_factor
+    assert float(found.depth.std()) > 0.01
+    assert float(found.gaussians.scales.max()) == pytest.approx(0.02)  # found without it: 0.03
+
+
 @pytest.mark.parametrize("views", [2, 3, 4])
 def test_one_gaussian_per_pixel_within_its_ranges(network: DepthSplat, views: int) -> None:
     inputs = scene(views)

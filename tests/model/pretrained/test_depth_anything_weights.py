@@ -21,10 +21,10 @@ from layouts import (
 )
 
 from gapmes.model.backbones import DepthAnythingFeatures
-from gapmes.model.checkpoint import CheckpointError
 from gapmes.model.config import PRESETS
 from gapmes.model.pretrained.depth_anything import fit_depth_anything, load_depth_anything
 from gapmes.model.pretrained.files import read_tensors
+from gapmes.model.weights_file import CheckpointError
 
 LAYOUTS: dict[str, Callable[[State], State]] = {
     "transformers 5": dict,

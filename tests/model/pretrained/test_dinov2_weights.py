@@ -24,10 +24,10 @@ from layouts import (
 from transformers import Dinov2Model
 
 from gapmes.model.backbones import VitFeatures
-from gapmes.model.checkpoint import CheckpointError
 from gapmes.model.config import PRESETS
 from gapmes.model.pretrained.dinov2 import fit_vit, load_vit
 from gapmes.model.pretrained.files import read_tensors
+from gapmes.model.weights_file import CheckpointError
 
 LAYOUTS: dict[str, tuple[Callable[[State], State], str]] = {
     "transformers 5": (dict, "transformers 5"),

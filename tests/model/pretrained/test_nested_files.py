@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from gapmes.model.checkpoint import CheckpointError
 from gapmes.model.pretrained.files import DEEPEST, read_tensors
+from gapmes.model.weights_file import CheckpointError
 
 
 def test_a_file_that_contains_itself_is_refused(tmp_path: Path) -> None:

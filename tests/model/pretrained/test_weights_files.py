@@ -13,8 +13,8 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from gapmes.model.checkpoint import CheckpointError
 from gapmes.model.pretrained.files import read_tensors
+from gapmes.model.weights_file import CheckpointError
 
 STATE = {"a.weight": torch.arange(6.0).reshape(2, 3), "b": torch.ones(4, dtype=torch.float16)}
 

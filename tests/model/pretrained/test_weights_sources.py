@@ -14,9 +14,9 @@ import pytest
 from layouts import SMALL, equal, random_vit, write
 
 from gapmes.model.backbones import VitFeatures
-from gapmes.model.checkpoint import CheckpointError
 from gapmes.model.pretrained.dinov2 import load_vit
 from gapmes.model.pretrained.sources import choose, resolve
+from gapmes.model.weights_file import CheckpointError
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 

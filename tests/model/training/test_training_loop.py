@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numba
 import pytest
 import torch
 
-from gapmes.model.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from gapmes.model.checkpoint import load_checkpoint, save_checkpoint
 from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.training import loop, run_folder
+from gapmes.model.training.log_rows import read_rows
 from gapmes.model.training.recipe import FINISH, Phase, Recipe
 from gapmes.model.training.scenes import SceneSampler
 from gapmes.model.training.step import to_tensors
 from gapmes.model.training.validation import validate, validation_batches
+from gapmes.model.weights_file import CheckpointError
 
 SMALL = replace(
     Recipe(),
@@ -29,8 +33,18 @@ SMALL = replace(
 
 @pytest.fixture(autouse=True)
 def _one_thread() -> None:
+    one_thread()
+
+
+def one_thread() -> None:
     torch.set_num_threads(1)
     numba.set_num_threads(1)
+
+
+def run_alone(folder: Path) -> None:
+    """In a process of its own."""
+    one_thread()
+    run(SMALL, folder)
 
 
 def run(recipe: Recipe, folder: Path) -> None:
@@ -57,6 +71,34 @@ def test_a_killed_run_resumes_to_the_same_weights(tmp_path: Path, monkeypatch: p
     rows = [json.loads(line) for line in (tmp_path / "broken" / run_folder.LOG).read_text().splitlines()]
     assert [row["step"] for row in rows] == [2, 4]
     assert set(rows[0]["validation"]) == {"wide", "narrow"}
+
+
+def test_a_run_that_was_killed_from_outside_resumes_to_the_same_weights(tmp_path: Path) -> None:
+    """By SIGKILL, as soon as there is a state; a row of the log is cut short as well."""
+    run(SMALL, tmp_path / "whole")
+    child = get_context("spawn").Process(target=run_alone, args=(tmp_path / "killed",))
+    child.start()
+    until = time.monotonic() + 300
+    while not (tmp_path / "killed" / run_folder.STATE).is_file():
+        assert child.is_alive()
+        assert time.monotonic() < until
+        time.sleep(0.001)
+    child.kill()
+    child.join()
+    with (tmp_path / "killed" / run_folder.LOG).open("a") as log:
+        log.write('{"step": 4, "minu')
+    run(SMALL, tmp_path / "killed")
+    whole, killed = (load_checkpoint(tmp_path / name / run_folder.WEIGHTS) for name in ("whole", "killed"))
+    assert all(torch.equal(a, b) for a, b in zip(whole.parameters(), killed.parameters(), strict=True))
+    assert [row["step"] for row in read_rows(tmp_path / "killed" / run_folder.LOG)] == [2, 4]
+
+
+def test_a_log_that_is_none_is_named_and_left(tmp_path: Path) -> None:
+    log = tmp_path / run_folder.LOG
+    log.write_text('{"step": 1, "minutes": 0.1}\ntext\n{"step": 3, "minutes": 0.3}\n')
+    with pytest.raises(ValueError, match="line 2 is no row of a training log"):
+        run_folder.forget_rows_after(tmp_path, 2)
+    assert len(log.read_text().splitlines()) == 3
 
 
 def test_the_loss_on_one_scene_falls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

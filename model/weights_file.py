@@ -1,0 +1,16 @@
+"""What all readers of weights share: their error, and a file's sha256."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+
+class CheckpointError(ValueError):
+    """A file that holds no weights, that is not a checkpoint of ours, or that does not fit what it is loaded into."""
+
+
+def file_sha256(path: Path) -> str:
+    """Hex digest of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
