@@ -46,6 +46,13 @@ def prepared(path: Path, file_sha256: str, folder: Path, options: Callable[[], A
     return target / MODEL
 
 
+def is_prepared(file_sha256: str, folder: Path) -> bool:
+    """Whether `folder` holds what `prepared` makes of that file, for this processor and version."""
+    import onnxruntime as ort
+
+    return (folder / _key(file_sha256, ort.__version__) / MODEL).is_file()
+
+
 def forget(optimised: Path) -> None:
     """Remove a file that turned out to be damaged."""
     _log.warning("the optimised model is damaged, and will be made again")

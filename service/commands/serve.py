@@ -7,13 +7,17 @@ import signal
 import sys
 import tempfile
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..backends.choice import ENGINES
+from ..backends.choice import DEFAULT_ENGINE, ENGINES
 from ..errors import InputError
-from ..terminal import Quiet
+from ..progress import Stages
+from ..terminal import ProgressBars, Quiet
+
+if TYPE_CHECKING:
+    from ..settings import Settings
 
 SHARED_MEMORY = "/dev/shm"
 
@@ -38,6 +42,9 @@ def serve(
     workers: Annotated[
         int | None, typer.Option(min=1, max=256, help="processes [default: GAPMES_WORKERS or 1]")
     ] = None,
+    prepare: Annotated[
+        bool, typer.Option("--prepare", help="start nothing: optimise the models for this machine, for later starts")
+    ] = False,
     quiet: Quiet = False,
 ) -> None:
     """Start the service; /readyz answers 200 once the model is loaded and the kernels are warm."""
@@ -62,6 +69,9 @@ def serve(
     settings.key()
     if os.environ.get("TMPDIR"):  # where large uploads lie for a moment; an empty volume has no such folder yet
         Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
+    if prepare:
+        _prepare(settings)
+        return
     os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in given.items()}  # what the workers read
     options: dict[str, Any] = {
         "factory": True,
@@ -80,6 +90,32 @@ def serve(
     with tempfile.TemporaryDirectory(prefix="gapmes-metrics-", dir=memory) as folder:
         os.environ["PROMETHEUS_MULTIPROC_DIR"] = folder
         uvicorn.run("gapmes.service.serving:app", workers=settings.workers, **options)
+
+
+def _prepare(settings: Settings) -> None:
+    """Load every model once, which leaves its optimised copy in the store, and compile the kernels."""
+    from ..http.runtime import MODELS
+    from ..kernels import warm_up
+    from ..models import Models
+    from ..prepared_model import is_prepared
+
+    if settings.engine != DEFAULT_ENGINE:
+        raise InputError(f"{settings.engine} keeps nothing of a model on disk", field="engine", cure=DEFAULT_ENGINE)
+    folder = settings.store / MODELS
+    models = Models(settings, prepare=folder)
+    with ProgressBars(quiet=settings.quiet) as bars:
+        stages = Stages(bars)
+        for name in models.names:
+            with stages.stage(f"model {name}"), models.using(name):
+                pass
+            if not is_prepared(models.get(name).file.info.file_sha256, folder):
+                raise InputError(
+                    f"the model {name!r} could not be optimised into {folder}",
+                    field="GAPMES_STORE",
+                    cure="the line above says why",
+                )
+        with stages.stage("kernels"):
+            warm_up()
 
 
 def _ended(*_: object) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_runs import run
 
 from gapmes.service import prepared_model
 from gapmes.service.engine import Engine
@@ -91,3 +92,25 @@ def test_a_file_that_the_runtime_cannot_read_is_done_without(tmp_path: Path, cap
     assert Engine(prepare=tmp_path).info == Engine().info
     assert "damaged" in caplog.text
     assert not folder.exists()
+
+
+def test_a_command_makes_it_before_the_first_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And starts nothing; what stands in its way is an error there, since that is all it is for."""
+    other = tmp_path / "other.onnx"
+    other.write_bytes(shipped_model().read_bytes())
+    store, names = tmp_path / "store", f"same={other}"
+    assert run("serve", "--prepare", "--store", store, "--models", names, "--threads", 1, "--quiet") == 0
+    [folder] = [path for path in (store / ".models").iterdir() if path.is_dir()]
+    assert (folder / prepared_model.MODEL).is_file()
+    with monkeypatch.context() as patch:
+        patch.setattr(prepared_model, "_make", None)
+        Engine(prepare=store / ".models")
+
+
+def test_what_keeps_the_command_from_making_it_is_an_error(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / ".models").write_text("no folder")
+    assert run("serve", "--prepare", "--store", tmp_path, "--threads", 1, "--quiet") == 1
+    assert "the model is loaded as it is" in caplog.text
+    assert "the model 'default' could not be optimised into" in capfd.readouterr().err
