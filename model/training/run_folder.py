@@ -14,6 +14,7 @@ from torch import Tensor
 
 from ..checkpoint import save_checkpoint
 from ..network import GaPMeS
+from .log_rows import read_rows
 
 STATE = "state.pt"
 WEIGHTS = "weights.safetensors"
@@ -90,8 +91,12 @@ def append_row(folder: Path, row: dict[str, object]) -> None:
 
 
 def forget_rows_after(folder: Path, step: int) -> None:
-    """Drop log rows of steps that were lost with a kill and will be done again."""
+    """Drop log rows of steps that were lost with a kill and will be done again, and one that was cut short by it.
+
+    Raises `ValueError` that names a line which is no row.
+    """
     path = folder / LOG
     if path.is_file():
-        rows = [line for line in path.read_text().splitlines() if json.loads(line)["step"] <= step]
-        path.write_text("".join(row + "\n" for row in rows))
+        part = folder / (LOG + ".part")
+        part.write_text("".join(json.dumps(row) + "\n" for row in read_rows(path) if row["step"] <= step))
+        os.replace(part, path)
