@@ -1,7 +1,7 @@
 """Processor seconds of every stage from encoded photographs to a written .ply, with mending and without.
 
-`python -m benchmarks.stages [CAPTURE] [--views 1,5] [--rounds 5]`: one thread, medians over rounds in which both settings take
-turns after one that is not counted, in one process: loading the model and the kernels is not among them.
+`python -m benchmarks.stages [CAPTURE] [--views 1,5] [--rounds 5]`: one thread, medians over rounds in which both
+settings take turns after one that is not counted, in one process: loading the model and the kernels is not among them.
 """
 
 from __future__ import annotations
