@@ -61,7 +61,7 @@ def export(
     scale_max: Annotated[
         float | None,
         typer.Option(
-            help="Of depthsplat: largest Gaussian, world units [default: the published weights' own, else 3]."
+            help="Of depthsplat: largest Gaussian, in its units [default: the published weights' own, else 3]."
         ),
     ] = None,
     quick: Annotated[bool, typer.Option(help="Verify at two view counts instead of five; a short --report.")] = False,
@@ -97,7 +97,7 @@ def export(
             "--scale-max": scale_max,
             "--architecture": architecture != "gapmes",
         }
-        if wrong := [name for name, value in given.items() if value]:
+        if wrong := [name for name, value in given.items() if value not in (None, False)]:
             raise typer.BadParameter(
                 "nothing is exported with --report and --stability, which measure the shipped network",
                 param_hint=wrong[0],

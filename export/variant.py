@@ -19,7 +19,7 @@ class Variant:
     keep_all: bool = False  # every expert on every patch, every pair of views on every plane
     architecture: str = "gapmes"
     compatibility: Compatibility = PLAIN  # of DepthSplat
-    scale_max: float | None = None  # of DepthSplat's Gaussians, world units; None: as published
+    scale_max: float | None = None  # of DepthSplat's Gaussians, in its units; None: as published
 
     @staticmethod
     def of(config: NetworkConfig) -> Variant:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -44,7 +45,8 @@ def save_checkpoint(path: Path, model: GaPMeS, *, extra: dict[str, str] | None =
 def read_metadata(path: Path) -> dict[str, str]:
     """What a checkpoint says of itself; raises `CheckpointError`, which tells what another file looks like."""
     if not path.is_file():
-        raise CheckpointError(f"{path}: no such file")
+        wrong = "is a folder, give the .safetensors file in it" if path.is_dir() else "no such file"
+        raise CheckpointError(f"{path}: {wrong}")
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
@@ -56,11 +58,11 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def _likely(path: Path) -> str:
-    """What else a file may be, as the end of a sentence; nothing where it cannot be told."""
+    """What else a file may be, or why it is none, as the end of a sentence; nothing where it cannot be told."""
     try:
         tensors = read_tensors(path).tensors
-    except CheckpointError:
-        return ""
+    except CheckpointError as error:
+        return "" if "cannot be read as safetensors" in str(error) else f"; {error}"
     own = _preset_of(tensors)
     kind = f"the tensors of preset {own}, whose configuration is lost" if own else looks_like(path, tensors)
     return f"; it holds {kind}" if kind else ""
@@ -75,6 +77,12 @@ def _preset_of(tensors: Mapping[str, Tensor]) -> str:
         if shapes == wanted:
             return name
     return ""
+
+
+def _differing(config: ModelConfig, name: str) -> str:
+    """The fields in which a configuration is not that of the preset."""
+    wanted = asdict(PRESETS[name])
+    return ", ".join(field for field, value in asdict(config).items() if value != wanted[field])
 
 
 def read_config(path: Path) -> ModelConfig:
@@ -104,7 +112,11 @@ def load_checkpoint(path: Path) -> GaPMeS:
     ]
     if missing or unexpected or shapes:
         own = _preset_of(tensors)
-        cure = f"; its tensors are those of preset {own}" if own else ""
+        cure = (
+            f"; its tensors are preset {own}'s, its configuration has other {_differing(model.config, own)}"
+            if own
+            else ""
+        )
         raise CheckpointError(
             f"{path} does not fit its configuration (preset {model.config.preset}): missing {missing[:5]}, "
             f"unexpected {unexpected[:5]}, misshapen {sorted(shapes)[:5]} ({len(missing)}, {len(unexpected)}, "

@@ -36,7 +36,7 @@ def prepared(path: Path, file_sha256: str, folder: Path, options: Callable[[], A
         with exclusive(folder / ".lock"):
             for leftover in folder.glob(f"{INCOMING}*"):
                 shutil.rmtree(leftover, ignore_errors=True)
-            if (target / MODEL).is_file() and _digest(target) != (target / DIGEST).read_text():
+            if target.is_dir() and not _whole(target):
                 forget(target / MODEL)
             if not (target / MODEL).is_file():
                 _make(path, target, options())
@@ -44,13 +44,6 @@ def prepared(path: Path, file_sha256: str, folder: Path, options: Callable[[], A
         _log.warning("the model is loaded as it is: %s", error)
         return None
     return target / MODEL
-
-
-def is_prepared(file_sha256: str, folder: Path) -> bool:
-    """Whether `folder` holds what `prepared` makes of that file, for this processor and version."""
-    import onnxruntime as ort
-
-    return (folder / _key(file_sha256, ort.__version__) / MODEL).is_file()
 
 
 def forget(optimised: Path) -> None:
@@ -78,6 +71,13 @@ def _make(path: Path, target: Path, options: Any) -> None:
         incoming.rename(target)
     finally:
         shutil.rmtree(incoming, ignore_errors=True)
+
+
+def _whole(folder: Path) -> bool:
+    """Whether all parts are there, as they were made."""
+    return all((folder / name).is_file() for name in (MODEL, WEIGHTS, DIGEST)) and _digest(folder) == (
+        folder / DIGEST
+    ).read_text(errors="replace")
 
 
 def _digest(folder: Path) -> str:

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from gapmes.service.local_server import local_server, wait_until_ready
+from gapmes.service.masks import REPLACED
 from gapmes.service.ply import read_ply
 from gapmes.service.progress import Stages
 from gapmes.service.shipped import sample_folder
@@ -40,10 +41,11 @@ def test_the_curl_lines_yield_a_ply_and_a_picture(tmp_path: Path) -> None:
         with httpx.Client(base_url=address, timeout=300) as client:
             (listed,) = client.get("/scenes").json()["scenes"]
             scene = client.get(f"/scenes/{listed['id']}").json()
-    kept, gone = len(read_ply(folder / "scene.ply")), sum(row["count"] for row in scene["dropped"])
-    assert kept == scene["gaussians"]["count"] > 0.9 * 2 * 256 * 256
-    # One for every pixel and what was added; what is missing is told.
-    assert kept + gone + scene["pruning"]["dropped"] >= 2 * 256 * 256 + scene["gaussians"]["added"]
+    kept = len(read_ply(folder / "scene.ply"))
+    # What the network had behind the pixels gives way to what is added, one of either is told and counts for nothing.
+    gone = sum(row["count"] for row in scene["dropped"] if row["reason"] != REPLACED)
+    assert kept == scene["gaussians"]["count"] > 0.9 * 2 * 256 * 256  # found: 0.99
+    assert kept + gone + scene["pruning"]["dropped"] == 2 * 256 * 256 + scene["gaussians"]["added"]
     with Image.open(io.BytesIO((folder / "view.png").read_bytes())) as picture:
         assert picture.size == (256, 256)
 

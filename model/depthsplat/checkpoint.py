@@ -23,7 +23,7 @@ VIT = f"{TRUNK}pretrained."
 LICENCE = "MIT if it is one of the authors' own"  # as their page of models states it; a file does not tell whose it is
 _HEAD = "gaussian_head."
 _JOINED = "depth_predictor.upsampler.concat_projects.0.weight"
-# Where it is not SCALE_MAX: by the beginning of a published file's sha256, which its name repeats, as their page's
+# Where it is not SCALE_MAX: by the beginning of a published file's sha256, with which its name ends, as their page's
 # commands run it (small and base, trained last at 448x768).
 _SCALE_MAXIMA = {"c08188db": 0.1, "f8ddd845": 0.1}
 _KNOWN_BESIDE = {"decoder.": "the renderer's", "losses.": "a training loss's"}
@@ -34,8 +34,8 @@ def load_depthsplat(
 ) -> tuple[DepthSplat, Fit]:
     """The network that the file holds, in float32 and evaluation mode, and what became of every tensor.
 
-    `scale_max`, of a Gaussian in world units, is no tensor's: None takes what the authors run the file with, where its
-    sha256 is that of a published one, else 3.
+    `scale_max`, of a Gaussian in the network's units, is no tensor's: None takes what the authors run the file with,
+    where its sha256 or the end of its name is that of a published one, else 3.
 
     Raises `CheckpointError` for a file that cannot be read or is no DepthSplat of a published layout (naming what it
     is), and lists what is missing, unexpected or misshapen.
@@ -53,7 +53,8 @@ def load_depthsplat(
         )
     vit = find_vit(path, file.tensors, root + VIT)
     if scale_max is None:
-        scale_max = _SCALE_MAXIMA.get(file.sha256[:8], SCALE_MAX)
+        known = [value for digits, value in _SCALE_MAXIMA.items() if digits in (file.sha256[:8], path.stem[-8:])]
+        scale_max = known[0] if known else SCALE_MAX
     config = recognised_config(path, file, root, vit, compatibility, scale_max)
     network = DepthSplat(config)
 
@@ -67,7 +68,7 @@ def load_depthsplat(
         return (Part(source.removeprefix(root)),) if source.startswith(root) else None
 
     size = f"DepthSplat {config.vit}, {_counted(config.scales)}, matched first at 1/{config.coarsest}"
-    size += f", Gaussians of at most {config.scale_max:g} units"
+    size += f", Gaussians of at most {config.scale_max:g} units of the network"
     recognised = Recognised(size, f"DepthSplat's, names under {root!r}", LICENCE, f"It looks like {size}.")
     optional = {f"{VIT}vit.{name}": reason for name, reason in OPTIONAL.items()}
     report, tensors = fit(file, network.state_dict(), names, recognised=recognised, optional=optional)

@@ -14,7 +14,7 @@ WINDOWS = 2  # attention windows along each axis
 NEIGHBOURS = 2  # other views that a view is compared with, the nearest ones
 PLANES = 128  # candidates of the first scale, uniform in inverse depth
 SH_DEGREE = 2
-SCALE_MIN, SCALE_MAX = 1e-10, 3.0  # world units
+SCALE_MIN, SCALE_MAX = 1e-10, 3.0  # in the network's units: the service gives it the near depth as one
 
 VITS: dict[str, VitConfig] = {
     "small": VitConfig(hidden=384, layers=12, heads=6, patch=14, mlp_ratio=4, image_size=518),
@@ -67,7 +67,7 @@ class DepthSplatConfig:
     scales: int  # 1: depth at the coarsest resolution; 2: refined at twice that
     compatibility: Compatibility = PLAIN
     coarsest: int = 4  # the first scale matches at 1/4 or 1/8 of the pictures' resolution
-    scale_max: float = SCALE_MAX  # of a Gaussian, world units; no tensor tells it
+    scale_max: float = SCALE_MAX  # of a Gaussian, in the network's units; no tensor tells it
 
     @property
     def preset(self) -> str:

@@ -25,8 +25,13 @@ _ANCHORS_ORIGINAL = re.compile(r"^(?P<prefix>(?:.*\.)?)(?:cls_token|pos_embed|pa
 # The original stores blocks in chunks where it was trained so; the number within a chunk counts from the first block.
 _BLOCK = re.compile(r"^(?:encoder\.layer\.|blocks\.(?:\d+\.(?=\d))?)(?P<block>\d+)\.(?P<rest>.+)$")
 
-_DEPTHSPLAT, _GAUSSIANS = "depth_predictor.", "gaussian_head."  # parts of DepthSplat's names
-_UNIMATCH = ("backbone.conv1.", "transformer.layers.")  # how some of UniMatch's names begin
+# How some names begin: of DepthSplat whole, and of its head for Gaussians; of UniMatch, whose names a DepthSplat for
+# depth alone has as well, beside others.
+_DEPTHSPLAT, _GAUSSIANS = (
+    ("encoder.depth_predictor.", "depth_predictor."),
+    ("encoder.gaussian_head.", "gaussian_head."),
+)
+_UNIMATCH, _DEPTH_ALONE = ("backbone.conv1.", "transformer.layers."), ("pretrained.", "upsampler.concat_projects.")
 
 
 @dataclass(frozen=True)
@@ -122,7 +127,8 @@ def looks_like(path: Path, tensors: Mapping[str, Tensor]) -> str:
         vit = find_vit(path, tensors)
     except CheckpointError:
         return ""
-    presets = [name for name, config in PRESETS.items() if vit.fits(config.semantic_vit)]
+    taken_by = [name for name, config in PRESETS.items() if config.freeze_vits and vit.fits(config.semantic_vit)]
+    presets = [] if vit.registers or vit.swiglu else taken_by
     option = "--depth-weights" if vit.depth_head else "--semantic-weights"
     taken = f"{option} of a training of preset {' or '.join(presets)} takes" if presets else "no preset has"
     return f"{vit.name}, which {taken}"
@@ -130,13 +136,16 @@ def looks_like(path: Path, tensors: Mapping[str, Tensor]) -> str:
 
 def network_kind(names: Collection[str]) -> str:
     """The same of what is no single ViT: DepthSplat's and UniMatch's, told from the names alone."""
-    if any(_DEPTHSPLAT in name for name in names):
-        if any(_GAUSSIANS in name for name in names):
-            return "DepthSplat's tensors, which gapmes-export takes with --architecture depthsplat"
+
+    def has(*beginnings: str) -> bool:
+        return any(name.startswith(beginnings) for name in names)
+
+    if has(*_DEPTHSPLAT) and has(*_GAUSSIANS):
+        return "DepthSplat's tensors, which gapmes-export takes with --architecture depthsplat"
+    trunk = all(has(beginning) for beginning in _UNIMATCH)
+    if has(*_DEPTHSPLAT) or (trunk and has(*_DEPTH_ALONE)):
         return "DepthSplat's tensors for depth alone, of which --trunk-weights of a training takes the trunk"
-    if all(any(name.startswith(part) for name in names) for part in _UNIMATCH):
-        return "UniMatch's tensors, which --trunk-weights of a training takes"
-    return ""
+    return "UniMatch's tensors, which --trunk-weights of a training takes" if trunk else ""
 
 
 def split_block(name: str) -> tuple[int, str] | None:

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -47,7 +48,8 @@ def serve(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Start the service; /readyz answers 200 once the model is loaded and the kernels are warm."""
+    """Start the service; /readyz answers 200 once the model is loaded and the kernels are warm. With --prepare nothing
+    starts: what the first start would do once is done."""
     import uvicorn
     from pydantic import ValidationError
 
@@ -93,22 +95,26 @@ def serve(
 
 
 def _prepare(settings: Settings) -> None:
-    """Load every model once, which leaves its optimised copy in the store, and compile the kernels."""
+    """The optimised copy of every model into the store, one after the other, and the kernels compiled."""
+    from ..backends.onnxruntime_session import session_options
     from ..http.runtime import MODELS
     from ..kernels import warm_up
     from ..models import Models
-    from ..prepared_model import is_prepared
+    from ..prepared_model import prepared
+    from ..threads import available_threads
 
     if settings.engine != DEFAULT_ENGINE:
         raise InputError(f"{settings.engine} keeps nothing of a model on disk", field="engine", cure=DEFAULT_ENGINE)
     folder = settings.store / MODELS
-    models = Models(settings, prepare=folder)
+    models = Models(settings)
+    options = partial(session_options, settings.threads or available_threads())
     with ProgressBars(quiet=settings.quiet) as bars:
         stages = Stages(bars)
         for name in models.names:
-            with stages.stage(f"model {name}"), models.using(name):
-                pass
-            if not is_prepared(models.get(name).file.info.file_sha256, folder):
+            file = models.get(name).file
+            with stages.stage(f"model {name}"):
+                made = prepared(file.path, file.info.file_sha256, folder, options)
+            if made is None:
                 raise InputError(
                     f"the model {name!r} could not be optimised into {folder}",
                     field="GAPMES_STORE",

@@ -82,7 +82,10 @@ def test_a_file_beyond_tolerance_is_rejected_and_kept_apart(
         (["--preset", "huge"], 2, "tiny, small, base"),
         (["--precision", "fp4"], 2, "fp32, int8"),
         (["--preset", "base"], 1, "no weights are shipped"),
-        (["--checkpoint", "nowhere.safetensors"], 1, "cannot be read"),
+        (["--checkpoint", "nowhere.safetensors"], 1, "nowhere.safetensors: no such file"),
+        (["--scale-max", "0.1"], 2, "goes with --architecture depthsplat"),
+        (["--architecture", "depthsplat", "--checkpoint", "x.pth", "--scale-max", "0"], 2, "need a length above 0"),
+        (["--architecture", "depthsplat", "--checkpoint", "x.pth", "--scale-max", "nan"], 2, "need a length above 0"),
         (["--checkpoint", str(Path(__file__))], 1, "cannot be read as safetensors"),
     ],
 )

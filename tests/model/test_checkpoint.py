@@ -54,6 +54,15 @@ def test_a_foreign_file_is_refused(tmp_path: Path) -> None:
 KINDS: list[tuple[dict[str, tuple[int, ...]], str]] = [
     ({"encoder.depth_predictor.a": (1,), "encoder.gaussian_head.b": (1,)}, "DepthSplat's.*--architecture depthsplat"),
     ({"depth_predictor.a": (1,)}, "DepthSplat's tensors for depth alone.*--trunk-weights"),
+    (
+        {
+            "backbone.conv1.weight": (64, 3, 7, 7),
+            "transformer.layers.0.a": (1,),
+            "pretrained.pos_embed": (1, 1370, 384),
+        },
+        "DepthSplat's tensors for depth alone.*--trunk-weights",
+    ),
+    ({"module.encoder.depth_predictor.a": (1,)}, "no checkpoint of ours|cannot be read as safetensors"),
     ({"backbone.conv1.weight": (64, 3, 7, 7), "transformer.layers.0.a": (1,)}, "UniMatch's.*--trunk-weights"),
     (
         {"pos_embed": (1, 1370, 768), "patch_embed.proj.weight": (768, 3, 14, 14), "blocks.11.norm1.bias": (768,)},
@@ -63,6 +72,15 @@ KINDS: list[tuple[dict[str, tuple[int, ...]], str]] = [
         {"pretrained.pos_embed": (1, 1370, 384), "pretrained.patch_embed.proj.weight": (384, 3, 14, 14)}
         | {"pretrained.blocks.11.norm1.bias": (384,), "depth_head.projects.0.bias": (48,)},
         r"Depth-Anything ViT-S/14.*--depth-weights of a training of preset small",
+    ),
+    (
+        {"pos_embed": (1, 1370, 768), "patch_embed.proj.weight": (768, 3, 14, 14), "blocks.11.norm1.bias": (768,)}
+        | {"register_tokens": (1, 4, 768)},
+        "ViT-B/14 with registers.*which no preset has",
+    ),
+    (  # of the size of a preset whose ViTs are not loaded but trained
+        {"pos_embed": (1, 257, 96), "patch_embed.proj.weight": (96, 3, 16, 16), "blocks.2.norm1.bias": (96,)},
+        "which no preset has",
     ),
     ({"pos_embed": (1, 1370, 99), "patch_embed.proj.weight": (99, 3, 14, 14)}, "no preset has"),
 ]
@@ -91,8 +109,16 @@ def test_a_preset_is_known_by_its_tensors(tmp_path: Path) -> None:
         load_checkpoint(path)
     other = replace(PRESETS["tiny"], experts=4)
     save_file(weights, path, metadata={"gapmes.config": other.to_json()})
-    with pytest.raises(CheckpointError, match=r"\(preset tiny\): missing .*; its tensors are those of preset tiny"):
+    with pytest.raises(CheckpointError, match=r"its tensors are preset tiny's, its configuration has other experts$"):
         load_checkpoint(path)
+
+
+def test_why_a_file_cannot_be_read_is_said(tmp_path: Path) -> None:
+    (tmp_path / "pointer.safetensors").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(CheckpointError, match="LFS"):
+        load_checkpoint(tmp_path / "pointer.safetensors")
+    with pytest.raises(CheckpointError, match="is a folder"):
+        load_checkpoint(tmp_path)
 
 
 def test_shipped_weights_load_and_others_are_named() -> None:

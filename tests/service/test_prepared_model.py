@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import run
+from standin_model import write_standin
 
 from gapmes.service import prepared_model
 from gapmes.service.engine import Engine
@@ -96,15 +97,29 @@ def test_a_file_that_the_runtime_cannot_read_is_done_without(tmp_path: Path, cap
 
 def test_a_command_makes_it_before_the_first_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And starts nothing; what stands in its way is an error there, since that is all it is for."""
-    other = tmp_path / "other.onnx"
-    other.write_bytes(shipped_model().read_bytes())
-    store, names = tmp_path / "store", f"same={other}"
-    assert run("serve", "--prepare", "--store", store, "--models", names, "--threads", 1, "--quiet") == 0
-    [folder] = [path for path in (store / ".models").iterdir() if path.is_dir()]
-    assert (folder / prepared_model.MODEL).is_file()
-    with monkeypatch.context() as patch:
-        patch.setattr(prepared_model, "_make", None)
-        Engine(prepare=store / ".models")
+    other = write_standin(tmp_path / "other.onnx")
+    store = tmp_path / "store"
+    monkeypatch.setattr("uvicorn.run", None)
+    # a budget that has no room for both at a time
+    monkeypatch.setenv("GAPMES_MODEL_BYTES", str(shipped_model().stat().st_size))
+    assert run("serve", "--prepare", "--store", store, "--models", f"b={other}", "--threads", 1, "--quiet") == 0
+    folders = [path for path in (store / ".models").iterdir() if path.is_dir()]
+    assert len(folders) == 2
+    monkeypatch.setattr(prepared_model, "_make", None)
+    for path in (shipped_model(), other):
+        engine = Engine(path, threads=1, prepare=store / ".models")
+        assert engine.info == Engine(path, threads=1).info
+
+
+@pytest.mark.parametrize("part", [prepared_model.MODEL, prepared_model.WEIGHTS, prepared_model.DIGEST])
+def test_a_part_that_is_missing_is_made_again(part: str, tmp_path: Path) -> None:
+    Engine(prepare=tmp_path)
+    [folder] = [path for path in tmp_path.iterdir() if path.is_dir()]
+    (folder / part).unlink()
+    Engine(prepare=tmp_path)
+    assert {path.name for path in folder.iterdir()} == {
+        prepared_model.MODEL, prepared_model.WEIGHTS, prepared_model.DIGEST
+    }  # fmt: skip
 
 
 def test_what_keeps_the_command_from_making_it_is_an_error(

@@ -8,6 +8,7 @@ import pytest
 import torch
 from random_checkpoint import published_layout, write_checkpoint
 
+from gapmes.export.variant import Variant
 from gapmes.model.checkpoint import shipped_checkpoint
 from gapmes.model.depthsplat import checkpoint
 from gapmes.model.depthsplat.checkpoint import load_depthsplat
@@ -64,6 +65,12 @@ def test_the_largest_gaussian_is_that_of_the_published_file(
     loaded, report = load_depthsplat(path)
     assert loaded.config.scale_max == 0.1
     assert "Gaussians of at most 0.1 units" in report.recognised
+    assert Variant.of(loaded.config).scale_max == 0.1
+    monkeypatch.setitem(checkpoint._SCALE_MAXIMA, file_sha256(path)[:8], 3.0)
+    renamed = path.rename(path.with_name("depthsplat-gs-small-re10kdl3dv-448x768-randview4-10-c08188db.pth"))
+    monkeypatch.delitem(checkpoint._SCALE_MAXIMA, file_sha256(renamed)[:8])
+    assert load_depthsplat(renamed)[0].config.scale_max == 0.1  # a copy that was saved anew
+    renamed.rename(path)
     assert load_depthsplat(path, scale_max=0.5)[0].config.scale_max == 0.5
 
 
