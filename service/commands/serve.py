@@ -18,6 +18,7 @@ from ..progress import Stages
 from ..terminal import ProgressBars, Quiet
 
 if TYPE_CHECKING:
+    from ..models import Models
     from ..settings import Settings
 
 SHARED_MEMORY = "/dev/shm"
@@ -67,12 +68,12 @@ def serve(
         first = error.errors()[0]
         name = f"GAPMES_{'_'.join(map(str, first['loc'])).upper()}"
         raise InputError(f"{first['msg']}, got {first['input']!r}", field=name, cure="see docs/settings.md") from error
-    Models(settings)  # looks at the files; said before the work
+    found = Models(settings)  # looks at the files; said before the work
     settings.key()
     if os.environ.get("TMPDIR"):  # where large uploads lie for a moment; an empty volume has no such folder yet
         Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
     if prepare:
-        _prepare(settings)
+        _prepare(settings, found)
         return
     os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in given.items()}  # what the workers read
     options: dict[str, Any] = {
@@ -94,19 +95,17 @@ def serve(
         uvicorn.run("gapmes.service.serving:app", workers=settings.workers, **options)
 
 
-def _prepare(settings: Settings) -> None:
+def _prepare(settings: Settings, models: Models) -> None:
     """The optimised copy of every model into the store, one after the other, and the kernels compiled."""
     from ..backends.onnxruntime_session import session_options
     from ..http.runtime import MODELS
     from ..kernels import warm_up
-    from ..models import Models
     from ..prepared_model import prepared
     from ..threads import available_threads
 
     if settings.engine != DEFAULT_ENGINE:
         raise InputError(f"{settings.engine} keeps nothing of a model on disk", field="engine", cure=DEFAULT_ENGINE)
     folder = settings.store / MODELS
-    models = Models(settings)
     options = partial(session_options, settings.threads or available_threads())
     with ProgressBars(quiet=settings.quiet) as bars:
         stages = Stages(bars)

