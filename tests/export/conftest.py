@@ -1,4 +1,5 @@
-"""Exports that several tests share, each made once at 64 x 64 pixels: the shipped network and a small full one."""
+"""Exports that several tests share, each made once at 64 x 64 pixels: the shipped network, and miniatures of the full
+one and of DepthSplat."""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ import pytest
 from few_pieces import few_pieces
 from filelock import FileLock
 from full_networks import miniature
+from miniature_depthsplat import miniature_depthsplat
 
 from gapmes.export.build import export_graph
 from gapmes.export.metadata import add_metadata, contract_metadata
@@ -68,3 +70,9 @@ def miniature_graph(tmp_path_factory: pytest.TempPathFactory) -> onnx.ModelProto
     """The full trunk with miniature ViTs (`full_networks.miniature`) for 64 x 64 pixels; copy it before changing it."""
     with few_pieces():
         return _once("miniature.onnx", lambda: export_graph(miniature(), SIZE, SIZE), tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def depthsplat_graph(tmp_path_factory: pytest.TempPathFactory) -> onnx.ModelProto:
+    """DepthSplat with a miniature ViT, two scales, for 64 x 64 pixels; copy it before changing it."""
+    return _once("depthsplat.onnx", lambda: export_graph(miniature_depthsplat(2, 4), SIZE, SIZE), tmp_path_factory)

@@ -4,18 +4,14 @@ int8, and DepthSplat's own file."""
 from __future__ import annotations
 
 import hashlib
-import sys
 from pathlib import Path
 
 import numpy as np
 import onnx
 import onnxruntime
 import pytest
-
-sys.path.append(str(Path(__file__).parents[1] / "model" / "depthsplat"))
-
 from full_networks import VIT, miniature
-from random_checkpoint import randomised
+from miniature_depthsplat import miniature_depthsplat
 
 from gapmes.export.build import export_graph
 from gapmes.export.cases import Case
@@ -26,7 +22,6 @@ from gapmes.export.samples import hostile_scenes, random_scene
 from gapmes.export.tolerance import TOLERANCES
 from gapmes.export.verify import verify
 from gapmes.model.architectures import Network, config_from_json
-from gapmes.model.depthsplat import config as sizes
 from gapmes.model.depthsplat.network import DepthSplat
 from gapmes.service.contract import INPUTS, REQUIRED_OUTPUTS
 from gapmes.service.engine import Engine
@@ -46,39 +41,20 @@ def check(model: onnx.ModelProto, network: Network) -> None:
     assert len(results) == len(VIEWS) + 1
 
 
-def small_depthsplat(scales: int, coarsest: int) -> DepthSplat:
-    """On a ViT small enough for tests."""
-    with pytest.MonkeyPatch.context() as patch:
-        for table, value in (
-            (sizes.VITS, VIT),
-            (sizes.TAPS, (1, 2, 3, 4)),
-            (sizes.DEPTH_HEAD, 8),
-            (sizes.FEATURE_HEAD, 16),
-            (sizes.HEAD_WIDTHS, (8, 16, 32, 48)),
-        ):
-            patch.setitem(table, "miniature", value)  # type: ignore[index]
-        return randomised(DepthSplat(sizes.DepthSplatConfig("miniature", scales, coarsest=coarsest)))
-
-
 @pytest.fixture(scope="module")
 def depthsplat() -> DepthSplat:
-    return small_depthsplat(2, 4)
-
-
-@pytest.fixture(scope="module")
-def graph(depthsplat: DepthSplat) -> onnx.ModelProto:
-    return export_graph(depthsplat, SIZE, SIZE)
+    return miniature_depthsplat(2, 4)
 
 
 def test_depthsplat_exports_with_a_number_of_views_that_is_not_baked_in(
-    depthsplat: DepthSplat, graph: onnx.ModelProto
+    depthsplat: DepthSplat, depthsplat_graph: onnx.ModelProto
 ) -> None:
-    assert tuple(output.name for output in graph.graph.output) == REQUIRED_OUTPUTS
-    check(graph, depthsplat)
+    assert tuple(output.name for output in depthsplat_graph.graph.output) == REQUIRED_OUTPUTS
+    check(depthsplat_graph, depthsplat)
 
 
 def test_depthsplat_that_matches_at_an_eighth_exports_too() -> None:
-    network = small_depthsplat(2, 8)
+    network = miniature_depthsplat(2, 8)
     check(export_graph(network, SIZE, SIZE), network)
     with pytest.raises(ValueError, match="height is 80 px, need a multiple of 32 of at least 32"):
         export_graph(network, 80, 64)
@@ -89,12 +65,14 @@ def test_a_full_network_exports_with_a_number_of_views_that_is_not_baked_in(mini
 
 
 def test_large_weights_lie_beside_the_graph_and_the_engine_reads_them(
-    depthsplat: DepthSplat, graph: onnx.ModelProto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    depthsplat: DepthSplat, depthsplat_graph: onnx.ModelProto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("gapmes.export.model_file.EXTERNAL_BYTES", 2**20)
     metadata = contract_metadata(
         depthsplat, height=SIZE, width=SIZE, weights_sha256="0" * 64, licence="MIT", precision="fp32"
     )
+    graph = onnx.ModelProto()
+    graph.CopyFrom(depthsplat_graph)
     add_metadata(graph, metadata)
     path = tmp_path / "model.onnx"
     write_model(graph, path)
@@ -117,22 +95,22 @@ def test_large_weights_lie_beside_the_graph_and_the_engine_reads_them(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_model_that_shrank_leaves_no_weights_behind(graph: onnx.ModelProto, tmp_path: Path) -> None:
+def test_a_model_that_shrank_leaves_no_weights_behind(depthsplat_graph: onnx.ModelProto, tmp_path: Path) -> None:
     path = tmp_path / "model.onnx"
     (tmp_path / "model.onnx.0123456789ab.data").write_bytes(b"of an older file")
-    write_model(graph, path)
+    write_model(depthsplat_graph, path)
     assert [file.name for file in tmp_path.iterdir()] == ["model.onnx"]
 
 
 def test_a_write_that_fails_at_the_end_leaves_the_model_before_with_its_weights(
-    graph: onnx.ModelProto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    depthsplat_graph: onnx.ModelProto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("gapmes.export.model_file.EXTERNAL_BYTES", 2**20)
     path = tmp_path / "model.onnx"
-    write_model(graph, path)
+    write_model(depthsplat_graph, path)
     before = {file: file.read_bytes() for file in [path, *data_files(path)]}
     other = onnx.ModelProto()
-    other.CopyFrom(graph)
+    other.CopyFrom(depthsplat_graph)
     large = max(other.graph.initializer, key=lambda tensor: len(tensor.raw_data))
     large.raw_data = bytes(len(large.raw_data))
     replace = Path.replace
@@ -148,8 +126,8 @@ def test_a_write_that_fails_at_the_end_leaves_the_model_before_with_its_weights(
     assert all(file.read_bytes() == content for file, content in before.items())
 
 
-def test_int8_leaves_the_matched_features_in_float32(depthsplat: DepthSplat, graph: onnx.ModelProto) -> None:
-    small = quantised(graph)
+def test_int8_leaves_the_matched_features_in_float32(depthsplat: DepthSplat, depthsplat_graph: onnx.ModelProto) -> None:
+    small = quantised(depthsplat_graph)
     integer = [node.name for node in small.graph.node if node.op_type == "MatMulInteger"]
     linear = 6 * VIT.layers  # query, key, value, output and two of the MLP
     assert len(integer) == linear
