@@ -11,6 +11,7 @@ from ..geometry import camera_rays, pixel_grid, rigid_inverse, warp_points
 from .config import Compatibility
 from .neighbours import neighbour_rows
 
+LEAST_DEPTH = 1e-3  # world units; what `clamped_depths` clamps to
 PIECE_CELLS = 512  # of the reference in one matrix product: its size bounds the memory of a correlation map
 
 
@@ -42,7 +43,10 @@ def plane_sweep(
         cells = (stop - start) * w
         depths = inverse[:, :, start:stop].flatten(2) if per_cell else inverse.flatten(2)
         depths = depths.transpose(1, 2).unsqueeze(1).expand(-1, count, -1, -1).flatten(0, 1)
-        at, _, _ = warp_points(rays[:, :, start:stop].flatten(2).unsqueeze(3), depths, target_k, motion)
+        piece = rays[:, :, start:stop].flatten(2).unsqueeze(3)
+        at, _, _ = warp_points(piece, depths, target_k, motion)
+        if compatibility.clamped_depths:
+            at = _clamped(at, piece, depths, target_k, motion)
         at = at + 2 * half_cell / size
         reference = features[:, :, start:stop].flatten(2).transpose(1, 2)  # (n, cells, C)
         reference = reference.unsqueeze(1).expand(-1, count, -1, -1).reshape(-1, cells, channels)
@@ -56,6 +60,19 @@ def plane_sweep(
         pieces.append(sampled.reshape(n, -1, cells, planes).mean(1))
     volume = torch.cat(pieces, dim=1) / channels**0.5
     return volume.transpose(1, 2).reshape(n, planes, h, w)
+
+
+def _clamped(at: Tensor, rays: Tensor, inverse: Tensor, target_k: Tensor, motion: Tensor) -> Tensor:
+    """The positions of `warp_points`, but what lies less than `LEAST_DEPTH` before the source as if it lay there."""
+    rotated = (motion[:, :3, :3] @ rays.flatten(2)).reshape(rays.shape)
+    x, y, z = (rotated[:, axis] + motion[:, axis, 3, None, None] * inverse for axis in range(3))
+    least = (LEAST_DEPTH * inverse).expand_as(z)  # like x, y and z times the inverse depth
+    axes = []
+    for axis, offset in enumerate((x, y)):
+        focal, centre = target_k[:, axis, axis, None, None], target_k[:, axis, 2, None, None]
+        clamped = 2 * (focal * offset + centre * z) / least - 1
+        axes.append(torch.where(clamped.abs() < 4, clamped, torch.full_like(clamped, 4.0)))
+    return torch.where((z < least).unsqueeze(-1), torch.stack(axes, dim=-1), at)
 
 
 def _pairs(views: Views, rows: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:

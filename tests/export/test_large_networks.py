@@ -22,6 +22,7 @@ from gapmes.export.samples import hostile_scenes, random_scene
 from gapmes.export.tolerance import TOLERANCES
 from gapmes.export.verify import verify
 from gapmes.model.architectures import Network, config_from_json
+from gapmes.model.depthsplat.config import Compatibility
 from gapmes.model.depthsplat.network import DepthSplat
 from gapmes.service.contract import INPUTS, REQUIRED_OUTPUTS
 from gapmes.service.engine import Engine
@@ -53,8 +54,8 @@ def test_depthsplat_exports_with_a_number_of_views_that_is_not_baked_in(
     check(depthsplat_graph, depthsplat)
 
 
-def test_depthsplat_that_matches_at_an_eighth_exports_too() -> None:
-    network = miniature_depthsplat(2, 8)
+def test_depthsplat_that_matches_at_an_eighth_exports_too_with_every_switch_of_compatibility() -> None:
+    network = miniature_depthsplat(2, 8, Compatibility.authors())
     check(export_graph(network, SIZE, SIZE), network)
     with pytest.raises(ValueError, match="height is 80 px, need a multiple of 32 of at least 32"):
         export_graph(network, 80, 64)

@@ -10,7 +10,7 @@ from gapmes.model.depthsplat import config as sizes
 from gapmes.model.depthsplat.network import DepthSplat
 
 
-def miniature_depthsplat(scales: int, coarsest: int) -> DepthSplat:
+def miniature_depthsplat(scales: int, coarsest: int, compatibility: sizes.Compatibility = sizes.PLAIN) -> DepthSplat:
     """Random weights, in evaluation mode."""
     with pytest.MonkeyPatch.context() as patch:
         for table, value in (
@@ -21,4 +21,4 @@ def miniature_depthsplat(scales: int, coarsest: int) -> DepthSplat:
             (sizes.HEAD_WIDTHS, (8, 16, 32, 48)),
         ):
             patch.setitem(table, "miniature", value)  # type: ignore[index]
-        return randomised(DepthSplat(sizes.DepthSplatConfig("miniature", scales, coarsest=coarsest)))
+        return randomised(DepthSplat(sizes.DepthSplatConfig("miniature", scales, compatibility, coarsest)))

@@ -99,6 +99,7 @@ def test_left_out_patches_have_opacity_exactly_zero(network: DepthSplat) -> None
 REACH = {
     "reference_intrinsics": {"depth", "means", "scales", "rotations_wxyz", "opacities", "harmonics"},
     "corner_pixels": {"depth", "means", "scales", "rotations_wxyz", "opacities", "harmonics"},
+    "clamped_depths": set(),  # nothing lies behind a camera here
     "tiled_mask": {"depth", "means", "scales", "rotations_wxyz", "opacities", "harmonics"},
     "camera_rotations": {"rotations_wxyz"},
     "foreign_harmonics": {"harmonics"},
