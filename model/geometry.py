@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+FRONT = 1e-4  # as shares of its depth in one view, what a point must lie before another at least to be seen there
+
 
 def pixel_grid(height: int, width: int, device: torch.device) -> Tensor:
     """(2, H, W) normalised pixel centres (x, y) in (0, 1)."""
@@ -64,7 +66,7 @@ def warp_points(
     rotated = (source_from_reference[:, :3, :3] @ rays.flatten(2)).reshape(rays.shape)
     translation = source_from_reference[:, :3, 3, None, None]
     z = rotated[:, 2] + translation[:, 2] * inverse_depth
-    front = z > 1e-4
+    front = z > FRONT
     safe = torch.where(front, z, torch.ones_like(z))
     axes = []
     for axis in (0, 1):  # each by itself: onnxruntime is slow where the last axis has two or three numbers

@@ -34,7 +34,7 @@ class Compatibility:
 
     reference_intrinsics: bool = False  # project into the other view with this view's intrinsics
     corner_pixels: bool = False  # match at the corners of feature cells instead of their centres
-    clamped_depths: bool = False  # a point behind the other camera is projected as if it lay 0.001 units before it
+    clamped_depths: bool = False  # divide by a depth of 0.001 units where a point lies behind the other camera
     tiled_mask: bool = False  # the mask of shifted windows in another order than the keys of several views
     camera_rotations: bool = False  # leave the Gaussians' rotations in their camera's frame
     foreign_harmonics: bool = False  # turn harmonics as if their basis were ordered and signed as in e3nn

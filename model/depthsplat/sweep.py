@@ -7,11 +7,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..cost_volume import Views
-from ..geometry import camera_rays, pixel_grid, rigid_inverse, warp_points
+from ..geometry import FRONT, camera_rays, pixel_grid, rigid_inverse, warp_points
 from .config import Compatibility
 from .neighbours import neighbour_rows
 
-LEAST_DEPTH = 1e-3  # world units; what `clamped_depths` clamps to
+LEAST_DEPTH = 1e-3  # in the cameras' units; what `clamped_depths` divides by at least
 PIECE_CELLS = 512  # of the reference in one matrix product: its size bounds the memory of a correlation map
 
 
@@ -63,16 +63,17 @@ def plane_sweep(
 
 
 def _clamped(at: Tensor, rays: Tensor, inverse: Tensor, target_k: Tensor, motion: Tensor) -> Tensor:
-    """The positions of `warp_points`, but what lies less than `LEAST_DEPTH` before the source as if it lay there."""
+    """The positions of `warp_points`, where that gives none divided by a depth of `LEAST_DEPTH` at least."""
     rotated = (motion[:, :3, :3] @ rays.flatten(2)).reshape(rays.shape)
     x, y, z = (rotated[:, axis] + motion[:, axis, 3, None, None] * inverse for axis in range(3))
-    least = (LEAST_DEPTH * inverse).expand_as(z)  # like x, y and z times the inverse depth
+    least = LEAST_DEPTH * inverse  # like x, y and z times the inverse depth
+    depth = torch.maximum(z, least)
     axes = []
     for axis, offset in enumerate((x, y)):
         focal, centre = target_k[:, axis, axis, None, None], target_k[:, axis, 2, None, None]
-        clamped = 2 * (focal * offset + centre * z) / least - 1
+        clamped = 2 * (focal * offset + centre * z) / depth - 1
         axes.append(torch.where(clamped.abs() < 4, clamped, torch.full_like(clamped, 4.0)))
-    return torch.where((z < least).unsqueeze(-1), torch.stack(axes, dim=-1), at)
+    return torch.where(((z < least) | (z <= FRONT)).unsqueeze(-1), torch.stack(axes, dim=-1), at)
 
 
 def _pairs(views: Views, rows: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:

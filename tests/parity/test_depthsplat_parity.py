@@ -7,17 +7,22 @@ GAPMES_DINOV2_REPO (facebookresearch/dinov2), and their libraries einops, jaxtyp
 from __future__ import annotations
 
 import os
+import runpy
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
+from facing_cameras import facing_poses
 from torch import Tensor, nn
 
 from gapmes.export.samples import random_scene
+from gapmes.model.cost_volume import Views
 from gapmes.model.depthsplat.checkpoint import load_depthsplat
 from gapmes.model.depthsplat.config import Compatibility
+from gapmes.model.depthsplat.neighbours import nearest_views
+from gapmes.model.depthsplat.sweep import plane_sweep
 
 REPOSITORIES = ("GAPMES_DEPTHSPLAT_REPO", "GAPMES_DINOV2_REPO")
 VITS = {"small": "vits", "base": "vitb"}
@@ -115,3 +120,28 @@ def test_the_authors_code_gives_the_same_gaussians(
     }
     errors = {name: float((a - b).abs().max() / b.abs().max()) for name, (a, b) in pairs.items()}
     assert max(errors.values()) < TOLERANCE, errors
+
+
+@pytest.mark.parametrize(("depth", "ahead"), [(5.0, -2.0), (5.0, 0.0005), (100.0, 0.005)])
+def test_the_authors_warp_matches_what_lies_behind_a_camera_alike(
+    repositories: tuple[Path, Path], depth: float, ahead: float
+) -> None:
+    """Which no scene of the other test has: one cell of the first view meets the picture of the second by the clamp."""
+    warp = runpy.run_path(str(repositories[0] / "src/model/encoder/unimatch/matching.py"))
+    torch.Tensor.float = torch.Tensor.double  # type: ignore[method-assign]
+    count, h, w = 2, 4, 8
+    k = torch.tensor([[0.9, 0, 0.5], [0, 1.1, 0.45], [0, 0, 1]], dtype=torch.float64)
+    poses = facing_poses(k, k, (2 / w, 1 / h), depth, ahead)
+    views = Views.make(k.repeat(1, count, 1, 1), poses, torch.tensor([[1.0, 200.0]], dtype=torch.float64))
+    features = torch.randn(count, 5, h, w, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    inverse = (
+        torch.tensor([1 / depth, 0.7 / depth, 0.5], dtype=torch.float64).reshape(1, 3, 1, 1).repeat(count, 1, 1, 1)
+    )
+    found = plane_sweep(features, inverse, views, nearest_views(poses, as_listed=True), Compatibility.authors())
+    pixels = torch.diag(torch.tensor([w, h, 1], dtype=torch.float64)) @ k
+    motion = torch.linalg.inv(poses[:, 1]) @ poses[:, 0]
+    depths = (1 / inverse[:1]).expand(1, -1, h, w)
+    warped = warp["warp_with_pose_depth_candidates"](features[1:], pixels[None], motion, depths)
+    expected = (features[0, :, None] * warped[0]).sum(0) / features.shape[1] ** 0.5
+    torch.testing.assert_close(found[0], expected, atol=1e-10, rtol=0)
+    assert abs(float(expected[0, 1, 2])) > 0.1

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 import torch.nn.functional as F
+from facing_cameras import facing_poses
 from torch import Tensor
 
 from gapmes.model.cost_volume import Views
@@ -146,7 +148,7 @@ def brute_force(
         PLAIN,
         Compatibility(corner_pixels=True),
         Compatibility(reference_intrinsics=True),
-        Compatibility(clamped_depths=True),
+        Compatibility(clamped_depths=True),  # nothing lies behind a camera
     ],
 )
 def test_the_sweep_is_the_mean_correlation_at_each_depth(per_cell: bool, compatibility: Compatibility) -> None:
@@ -167,27 +169,29 @@ def test_the_sweep_is_the_mean_correlation_at_each_depth(per_cell: bool, compati
     assert float(expected.abs().max()) > 0.5
 
 
-def test_what_lies_behind_the_other_camera_matches_nothing_unless_its_depth_is_clamped() -> None:
-    """The second camera looks back at the first and stands where one point behind it meets its picture's middle once
-    its depth is clamped."""
-    count, h, w, depth, behind = 2, 4, 6, 5.0, 2.0
-    k = torch.tensor([[0.9, 0, 0.5], [0, 1.1, 0.5], [0, 0, 1]])
-    at = torch.tensor([2.5 / w, 1.5 / h, 1.0])
-    point = torch.linalg.inv(k) @ at * depth
-    off = (0.5e-3 + 0.5 * behind) / torch.tensor([0.9, 1.1])
-    poses = torch.eye(4).repeat(1, count, 1, 1)
-    poses[0, 1, :3, :3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0]))
-    poses[0, 1, :3, 3] = torch.stack([point[0] + off[0], point[1] - off[1], torch.tensor(depth - behind)])
-    views = Views.make(k.repeat(1, count, 1, 1), poses, torch.tensor([[1.0, 10.0]]))
+@pytest.mark.parametrize("switch", [None, "reference_intrinsics", "corner_pixels"])
+@pytest.mark.parametrize("per_cell", [False, True])
+@pytest.mark.parametrize(("depth", "ahead"), [(5.0, -2.0), (5.0, 0.0005), (100.0, 0.005)])
+def test_what_lies_behind_the_other_camera_matches_nothing_unless_its_depth_is_clamped(
+    depth: float, ahead: float, per_cell: bool, switch: str | None
+) -> None:
+    """Behind it, before it by less than the clamp, and by more, but too little for the plain sweep to divide by."""
+    count, h, w = 2, 4, 8  # whose cells' centres float32 holds exactly; all else is float64
+    shift, own_k = 0.0 if switch == "corner_pixels" else 0.5, switch == "reference_intrinsics"
+    one, other = (torch.tensor([[f, 0, 0.5], [0, 1.1, 0.45], [0, 0, 1]], dtype=torch.float64) for f in (0.9, 1.3))
+    poses = facing_poses(one, one if own_k else other, ((2 + shift) / w, (1 + shift) / h), depth, ahead)
+    views = Views.make(torch.stack([one, other])[None], poses, torch.tensor([[1.0, 200.0]], dtype=torch.float64))
     neighbours = nearest_views(poses, as_listed=False)
-    features = torch.randn(count, 5, h, w, generator=torch.Generator().manual_seed(2))
-    inverse = torch.full((count, 1, 1, 1), 1 / depth)
-    for clamped in (False, True):
-        found = plane_sweep(features, inverse, views, neighbours, Compatibility(clamped_depths=clamped))
-        expected = brute_force(features, inverse, views, neighbours, shift=0.5, own_k=False, clamped=clamped)
-        # a depth of 0.001 magnifies the rounding of positions: measured 6.1e-4
-        torch.testing.assert_close(found.double(), expected, atol=3e-3, rtol=0)
-        assert (abs(float(found[0, 0, 1, 2])) > 0.1) == clamped
+    features = torch.randn(count, 5, h, w, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    planes = torch.tensor([1 / depth, 0.7 / depth, 0.5], dtype=torch.float64).reshape(1, 3, 1, 1)
+    inverse = planes.expand(count, -1, h, w) if per_cell else planes.expand(count, -1, -1, -1)
+    plain = Compatibility(**{switch: True}) if switch else PLAIN
+    found = plane_sweep(features, inverse, views, neighbours, replace(plain, clamped_depths=True))
+    expected = brute_force(features, inverse, views, neighbours, shift=shift, own_k=own_k, clamped=True)
+    # a depth of 0.001 magnifies the rounding of positions: measured 3e-12
+    torch.testing.assert_close(found, expected, atol=1e-10, rtol=0)
+    assert abs(float(found[0, 0, 1, 2])) > 0.1
+    assert float(plane_sweep(features, inverse, views, neighbours, plain)[0, 0, 1, 2]) == 0
 
 
 def test_a_table_of_positions_in_its_own_size_is_left_as_it_is() -> None:
