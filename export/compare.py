@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +63,29 @@ def image_units(outputs: Mapping[str, NDArray], near: float) -> dict[str, NDArra
     changed["scales"] = outputs["scales"] / distance
     changed["depth"] = near / outputs["depth"]
     return changed
+
+
+def comparable(
+    values: Mapping[str, NDArray], reference: Mapping[str, NDArray], near: float
+) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
+    """Both results in image units, the quaternions of the first with the signs of the second's."""
+    ours, theirs = image_units(values, near), image_units(reference, near)
+    ours["rotations_wxyz"] = quaternions_aligned(ours["rotations_wxyz"], theirs["rotations_wxyz"])
+    return ours, theirs
+
+
+def jumped_rows(
+    values: Mapping[str, NDArray], reference: Mapping[str, NDArray], names: Iterable[str]
+) -> NDArray[np.bool_]:
+    """(G,) rows of which a number in one of the outputs `names` is off by more than `JUMP`, or not finite."""
+    rows = []
+    for name in names:
+        theirs = reference[name].astype(np.float64)
+        scale = float(np.abs(theirs).max(initial=0.0))
+        near = np.abs(values[name] - theirs) <= JUMP * (scale if scale > 0 else 1.0)
+        rows.append(~near.reshape(len(near), -1).all(1))
+    jumped: NDArray[np.bool_] = np.any(rows, axis=0)
+    return jumped
 
 
 def quaternions_aligned(value: NDArray, reference: NDArray) -> NDArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +15,49 @@ from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import render
 
 from .cases import Case
+from .compare import comparable, jumped_rows
 
 NEAR_SHARE = 0.05  # of the scene's near depth
 
 
-def picture_psnr(values: Mapping[str, NDArray], reference: Mapping[str, NDArray], case: Case) -> float:
-    """PSNR in dB between the pictures of both at a pose half-way between the first two views; 200 when identical."""
+@dataclass(frozen=True)
+class PictureAgreement:
+    """How far the pictures of two results agree, at a pose half-way between the first two views."""
+
+    psnr: float  # dB; 200 when they are equal
+    without_jumps: float  # dB, when the Gaussians that jumped are the reference's in both
+    jumped: float  # share of such Gaussians among those that no changed route reaches
+
+
+def picture_agreement(
+    values: Mapping[str, NDArray], reference: Mapping[str, NDArray], untouched: NDArray[np.bool_], case: Case
+) -> PictureAgreement:
+    """Draw the Gaussians of both results, and of the first once more without jumps (`compare.jumped_rows`).
+
+    `untouched` (G,) marks the Gaussians that no changed route reaches (`routes.untouched`).
+    """
+    near = float(case.inputs.near_far[0])
+    jumped = jumped_rows(*comparable(values, reference, near), GAUSSIAN_OUTPUTS)
+    smooth = {name: _replaced(values[name], reference[name], jumped) for name in GAUSSIAN_OUTPUTS}
     camera = between(case)
-    near = NEAR_SHARE * float(case.inputs.near_far[0])
-    pictures = [
-        np.clip(render(Gaussians.make(*(result[n] for n in GAUSSIAN_OUTPUTS)), camera, near=near).rgb, 0, 1)
-        for result in (values, reference)
-    ]
-    error = float(np.square(pictures[0].astype(np.float64) - pictures[1]).mean())
+    truth = _drawn(reference, camera, near)
+    whole, rest = (_psnr(_drawn(result, camera, near), truth) for result in (values, smooth))
+    return PictureAgreement(whole, rest, float(jumped[untouched].mean()) if untouched.any() else 0.0)
+
+
+def _replaced(values: NDArray, reference: NDArray, rows: NDArray[np.bool_]) -> NDArray:
+    result = values.copy()
+    result[rows] = reference[rows]
+    return result
+
+
+def _drawn(result: Mapping[str, NDArray], camera: Camera, near: float) -> NDArray[np.float64]:
+    gaussians = Gaussians.make(*(result[name] for name in GAUSSIAN_OUTPUTS))
+    return np.clip(render(gaussians, camera, near=NEAR_SHARE * near).rgb, 0, 1).astype(np.float64)
+
+
+def _psnr(picture: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+    error = float(np.square(picture - truth).mean())
     return min(200.0, -10 * math.log10(error)) if error > 0 else 200.0
 
 

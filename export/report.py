@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from .compare import Deviation
+from .pictures import PictureAgreement
 from .routes import RouteAgreement
 
 
@@ -19,7 +20,7 @@ class CaseResult:
     views: int
     outputs: dict[str, Deviation]
     routes: RouteAgreement | None
-    picture_psnr: float | None  # dB between what is drawn from both results, where that was done
+    picture: PictureAgreement | None  # of what is drawn from both results, where that was done
     failures: list[str]
 
 
@@ -65,7 +66,7 @@ class Report:
                 views=case["views"],
                 outputs={name: Deviation(**value) for name, value in case["outputs"].items()},
                 routes=RouteAgreement(**case["routes"]) if case["routes"] else None,
-                picture_psnr=case["picture_psnr"],
+                picture=PictureAgreement(**case["picture"]) if case["picture"] else None,
                 failures=case["failures"],
             )
             for case in body["cases"]

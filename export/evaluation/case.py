@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,18 +37,26 @@ class TrueDepth:
 
 
 @dataclass(frozen=True, eq=False)
+class Enlarged:
+    """The targets at twice the size that is measured."""
+
+    views: tuple[FittedView, ...]
+    side_px: int  # of the smallest photograph's crop; below twice the size the truth itself is enlarged
+
+
+@dataclass(frozen=True, eq=False)
 class Case:
     """One scene: what a reconstruction is given, and what it is compared with."""
 
     name: str
     photos: tuple[Photo, ...]  # inputs at their own size
     cameras: tuple[Camera, ...]  # of `photos`
-    target_photos: tuple[tuple[Photo, Camera], ...]  # at their own size; none for generated scenes
     inputs: tuple[FittedView, ...]  # at the size that is measured
     targets: tuple[FittedView, ...]
     near: float | None
     far: float | None
     truth: TrueDepth | None = None
+    at_twice: Callable[[], Enlarged] | None = None  # made when it is asked for
 
 
 def photograph_case(folder: Path, inputs: int, height: int, width: int) -> Case:
@@ -67,12 +76,17 @@ def photograph_case(folder: Path, inputs: int, height: int, width: int) -> Case:
         name=folder.name,
         photos=tuple(photo for photo, _ in given),
         cameras=tuple(camera for _, camera in given),
-        target_photos=tuple(held_out),
         inputs=tuple(fit_view(*view, height, width) for view in given),
         targets=tuple(fit_view(*view, height, width) for view in held_out),
         near=scene.file.near,
         far=scene.file.far,
+        at_twice=partial(_resampled, held_out, 2 * height, 2 * width),
     )
+
+
+def _resampled(photos: Sequence[tuple[Photo, Camera]], height: int, width: int) -> Enlarged:
+    views = tuple(fit_view(*view, height, width) for view in photos)
+    return Enlarged(views, min(min(photo.height, photo.width) for photo, _ in photos))
 
 
 def suggested_views(folder: Path, inputs: int) -> tuple[list[int], list[int]]:
@@ -96,10 +110,20 @@ def generated_cases(count: int, inputs: int, height: int, width: int, seed: int 
     sampler = SceneSampler(seed, "validation")
     for index in range(count):
         batch = sampler.batch(1, inputs, GENERATED_TARGETS, (height, width), baseline=WIDE)
-        yield _of_batch(batch, f"generated {index:03d}")
+        yield _of_batch(batch, f"generated {index:03d}", partial(_drawn_again, seed, index, batch))
 
 
-def _of_batch(batch: SceneBatch, name: str) -> Case:
+def _drawn_again(seed: int, index: int, batch: SceneBatch) -> Enlarged:
+    """Scene `index` drawn anew at twice the size; its world lies elsewhere, which pictures do not show."""
+    height, width = (2 * side for side in batch.images.shape[-2:])
+    again = SceneSampler(seed, "validation", first=index)
+    larger = again.batch(1, batch.inputs, GENERATED_TARGETS, (height, width), baseline=WIDE).images[0]
+    intrinsics, poses = batch.intrinsics[0], batch.world_from_cam[0]
+    views = [_view(*parts) for parts in zip(larger, intrinsics, poses, strict=True)][batch.inputs :]
+    return Enlarged(tuple(views), min(height, width))
+
+
+def _of_batch(batch: SceneBatch, name: str, at_twice: Callable[[], Enlarged]) -> Case:
     """The only scene of a batch; inputs are rounded to 8 bits, as a file would hold them."""
     v = batch.inputs
     views = [_view(*parts) for parts in zip(batch.images[0], batch.intrinsics[0], batch.world_from_cam[0], strict=True)]
@@ -111,12 +135,12 @@ def _of_batch(batch: SceneBatch, name: str) -> Case:
         name=name,
         photos=photos,
         cameras=cameras,
-        target_photos=(),
         inputs=tuple(fit_view(p, c, c.height, c.width) for p, c in zip(photos, cameras, strict=True)),
         targets=tuple(views[v:]),
         near=float(batch.near_far[0, 0]),
         far=float(batch.near_far[0, 1]),
         truth=TrueDepth(batch.depths[0, :v], batch.depths[0, v:]),
+        at_twice=at_twice,
     )
 
 

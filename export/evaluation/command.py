@@ -29,7 +29,7 @@ def evaluate(
     model: Annotated[
         list[Path] | None, typer.Option(help=".onnx or .safetensors; repeat to compare [default: the packaged one]")
     ] = None,
-    twice: Annotated[bool, typer.Option("--twice", help="photographs at twice the size as well")] = False,
+    twice: Annotated[bool, typer.Option("--twice", help="at twice the size as well")] = False,
     fade: Annotated[int, typer.Option(help="passes of fading, as of reconstruct; 0: none")] = DEFAULT_PASSES,
     out: Annotated[Path, typer.Option("-o", "--out", help="folder for report and pictures")] = Path("evaluation"),
     lpips: Annotated[

@@ -7,18 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image as Pillow
 
 from gapmes.service import picture_error
 from gapmes.service.camera import Camera
 from gapmes.service.errors import GapmesError
 from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.gaussians import Gaussians
-from gapmes.service.images import FittedView, fit_view
+from gapmes.service.images import FittedView
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.splat import Render, render
 
 from ..pictures import NEAR_SHARE
-from .case import Case
+from .case import Case, Enlarged
 from .covisible import PREDICTED_TOLERANCE, TRUE_TOLERANCE, Mask, covisible
 from .lpips import Lpips
 from .metrics import Figures, figures, mean_figures
@@ -79,7 +80,7 @@ def measure(
 ) -> Measured:
     """All baselines and `models` (of the size of `case`) on one scene; the targets are only compared with.
 
-    `twice` measures photographs at twice the size as well; `fade` is the reconstruction's.
+    `twice` measures at twice the size as well, where the case has it; `fade` is the reconstruction's.
     Raises `GapmesError` that names the scene.
     """
     try:
@@ -92,6 +93,7 @@ def measure(
     masks = _masks(case, first, next(iter(renders.values())))
     pictures = _baseline_pictures(case, first.near, first.far, threads)
     scores = {name: _score(drawn, case.targets, masks, lpips) for name, drawn in pictures.items()}
+    larger = case.at_twice() if twice and case.at_twice else None
     ours = {}
     for name, result in results.items():
         pictures[name] = [_picture(drawn) for drawn in renders[name]]
@@ -103,7 +105,7 @@ def measure(
             holes=float(open_pixels.mean()),
             holes_covisible=float(open_pixels[covered].mean()) if covered.any() else None,
             seconds=result.seconds,
-            twice=_at_twice(case, result, score, threads) if twice and case.target_photos else None,
+            twice=_at_twice(larger, result, pictures[name], score, threads) if larger else None,
         )
     share = float(np.stack(masks).mean())
     routes = {name: result.routes for name, result in results.items()}
@@ -166,17 +168,27 @@ def _score(
     return MethodScore(mean_figures(whole), mean_figures(seen))
 
 
-def _at_twice(case: Case, ours: _Reconstruction, score: MethodScore, threads: int | None) -> Twice:
-    """Drawn at twice the size, compared with the photographs resampled (Lanczos) from their own pixels."""
-    values, holes, sides = [], [], []
-    for target, (photo, camera) in zip(case.targets, case.target_photos, strict=True):
-        truth = fit_view(photo, camera, 2 * target.camera.height, 2 * target.camera.width)
-        drawn = ours.draw(truth.camera, threads)
-        values.append(picture_error.psnr(_picture(drawn), truth.image))
-        holes.append(float((drawn.alpha < HOLE).mean()))
-        sides.append(min(photo.height, photo.width))
-    psnr = float(np.mean(values))
-    return Twice(psnr, psnr - number(score.all.psnr), float(np.mean(holes)), min(sides))
+def _at_twice(
+    truth: Enlarged, ours: _Reconstruction, pictures: Sequence[F32], score: MethodScore, threads: int | None
+) -> Twice:
+    """Drawn at twice the size and compared, beside the `pictures` of the size itself, enlarged (Lanczos)."""
+    drawn = [ours.draw(view.camera, threads) for view in truth.views]
+    truths, once = [view.image for view in truth.views], number(score.all.psnr)
+    psnr = _mean_psnr([_picture(one) for one in drawn], truths)
+    alone = _mean_psnr([enlarged(picture) for picture in pictures], truths)
+    holes = float(np.mean([(one.alpha < HOLE).mean() for one in drawn]))
+    return Twice(psnr, psnr - once, alone - once, holes, truth.side_px)
+
+
+def _mean_psnr(pictures: Sequence[F32], truths: Sequence[F32]) -> float:
+    return float(np.mean([picture_error.psnr(one, truth) for one, truth in zip(pictures, truths, strict=True)]))
+
+
+def enlarged(picture: F32) -> F32:
+    """(3, 2 H, 2 W) of (3, H, W), within [0, 1]."""
+    size = (2 * picture.shape[2], 2 * picture.shape[1])
+    channels = [np.asarray(Pillow.fromarray(one).resize(size, Pillow.Resampling.LANCZOS)) for one in picture]
+    return np.clip(np.stack(channels), 0, 1)
 
 
 def _picture(drawn: Render) -> F32:

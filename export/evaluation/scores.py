@@ -24,10 +24,11 @@ class MethodScore:
 
 @dataclass(frozen=True)
 class Twice:
-    """A render at twice the size, against the photograph resized to that size."""
+    """A render at twice the size, against the truth at that size."""
 
     psnr: float  # dB
     change: float  # dB, against the PSNR at the size of the inputs
+    enlarged: float  # dB, the same change of the picture of the inputs' size, enlarged: the truth has finer detail
     holes: float  # share of pixels with opacity below 0.5
     side_px: int  # of the photograph's crop; below twice the size the truth itself is enlarged
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from .floors import Floor
 from .metrics import Figures
 from .routing import RoutingStatistics
-from .scores import BASELINES, Group, MethodScore, mean_of
+from .scores import BASELINES, Group, MethodScore, Twice, mean_of
 
 SCENES_SHOWN = 20  # of a group, those with the smallest margin first when there are more
 
@@ -121,18 +121,26 @@ def _scene_table(group: Group) -> list[str]:
 
 
 def _twice_table(group: Group) -> list[str]:
-    rows = []
-    for scene in group.scenes:
-        for model in group.models:
-            twice = scene.models[model].twice
-            if twice is not None:
-                note = "" if twice.side_px >= 2 * group.size else f"photograph has {twice.side_px} px, enlarged"
-                rows.append(
-                    [scene.scene, model, f"{twice.psnr:.2f}", f"{twice.change:+.2f}", f"{twice.holes:.3%}", note]
-                )
-    if not rows:
+    """Of more scenes than `SCENES_SHOWN` those that change most, after the mean over all."""
+    found = [(s.scene, m, t) for s in group.scenes for m in group.models if (t := s.models[m].twice) is not None]
+    if not found:
         return []
-    return [*table([f"at {2 * group.size} px", "model", "PSNR", "change in dB", "holes", "truth"], rows), ""]
+    head = [f"at {2 * group.size} px", "model", "PSNR", "change in dB", "1x enlarged", "holes", "truth"]
+    means = [["mean", name, *_twice_cells([t for _, m, t in found if m == name]), ""] for name in group.models]
+    if len(group.scenes) > SCENES_SHOWN:
+        found = sorted(found, key=lambda row: -abs(row[2].change))[: SCENES_SHOWN * len(group.models)]
+    enlarged = "photograph has {} px, enlarged"
+    rows = [
+        [scene, name, *_twice_cells([t]), "" if t.side_px >= 2 * group.size else enlarged.format(t.side_px)]
+        for scene, name, t in found
+    ]
+    return [*table(head, [*means, *rows]), ""]
+
+
+def _twice_cells(values: Sequence[Twice]) -> list[str]:
+    psnr, change = mean_of([t.psnr for t in values]), mean_of([t.change for t in values])
+    enlarged, holes = mean_of([t.enlarged for t in values]), mean_of([t.holes for t in values])
+    return [f"{psnr:.2f}", f"{change:+.2f}", f"{enlarged:+.2f}", f"{holes:.3%}"]
 
 
 def _routing_table(group: Group) -> list[str]:

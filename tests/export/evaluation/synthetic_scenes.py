@@ -53,7 +53,6 @@ class StepScene:
             name="step",
             photos=tuple(photos),
             cameras=tuple(view.camera for view in seen),
-            target_photos=(),
             inputs=tuple(seen),
             targets=tuple(held),
             near=NEAR,

@@ -41,7 +41,7 @@ def test_two_models_on_generated_scenes(
         (tmp_path / f"{name}.onnx").write_bytes(small_graph.SerializeToString())
     files = ("--model", tmp_path / "one.onnx", "--model", tmp_path / "other.onnx")
     out = tmp_path / "report"
-    assert run("--generated", 2, *files, "--out", out, "--json") == 0
+    assert run("--generated", 2, *files, "--out", out, "--json", "--twice") == 0
     printed, _ = capfd.readouterr()
     document = json.loads((out / "report.json").read_text())
     assert json.loads(printed) == document
@@ -60,13 +60,15 @@ def test_two_models_on_generated_scenes(
             model["score"]["all"]["psnr"] - max(entry["baselines"][name]["all"]["psnr"] for name in BASELINES)
         )
         assert 0 < entry["covisible_share"] <= 1
-        assert model["twice"] is None
+        assert model["twice"]["change"] == pytest.approx(model["twice"]["psnr"] - model["score"]["all"]["psnr"])
+        assert model["twice"]["side_px"] == 128
     routing = group["routing"]["one"]
     assert sum(routing["expert_share"]) == pytest.approx(1)
     assert routing["patches"] == 2 * 2 * 16
     assert set(routing["lambdas"]) == {"experts", "tasks"}
     text = (out / "report.md").read_text()
     assert "Difference between the models" in text
+    assert text.count("| mean | one |") == 1
     with Image.open(out / "generated_000_2views_64px.png") as sheet:
         assert sheet.size[0] > 4 * 64
 
