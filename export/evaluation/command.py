@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from gapmes.service.backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from gapmes.service.errors import GapmesError, ModelError
 from gapmes.service.fade_passes import DEFAULT_PASSES, checked_passes
 from gapmes.service.terminal import ProgressBars, Quiet
@@ -28,6 +29,9 @@ def evaluate(
     size: Annotated[list[int] | None, typer.Option(min=32, help="side in px; repeat for several")] = None,
     model: Annotated[
         list[Path] | None, typer.Option(help=".onnx or .safetensors; repeat to compare [default: the packaged one]")
+    ] = None,
+    engine: Annotated[
+        list[str] | None, typer.Option(help=f"{', '.join(ENGINES)}; repeat to compare [default: {DEFAULT_ENGINE}]")
     ] = None,
     twice: Annotated[bool, typer.Option("--twice", help="at twice the size as well")] = False,
     fade: Annotated[int, typer.Option(help="passes of fading, as of reconstruct; 0: none")] = DEFAULT_PASSES,
@@ -60,6 +64,7 @@ def evaluate(
 
     if threads is not None:
         torch.set_num_threads(threads)
+    engines = [checked_engine(name) for name in engine or (DEFAULT_ENGINE,)]
     plans = evaluation_plans(scenes or (), generated, inputs or (), size or (), model or ())
     with ProgressBars(quiet=quiet) as bars:
         try:
@@ -67,6 +72,7 @@ def evaluate(
                 plans,
                 out,
                 files=model or (),
+                engines=engines,
                 lpips=lpips or default_weights(),
                 twice=twice,
                 fade=checked_passes(fade),

@@ -1,9 +1,10 @@
-"""The files that are measured: exported ones as they are, checkpoints exported first, each for the sizes wanted."""
+"""The files that are measured: exported ones as they are, checkpoints exported first, each for the
+sizes and in the engines wanted."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -11,6 +12,7 @@ from safetensors import safe_open
 
 from gapmes.model.checkpoint import shipped_checkpoint
 from gapmes.model.weights_file import file_sha256
+from gapmes.service.backends.choice import DEFAULT_ENGINE, EngineName
 from gapmes.service.engine import Arrays, Engine
 from gapmes.service.errors import ModelError
 from gapmes.service.progress import Listener, silent
@@ -39,6 +41,7 @@ class Model:
 
     label: str
     file: str
+    path: Path  # of the ONNX file, where `file` may be the checkpoint that it was exported from
     engine: RecordingEngine
     lambdas: Mapping[str, float] | None  # of Eq. 11, for experts and tasks; None where no checkpoint tells
 
@@ -83,6 +86,24 @@ def load_models(
     return found
 
 
+def in_engines(models: Sequence[Model], engines: Sequence[EngineName], threads: int | None) -> list[Model]:
+    """Every model in the first engine, then in the next; several are told apart by their labels.
+
+    `models` are as `load_models` gives them, in the default engine. Raises `ModelError` where an engine's package is
+    missing, or one is given twice.
+    """
+    if len(set(engines)) < len(engines):
+        raise ModelError(f"{', '.join(engines)}: the same engine twice", field="engine")
+    found = []
+    for engine in engines:
+        for model in models:
+            label = model.label if len(engines) == 1 else f"{model.label}, {engine}"
+            same = engine == DEFAULT_ENGINE
+            loaded = model.engine if same else RecordingEngine(model.path, threads=threads, engine=engine)
+            found.append(replace(model, label=label, engine=loaded))
+    return found
+
+
 def model_sizes(files: Sequence[Path]) -> list[int]:
     """Sides in px of the square ONNX files, largest first. Raises `ModelError` for a file that is not square."""
     sizes = set()
@@ -120,13 +141,13 @@ def _exported(checkpoint: Path, size: int, label: str, folder: Path, threads: in
     target = folder / f"{checkpoint.stem}-{size}.onnx"
     export_checkpoint(checkpoint, target, height=size, width=size, quick=True, listener=listener)
     model = _loaded(target, label, {file_sha256(checkpoint): checkpoint}, threads)
-    return Model(model.label, checkpoint.name, model.engine, model.lambdas)
+    return replace(model, file=checkpoint.name)
 
 
 def _loaded(path: Path, label: str, checkpoints: Mapping[str, Path], threads: int | None) -> Model:
     engine = RecordingEngine(path, threads=threads)
     checkpoint = checkpoints.get(engine.info.weights_sha256)
-    return Model(label, path.name, engine, None if checkpoint is None else gate_lambdas(checkpoint))
+    return Model(label, path.name, path, engine, None if checkpoint is None else gate_lambdas(checkpoint))
 
 
 def gate_lambdas(checkpoint: Path) -> dict[str, float]:

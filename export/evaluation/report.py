@@ -63,10 +63,22 @@ class Report:
 
 def _models_section(models: Sequence[Model]) -> list[str]:
     rows = [
-        [m.label, m.file, m.engine.info.precision, f"{m.size[1]} x {m.size[0]}", m.engine.info.weights_sha256[:12]]
+        [
+            m.label,
+            m.file,
+            m.engine.info.precision,
+            _engine(m),
+            f"{m.size[1]} x {m.size[0]}",
+            m.engine.info.weights_sha256[:12],
+        ]
         for m in models
     ]
-    return [*table(["model", "file", "precision", "px", "weights"], rows), ""]
+    return [*table(["model", "file", "precision", "engine", "px", "weights"], rows), ""]
+
+
+def _engine(model: Model) -> str:
+    found = model.engine.made_by
+    return f"{found.name} {found.version}, {found.precision}"
 
 
 def _model_entry(model: Model) -> dict[str, Any]:
@@ -77,6 +89,7 @@ def _model_entry(model: Model) -> dict[str, Any]:
         "precision": info.precision,
         "height": info.height,
         "width": info.width,
+        "engine": model.engine.made_by.document(),
         "weights_sha256": info.weights_sha256,
         "file_sha256": info.file_sha256,
     }

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from gapmes.service.backends.choice import DEFAULT_ENGINE, EngineName
 from gapmes.service.errors import InputError
 from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.progress import Listener, Stages, silent
@@ -14,7 +15,7 @@ from gapmes.service.progress import Listener, Stages, silent
 from .case import Case, NoSuchViews, generated_cases, photograph_case, suggested_views
 from .lpips import Lpips
 from .measure import measure
-from .models import Model, load_models
+from .models import Model, in_engines, load_models
 from .report import Report
 from .routing import routing_statistics
 from .scores import Group
@@ -46,6 +47,7 @@ def evaluate(
     out: Path,
     *,
     files: Sequence[Path] = (),
+    engines: Sequence[EngineName] = (DEFAULT_ENGINE,),
     lpips: Path | None = None,
     twice: bool = False,
     fade: int = DEFAULT_PASSES,
@@ -62,6 +64,7 @@ def evaluate(
     with tempfile.TemporaryDirectory() as scratch:
         sizes = sorted({plan.size for plan in plans}, reverse=True)
         models = load_models(files, sizes, Path(scratch), threads=threads, listener=listener)
+        models = in_engines(models, engines, threads)
     report = Report(models, [], None if lpips is None else lpips.name, fade)
     for plan in plans:
         ours = [model for model in models if model.size == (plan.size, plan.size)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -193,6 +194,30 @@ def test_a_folder_without_suggested_views_is_named(tmp_path: Path) -> None:
         photograph_case(sample_folder(), 6, 64, 64)
     with pytest.raises(InputError, match=r"cameras\.json is not a file"):
         photograph_case(tmp_path, 2, 64, 64)
+
+
+@pytest.mark.skipif(find_spec("openvino") is None, reason="pip install 'gapmes[openvino]'")
+def test_engines_side_by_side(small_graph: onnx.ModelProto, tmp_path: Path) -> None:
+    """The same file in two runtimes: both are measured, and the report says which is which."""
+    (tmp_path / "net.onnx").write_bytes(small_graph.SerializeToString())
+    files, engines = ("--model", tmp_path / "net.onnx"), ("--engine", "onnxruntime", "--engine", "openvino-fp32")
+    assert run("--generated", 1, *files, *engines, "--fade", 0, "--out", tmp_path / "out") == 0
+    document = json.loads((tmp_path / "out" / "report.json").read_text())
+    names = ["net, onnxruntime", "net, openvino-fp32"]
+    assert [model["label"] for model in document["models"]] == names
+    assert [model["engine"]["name"] for model in document["models"]] == ["onnxruntime", "openvino"]
+    one, other = (document["groups"][0]["mean"][name]["all"]["psnr"] for name in names)
+    assert one != other
+    assert one == pytest.approx(other, abs=0.1)
+    assert f"openvino {document['models'][1]['engine']['version']}, fp32" in (tmp_path / "out/report.md").read_text()
+
+
+def test_wrong_engines_are_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = ("--generated", 1, "--size", 256, "--out", tmp_path)
+    assert run(*arguments, "--engine", "tpu") == 1
+    refused(capfd, "is no engine")
+    assert run(*arguments, "--engine", "onnxruntime", "--engine", "onnxruntime") == 1
+    refused(capfd, "the same engine twice")
 
 
 def test_a_checkpoint_is_exported_for_every_size(
