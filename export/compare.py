@@ -82,8 +82,8 @@ def jumped_rows(
     for name in names:
         theirs = reference[name].astype(np.float64)
         scale = float(np.abs(theirs).max(initial=0.0))
-        near = np.abs(values[name] - theirs) <= JUMP * (scale if scale > 0 else 1.0)
-        rows.append(~near.reshape(len(near), -1).all(1))
+        close = np.abs(values[name] - theirs) <= JUMP * (scale if scale > 0 else 1.0)
+        rows.append(~close.reshape(len(close), -1).all(1))
     jumped: NDArray[np.bool_] = np.any(rows, axis=0)
     return jumped
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from gapmes.service.camera import Camera
 from gapmes.service.contract import GAUSSIAN_OUTPUTS
 from gapmes.service.gaussians import Gaussians
+from gapmes.service.picture_error import psnr
 from gapmes.service.splat import render
 
 from .cases import Case
@@ -24,9 +24,9 @@ NEAR_SHARE = 0.05  # of the scene's near depth
 class PictureAgreement:
     """How far the pictures of two results agree, at a pose half-way between the first two views."""
 
-    psnr: float  # dB; 200 when they are equal
-    without_jumps: float  # dB, when the Gaussians that jumped are the reference's in both
-    jumped: float  # share of such Gaussians among those that no changed route reaches
+    psnr: float  # dB, everything drawn as it is
+    without_jumps: float  # dB, with the reference's Gaussians in place of those that jumped
+    jumped: float  # share of those, among the Gaussians that no changed route reaches
 
 
 def picture_agreement(
@@ -34,15 +34,16 @@ def picture_agreement(
 ) -> PictureAgreement:
     """Draw the Gaussians of both results, and of the first once more without jumps (`compare.jumped_rows`).
 
-    `untouched` (G,) marks the Gaussians that no changed route reaches (`routes.untouched`).
+    `untouched` (G,) marks the Gaussians that no changed route reaches (`routes.untouched`): among them alone jumps are
+    counted and replaced. All values have to be finite.
     """
     near = float(case.inputs.near_far[0])
-    jumped = jumped_rows(*comparable(values, reference, near), GAUSSIAN_OUTPUTS)
+    jumped = jumped_rows(*comparable(values, reference, near), GAUSSIAN_OUTPUTS) & untouched
     smooth = {name: _replaced(values[name], reference[name], jumped) for name in GAUSSIAN_OUTPUTS}
     camera = between(case)
     truth = _drawn(reference, camera, near)
-    whole, rest = (_psnr(_drawn(result, camera, near), truth) for result in (values, smooth))
-    return PictureAgreement(whole, rest, float(jumped[untouched].mean()) if untouched.any() else 0.0)
+    whole, rest = (psnr(_drawn(result, camera, near), truth) for result in (values, smooth))
+    return PictureAgreement(whole, rest, float(jumped.sum() / max(1, untouched.sum())))
 
 
 def _replaced(values: NDArray, reference: NDArray, rows: NDArray[np.bool_]) -> NDArray:
@@ -51,14 +52,9 @@ def _replaced(values: NDArray, reference: NDArray, rows: NDArray[np.bool_]) -> N
     return result
 
 
-def _drawn(result: Mapping[str, NDArray], camera: Camera, near: float) -> NDArray[np.float64]:
+def _drawn(result: Mapping[str, NDArray], camera: Camera, near: float) -> NDArray[np.float32]:
     gaussians = Gaussians.make(*(result[name] for name in GAUSSIAN_OUTPUTS))
-    return np.clip(render(gaussians, camera, near=NEAR_SHARE * near).rgb, 0, 1).astype(np.float64)
-
-
-def _psnr(picture: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    error = float(np.square(picture - truth).mean())
-    return min(200.0, -10 * math.log10(error)) if error > 0 else 200.0
+    return np.clip(render(gaussians, camera, near=NEAR_SHARE * near).rgb, 0, 1)
 
 
 def between(case: Case) -> Camera:

@@ -4,8 +4,8 @@ Errors are in units of the output's largest magnitude in the torch run, in the u
 (`compare.image_units`) and outside what a changed route reaches. Two budgets are kept apart. The 99th percentile and
 the mean bound the smooth part, which is rounding or quantisation. The share of jumps bounds what rounding tips over an
 edge of the definition: a sample that falls exactly on an image border counts as seen or not. The largest error is
-reported and not limited, since a jump has no size limit of its own; nor has a picture of what jumped, so that where
-jumps have a limit, pictures are compared without them (`pictures.py`).
+reported and not limited, since a jump has no size limit of its own. For the same reason there are two pictures: one of
+everything, and one with torch's Gaussians in place of those that jumped, which has to agree more closely.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ class Tolerance:
 
     p99: float  # of every output but the indices
     mean: float
-    jumps: float  # share of elements of an output, and of Gaussians; 1: unlimited, and drawn with the rest
+    jumps: float  # share of elements of an output, and of Gaussians in the picture
     unambiguous_flips: float  # share of patches whose route may differ though the logits decide
     spare_flips: int  # and this many more: in a small picture one patch is already some per cent
     picture_psnr: float  # dB, least agreement of what is drawn from both results
+    smooth_picture_psnr: float  # dB, the same with torch's Gaussians in place of those that jumped
     flat_factor: float = 1.0  # on `p99` and `mean` for images of one colour
     margin_factor: float = 1.0  # on `mean` of margins, each the difference of two logits
 
@@ -65,14 +66,22 @@ class Tolerance:
 
 
 TOLERANCES: dict[Precision, Tolerance] = {
-    # Largest of the cases at 256 x 256 pixels whose matching is determined: p99 1.0e-4, mean 7.8e-6, jumps 5.5e-3
-    # (confidence: sums over views at borders of what they see), picture 86 dB at least; on images of one colour p99
-    # 5.4e-5, mean 3.2e-6. The limits leave some room for other orders of sums on other processors.
-    # Pictures are compared without the Gaussians that jumped, whose share has the limit of the jumps. `base` with
-    # random weights, two views of 256 x 448 px of the sample scene: 220 of 233,696 jump around one cell whose planes
-    # tie; all drawn, the pictures agree to 68 dB, without those to 81. Beside float64 152 jump in the exported file and
-    # 177 in torch.
-    "fp32": Tolerance(p99=3e-4, mean=2e-5, jumps=1e-2, unambiguous_flips=0.0, spare_flips=0, picture_psnr=70.0),
+    # Largest of the cases at 256 x 256 pixels whose matching is determined, on processors of two makers: p99 1.0e-4,
+    # mean 7.8e-6, jumps 5.5e-3; on images of one colour p99 5.4e-5, mean 3.2e-6. The limits leave some room for other
+    # orders of sums on others.
+    # Pictures: of the shipped file 86 dB at least, without jumps 93, and 6e-4 of the Gaussians jump. `base` with
+    # random weights, two views of 256 x 448 px of the sample scene: 220 of 233,696 (9e-4) jump around one cell whose
+    # planes tie; everything drawn, the pictures agree to 68 dB, without those to 81. Beside float64 152 jump in the
+    # exported file and 177 in torch. What jumps must not spoil the picture either: 50 dB are 0.8 of a level of 8 bits.
+    "fp32": Tolerance(
+        p99=3e-4,
+        mean=2e-5,
+        jumps=1e-2,
+        unambiguous_flips=0.0,
+        spare_flips=0,
+        picture_psnr=50.0,
+        smooth_picture_psnr=70.0,
+    ),
     # Measured with the shipped weights at 256 px: p99 3.5e-2, of margins 4.6e-2, mean 3.3e-3, of margins 6.7e-3 (all on
     # noise), 0.8 % of routes, picture 73 dB at least; on images of one colour, which normalisation divides by the root
     # of nearly nothing, p99 0.14, mean 1.4e-2 and 2.3 % of routes. At 64 px margins are the worst output: mean 7.5e-3
@@ -84,6 +93,7 @@ TOLERANCES: dict[Precision, Tolerance] = {
         unambiguous_flips=0.02,
         spare_flips=2,
         picture_psnr=40.0,
+        smooth_picture_psnr=40.0,
         flat_factor=5.0,
         margin_factor=2.0,
     ),

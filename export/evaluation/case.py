@@ -37,11 +37,11 @@ class TrueDepth:
 
 
 @dataclass(frozen=True, eq=False)
-class Enlarged:
+class LargerTargets:
     """The targets at twice the size that is measured."""
 
     views: tuple[FittedView, ...]
-    side_px: int  # of the smallest photograph's crop; below twice the size the truth itself is enlarged
+    side_px: int  # that the truth has: of the smallest photograph's crop, or the size drawn; below it is enlarged
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Case:
     near: float | None
     far: float | None
     truth: TrueDepth | None = None
-    at_twice: Callable[[], Enlarged] | None = None  # made when it is asked for
+    at_twice: Callable[[], LargerTargets] | None = None  # made when it is asked for
 
 
 def photograph_case(folder: Path, inputs: int, height: int, width: int) -> Case:
@@ -84,9 +84,9 @@ def photograph_case(folder: Path, inputs: int, height: int, width: int) -> Case:
     )
 
 
-def _resampled(photos: Sequence[tuple[Photo, Camera]], height: int, width: int) -> Enlarged:
+def _resampled(photos: Sequence[tuple[Photo, Camera]], height: int, width: int) -> LargerTargets:
     views = tuple(fit_view(*view, height, width) for view in photos)
-    return Enlarged(views, min(min(photo.height, photo.width) for photo, _ in photos))
+    return LargerTargets(views, min(min(photo.height, photo.width) for photo, _ in photos))
 
 
 def suggested_views(folder: Path, inputs: int) -> tuple[list[int], list[int]]:
@@ -107,23 +107,26 @@ def suggested_views(folder: Path, inputs: int) -> tuple[list[int], list[int]]:
 
 def generated_cases(count: int, inputs: int, height: int, width: int, seed: int = GENERATED_SEED) -> Iterator[Case]:
     """`count` wide scenes with exact depth; the inputs carry exposure errors and noise, the targets do not."""
-    sampler = SceneSampler(seed, "validation")
     for index in range(count):
-        batch = sampler.batch(1, inputs, GENERATED_TARGETS, (height, width), baseline=WIDE)
+        batch = _generated(seed, index, inputs, height, width)
         yield _of_batch(batch, f"generated {index:03d}", partial(_drawn_again, seed, index, batch))
 
 
-def _drawn_again(seed: int, index: int, batch: SceneBatch) -> Enlarged:
+def _generated(seed: int, index: int, inputs: int, height: int, width: int) -> SceneBatch:
+    sampler = SceneSampler(seed, "validation", first=index)
+    return sampler.batch(1, inputs, GENERATED_TARGETS, (height, width), baseline=WIDE)
+
+
+def _drawn_again(seed: int, index: int, batch: SceneBatch) -> LargerTargets:
     """Scene `index` drawn anew at twice the size; its world lies elsewhere, which pictures do not show."""
     height, width = (2 * side for side in batch.images.shape[-2:])
-    again = SceneSampler(seed, "validation", first=index)
-    larger = again.batch(1, batch.inputs, GENERATED_TARGETS, (height, width), baseline=WIDE).images[0]
+    larger = _generated(seed, index, batch.inputs, height, width).images[0]
     intrinsics, poses = batch.intrinsics[0], batch.world_from_cam[0]
     views = [_view(*parts) for parts in zip(larger, intrinsics, poses, strict=True)][batch.inputs :]
-    return Enlarged(tuple(views), min(height, width))
+    return LargerTargets(tuple(views), min(height, width))
 
 
-def _of_batch(batch: SceneBatch, name: str, at_twice: Callable[[], Enlarged]) -> Case:
+def _of_batch(batch: SceneBatch, name: str, at_twice: Callable[[], LargerTargets]) -> Case:
     """The only scene of a batch; inputs are rounded to 8 bits, as a file would hold them."""
     v = batch.inputs
     views = [_view(*parts) for parts in zip(batch.images[0], batch.intrinsics[0], batch.world_from_cam[0], strict=True)]

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from gapmes.service.backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
+from gapmes.service.backends.choice import DEFAULT_ENGINE, ENGINES
 from gapmes.service.errors import GapmesError, ModelError
 from gapmes.service.fade_passes import DEFAULT_PASSES, checked_passes
 from gapmes.service.terminal import ProgressBars, Quiet
@@ -33,7 +33,7 @@ def evaluate(
     engine: Annotated[
         list[str] | None, typer.Option(help=f"{', '.join(ENGINES)}; repeat to compare [default: {DEFAULT_ENGINE}]")
     ] = None,
-    twice: Annotated[bool, typer.Option("--twice", help="at twice the size as well")] = False,
+    twice: Annotated[bool, typer.Option("--twice", help="draw at twice the size as well, and compare")] = False,
     fade: Annotated[int, typer.Option(help="passes of fading, as of reconstruct; 0: none")] = DEFAULT_PASSES,
     out: Annotated[Path, typer.Option("-o", "--out", help="folder for report and pictures")] = Path("evaluation"),
     lpips: Annotated[
@@ -59,12 +59,13 @@ def evaluate(
 
     from ..pipeline import ExportRejected, VerificationBroken
     from .lpips import default_weights
+    from .models import checked_engines
     from .plans import evaluation_plans
     from .run import evaluate as run
 
     if threads is not None:
         torch.set_num_threads(threads)
-    engines = [checked_engine(name) for name in engine or (DEFAULT_ENGINE,)]
+    engines = checked_engines(engine or (DEFAULT_ENGINE,))
     plans = evaluation_plans(scenes or (), generated, inputs or (), size or (), model or ())
     with ProgressBars(quiet=quiet) as bars:
         try:

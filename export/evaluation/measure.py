@@ -19,7 +19,7 @@ from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.splat import Render, render
 
 from ..pictures import NEAR_SHARE
-from .case import Case, Enlarged
+from .case import Case, LargerTargets
 from .covisible import PREDICTED_TOLERANCE, TRUE_TOLERANCE, Mask, covisible
 from .lpips import Lpips
 from .metrics import Figures, figures, mean_figures
@@ -169,7 +169,7 @@ def _score(
 
 
 def _at_twice(
-    truth: Enlarged, ours: _Reconstruction, pictures: Sequence[F32], score: MethodScore, threads: int | None
+    truth: LargerTargets, ours: _Reconstruction, pictures: Sequence[F32], score: MethodScore, threads: int | None
 ) -> Twice:
     """Drawn at twice the size and compared, beside the `pictures` of the size itself, enlarged (Lanczos)."""
     drawn = [ours.draw(view.camera, threads) for view in truth.views]

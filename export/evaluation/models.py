@@ -1,5 +1,4 @@
-"""The files that are measured: exported ones as they are, checkpoints exported first, each for the
-sizes and in the engines wanted."""
+"""The files that are measured: exported ones as they are, checkpoints exported first; sizes and engines."""
 
 from __future__ import annotations
 
@@ -12,7 +11,7 @@ from safetensors import safe_open
 
 from gapmes.model.checkpoint import shipped_checkpoint
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.backends.choice import DEFAULT_ENGINE, EngineName
+from gapmes.service.backends.choice import DEFAULT_ENGINE, EngineName, checked_engine, made_by
 from gapmes.service.engine import Arrays, Engine
 from gapmes.service.errors import ModelError
 from gapmes.service.progress import Listener, silent
@@ -41,7 +40,6 @@ class Model:
 
     label: str
     file: str
-    path: Path  # of the ONNX file, where `file` may be the checkpoint that it was exported from
     engine: RecordingEngine
     lambdas: Mapping[str, float] | None  # of Eq. 11, for experts and tasks; None where no checkpoint tells
 
@@ -56,27 +54,29 @@ def load_models(
     sizes: Sequence[int],
     folder: Path,
     *,
+    engines: Sequence[EngineName] = (DEFAULT_ENGINE,),
     threads: int | None = None,
     listener: Listener = silent,
 ) -> list[Model]:
-    """Models of the square `sizes` px, in the order of `files`; without files the shipped one.
+    """Models of the square `sizes` px, in the order of `files`, each in all `engines`; without files the shipped one.
 
-    A checkpoint (.safetensors), and the shipped one at other sizes than its own, is exported into `folder` and
-    verified. Raises `ModelError` where a size has no model or a file has no size that is wanted, `ExportRejected`,
-    `VerificationBroken` and `CheckpointError` of an export.
+    Of several engines the labels tell which. A checkpoint (.safetensors), and the shipped one at other sizes than its
+    own, is exported into `folder` and verified. Raises `ModelError` where a size has no model or a file has no size
+    that is wanted, `ExportRejected`, `VerificationBroken` and `CheckpointError` of an export.
     """
+    runtime = _Runtime(engines, threads)
     if not files:
-        return _shipped(sizes, folder, threads, listener)
+        return _shipped(sizes, folder, runtime, listener)
     found: list[Model] = []
     known = [*(path for path in files if path.suffix == CHECKPOINT), shipped_checkpoint("tiny")]
     checkpoints = {file_sha256(path): path for path in known if path.is_file()}
     for path, label in zip(files, _labels(files), strict=True):
         if path.suffix == CHECKPOINT:
-            found += [_exported(path, size, label, folder, threads, listener) for size in sizes]
+            found += [m for size in sizes for m in _exported(path, size, label, folder, runtime, listener)]
         else:
-            found.append(_loaded(path, label, checkpoints, threads))
+            found += runtime.load(path, label, checkpoints)
     wanted = {(size, size) for size in sizes}
-    have = ", ".join(f"{model.file}: {model.size[1]} x {model.size[0]}" for model in found)
+    have = ", ".join(dict.fromkeys(f"{model.file}: {model.size[1]} x {model.size[0]}" for model in found))
     if {model.size for model in found} != wanted:
         raise ModelError(
             f"the files are for other sizes ({have}) than {', '.join(f'{size} x {size}' for size in sizes)} px",
@@ -86,22 +86,14 @@ def load_models(
     return found
 
 
-def in_engines(models: Sequence[Model], engines: Sequence[EngineName], threads: int | None) -> list[Model]:
-    """Every model in the first engine, then in the next; several are told apart by their labels.
-
-    `models` are as `load_models` gives them, in the default engine. Raises `ModelError` where an engine's package is
-    missing, or one is given twice.
-    """
+def checked_engines(names: Sequence[str]) -> list[EngineName]:
+    """Raises `ModelError` for a name that is none, one whose package is missing, or one given twice."""
+    engines = [checked_engine(name) for name in names]
     if len(set(engines)) < len(engines):
         raise ModelError(f"{', '.join(engines)}: the same engine twice", field="engine")
-    found = []
     for engine in engines:
-        for model in models:
-            label = model.label if len(engines) == 1 else f"{model.label}, {engine}"
-            same = engine == DEFAULT_ENGINE
-            loaded = model.engine if same else RecordingEngine(model.path, threads=threads, engine=engine)
-            found.append(replace(model, label=label, engine=loaded))
-    return found
+        made_by(engine)
+    return engines
 
 
 def model_sizes(files: Sequence[Path]) -> list[int]:
@@ -117,13 +109,33 @@ def model_sizes(files: Sequence[Path]) -> list[int]:
     return sorted(sizes, reverse=True)
 
 
-def _shipped(sizes: Sequence[int], folder: Path, threads: int | None, listener: Listener) -> list[Model]:
+@dataclass(frozen=True)
+class _Runtime:
+    """What files are loaded into."""
+
+    engines: Sequence[EngineName]
+    threads: int | None
+
+    def load(self, path: Path, label: str, checkpoints: Mapping[str, Path]) -> list[Model]:
+        """The ONNX file in every engine; `checkpoints` are known ones by the sha256 of their weights."""
+        models = []
+        for name in self.engines:
+            engine = RecordingEngine(path, threads=self.threads, engine=name)
+            checkpoint = checkpoints.get(engine.info.weights_sha256)
+            lambdas = None if checkpoint is None else gate_lambdas(checkpoint)
+            told = label if len(self.engines) == 1 else f"{label}, {name}"
+            models.append(Model(told, path.name, engine, lambdas))
+        return models
+
+
+def _shipped(sizes: Sequence[int], folder: Path, runtime: _Runtime, listener: Listener) -> list[Model]:
     checkpoint = shipped_checkpoint("tiny")
-    own = _loaded(shipped_model(), "ours", {file_sha256(checkpoint): checkpoint}, threads)
+    shipped = runtime.load(shipped_model(), "ours", {file_sha256(checkpoint): checkpoint})
+    own = shipped[0]
     models = []
     for size in sizes:
         if own.size == (size, size):
-            models.append(own)
+            models += shipped
             continue
         if own.lambdas is None:
             raise ModelError(
@@ -131,23 +143,20 @@ def _shipped(sizes: Sequence[int], folder: Path, threads: int | None, listener: 
                 field="model",
                 cure="export it again with gapmes-export, or name the files to measure",
             )
-        models.append(_exported(checkpoint, size, own.label, folder, threads, listener))
+        models += _exported(checkpoint, size, "ours", folder, runtime, listener)
     return models
 
 
-def _exported(checkpoint: Path, size: int, label: str, folder: Path, threads: int | None, listener: Listener) -> Model:
+def _exported(
+    checkpoint: Path, size: int, label: str, folder: Path, runtime: _Runtime, listener: Listener
+) -> list[Model]:
     if not checkpoint.is_file():
         raise ModelError(f"{checkpoint} is not a file", field="model")
     target = folder / f"{checkpoint.stem}-{size}.onnx"
     export_checkpoint(checkpoint, target, height=size, width=size, quick=True, listener=listener)
-    model = _loaded(target, label, {file_sha256(checkpoint): checkpoint}, threads)
-    return replace(model, file=checkpoint.name)
-
-
-def _loaded(path: Path, label: str, checkpoints: Mapping[str, Path], threads: int | None) -> Model:
-    engine = RecordingEngine(path, threads=threads)
-    checkpoint = checkpoints.get(engine.info.weights_sha256)
-    return Model(label, path.name, path, engine, None if checkpoint is None else gate_lambdas(checkpoint))
+    return [
+        replace(m, file=checkpoint.name) for m in runtime.load(target, label, {file_sha256(checkpoint): checkpoint})
+    ]
 
 
 def gate_lambdas(checkpoint: Path) -> dict[str, float]:

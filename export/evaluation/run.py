@@ -15,7 +15,7 @@ from gapmes.service.progress import Listener, Stages, silent
 from .case import Case, NoSuchViews, generated_cases, photograph_case, suggested_views
 from .lpips import Lpips
 from .measure import measure
-from .models import Model, in_engines, load_models
+from .models import Model, load_models
 from .report import Report
 from .routing import routing_statistics
 from .scores import Group
@@ -63,8 +63,7 @@ def evaluate(
     stages = Stages(listener)
     with tempfile.TemporaryDirectory() as scratch:
         sizes = sorted({plan.size for plan in plans}, reverse=True)
-        models = load_models(files, sizes, Path(scratch), threads=threads, listener=listener)
-        models = in_engines(models, engines, threads)
+        models = load_models(files, sizes, Path(scratch), engines=engines, threads=threads, listener=listener)
     report = Report(models, [], None if lpips is None else lpips.name, fade)
     for plan in plans:
         ours = [model for model in models if model.size == (plan.size, plan.size)]

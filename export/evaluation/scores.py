@@ -30,7 +30,7 @@ class Twice:
     change: float  # dB, against the PSNR at the size of the inputs
     enlarged: float  # dB, the same change of the picture of the inputs' size, enlarged: the truth has finer detail
     holes: float  # share of pixels with opacity below 0.5
-    side_px: int  # of the photograph's crop; below twice the size the truth itself is enlarged
+    side_px: int  # that the truth has: of the photograph's crop, or the size drawn; below twice the size it is enlarged
 
 
 @dataclass(frozen=True)

@@ -121,20 +121,29 @@ def _scene_table(group: Group) -> list[str]:
 
 
 def _twice_table(group: Group) -> list[str]:
-    """Of more scenes than `SCENES_SHOWN` those that change most, after the mean over all."""
-    found = [(s.scene, m, t) for s in group.scenes for m in group.models if (t := s.models[m].twice) is not None]
+    """Means, then scenes: of more than `SCENES_SHOWN` those where the first model changes most."""
+    models = group.models
+    found = [(s.scene, [(m, t) for m in models if (t := s.models[m].twice) is not None]) for s in group.scenes]
+    found = [(scene, rows) for scene, rows in found if rows]
     if not found:
         return []
     head = [f"at {2 * group.size} px", "model", "PSNR", "change in dB", "1x enlarged", "holes", "truth"]
-    means = [["mean", name, *_twice_cells([t for _, m, t in found if m == name]), ""] for name in group.models]
-    if len(group.scenes) > SCENES_SHOWN:
-        found = sorted(found, key=lambda row: -abs(row[2].change))[: SCENES_SHOWN * len(group.models)]
-    enlarged = "photograph has {} px, enlarged"
+    means = [["mean", m, *_twice_cells([t for _, rows in found for n, t in rows if n == m]), ""] for m in models]
+    lines = []
+    if len(found) > SCENES_SHOWN:
+        lines = [f"The {SCENES_SHOWN} scenes that change most of {len(found)}; all are in report.json.", ""]
+        found = sorted(found, key=lambda entry: -abs(entry[1][0][1].change))[:SCENES_SHOWN]
     rows = [
-        [scene, name, *_twice_cells([t]), "" if t.side_px >= 2 * group.size else enlarged.format(t.side_px)]
-        for scene, name, t in found
+        [
+            scene,
+            name,
+            *_twice_cells([t]),
+            "" if t.side_px >= 2 * group.size else f"photograph has {t.side_px} px, enlarged",
+        ]
+        for scene, entries in found
+        for name, t in entries
     ]
-    return [*table(head, [*means, *rows]), ""]
+    return [*lines, *table(head, [*means, *rows]), ""]
 
 
 def _twice_cells(values: Sequence[Twice]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,13 @@ from onnx import numpy_helper
 from typer.testing import CliRunner
 
 from gapmes.export import pipeline
+from gapmes.export.cases import Case, sample_scene
 from gapmes.export.cli import app
 from gapmes.export.quantise import quantised
-from gapmes.export.report import Report
+from gapmes.export.report import CaseResult, Report
 from gapmes.export.samples import random_scene
+from gapmes.export.tolerance import TOLERANCES, Tolerance
+from gapmes.export.verify import verify
 from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.weights_file import file_sha256
 from gapmes.service.contract import INPUTS
@@ -49,10 +53,33 @@ def test_accepted_file_carries_its_measured_tolerance(
     assert {("sample", "as trained"), ("grey", "as trained"), ("random", "all tied"), ("random", "one expert")} <= kinds
 
 
-def spoil(model: onnx.ModelProto) -> None:
-    """Change one bias of the opacity head: finite, plausible, wrong."""
+def spoil(model: onnx.ModelProto, by: float = 0.05) -> None:
+    """Change one bias of the opacity head: finite, plausible, wrong; or not finite."""
     (target,) = [i for i in model.graph.initializer if i.name == "network.heads.alpha.out.bias"]
-    target.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(target) + np.float32(0.05), target.name))
+    target.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(target) + np.float32(by), target.name))
+
+
+def sample_result(model: onnx.ModelProto, checkpoint: Path, tolerance: Tolerance) -> CaseResult:
+    network = load_checkpoint(checkpoint)
+    case = Case("sample", "as trained", sample_scene(2, 64, 64))
+    (result,) = verify(model, network, [case], tolerance)
+    return result
+
+
+def test_the_sample_case_compares_pictures(prebuilt: onnx.ModelProto, checkpoint: Path) -> None:
+    result = sample_result(prebuilt, checkpoint, TOLERANCES["fp32"])
+    assert not result.failures
+    assert result.picture is not None
+    never = replace(TOLERANCES["fp32"], picture_psnr=101, smooth_picture_psnr=101)
+    failures = sample_result(prebuilt, checkpoint, never).failures
+    assert [failure.split(":")[0] for failure in failures] == ["picture", "picture without jumps"]
+
+
+def test_what_is_not_finite_fails_and_is_not_drawn(prebuilt: onnx.ModelProto, checkpoint: Path) -> None:
+    spoil(prebuilt, np.nan)
+    result = sample_result(prebuilt, checkpoint, TOLERANCES["fp32"])
+    assert "opacities: not finite" in result.failures
+    assert result.picture is None
 
 
 def test_a_file_beyond_tolerance_is_rejected_and_kept_apart(
@@ -71,7 +98,7 @@ def test_a_file_beyond_tolerance_is_rejected_and_kept_apart(
     assert not report.passed
     named = {failure.split(":")[0] for case in report.cases for failure in case.failures}
     assert "opacities" in named
-    assert named <= {"opacities", "picture"}
+    assert named <= {"opacities", "picture", "picture without jumps"}
 
 
 @pytest.mark.parametrize(

@@ -212,6 +212,38 @@ def test_engines_side_by_side(small_graph: onnx.ModelProto, tmp_path: Path) -> N
     assert f"openvino {document['models'][1]['engine']['version']}, fp32" in (tmp_path / "out/report.md").read_text()
 
 
+def test_every_file_in_every_engine(
+    monkeypatch: pytest.MonkeyPatch, checkpoint: Path, small_graph: onnx.ModelProto, tmp_path: Path
+) -> None:
+    """Files first, then engines; a checkpoint keeps its name. OpenVINO's part is taken by onnxruntime here."""
+    made = []
+
+    class Pretended(models.RecordingEngine):
+        def __init__(self, path: Path, *, threads: int | None, engine: str) -> None:
+            made.append((path.name, engine))
+            super().__init__(path, threads=threads)
+
+    def exported(_source: Path, target: Path, **_: object) -> None:
+        target.write_bytes(small_graph.SerializeToString())
+
+    monkeypatch.setattr(models, "RecordingEngine", Pretended)
+    monkeypatch.setattr(models, "export_checkpoint", exported)
+    (tmp_path / "net.onnx").write_bytes(small_graph.SerializeToString())
+    files = [tmp_path / "net.onnx", checkpoint]
+    found = load_models(files, [64], tmp_path, engines=["onnxruntime", "openvino-bf16"], threads=1)
+    assert [model.label for model in found] == [
+        "net, onnxruntime",
+        "net, openvino-bf16",
+        "tiny, onnxruntime",
+        "tiny, openvino-bf16",
+    ]
+    assert [model.file for model in found] == ["net.onnx"] * 2 + [checkpoint.name] * 2
+    assert made == [(name, e) for name in ("net.onnx", "tiny-64.onnx") for e in ("onnxruntime", "openvino-bf16")]
+    assert all(model.lambdas == found[0].lambdas is not None for model in found)
+    (alone,) = load_models(files[:1], [64], tmp_path, engines=["openvino-fp32"], threads=1)
+    assert alone.label == "net"
+
+
 def test_wrong_engines_are_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     arguments = ("--generated", 1, "--size", 256, "--out", tmp_path)
     assert run(*arguments, "--engine", "tpu") == 1
