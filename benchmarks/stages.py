@@ -1,7 +1,8 @@
 """Processor seconds of every stage from encoded photographs to a written .ply, with mending and without.
 
-`python -m benchmarks.stages [CAPTURE] [--views 1,5] [--rounds 5]`: one thread, medians over rounds in which both
-settings take turns after one that is not counted, in one process: loading the model and the kernels is not among them.
+`python -m benchmarks.stages [CAPTURE] [--views 1,5] [--engine NAME] [--rounds 5]`: one thread, medians over rounds in
+which both settings take turns after one that is not counted, in one process: loading the model and the kernels is not
+among them.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
+from gapmes.service.backends.choice import DEFAULT_ENGINE, ENGINES
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.select import Wish, checked_wish
 from gapmes.service.fade_passes import DEFAULT_PASSES
@@ -59,9 +61,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("capture", nargs="?", type=Path, default=sample_folder())
     parser.add_argument("--views", default="1,5")
+    parser.add_argument("--engine", choices=ENGINES, default=DEFAULT_ENGINE)
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
-    service = Reconstructor(threads=1)
+    service = Reconstructor(threads=1, engine=options.engine)
     settings = (DEFAULT_PASSES, 0)
     found: dict[int, list[dict[str, float]]] = {passes: [] for passes in settings}
     for number in range(options.rounds + 1):
