@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .errors import CameraError, IntrinsicsError
 from .pose import AS_IT_IS, Given, Pose, checked_pose, rigid_inverse
+from .rotations import turned
 
 F64 = NDArray[np.float64]
 
@@ -126,7 +127,7 @@ class Camera:
         cam = np.stack(
             [(pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy, np.ones(len(pixels))], axis=1
         )
-        return cam @ self.rotation.T
+        return turned(self.rotation, cam)
 
     def unproject(self, pixels: F64, depth: F64) -> F64:
         """World points (N, 3) at z-depth `depth` (N,) behind pixel positions (N, 2)."""
@@ -134,7 +135,7 @@ class Camera:
 
     def project(self, points: F64) -> tuple[F64, F64]:
         """Pixel positions (N, 2) and z-depths (N,) of world points (N, 3); pixels are NaN where z <= 0."""
-        cam = (np.asarray(points, dtype=np.float64) - self.center) @ self.rotation
+        cam = turned(self.rotation.T, np.asarray(points, dtype=np.float64) - self.center)
         z = cam[:, 2]
         safe = np.where(z > 0, z, np.nan)
         with np.errstate(over="ignore"):  # next to the camera's own plane a point is infinitely far off the picture

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .camera import Camera
 from .images import FittedView
+from .rotations import turned
 
 F64 = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ def warp_to(
 ) -> tuple[F64, NDArray[np.bool_]]:
     """`source` as `camera` would see it if all lay at one z-depth, for each of D depths: (D, h, w), and where seen."""
     rows, columns = shape
-    rays = camera.rays(pixel_grid(shape)) @ source_camera.rotation
+    rays = turned(source_camera.rotation.T, camera.rays(pixel_grid(shape)))
     offset = (camera.center - source_camera.center) @ source_camera.rotation
     points = offset + depths[:, None, None] * rays
     front = points[..., 2] > 0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .camera import Camera
 from .gaussians import Gaussians
 from .harmonics import rotate_harmonics
-from .rotations import quaternion_from_matrix, quaternion_product
+from .rotations import quaternion_from_matrix, quaternion_product, turned
 from .views import mean_camera, vertical
 
 F64 = NDArray[np.float64]
@@ -44,7 +44,7 @@ class LevelFrame:
         """Gaussians of the caller's world, in this frame."""
         back = self.rotation.T
         return Gaussians.make(
-            means=(gaussians.means - self.origin) @ self.rotation / self.unit,
+            means=turned(back, gaussians.means - self.origin) / self.unit,
             scales=gaussians.scales.astype(np.float64) / self.unit,
             rotations_wxyz=quaternion_product(
                 quaternion_from_matrix(back), gaussians.rotations_wxyz.astype(np.float64)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .errors import ImageError
 from .images import FittedView
+from .rotations import turned
 
 if TYPE_CHECKING:
     from .world_frame import WorldFrame
@@ -63,7 +64,7 @@ def kept_rows(
         count = len(pixel)
         keep[:count] &= pixel
         dropped[MASKED] = int((opaque[:count] & ~pixel).sum())
-        points = frame.origin + (outputs["means"][count:].astype(np.float64) @ frame.rotation.T) * frame.unit
+        points = frame.origin + turned(frame.rotation, outputs["means"][count:]) * frame.unit
         seen = np.zeros(len(points), dtype=np.bool_)
         for view in views:
             seen |= _on_kept_pixel(view, points)

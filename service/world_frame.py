@@ -16,7 +16,7 @@ from .camera import Camera
 from .depth_range import DepthRange
 from .gaussians import Gaussians
 from .harmonics import rotate_harmonics
-from .rotations import quaternion_from_matrix, quaternion_product
+from .rotations import quaternion_from_matrix, quaternion_product, turned
 
 F64 = NDArray[np.float64]
 
@@ -68,12 +68,12 @@ class WorldFrame:
 
     def to_world(self, outputs: Mapping[str, NDArray], rows: NDArray[np.intp]) -> Gaussians:
         """The Gaussians in `rows` of the network's outputs, moved, turned and scaled into the caller's world."""
-        means = self.origin + (outputs["means"][rows].astype(np.float64) @ self.rotation.T) * self.unit
-        turned = quaternion_product(quaternion_from_matrix(self.rotation), outputs["rotations_wxyz"][rows])
+        means = self.origin + turned(self.rotation, outputs["means"][rows]) * self.unit
+        rotations = quaternion_product(quaternion_from_matrix(self.rotation), outputs["rotations_wxyz"][rows])
         return Gaussians.make(
             means=means,
             scales=outputs["scales"][rows].astype(np.float64) * self.unit,
-            rotations_wxyz=turned,
+            rotations_wxyz=rotations,
             opacities=outputs["opacities"][rows],
             harmonics=rotate_harmonics(outputs["harmonics"][rows], self.rotation),
         )

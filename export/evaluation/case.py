@@ -41,7 +41,7 @@ class LargerTargets:
     """The targets at twice the size that is measured."""
 
     views: tuple[FittedView, ...]
-    side_px: int  # that the truth has: of the smallest photograph's crop, or the size drawn; below it is enlarged
+    side_px: int  # of the smallest photograph's crop, or the size drawn; where views are larger, they were enlarged
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from .metrics import Figures
 from .routing import RoutingStatistics
 from .scores import BASELINES, Group, MethodScore, Twice, mean_of
 
-SCENES_SHOWN = 20  # of a group, those with the smallest margin first when there are more
+SCENES_SHOWN = 20  # of a group; of more, each table says which
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

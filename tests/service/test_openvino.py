@@ -38,13 +38,14 @@ needs_bf16 = pytest.mark.skipif("bf16" not in precisions(), reason="OpenVINO has
 
 # Both sum up in float32, in another order; limits of the network (the best depth, its neighbours) amplify that where
 # two candidates are nearly as good. Measured on the sample from two to six views: at most 1.5e-4 (the margins), means
-# and depths 7e-6; pictures differ by 64 dB and more (at most 0.04 of a colour, in single pixels).
+# and depths 7e-6; pictures agree to 61 dB and more (0.05 of a colour in single pixels).
 FP32_RELATIVE = 2e-3
 FP32_DB = 50.0
 # bf16 has 8 bits of mantissa and routes a twelfth of the patches to other experts: pictures are at 35 dB beside those
 # of fp32 (31 without fading), and equal beside photographs that were held back (0.4 to 0.9 dB worse without fading).
-BF16_DB = 28.0
-BF16_COST_DB = 2.0
+# Limits: room for other processors.
+BF16_DB = 30.0
+BF16_COST_DB = 0.7
 
 
 class Recording(Engine):

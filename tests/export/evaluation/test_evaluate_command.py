@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.metadata import PackageNotFoundError
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from gapmes.export.evaluation.routing import routing_statistics
 from gapmes.export.evaluation.scores import BASELINES, TRUE_DEPTH
 from gapmes.model.training.validation import VALIDATION_SEED
 from gapmes.service import cli, extra_commands
+from gapmes.service.backends import choice
 from gapmes.service.errors import InputError, ModelError
 from gapmes.service.shipped import sample_folder, shipped_model
 
@@ -244,12 +246,20 @@ def test_every_file_in_every_engine(
     assert alone.label == "net"
 
 
-def test_wrong_engines_are_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    arguments = ("--generated", 1, "--size", 256, "--out", tmp_path)
+def test_wrong_engines_are_named_before_anything_is_loaded(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(name: str) -> str:
+        raise PackageNotFoundError(name)
+
+    arguments = ("--generated", 1, "--size", 256, "--model", tmp_path / "nowhere.safetensors", "--out", tmp_path)
     assert run(*arguments, "--engine", "tpu") == 1
     refused(capfd, "is no engine")
     assert run(*arguments, "--engine", "onnxruntime", "--engine", "onnxruntime") == 1
     refused(capfd, "the same engine twice")
+    monkeypatch.setattr(choice, "version", missing)
+    assert run(*arguments, "--engine", "openvino-fp32") == 1
+    refused(capfd, "needs the package openvino")
 
 
 def test_a_checkpoint_is_exported_for_every_size(

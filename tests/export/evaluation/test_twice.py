@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic_scenes import SIZE, StepScene, camera_at, texture
@@ -70,11 +72,15 @@ def test_an_enlarged_picture_stays_where_it_is() -> None:
 
 
 def test_changes_are_against_the_score_at_the_size_itself() -> None:
-    """Nothing is drawn but one grey: known errors on either side."""
+    """Nothing is drawn but one grey: 0.02 off at the size itself (34 dB), 0.01 and 0.1 off at twice the size."""
     grey = np.full((3, SIZE, SIZE), 0.5, np.float32)
     view = StepScene(2.0).view(camera_at(0, 2 * SIZE))
     truth = LargerTargets((FittedView(np.full((3, 2 * SIZE, 2 * SIZE), 0.6, np.float32), None, view.camera, 1.0),), 99)
-    score = measuring._score([grey], [FittedView(grey + 0.01, None, camera_at(0), 1.0)], [grey[0] > 0], None)
+    target = grey + 0.02
+    seen = np.zeros((SIZE, SIZE), bool)
+    seen[:16, :16] = True  # co-visible pixels, where the error is another, do not count
+    score = measuring._score([grey], [FittedView(target, None, camera_at(0), 1.0)], [seen], None)
+    score = replace(score, covisible=replace(score.covisible, psnr=99.0))
 
     class Half:
         """Draws a colour of its own, open in a quarter of the picture."""
@@ -86,8 +92,8 @@ def test_changes_are_against_the_score_at_the_size_itself() -> None:
 
     found = measuring._at_twice(truth, Half(), [grey], score, None)  # type: ignore[arg-type]
     assert found.psnr == pytest.approx(40, abs=0.01)
-    assert found.change == pytest.approx(0, abs=0.01)  # 0.01 off at both sizes
-    assert found.enlarged == pytest.approx(-20, abs=0.01)  # 0.1 off
+    assert found.change == pytest.approx(6.02, abs=0.01)
+    assert found.enlarged == pytest.approx(20 - 33.98, abs=0.01)
     assert (found.holes, found.side_px) == (0.25, 99)
 
 
