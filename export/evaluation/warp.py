@@ -10,6 +10,7 @@ from torch import Tensor
 from gapmes.service.camera import Camera
 from gapmes.service.coarse_views import pixel_grid
 from gapmes.service.images import FittedView
+from gapmes.service.rotations import turned
 
 
 def warped(camera: Camera, source: FittedView, depths: Tensor) -> tuple[Tensor, Tensor]:
@@ -38,6 +39,6 @@ def source_positions(camera: Camera, source: Camera, depths: Tensor) -> tuple[Te
 def relative_rays(camera: Camera, source: Camera) -> tuple[Tensor, list[float]]:
     """Rays (3, H, W) of `camera` and its centre, both in the axes of `source`; a point is centre + depth * ray."""
     shape = (camera.height, camera.width)
-    rays = (camera.rays(pixel_grid(shape)) @ source.rotation).T.reshape(3, *shape)
+    rays = turned(source.rotation.T, camera.rays(pixel_grid(shape))).T.reshape(3, *shape)
     offset = (camera.center - source.center) @ source.rotation
     return torch.from_numpy(rays.astype(np.float32)), [float(value) for value in offset]
