@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from .compare import Deviation
+from .deviations import BesideFloat64
 from .pictures import PictureAgreement
 from .routes import RouteAgreement
 
@@ -18,10 +19,11 @@ class CaseResult:
     name: str
     gates: str
     views: int
-    outputs: dict[str, Deviation]
-    routes: RouteAgreement | None
-    picture: PictureAgreement | None  # of what is drawn from both results, where that was done
-    failures: list[str]
+    outputs: dict[str, Deviation] = field(default_factory=dict)
+    beside_float64: dict[str, BesideFloat64] = field(default_factory=dict)  # of outputs beyond a limit of float32
+    routes: RouteAgreement | None = None
+    picture: PictureAgreement | None = None  # of what is drawn from both results, where that was done
+    failures: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,10 @@ class Report:
                 gates=case["gates"],
                 views=case["views"],
                 outputs={name: Deviation(**value) for name, value in case["outputs"].items()},
+                beside_float64={
+                    name: BesideFloat64(Deviation(**value["exported"]), Deviation(**value["torch"]))
+                    for name, value in case["beside_float64"].items()
+                },
                 routes=RouteAgreement(**case["routes"]) if case["routes"] else None,
                 picture=PictureAgreement(**case["picture"]) if case["picture"] else None,
                 failures=case["failures"],

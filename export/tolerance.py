@@ -6,6 +6,11 @@ the mean bound the smooth part, which is rounding or quantisation. The share of 
 edge of the definition: a sample that falls exactly on an image border counts as seen or not. The largest error is
 reported and not limited, since a jump has no size limit of its own. For the same reason there are two pictures: one of
 everything, and one with torch's Gaussians in place of those that jumped, which has to agree more closely.
+
+Where planes tie, as many do where none fits, a rounding of 1e-6 in a score decides between them
+(`model/evidence.py`), then which of its neighbours' depths a pixel takes (`model/behind.py`). There torch in float32 is
+as far from the truth as the exported file, and being near to it means little. So what is beyond a limit in float32 is judged by
+torch in float64: the exported file may be `rounding` times as far from that as torch in float32 is, and no farther.
 """
 
 from __future__ import annotations
@@ -16,14 +21,6 @@ from typing import Literal
 from gapmes.service.contract import MARGIN_OUTPUTS
 
 Precision = Literal["fp32", "int8"]
-
-
-# Where no plane fits, the first depth is noise: many planes tie, and a rounding of 1e-6 in a score decides between
-# them (`model/evidence.py`), then which of its neighbours' depths a pixel takes (`model/behind.py`); a range of 1 to
-# 1e6 turns what is left of that into other depths. Measured at 256 px with the shipped weights: p99 1.0e-3, mean
-# 7.6e-5, jumps 3.0e-2; at 64 px under the far range, with weights of some hundred steps before: p99 2.4e-2, mean
-# 7.3e-4, jumps 0.22. Nothing is right in such a scene; it must stay finite.
-UNDETERMINED_P99, UNDETERMINED_MEAN, UNDETERMINED_JUMPS = 5e-2, 2e-3, 0.4
 
 
 @dataclass(frozen=True)
@@ -39,6 +36,7 @@ class Tolerance:
     smooth_picture_psnr: float  # dB, the same with torch's Gaussians in place of those that jumped
     flat_factor: float = 1.0  # on `p99` and `mean` for images of one colour
     margin_factor: float = 1.0  # on `mean` of margins, each the difference of two logits
+    rounding: float | None = None  # beyond a limit: at most so many times as far from torch in float64 as torch is
 
     def of_output(self, name: str) -> dict[str, float]:
         """The limits of one output, by what `compare.Deviation` calls them."""
@@ -55,32 +53,26 @@ class Tolerance:
             unambiguous_flips=4 * self.unambiguous_flips,
         )
 
-    def for_undetermined_matching(self) -> Tolerance:
-        """The limits for noise and for a range of depths whose planes all miss the scene."""
-        return replace(
-            self,
-            p99=max(self.p99, UNDETERMINED_P99),
-            mean=max(self.mean, UNDETERMINED_MEAN),
-            jumps=max(self.jumps, UNDETERMINED_JUMPS),
-        )
-
 
 TOLERANCES: dict[Precision, Tolerance] = {
     # Largest of the cases at 256 x 256 pixels whose matching is determined, on processors of two makers: p99 1.0e-4,
-    # mean 7.8e-6, jumps 5.5e-3; on images of one colour p99 5.4e-5, mean 3.2e-6. The limits leave some room for other
-    # orders of sums on others.
+    # mean 7.8e-6, jumps 5.5e-3; on images of one colour p99 5.4e-5, mean 3.2e-6. What exceeds the limits is rounding:
+    # of `tiny` noise (p99 2.6e-4), the far range (1.0e-3), at 256 x 336 pixels textured walls too (2.0e-4); of `small`
+    # noise (1.1e-4). There the exported file is at most 1.7 times as far from torch in float64 as torch in float32 is,
+    # in p99, mean or jumps; at 64 x 64 pixels, two views under the far range, of `tiny` 3.1 times.
     # Pictures: of the shipped file 86 dB at least (93 on another processor), 6e-4 of the Gaussians jump. `base` with
     # random weights, two views of 256 x 448 px of the sample scene: 220 of 233,696 (9e-4) jump around one cell whose
     # planes tie; everything drawn, the pictures agree to 68 dB, without those to 81. Beside float64 152 jump in the
     # exported file and 177 in torch. What jumps must not spoil the picture either: 50 dB are 0.8 of a level of 8 bits.
     "fp32": Tolerance(
-        p99=3e-4,
-        mean=2e-5,
+        p99=1e-4,
+        mean=1e-5,
         jumps=1e-2,
         unambiguous_flips=0.0,
         spare_flips=0,
         picture_psnr=50.0,
         smooth_picture_psnr=70.0,
+        rounding=4.0,
     ),
     # Measured with the shipped weights at 256 px: p99 3.5e-2, of margins 4.6e-2, mean 3.3e-3, of margins 6.7e-3 (all on
     # noise), 0.8 % of routes, picture 73 dB at least; on images of one colour, which normalisation divides by the root

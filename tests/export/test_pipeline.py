@@ -10,6 +10,7 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
+import torch
 from onnx import numpy_helper
 from typer.testing import CliRunner
 
@@ -80,6 +81,41 @@ def test_what_is_not_finite_fails_and_is_not_drawn(prebuilt: onnx.ModelProto, ch
     result = sample_result(prebuilt, checkpoint, TOLERANCES["fp32"])
     assert "opacities: not finite" in result.failures
     assert result.picture is None
+
+
+def judged_by_rounding(rounding: float | None = TOLERANCES["fp32"].rounding) -> Tolerance:
+    """Limits that no file keeps, so that torch in float64 has to tell."""
+    return replace(TOLERANCES["fp32"], p99=1e-12, mean=1e-12, rounding=rounding)
+
+
+def test_what_rounding_explains_passes(prebuilt: onnx.ModelProto, checkpoint: Path) -> None:
+    """At limits that no output keeps torch in float64 judges all of them."""
+    result = sample_result(prebuilt, checkpoint, judged_by_rounding())
+    assert result.failures == []
+    assert set(result.beside_float64) >= {"means", "depth", "opacities"}
+    for name, found in result.beside_float64.items():
+        assert 0 < found.torch.mean < 1e-5, name  # float32 is not float64, and near to it
+        assert found.exported != found.torch
+    refused = sample_result(prebuilt, checkpoint, judged_by_rounding(0.01)).failures
+    assert any("beside float64" in failure for failure in refused)
+    assert sample_result(prebuilt, checkpoint, judged_by_rounding(None)).beside_float64 == {}
+
+
+@pytest.mark.parametrize("tolerance", [TOLERANCES["fp32"], judged_by_rounding()])
+def test_a_small_error_is_no_rounding(prebuilt: onnx.ModelProto, checkpoint: Path, tolerance: Tolerance) -> None:
+    """1e-3 on a logit: at most 2.5e-4 of an opacity."""
+    spoil(prebuilt, 1e-3)
+    result = sample_result(prebuilt, checkpoint, tolerance)
+    assert any(failure.startswith("opacities: p99") and "beside float64" in failure for failure in result.failures)
+    assert result.beside_float64["opacities"].exported.p99 > 10 * result.beside_float64["opacities"].torch.p99
+
+
+def test_verification_leaves_the_network_in_float32(prebuilt: onnx.ModelProto, checkpoint: Path) -> None:
+    network = load_checkpoint(checkpoint)
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    verify(prebuilt, network, [Case("sample", "as trained", sample_scene(2, 64, 64))], judged_by_rounding())
+    after = network.state_dict()
+    assert all(value.dtype == after[name].dtype and torch.equal(value, after[name]) for name, value in before.items())
 
 
 def test_a_file_beyond_tolerance_is_rejected_and_kept_apart(

@@ -1,0 +1,61 @@
+"""How far every output is from torch's, and where that is too far: whether rounding in float32 explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gapmes.model.architectures import Network
+from gapmes.service.contract import GAUSSIAN_OUTPUTS, IMAGE_OUTPUTS
+
+from .cases import Case
+from .compare import Deviation, comparable, deviation
+from .graph import evaluated
+from .routes import flipped_patches, untouched
+
+Outputs = Mapping[str, NDArray]
+
+
+@dataclass(frozen=True)
+class BesideFloat64:
+    """One output of the exported file and of torch in float32, each against torch in float64."""
+
+    exported: Deviation
+    torch: Deviation
+
+
+def changed_patches(values: Outputs, reference: Outputs, case: Case) -> NDArray[np.bool_]:
+    """(V, P) patches of a case that took another route."""
+    return flipped_patches(values, reference, case.inputs.patch_mask.numpy())
+
+
+def untouched_elements(flipped: NDArray[np.bool_], reference: Outputs) -> dict[str, NDArray[np.bool_]]:
+    """Which elements of each kind of output no flipped patch reaches (`routes.untouched`)."""
+    height, width = reference["depth"].shape[-2:]
+    return untouched(flipped, height, width, len(reference["means"]))
+
+
+def deviations(values: Outputs, reference: Outputs, case: Case) -> dict[str, Deviation]:
+    """Of every output but the indices, in the units of a picture, outside what flipped patches reach."""
+    ours, theirs = comparable(values, reference, float(case.inputs.near_far[0]))
+    masks = untouched_elements(changed_patches(values, reference, case), reference)
+    kinds = dict.fromkeys(GAUSSIAN_OUTPUTS, "gaussian") | dict.fromkeys(IMAGE_OUTPUTS, "pixel")
+    return {
+        name: deviation(ours[name], theirs[name], masks[kinds.get(name, "patch")])
+        for name in reference
+        if name != "expert_index"
+    }
+
+
+def beside_float64(values: Outputs, reference: Outputs, network: Network, case: Case) -> dict[str, BesideFloat64]:
+    """Both results of float32 against torch in float64; the network is in float32 again afterwards."""
+    try:
+        exact = evaluated(network, case.inputs, torch.float64)
+    finally:
+        network.float()
+    exported, single = deviations(values, exact, case), deviations(reference, exact, case)
+    return {name: BesideFloat64(exported[name], single[name]) for name in exported}
