@@ -9,8 +9,8 @@ everything, and one with torch's Gaussians in place of those that jumped, which 
 
 Where planes tie, as many do where none fits, a rounding of 1e-6 in a score decides between them
 (`model/evidence.py`), then which of its neighbours' depths a pixel takes (`model/behind.py`). There torch in float32 is
-as far from the truth as the exported file, and being near to it means little. So what is beyond a limit in float32 is judged by
-torch in float64: the exported file may be `rounding` times as far from that as torch in float32 is, and no farther.
+as far from the truth as the exported file, and being near to it means little. So what is beyond a limit in float32 is
+judged by torch in float64: the exported file may be `rounding` times as far from that as torch in float32 is.
 """
 
 from __future__ import annotations
