@@ -41,7 +41,7 @@ class LargerTargets:
     """The targets at twice the size that is measured."""
 
     views: tuple[FittedView, ...]
-    side_px: int  # of the smallest photograph's crop, or the size drawn; where views are larger, they were enlarged
+    side_px: int  # shorter side of the smallest photograph's crop, or as drawn; larger views were enlarged to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Case:
 
 
 def photograph_case(folder: Path, inputs: int, height: int, width: int) -> Case:
-    """The `suggested` views of a scene folder, centre-cropped and resized to `height` x `width` px.
+    """The `suggested` views of a scene folder, centre-cropped to its aspect and resized to `height` x `width` px.
 
     Raises `NoSuchViews`, and `InputError` for what is no scene folder.
     """
@@ -86,7 +86,8 @@ def photograph_case(folder: Path, inputs: int, height: int, width: int) -> Case:
 
 def _resampled(photos: Sequence[tuple[Photo, Camera]], height: int, width: int) -> LargerTargets:
     views = tuple(fit_view(*view, height, width) for view in photos)
-    return LargerTargets(views, min(min(photo.height, photo.width) for photo, _ in photos))
+    scale = min(min(photo.height / height, photo.width / width) for photo, _ in photos)
+    return LargerTargets(views, round(scale * min(height, width)))
 
 
 def suggested_views(folder: Path, inputs: int) -> tuple[list[int], list[int]]:

@@ -26,7 +26,7 @@ def evaluate(
     ] = None,
     generated: Annotated[int | None, typer.Option(min=0, help="number of generated scenes")] = None,
     inputs: Annotated[list[int] | None, typer.Option(min=2, max=3, help="2 or 3; repeat for both")] = None,
-    size: Annotated[list[int] | None, typer.Option(min=32, help="side in px; repeat for several")] = None,
+    size: Annotated[list[str] | None, typer.Option(help="side in px, or HEIGHTxWIDTH; repeat for several")] = None,
     model: Annotated[
         list[Path] | None, typer.Option(help=".onnx or .safetensors; repeat to compare [default: the packaged one]")
     ] = None,
@@ -62,11 +62,13 @@ def evaluate(
     from .models import checked_engines
     from .plans import evaluation_plans
     from .run import evaluate as run
+    from .size import Size
 
     if threads is not None:
         torch.set_num_threads(threads)
     engines = checked_engines(engine or (DEFAULT_ENGINE,))
-    plans = evaluation_plans(scenes or (), generated, inputs or (), size or (), model or ())
+    sizes = [Size.parse(text) for text in size or ()]
+    plans = evaluation_plans(scenes or (), generated, inputs or (), sizes, model or ())
     with ProgressBars(quiet=quiet) as bars:
         try:
             report = run(

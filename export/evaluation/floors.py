@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .scores import BASELINES, SIMPLE, Group
+from .size import Size
 
 GENERATED_MARGIN = 2.5  # dB above the best baseline, mean over scenes
 TWO_VIEW_MARGIN = 2.5
@@ -37,7 +38,7 @@ def floors(groups: Sequence[Group]) -> list[Floor]:
     ):
         matching = [g for g in groups if (g.kind, g.inputs) == (kind, inputs)]
         if kind == "generated":
-            matching = [group for group in matching if group.size == 128]
+            matching = [group for group in matching if group.size == Size.square(128)]
         if not matching:
             name = f"{kind}, {inputs} views: mean above each scene's best baseline"
             result.append(Floor(name, f">= +{need} dB", "not measured", None))

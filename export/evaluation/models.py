@@ -18,6 +18,7 @@ from gapmes.service.progress import Listener, silent
 from gapmes.service.shipped import shipped_model
 
 from ..pipeline import export_checkpoint
+from .size import Size
 
 CHECKPOINT = ".safetensors"
 _BALANCES = {"experts": "mixture.gates.expert_balance", "tasks": "mixture.gates.task_balance"}
@@ -44,21 +45,20 @@ class Model:
     lambdas: Mapping[str, float] | None  # of Eq. 11, for experts and tasks; None where no checkpoint tells
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Height and width in px."""
-        return self.engine.info.height, self.engine.info.width
+    def size(self) -> Size:
+        return Size(self.engine.info.height, self.engine.info.width)
 
 
 def load_models(
     files: Sequence[Path],
-    sizes: Sequence[int],
+    sizes: Sequence[Size],
     folder: Path,
     *,
     engines: Sequence[EngineName] = (DEFAULT_ENGINE,),
     threads: int | None = None,
     listener: Listener = silent,
 ) -> list[Model]:
-    """Models of the square `sizes` px, in the order of `files`, each in all `engines`; without files the shipped one.
+    """Models of these `sizes`, in the order of `files`, each in all `engines`; without files the shipped one.
 
     Of several engines the labels tell which. A checkpoint (.safetensors), and the shipped one at other sizes than its
     own, is exported into `folder` and verified. Raises `ModelError` where a size has no model or a file has no size
@@ -75,11 +75,10 @@ def load_models(
             found += [m for size in sizes for m in _exported(path, size, label, folder, runtime, listener)]
         else:
             found += runtime.load(path, label, checkpoints)
-    wanted = {(size, size) for size in sizes}
-    have = ", ".join(dict.fromkeys(f"{model.file}: {model.size[1]} x {model.size[0]}" for model in found))
-    if {model.size for model in found} != wanted:
+    have = ", ".join(dict.fromkeys(f"{model.file}: {model.size}" for model in found))
+    if {model.size for model in found} != set(sizes):
         raise ModelError(
-            f"the files are for other sizes ({have}) than {', '.join(f'{size} x {size}' for size in sizes)} px",
+            f"the files are for other sizes ({have}) than {', '.join(map(str, sizes))} px",
             field="model",
             cure="name a .safetensors checkpoint, which fits all, or export with gapmes-export --size",
         )
@@ -96,17 +95,10 @@ def checked_engines(names: Sequence[str]) -> list[EngineName]:
     return engines
 
 
-def model_sizes(files: Sequence[Path]) -> list[int]:
-    """Sides in px of the square ONNX files, largest first. Raises `ModelError` for a file that is not square."""
-    sizes = set()
-    for path in files:
-        if path.suffix == CHECKPOINT:
-            continue
-        info = Engine(path, threads=1).info
-        if info.height != info.width:
-            raise ModelError(f"{path} is for {info.width} x {info.height} px, need a square size", field="model")
-        sizes.add(info.height)
-    return sorted(sizes, reverse=True)
+def model_sizes(files: Sequence[Path]) -> list[Size]:
+    """Of the ONNX files, largest first."""
+    infos = [Engine(path, threads=1).info for path in files if path.suffix != CHECKPOINT]
+    return sorted({Size(info.height, info.width) for info in infos}, reverse=True)
 
 
 @dataclass(frozen=True)
@@ -128,13 +120,13 @@ class _Runtime:
         return models
 
 
-def _shipped(sizes: Sequence[int], folder: Path, runtime: _Runtime, listener: Listener) -> list[Model]:
+def _shipped(sizes: Sequence[Size], folder: Path, runtime: _Runtime, listener: Listener) -> list[Model]:
     checkpoint = shipped_checkpoint("tiny")
     shipped = runtime.load(shipped_model(), "ours", {file_sha256(checkpoint): checkpoint})
     own = shipped[0]
     models = []
     for size in sizes:
-        if own.size == (size, size):
+        if own.size == size:
             models += shipped
             continue
         if own.lambdas is None:
@@ -148,12 +140,12 @@ def _shipped(sizes: Sequence[int], folder: Path, runtime: _Runtime, listener: Li
 
 
 def _exported(
-    checkpoint: Path, size: int, label: str, folder: Path, runtime: _Runtime, listener: Listener
+    checkpoint: Path, size: Size, label: str, folder: Path, runtime: _Runtime, listener: Listener
 ) -> list[Model]:
     if not checkpoint.is_file():
         raise ModelError(f"{checkpoint} is not a file", field="model")
     target = folder / f"{checkpoint.stem}-{size}.onnx"
-    export_checkpoint(checkpoint, target, height=size, width=size, quick=True, listener=listener)
+    export_checkpoint(checkpoint, target, height=size.height, width=size.width, quick=True, listener=listener)
     return [
         replace(m, file=checkpoint.name) for m in runtime.load(target, label, {file_sha256(checkpoint): checkpoint})
     ]

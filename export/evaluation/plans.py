@@ -10,8 +10,9 @@ from gapmes.service.errors import InputError
 from .case import NoSuchViews, suggested_views
 from .models import model_sizes
 from .run import GroupPlan
+from .size import Size
 
-PHOTOGRAPH_SIZES, GENERATED_SIZES = (256, 128), (128,)  # px
+PHOTOGRAPH_SIZES, GENERATED_SIZES = (Size.square(256), Size.square(128)), (Size.square(128),)
 PHOTOGRAPH_INPUTS, GENERATED_INPUTS = (2, 3), (2,)
 GENERATED = 100
 
@@ -20,7 +21,7 @@ def evaluation_plans(
     scenes: Sequence[Path],
     generated: int | None,
     inputs: Sequence[int],
-    sizes: Sequence[int],
+    sizes: Sequence[Size],
     files: Sequence[Path],
 ) -> list[GroupPlan]:
     """Photographs first, large sizes first. What is not given: see the constants.

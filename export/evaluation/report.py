@@ -68,7 +68,7 @@ def _models_section(models: Sequence[Model]) -> list[str]:
             m.file,
             m.engine.info.precision,
             _engine(m),
-            f"{m.size[1]} x {m.size[0]}",
+            str(m.size),
             m.engine.info.weights_sha256[:12],
         ]
         for m in models
@@ -115,7 +115,8 @@ def _group_entry(group: Group) -> dict[str, Any]:
         "title": group.title,
         "kind": group.kind,
         "inputs": group.inputs,
-        "size": group.size,
+        "height": group.size.height,
+        "width": group.size.width,
         "covisible_from": group.covisible_from,
         "left_out": dict(group.left_out),
         "mean": means,

@@ -20,6 +20,7 @@ from .report import Report
 from .routing import routing_statistics
 from .scores import Group
 from .sheets import scene_sheet
+from .size import Size
 
 GENERATED_SHEETS = 8  # pictures of the first generated scenes; every folder of photographs has one
 
@@ -29,7 +30,7 @@ class GroupPlan:
     """Scenes that are measured alike: folders of photographs, or a number of generated ones."""
 
     inputs: int
-    size: int  # px
+    size: Size
     folders: Sequence[Path] = ()
     generated: int = 0
 
@@ -66,7 +67,7 @@ def evaluate(
         models = load_models(files, sizes, Path(scratch), engines=engines, threads=threads, listener=listener)
     report = Report(models, [], None if lpips is None else lpips.name, fade)
     for plan in plans:
-        ours = [model for model in models if model.size == (plan.size, plan.size)]
+        ours = [model for model in models if model.size == plan.size]
         with stages.stage(f"{plan.kind[:5]} {plan.inputs}v {plan.size}", plan.count) as done:
             group = _group(plan, ours, out, weights, twice, fade, threads, done)
         report = replace(report, groups=[*report.groups, group])
@@ -114,7 +115,7 @@ def _group(
 def _cases(plan: GroupPlan) -> Iterator[tuple[str, Case | InputError]]:
     """Every scene by name; the refusal in place of a folder that suggests no views for this plan."""
     if plan.generated:
-        for case in generated_cases(plan.generated, plan.inputs, plan.size, plan.size):
+        for case in generated_cases(plan.generated, plan.inputs, *plan.size):
             yield case.name, case
     for folder in plan.folders:
         try:
@@ -122,4 +123,4 @@ def _cases(plan: GroupPlan) -> Iterator[tuple[str, Case | InputError]]:
         except NoSuchViews as refusal:
             yield folder.name, refusal
             continue
-        yield folder.name, photograph_case(folder, plan.inputs, plan.size, plan.size)
+        yield folder.name, photograph_case(folder, plan.inputs, *plan.size)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from .metrics import Figures, mean_figures, mean_or_none
 from .routing import RoutingStatistics
+from .size import Size
 
 NEAREST, PLANE, SWEEP, TUNED_SWEEP = "nearest input", "plane blend", "plane sweep", "tuned sweep"
 TRUE_DEPTH = "true depth"
@@ -30,7 +31,7 @@ class Twice:
     change: float  # dB, against the PSNR at the size of the inputs
     enlarged: float  # dB, the same change of the picture of the inputs' size, enlarged: the truth has finer detail
     holes: float  # share of pixels with opacity below 0.5
-    side_px: int  # that the truth has: of the photograph's crop, or the size drawn; below twice the size it is enlarged
+    side_px: int  # shorter side that the truth has: of the photograph's crop, or as drawn; below twice ours: enlarged
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Group:
 
     kind: str  # "photographs" or "generated"
     inputs: int
-    size: int  # px
+    size: Size
     covisible_from: str  # "true depth" or "rendered depth of NAME"
     scenes: Sequence[SceneScore]
     routing: Mapping[str, RoutingStatistics | None]  # per model

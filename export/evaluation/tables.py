@@ -127,7 +127,7 @@ def _twice_table(group: Group) -> list[str]:
     found = [(scene, rows) for scene, rows in found if rows]
     if not found:
         return []
-    head = [f"at {2 * group.size} px", "model", "PSNR", "change in dB", "1x enlarged", "holes", "truth"]
+    head = [f"at {group.size.twice} px", "model", "PSNR", "change in dB", "1x enlarged", "holes", "truth"]
     means = [["mean", m, *_twice_cells([t for _, rows in found for n, t in rows if n == m]), ""] for m in models]
     lines = []
     if len(found) > SCENES_SHOWN:
@@ -138,7 +138,7 @@ def _twice_table(group: Group) -> list[str]:
             scene,
             name,
             *_twice_cells([t]),
-            "" if t.side_px >= 2 * group.size else f"photograph has {t.side_px} px, enlarged",
+            "" if t.side_px >= min(group.size.twice) else f"photograph has {t.side_px} px, enlarged",
         ]
         for scene, entries in found
         for name, t in entries

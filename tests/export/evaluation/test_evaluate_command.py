@@ -13,6 +13,7 @@ import numpy as np
 import onnx
 import pytest
 from PIL import Image
+from standin_model import METADATA, write_standin
 
 from gapmes.export.evaluation import command, models
 from gapmes.export.evaluation.case import GENERATED_SEED, generated_cases, photograph_case
@@ -20,6 +21,7 @@ from gapmes.export.evaluation.models import load_models
 from gapmes.export.evaluation.plans import evaluation_plans
 from gapmes.export.evaluation.routing import routing_statistics
 from gapmes.export.evaluation.scores import BASELINES, TRUE_DEPTH
+from gapmes.export.evaluation.size import Size
 from gapmes.model.training.validation import VALIDATION_SEED
 from gapmes.service import cli, extra_commands
 from gapmes.service.backends import choice
@@ -49,9 +51,10 @@ def test_two_models_on_generated_scenes(
     document = json.loads((out / "report.json").read_text())
     assert json.loads(printed) == document
     (group,) = document["groups"]
-    assert (group["kind"], group["inputs"], group["size"], group["covisible_from"]) == (
+    assert (group["kind"], group["inputs"], group["height"], group["width"], group["covisible_from"]) == (
         "generated",
         2,
+        64,
         64,
         "true depth",
     )
@@ -122,7 +125,11 @@ def test_refusals_are_one_line(
     assert run(tmp_path / "missing", "--out", out, "--size", 256) == 1
     refused(capfd, "missing")
     assert run("--generated", 1, "--size", 96, "--model", shipped_model(), "--out", out) == 1
-    refused(capfd, "256 x 256")
+    refused(capfd, "(tiny.onnx: 256) than 96 px")
+    assert run("--generated", 1, "--size", "64x", "--out", out) == 1
+    refused(capfd, "HEIGHTxWIDTH")
+    assert run("--generated", 1, "--size", "64x31", "--out", out) == 1
+    refused(capfd, "is 64x31 px, need 32 or more")
     assert run("--generated", 0, "--out", out) == 1
     refused(capfd, "--generated 100")
     (tmp_path / "bad.safetensors").write_bytes(b"not weights")
@@ -163,16 +170,41 @@ def test_entry_points_are_read_only_for_other_names(
     assert "No such command" in capfd.readouterr().err
 
 
+def test_pictures_need_not_be_square(tmp_path: Path) -> None:
+    """Of a file for 48 x 64 px, whose size is taken without being told."""
+    config = {"config": json.dumps({"sh_degree": 1, "experts": 6})}
+    file = write_standin(tmp_path / "wide.onnx", {**METADATA, **config})
+    out = tmp_path / "report"
+    assert run(sample_folder(), "--generated", 1, "--inputs", 2, "--model", file, "--twice", "--out", out) == 0
+    document = json.loads((out / "report.json").read_text())
+    assert [(g["kind"], g["height"], g["width"]) for g in document["groups"]] == [
+        ("photographs", 48, 64),
+        ("generated", 48, 64),
+    ]
+    photographs, generated = (g["scenes"][0]["models"]["wide"]["twice"] for g in document["groups"])
+    assert photographs["side_px"] == 192  # of 256 x 192, which 4 : 3 leaves of the square
+    assert generated["side_px"] == 96
+    text = (out / "report.md").read_text()
+    assert "photographs, 2 views, 48x64 px" in text
+    assert "at 96x128 px" in text
+    assert (out / "sample_2views_48x64px.png").is_file()
+
+
 def test_plans() -> None:
     folder = sample_folder()
     plans = evaluation_plans([folder], None, [], [], [])
     assert [(p.kind, p.inputs, p.size) for p in plans] == [
-        ("photographs", inputs, size) for size in (256, 128) for inputs in (2, 3)
+        ("photographs", inputs, (side, side)) for side in (256, 128) for inputs in (2, 3)
     ]
     (only,) = evaluation_plans([], 5, [], [], [])
-    assert (only.kind, only.count, only.inputs, only.size) == ("generated", 5, 2, 128)
+    assert (only.kind, only.count, only.inputs, only.size) == ("generated", 5, 2, (128, 128))
     own_size = evaluation_plans([folder], 5, [3], [], [shipped_model()])
-    assert [(p.kind, p.inputs, p.size) for p in own_size] == [("photographs", 3, 256), ("generated", 3, 256)]
+    assert [(p.kind, p.inputs, p.size) for p in own_size] == [
+        ("photographs", 3, (256, 256)),
+        ("generated", 3, (256, 256)),
+    ]
+    (wide,) = evaluation_plans([], 5, [], [Size.parse("256x336")], [])
+    assert wide.size == (256, 336)
     everything = evaluation_plans([], None, [], [], [])
     assert [p.count for p in everything if p.kind == "generated"] == [100]
 
@@ -232,7 +264,7 @@ def test_every_file_in_every_engine(
     monkeypatch.setattr(models, "export_checkpoint", exported)
     (tmp_path / "net.onnx").write_bytes(small_graph.SerializeToString())
     files = [tmp_path / "net.onnx", checkpoint]
-    found = load_models(files, [64], tmp_path, engines=["onnxruntime", "openvino-bf16"], threads=1)
+    found = load_models(files, [Size.square(64)], tmp_path, engines=["onnxruntime", "openvino-bf16"], threads=1)
     assert [model.label for model in found] == [
         "net, onnxruntime",
         "net, openvino-bf16",
@@ -242,7 +274,7 @@ def test_every_file_in_every_engine(
     assert [model.file for model in found] == ["net.onnx"] * 2 + [checkpoint.name] * 2
     assert made == [(name, e) for name in ("net.onnx", "tiny-64.onnx") for e in ("onnxruntime", "openvino-bf16")]
     assert all(model.lambdas == found[0].lambdas is not None for model in found)
-    (alone,) = load_models(files[:1], [64], tmp_path, engines=["openvino-fp32"], threads=1)
+    (alone,) = load_models(files[:1], [Size.square(64)], tmp_path, engines=["openvino-fp32"], threads=1)
     assert alone.label == "net"
 
 
@@ -272,13 +304,13 @@ def test_a_checkpoint_is_exported_for_every_size(
         target.write_bytes(small_graph.SerializeToString())
 
     monkeypatch.setattr(models, "export_checkpoint", exported)
-    (model,) = load_models([checkpoint], [64], tmp_path, threads=1)
+    (model,) = load_models([checkpoint], [Size.square(64)], tmp_path, threads=1)
     assert exports == [(checkpoint, 64, 64)]
     assert model.size == (64, 64)
     assert model.lambdas is not None
     assert all(0 < value < 1 for value in model.lambdas.values())
     with pytest.raises(ModelError, match="twice"):
-        load_models([checkpoint, checkpoint], [64], tmp_path)
+        load_models([checkpoint, checkpoint], [Size.square(64)], tmp_path)
 
 
 def test_routing_statistics_by_hand() -> None:

@@ -21,6 +21,7 @@ from gapmes.export.evaluation.scores import (
     SceneScore,
     Twice,
 )
+from gapmes.export.evaluation.size import Size
 from gapmes.export.evaluation.tables import floor_table, group_section, precision_table
 
 
@@ -34,13 +35,13 @@ def scene(name: str, ours: float, best: float, twice: Twice | None = None, open_
     return SceneScore(name, 0.9, baselines, {"ours": ModelScore(score(ours), open_share, open_share, 0.1, twice)})
 
 
-def group(kind: str, inputs: int, margins: tuple[float, ...], least_expert: float = 0.1, size: int = 128) -> Group:
+def group(kind: str, inputs: int, margins: tuple[float, ...], least_expert: float = 0.1, side: int = 128) -> Group:
     share = [1 - 5 * least_expert, *[least_expert] * 5]
     routing = {"ours": RoutingStatistics(10, share, {"mean": 0.25}, {"mean": 0.1}, {"experts": 0.4})}
     scenes = [
         scene(f"s{i}", 20.0 + i + m, 20.0 + i, Twice(19.0, -1.0, -0.5, 0.001, 300)) for i, m in enumerate(margins)
     ]
-    return Group(kind, inputs, size, "true depth", scenes, routing)
+    return Group(kind, inputs, Size.square(side), "true depth", scenes, routing)
 
 
 GOOD = [
@@ -82,7 +83,7 @@ def with_scene(index: int, **changes: object) -> list[Group]:
         (with_scene(2, twice=Twice(18.0, -1.0, -0.5, 0.011, 300)), "twice the size: holes"),
         (with_scene(0, holes_covisible=1e-6), "holes in co-visible"),
         ([GOOD[0], GOOD[1], group("photographs", 3, (1.4, 1.7), least_expert=0.029)], "least used expert"),
-        ([*GOOD, group("photographs", 2, (2.3, 2.3), size=256)], "photographs, 2 views, 256 px: mean"),
+        ([*GOOD, group("photographs", 2, (2.3, 2.3), side=256)], "photographs, 2 views, 256 px: mean"),
     ],
 )
 def test_each_floor_is_missed_just_below_it_and_no_other(groups: list[Group], missed: str) -> None:
@@ -105,7 +106,7 @@ def test_what_was_not_measured_is_neither_passed_nor_missed() -> None:
         "photographs, 2 views: mean above each scene's best baseline",
         "photographs, 3 views: mean above each scene's best baseline",
     ]
-    at_another_size = verdicts([group("generated", 2, (9.0,), size=256)])
+    at_another_size = verdicts([group("generated", 2, (9.0,), side=256)])
     assert at_another_size["generated, 2 views: mean above each scene's best baseline"] is None
     without_twice = replace(GOOD[0], scenes=[scene("a", 30, 20)], routing={"ours": None})
     assert verdicts([without_twice])["twice the size: holes on every scene"] is None
@@ -114,7 +115,7 @@ def test_what_was_not_measured_is_neither_passed_nor_missed() -> None:
 def test_the_best_baseline_is_that_of_each_scene_and_true_depth_is_none() -> None:
     one, other = scene("a", 22, 20), scene("b", 25, 20)
     other.baselines[PLANE] = score(24)
-    both = Group("photographs", 2, 64, "true depth", [one, other], {"ours": None})
+    both = Group("photographs", 2, Size.square(64), "true depth", [one, other], {"ours": None})
     assert [s.best_baseline for s in both.scenes] == [TUNED_SWEEP, PLANE]
     assert both.margins("ours") == [2, 1]
     assert both.margin_of_means("ours") == (PLANE, pytest.approx(23.5 - 21.5))
@@ -132,6 +133,6 @@ def test_the_tables_show_every_method_scene_and_verdict() -> None:
     assert "MISSED" in lines[3]
     pair = scene("a", 22.0, 20)
     pair.models["int8"] = replace(pair.models["ours"], score=score(21.5))
-    rows = precision_table([Group("photographs", 2, 64, "true depth", [pair], {})], lpips=False)
+    rows = precision_table([Group("photographs", 2, Size.square(64), "true depth", [pair], {})], lpips=False)
     assert "int8 - ours" in rows[-1]
     assert "-0.500" in rows[-1]

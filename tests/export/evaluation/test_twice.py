@@ -13,6 +13,7 @@ from gapmes.export.evaluation import measure as measuring
 from gapmes.export.evaluation.case import LargerTargets, generated_cases, photograph_case
 from gapmes.export.evaluation.measure import enlarged
 from gapmes.export.evaluation.scores import Group, ModelScore, SceneScore, Twice
+from gapmes.export.evaluation.size import Size
 from gapmes.export.evaluation.tables import SCENES_SHOWN, group_section
 from gapmes.service.images import FittedView
 from gapmes.service.picture_error import psnr
@@ -105,7 +106,14 @@ def test_a_long_table_has_the_means_and_all_models_of_the_scenes_that_change_mos
         return one
 
     count = SCENES_SHOWN + 5
-    group = Group("generated", 2, 128, "true depth", [entry(i) for i in range(count)], dict.fromkeys(("ours", "other")))
+    group = Group(
+        "generated",
+        2,
+        Size.square(128),
+        "true depth",
+        [entry(i) for i in range(count)],
+        dict.fromkeys(("ours", "other")),
+    )
     lines = group_section(group, lpips=False)
     assert f"The {SCENES_SHOWN} scenes that change most of {count}; all are in report.json." in lines
     start = next(i for i, line in enumerate(lines) if line.startswith("| at 256 px"))

@@ -1,0 +1,39 @@
+"""A size that scenes are measured at: `256` for a square, `256x336` for height and width, in px."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+from gapmes.service.errors import InputError
+
+LEAST = 32
+
+
+class Size(NamedTuple):
+    """Height and width in px."""
+
+    height: int
+    width: int
+
+    @classmethod
+    def square(cls, side: int) -> Size:
+        return cls(side, side)
+
+    @classmethod
+    def parse(cls, text: str) -> Size:
+        """Raises `InputError` for what is neither a side nor HEIGHTxWIDTH, and below `LEAST`."""
+        found = re.fullmatch(r"(\d+)(?:x(\d+))?", text)
+        if not found:
+            raise InputError(f"{text!r} is no size", field="size", cure="give a side, 256, or HEIGHTxWIDTH, 256x336")
+        size = cls(int(found[1]), int(found[2] or found[1]))
+        if min(size) < LEAST:
+            raise InputError(f"is {size} px, need {LEAST} or more for each side", field="size")
+        return size
+
+    @property
+    def twice(self) -> Size:
+        return Size(2 * self.height, 2 * self.width)
+
+    def __str__(self) -> str:
+        return str(self.height) if self.height == self.width else f"{self.height}x{self.width}"
