@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +17,13 @@ from gapmes.model.checkpoint import read_config, shipped_checkpoint
 from gapmes.model.config import PRESETS
 from gapmes.model.depthsplat.config import Compatibility
 from gapmes.model.weights_file import CheckpointError
+from gapmes.service.errors import InputError
 from gapmes.service.terminal import ProgressBars, Quiet
 
 from .measurements import write_tables
 from .model_file import data_files
 from .pipeline import Exported, ExportRejected, VerificationBroken, export_checkpoint
+from .size import Size
 from .tolerance import TOLERANCES, Precision
 from .variant import Variant
 
@@ -47,7 +48,7 @@ def export(
         ),
     ] = None,
     size: Annotated[
-        str, typer.Option(help="HEIGHTxWIDTH in pixels, multiples of 16, of 32 for some of DepthSplat.")
+        str, typer.Option(help="HEIGHTxWIDTH in pixels, or one side; multiples of 16, of 32 for some of DepthSplat.")
     ] = "256x256",
     precision: Annotated[str, typer.Option(help=f"One of {', '.join(TOLERANCES)}.")] = "fp32",
     top_k: Annotated[int | None, typer.Option(help="Experts per patch, at most all [default: as trained].")] = None,
@@ -170,11 +171,11 @@ def _what(
     return source, Variant()
 
 
-def _size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d+)x(\d+)", text)
-    if not match:
-        raise typer.BadParameter(f"{text!r} is not HEIGHTxWIDTH, for example 256x256", param_hint="--size")
-    return int(match[1]), int(match[2])
+def _size(text: str) -> Size:
+    try:
+        return Size.parse(text)
+    except InputError as error:
+        raise typer.BadParameter(str(error), param_hint="--size") from error
 
 
 def _show(result: Exported, as_json: bool, bars: ProgressBars) -> None:

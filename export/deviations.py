@@ -18,6 +18,7 @@ from .graph import evaluated
 from .routes import flipped_patches, untouched
 
 Outputs = Mapping[str, NDArray]
+UNKNOWN = Deviation(np.inf, np.inf, np.inf, 1.0, np.inf, finite=False)
 
 
 @dataclass(frozen=True)
@@ -28,21 +29,16 @@ class BesideFloat64:
     torch: Deviation
 
 
-def changed_patches(values: Outputs, reference: Outputs, case: Case) -> NDArray[np.bool_]:
-    """(V, P) patches of a case that took another route."""
-    return flipped_patches(values, reference, case.inputs.patch_mask.numpy())
-
-
 def untouched_elements(flipped: NDArray[np.bool_], reference: Outputs) -> dict[str, NDArray[np.bool_]]:
     """Which elements of each kind of output no flipped patch reaches (`routes.untouched`)."""
     height, width = reference["depth"].shape[-2:]
     return untouched(flipped, height, width, len(reference["means"]))
 
 
-def deviations(values: Outputs, reference: Outputs, case: Case) -> dict[str, Deviation]:
-    """Of every output but the indices, in the units of a picture, outside what flipped patches reach."""
+def deviations(values: Outputs, reference: Outputs, flipped: NDArray[np.bool_], case: Case) -> dict[str, Deviation]:
+    """Of every output but the indices, in the units of a picture, outside what `flipped` (V, P) patches reach."""
     ours, theirs = comparable(values, reference, float(case.inputs.near_far[0]))
-    masks = untouched_elements(changed_patches(values, reference, case), reference)
+    masks = untouched_elements(flipped, reference)
     kinds = dict.fromkeys(GAUSSIAN_OUTPUTS, "gaussian") | dict.fromkeys(IMAGE_OUTPUTS, "pixel")
     return {
         name: deviation(ours[name], theirs[name], masks[kinds.get(name, "patch")])
@@ -52,10 +48,16 @@ def deviations(values: Outputs, reference: Outputs, case: Case) -> dict[str, Dev
 
 
 def beside_float64(values: Outputs, reference: Outputs, network: Network, case: Case) -> dict[str, BesideFloat64]:
-    """Both results of float32 against torch in float64; the network is in float32 again afterwards."""
+    """Both results of float32 against torch in float64, outside what a patch reaches that took another route in
+    either; infinitely far where float64 is not finite, or where nothing is left to compare. The network is in float32
+    again afterwards."""
     try:
         exact = evaluated(network, case.inputs, torch.float64)
     finally:
         network.float()
-    exported, single = deviations(values, exact, case), deviations(reference, exact, case)
+    kept = case.inputs.patch_mask.numpy()
+    flipped = flipped_patches(values, exact, kept) | flipped_patches(reference, exact, kept)
+    exported, single = (deviations(result, exact, flipped, case) for result in (values, reference))
+    if not all(mask.any() for mask in untouched_elements(flipped, exact).values()):
+        return {name: BesideFloat64(UNKNOWN, UNKNOWN) for name in exported}
     return {name: BesideFloat64(exported[name], single[name]) for name in exported}

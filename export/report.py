@@ -69,7 +69,7 @@ class Report:
                 outputs={name: Deviation(**value) for name, value in case["outputs"].items()},
                 beside_float64={
                     name: BesideFloat64(Deviation(**value["exported"]), Deviation(**value["torch"]))
-                    for name, value in case["beside_float64"].items()
+                    for name, value in case.get("beside_float64", {}).items()
                 },
                 routes=RouteAgreement(**case["routes"]) if case["routes"] else None,
                 picture=PictureAgreement(**case["picture"]) if case["picture"] else None,

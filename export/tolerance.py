@@ -10,7 +10,8 @@ everything, and one with torch's Gaussians in place of those that jumped, which 
 Where planes tie, as many do where none fits, a rounding of 1e-6 in a score decides between them
 (`model/evidence.py`), then which of its neighbours' depths a pixel takes (`model/behind.py`). There torch in float32 is
 as far from the truth as the exported file, and being near to it means little. So what is beyond a limit in float32 is
-judged by torch in float64: the exported file may be `rounding` times as far from that as torch in float32 is.
+judged by torch in float64: the exported file may be `rounding_factor` times as far from that as torch in float32 is, up
+to `ROUNDING_CEILINGS`.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from typing import Literal
 from gapmes.service.contract import MARGIN_OUTPUTS
 
 Precision = Literal["fp32", "int8"]
+# Under a range of 1 to 1e6 at 64 x 64 pixels, with weights of a short training, the exported file differed from torch
+# by p99 2.4e-2, mean 7.3e-4, jumps 0.22: nothing is right in such a scene. More than twice that is no rounding.
+ROUNDING_CEILINGS = {"p99": 5e-2, "mean": 2e-3, "jumps": 0.4}
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,11 @@ class Tolerance:
     smooth_picture_psnr: float  # dB, the same with torch's Gaussians in place of those that jumped
     flat_factor: float = 1.0  # on `p99` and `mean` for images of one colour
     margin_factor: float = 1.0  # on `mean` of margins, each the difference of two logits
-    rounding: float | None = None  # beyond a limit: at most so many times as far from torch in float64 as torch is
+    rounding_factor: float | None = None  # beyond a limit: at most so many times as far from float64 as torch is
+
+    def of_rounding(self, what: str, torch: float) -> float:
+        """How far from float64 the exported file may be where torch in float32 is so far from it."""
+        return min((self.rounding_factor or 0.0) * torch, ROUNDING_CEILINGS[what])
 
     def of_output(self, name: str) -> dict[str, float]:
         """The limits of one output, by what `compare.Deviation` calls them."""
@@ -58,7 +66,7 @@ TOLERANCES: dict[Precision, Tolerance] = {
     # Largest of the cases at 256 x 256 pixels whose matching is determined, on processors of two makers: p99 1.0e-4,
     # mean 7.8e-6, jumps 5.5e-3; on images of one colour p99 5.4e-5, mean 3.2e-6. What exceeds the limits is rounding:
     # of `tiny` noise (p99 2.6e-4), the far range (1.0e-3), at 256 x 336 pixels textured walls too (2.0e-4); of `small`
-    # noise (1.1e-4). There the exported file is at most 1.7 times as far from torch in float64 as torch in float32 is,
+    # noise (1.2e-4). There the exported file is at most 1.7 times as far from torch in float64 as torch in float32 is,
     # in p99, mean or jumps; at 64 x 64 pixels, two views under the far range, of `tiny` 3.1 times.
     # Pictures: of the shipped file 86 dB at least (93 on another processor), 6e-4 of the Gaussians jump. `base` with
     # random weights, two views of 256 x 448 px of the sample scene: 220 of 233,696 (9e-4) jump around one cell whose
@@ -72,7 +80,7 @@ TOLERANCES: dict[Precision, Tolerance] = {
         spare_flips=0,
         picture_psnr=50.0,
         smooth_picture_psnr=70.0,
-        rounding=4.0,
+        rounding_factor=5.0,
     ),
     # Measured with the shipped weights at 256 px: p99 3.5e-2, of margins 4.6e-2, mean 3.3e-3, of margins 6.7e-3 (all on
     # noise), 0.8 % of routes, picture 73 dB at least; on images of one colour, which normalisation divides by the root

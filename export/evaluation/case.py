@@ -41,7 +41,7 @@ class LargerTargets:
     """The targets at twice the size that is measured."""
 
     views: tuple[FittedView, ...]
-    side_px: int  # shorter side of the smallest photograph's crop, or as drawn; larger views were enlarged to it
+    side_px: int  # shorter side of the smallest photograph's crop, or as drawn; views with more were enlarged
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Case:
 
 
 def photograph_case(folder: Path, inputs: int, height: int, width: int) -> Case:
-    """The `suggested` views of a scene folder, centre-cropped to its aspect and resized to `height` x `width` px.
+    """The `suggested` views of a scene folder, centre-cropped and resized to `height` x `width` px.
 
     Raises `NoSuchViews`, and `InputError` for what is no scene folder.
     """

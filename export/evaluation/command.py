@@ -58,11 +58,11 @@ def evaluate(
     from gapmes.model.weights_file import CheckpointError
 
     from ..pipeline import ExportRejected, VerificationBroken
+    from ..size import Size
     from .lpips import default_weights
     from .models import checked_engines
     from .plans import evaluation_plans
     from .run import evaluate as run
-    from .size import Size
 
     if threads is not None:
         torch.set_num_threads(threads)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..size import Size
 from .scores import BASELINES, SIMPLE, Group
-from .size import Size
 
 GENERATED_MARGIN = 2.5  # dB above the best baseline, mean over scenes
 TWO_VIEW_MARGIN = 2.5

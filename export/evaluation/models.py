@@ -18,7 +18,7 @@ from gapmes.service.progress import Listener, silent
 from gapmes.service.shipped import shipped_model
 
 from ..pipeline import export_checkpoint
-from .size import Size
+from ..size import Size
 
 CHECKPOINT = ".safetensors"
 _BALANCES = {"experts": "mixture.gates.expert_balance", "tasks": "mixture.gates.task_balance"}
@@ -96,9 +96,9 @@ def checked_engines(names: Sequence[str]) -> list[EngineName]:
 
 
 def model_sizes(files: Sequence[Path]) -> list[Size]:
-    """Of the ONNX files, largest first."""
+    """Of the ONNX files, those with most pixels first."""
     infos = [Engine(path, threads=1).info for path in files if path.suffix != CHECKPOINT]
-    return sorted({Size(info.height, info.width) for info in infos}, reverse=True)
+    return sorted({Size(info.height, info.width) for info in infos}, key=Size.order, reverse=True)
 
 
 @dataclass(frozen=True)

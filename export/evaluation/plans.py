@@ -7,10 +7,10 @@ from pathlib import Path
 
 from gapmes.service.errors import InputError
 
+from ..size import Size
 from .case import NoSuchViews, suggested_views
 from .models import model_sizes
 from .run import GroupPlan
-from .size import Size
 
 PHOTOGRAPH_SIZES, GENERATED_SIZES = (Size.square(256), Size.square(128)), (Size.square(128),)
 PHOTOGRAPH_INPUTS, GENERATED_INPUTS = (2, 3), (2,)

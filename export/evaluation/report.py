@@ -68,12 +68,12 @@ def _models_section(models: Sequence[Model]) -> list[str]:
             m.file,
             m.engine.info.precision,
             _engine(m),
-            str(m.size),
+            f"{m.size.height} x {m.size.width}",
             m.engine.info.weights_sha256[:12],
         ]
         for m in models
     ]
-    return [*table(["model", "file", "precision", "engine", "px", "weights"], rows), ""]
+    return [*table(["model", "file", "precision", "engine", "height x width, px", "weights"], rows), ""]
 
 
 def _engine(model: Model) -> str:

@@ -12,6 +12,7 @@ from gapmes.service.errors import InputError
 from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.progress import Listener, Stages, silent
 
+from ..size import Size
 from .case import Case, NoSuchViews, generated_cases, photograph_case, suggested_views
 from .lpips import Lpips
 from .measure import measure
@@ -20,7 +21,6 @@ from .report import Report
 from .routing import routing_statistics
 from .scores import Group
 from .sheets import scene_sheet
-from .size import Size
 
 GENERATED_SHEETS = 8  # pictures of the first generated scenes; every folder of photographs has one
 
@@ -63,7 +63,7 @@ def evaluate(
     weights = None if lpips is None else Lpips.load(lpips)
     stages = Stages(listener)
     with tempfile.TemporaryDirectory() as scratch:
-        sizes = sorted({plan.size for plan in plans}, reverse=True)
+        sizes = sorted({plan.size for plan in plans}, key=Size.order, reverse=True)
         models = load_models(files, sizes, Path(scratch), engines=engines, threads=threads, listener=listener)
     report = Report(models, [], None if lpips is None else lpips.name, fade)
     for plan in plans:

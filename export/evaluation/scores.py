@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from ..size import Size
 from .metrics import Figures, mean_figures, mean_or_none
 from .routing import RoutingStatistics
-from .size import Size
 
 NEAREST, PLANE, SWEEP, TUNED_SWEEP = "nearest input", "plane blend", "plane sweep", "tuned sweep"
 TRUE_DEPTH = "true depth"

@@ -138,7 +138,9 @@ def _twice_table(group: Group) -> list[str]:
             scene,
             name,
             *_twice_cells([t]),
-            "" if t.side_px >= min(group.size.twice) else f"photograph has {t.side_px} px, enlarged",
+            ""
+            if t.side_px >= min(group.size.twice)
+            else f"photograph has {t.side_px} px on its shorter side, enlarged",
         ]
         for scene, entries in found
         for name, t in entries

@@ -13,6 +13,7 @@ import numpy as np
 from gapmes.service.budget import KEEP_ALL
 from gapmes.service.camera import Camera
 from gapmes.service.effort import draw
+from gapmes.service.errors import InputError
 from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.kernels import warm_up
@@ -48,9 +49,12 @@ def report(
     """Measure on the scenes in `folders` and write report.json, its schema, report.md and pareto.png into `out`.
 
     Times are those of the first scene. `quick` leaves out the exports that take minutes, and all scenes but the first.
-    Raises `InputError` for a folder that is no scene.
+    Raises `InputError` for a folder that is no scene, and for one that is given twice and would count so in the means.
     """
     started, stages = time.perf_counter(), Stages(listener)
+    for number, folder in enumerate(folders):
+        if any(folder.resolve() == other.resolve() for other in folders[:number]):
+            raise InputError(f"{folder} is given twice, or is the sample scene", field="scene")
     out.mkdir(parents=True, exist_ok=True)
     scenes = [load_scene(folder) for folder in (folders[:1] if quick else folders)]
     weights = None if lpips is None else Lpips.load(lpips)

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import onnx
 import onnxruntime
 import pytest
-import torch
 from onnx import numpy_helper
+from spoiled import spoil
 from typer.testing import CliRunner
 
 from gapmes.export import pipeline
-from gapmes.export.cases import Case, sample_scene
 from gapmes.export.cli import app
 from gapmes.export.quantise import quantised
-from gapmes.export.report import CaseResult, Report
+from gapmes.export.report import Report
 from gapmes.export.samples import random_scene
-from gapmes.export.tolerance import TOLERANCES, Tolerance
-from gapmes.export.verify import verify
 from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.weights_file import file_sha256
 from gapmes.service.contract import INPUTS
@@ -52,70 +48,6 @@ def test_accepted_file_carries_its_measured_tolerance(
     assert verifying[-1].done == verifying[-1].total == len(result.report.cases)
     kinds = {(case.name, case.gates) for case in result.report.cases}
     assert {("sample", "as trained"), ("grey", "as trained"), ("random", "all tied"), ("random", "one expert")} <= kinds
-
-
-def spoil(model: onnx.ModelProto, by: float = 0.05) -> None:
-    """Change one bias of the opacity head: finite, plausible, wrong; or not finite."""
-    (target,) = [i for i in model.graph.initializer if i.name == "network.heads.alpha.out.bias"]
-    target.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(target) + np.float32(by), target.name))
-
-
-def sample_result(model: onnx.ModelProto, checkpoint: Path, tolerance: Tolerance) -> CaseResult:
-    network = load_checkpoint(checkpoint)
-    case = Case("sample", "as trained", sample_scene(2, 64, 64))
-    (result,) = verify(model, network, [case], tolerance)
-    return result
-
-
-def test_the_sample_case_compares_pictures(prebuilt: onnx.ModelProto, checkpoint: Path) -> None:
-    result = sample_result(prebuilt, checkpoint, TOLERANCES["fp32"])
-    assert not result.failures
-    assert result.picture is not None
-    never = replace(TOLERANCES["fp32"], picture_psnr=101, smooth_picture_psnr=101)
-    failures = sample_result(prebuilt, checkpoint, never).failures
-    assert [failure.split(":")[0] for failure in failures] == ["picture", "picture without jumps"]
-
-
-def test_what_is_not_finite_fails_and_is_not_drawn(prebuilt: onnx.ModelProto, checkpoint: Path) -> None:
-    spoil(prebuilt, np.nan)
-    result = sample_result(prebuilt, checkpoint, TOLERANCES["fp32"])
-    assert "opacities: not finite" in result.failures
-    assert result.picture is None
-
-
-def judged_by_rounding(rounding: float | None = TOLERANCES["fp32"].rounding) -> Tolerance:
-    """Limits that no file keeps, so that torch in float64 has to tell."""
-    return replace(TOLERANCES["fp32"], p99=1e-12, mean=1e-12, rounding=rounding)
-
-
-def test_what_rounding_explains_passes(prebuilt: onnx.ModelProto, checkpoint: Path) -> None:
-    """At limits that no output keeps torch in float64 judges all of them."""
-    result = sample_result(prebuilt, checkpoint, judged_by_rounding())
-    assert result.failures == []
-    assert set(result.beside_float64) >= {"means", "depth", "opacities"}
-    for name, found in result.beside_float64.items():
-        assert 0 < found.torch.mean < 1e-5, name  # float32 is not float64, and near to it
-        assert found.exported != found.torch
-    refused = sample_result(prebuilt, checkpoint, judged_by_rounding(0.01)).failures
-    assert any("beside float64" in failure for failure in refused)
-    assert sample_result(prebuilt, checkpoint, judged_by_rounding(None)).beside_float64 == {}
-
-
-@pytest.mark.parametrize("tolerance", [TOLERANCES["fp32"], judged_by_rounding()])
-def test_a_small_error_is_no_rounding(prebuilt: onnx.ModelProto, checkpoint: Path, tolerance: Tolerance) -> None:
-    """1e-3 on a logit: at most 2.5e-4 of an opacity."""
-    spoil(prebuilt, 1e-3)
-    result = sample_result(prebuilt, checkpoint, tolerance)
-    assert any(failure.startswith("opacities: p99") and "beside float64" in failure for failure in result.failures)
-    assert result.beside_float64["opacities"].exported.p99 > 10 * result.beside_float64["opacities"].torch.p99
-
-
-def test_verification_leaves_the_network_in_float32(prebuilt: onnx.ModelProto, checkpoint: Path) -> None:
-    network = load_checkpoint(checkpoint)
-    before = {name: value.clone() for name, value in network.state_dict().items()}
-    verify(prebuilt, network, [Case("sample", "as trained", sample_scene(2, 64, 64))], judged_by_rounding())
-    after = network.state_dict()
-    assert all(value.dtype == after[name].dtype and torch.equal(value, after[name]) for name, value in before.items())
 
 
 def test_a_file_beyond_tolerance_is_rejected_and_kept_apart(

@@ -21,7 +21,7 @@ from gapmes.export.evaluation.models import load_models
 from gapmes.export.evaluation.plans import evaluation_plans
 from gapmes.export.evaluation.routing import routing_statistics
 from gapmes.export.evaluation.scores import BASELINES, TRUE_DEPTH
-from gapmes.export.evaluation.size import Size
+from gapmes.export.size import Size
 from gapmes.model.training.validation import VALIDATION_SEED
 from gapmes.service import cli, extra_commands
 from gapmes.service.backends import choice
@@ -91,7 +91,7 @@ def test_the_shipped_model_on_photographs(tmp_path: Path, capfd: pytest.CaptureF
     assert ours["score"]["all"]["psnr"] > entry["baselines"]["nearest input"]["all"]["psnr"] + 3
     assert ours["twice"]["side_px"] == 256
     assert ours["twice"]["change"] == pytest.approx(ours["twice"]["psnr"] - ours["score"]["all"]["psnr"])
-    assert "photograph has 256 px, enlarged" in (tmp_path / "report.md").read_text()
+    assert "photograph has 256 px on its shorter side, enlarged" in (tmp_path / "report.md").read_text()
     assert (tmp_path / "sample_2views_256px.png").is_file()
     missed = any(floor["passed"] is False for floor in document["floors"])
     assert ("MISSED" in capfd.readouterr().err) == missed

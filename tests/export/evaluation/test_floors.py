@@ -21,8 +21,8 @@ from gapmes.export.evaluation.scores import (
     SceneScore,
     Twice,
 )
-from gapmes.export.evaluation.size import Size
 from gapmes.export.evaluation.tables import floor_table, group_section, precision_table
+from gapmes.export.size import Size
 
 
 def score(psnr: float) -> MethodScore:

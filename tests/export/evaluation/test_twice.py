@@ -13,8 +13,8 @@ from gapmes.export.evaluation import measure as measuring
 from gapmes.export.evaluation.case import LargerTargets, generated_cases, photograph_case
 from gapmes.export.evaluation.measure import enlarged
 from gapmes.export.evaluation.scores import Group, ModelScore, SceneScore, Twice
-from gapmes.export.evaluation.size import Size
 from gapmes.export.evaluation.tables import SCENES_SHOWN, group_section
+from gapmes.export.size import Size
 from gapmes.service.images import FittedView
 from gapmes.service.picture_error import psnr
 from gapmes.service.shipped import sample_folder
@@ -122,4 +122,4 @@ def test_a_long_table_has_the_means_and_all_models_of_the_scenes_that_change_mos
     assert shown[0] == f"| mean | ours | 20.00 | {mean:+.2f} | -0.50 | 0.000% |  |"
     names = [line.split(" | ")[0].strip("| ") for line in shown[2:]]
     assert names == [f"s{i:02d}" for i in range(count - 1, 4, -1) for _ in range(2)]
-    assert shown[3].endswith("photograph has 90 px, enlarged |")
+    assert shown[3].endswith("photograph has 90 px on its shorter side, enlarged |")

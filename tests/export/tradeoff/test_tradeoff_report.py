@@ -22,6 +22,7 @@ from gapmes.service.budget import KEEP_ALL, Budget, parse_max_error
 from gapmes.service.camera import Camera
 from gapmes.service.cli import app
 from gapmes.service.effort import Effort
+from gapmes.service.errors import InputError
 from gapmes.service.images import FittedView
 from gapmes.service.machine import FLAGS
 from gapmes.service.shipped import sample_folder
@@ -53,6 +54,12 @@ def test_what_is_written_fits_the_schema(quick: tuple[Report, Path]) -> None:
     assert table.count("\n| ") >= len(report.rows)
     assert report.machine.threads >= 1
     assert set(report.machine.versions) >= {"python", "numpy", "onnxruntime"}
+
+
+def test_a_scene_counts_once(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="given twice"):
+        run.report([sample_folder(), sample_folder() / ".." / sample_folder().name], tmp_path / "report")
+    assert not (tmp_path / "report").exists()
 
 
 def test_the_four_errors_stand_apart(quick: tuple[Report, Path]) -> None:

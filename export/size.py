@@ -1,4 +1,4 @@
-"""A size that scenes are measured at: `256` for a square, `256x336` for height and width, in px."""
+"""The size of a network's pictures: `256` for a square, `256x336` for height and width, in px."""
 
 from __future__ import annotations
 
@@ -30,6 +30,10 @@ class Size(NamedTuple):
         if min(size) < LEAST:
             raise InputError(f"is {size} px, need {LEAST} or more for each side", field="size")
         return size
+
+    def order(self) -> tuple[int, int, int]:
+        """More pixels come later."""
+        return (self.height * self.width, *self)
 
     @property
     def twice(self) -> Size:

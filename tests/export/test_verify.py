@@ -1,0 +1,142 @@
+"""The verifier's own judgement: pictures, what is not finite, and what rounding in float32 excuses or does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from numpy.typing import NDArray
+from spoiled import spoil
+
+from gapmes.export import deviations as judging
+from gapmes.export.cases import Case, sample_scene
+from gapmes.export.graph import evaluated
+from gapmes.export.report import CaseResult
+from gapmes.export.tolerance import ROUNDING_CEILINGS, TOLERANCES, Tolerance
+from gapmes.export.verify import verify
+from gapmes.model.checkpoint import load_checkpoint
+from gapmes.model.network import GaPMeS
+
+FP32 = TOLERANCES["fp32"]
+
+
+@pytest.fixture(scope="module")
+def network(checkpoint) -> GaPMeS:
+    return load_checkpoint(checkpoint)
+
+
+@pytest.fixture
+def model(small_graph: onnx.ModelProto) -> onnx.ModelProto:
+    """One that a test may change."""
+    copied = onnx.ModelProto()
+    copied.CopyFrom(small_graph)
+    return copied
+
+
+@pytest.fixture(scope="module")
+def sample() -> Case:
+    return Case("sample", "as trained", sample_scene(2, 64, 64))
+
+
+def verified(model: onnx.ModelProto, network: GaPMeS, case: Case, tolerance: Tolerance) -> CaseResult:
+    (result,) = verify(model, network, [case], tolerance)
+    return result
+
+
+def failed(result: CaseResult) -> set[str]:
+    return {failure.split(":")[0] for failure in result.failures}
+
+
+def judged_by_rounding(factor: float | None) -> Tolerance:
+    """Limits that no file keeps, so that torch in float64 has to tell."""
+    return replace(FP32, p99=1e-12, mean=1e-12, rounding_factor=factor)
+
+
+def test_the_sample_case_compares_pictures(model: onnx.ModelProto, network: GaPMeS, sample: Case) -> None:
+    result = verified(model, network, sample, FP32)
+    assert not result.failures
+    assert result.picture is not None
+    never = replace(FP32, picture_psnr=101, smooth_picture_psnr=101)
+    assert failed(verified(model, network, sample, never)) == {"picture", "picture without jumps"}
+
+
+def test_what_is_not_finite_fails_and_is_not_drawn(model: onnx.ModelProto, network: GaPMeS, sample: Case) -> None:
+    spoil(model, np.nan)
+    result = verified(model, network, sample, FP32)
+    assert "opacities: not finite" in result.failures
+    assert result.picture is None
+    assert result.beside_float64 == {}
+
+
+def test_what_rounding_explains_passes(model: onnx.ModelProto, network: GaPMeS, sample: Case) -> None:
+    result = verified(model, network, sample, judged_by_rounding(20))
+    assert result.failures == []
+    assert set(result.beside_float64) >= {"means", "depth", "opacities"}
+    for name, found in result.beside_float64.items():
+        assert 0 < found.torch.mean < 1e-5, name  # float32 is not float64, and near to it
+        assert found.exported != found.torch
+    refused = verified(model, network, sample, judged_by_rounding(0.01)).failures
+    assert any("beside float64" in failure for failure in refused)
+    alone = verified(model, network, sample, judged_by_rounding(None))
+    assert alone.beside_float64 == {}
+    assert failed(alone) == set(result.beside_float64)
+
+
+@pytest.mark.parametrize("tolerance", [FP32, judged_by_rounding(20)])
+def test_a_small_error_is_no_rounding(
+    model: onnx.ModelProto, network: GaPMeS, sample: Case, tolerance: Tolerance
+) -> None:
+    """1e-3 on a logit: at most 2.5e-4 of an opacity."""
+    spoil(model, 1e-3)
+    result = verified(model, network, sample, tolerance)
+    assert any(failure.startswith("opacities: p99") and "beside float64" in failure for failure in result.failures)
+    found = result.beside_float64["opacities"]
+    assert found.exported.p99 > 10 * found.torch.p99
+
+
+@pytest.mark.parametrize("spoiled", ["depth", "expert_index"])
+def test_a_float64_that_tells_nothing_excuses_nothing(
+    model: onnx.ModelProto, network: GaPMeS, sample: Case, monkeypatch: pytest.MonkeyPatch, spoiled: str
+) -> None:
+    """It is not finite, or every patch takes another route there."""
+
+    def useless(of: GaPMeS, inputs, dtype: torch.dtype) -> dict[str, NDArray[np.generic]]:
+        found = evaluated(of, inputs, dtype)
+        return found | {spoiled: found[spoiled] * np.nan if spoiled == "depth" else found[spoiled] + 1}
+
+    monkeypatch.setattr(judging, "evaluated", useless)
+    result = verified(model, network, sample, judged_by_rounding(1e9))
+    assert failed(result) == ({"depth"} if spoiled == "depth" else set(result.beside_float64))
+    assert "depth" in result.beside_float64
+
+
+def test_rounding_has_a_ceiling() -> None:
+    assert FP32.rounding_factor is not None
+    for what, ceiling in ROUNDING_CEILINGS.items():
+        assert FP32.of_rounding(what, 0.1 * ceiling) == pytest.approx(0.1 * FP32.rounding_factor * ceiling)
+        assert FP32.of_rounding(what, np.inf) == ceiling
+    assert TOLERANCES["int8"].of_rounding("p99", 1.0) == 0
+
+
+def test_the_network_is_left_in_float32(
+    model: onnx.ModelProto, network: GaPMeS, sample: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+
+    def unchanged() -> bool:
+        after = network.state_dict()
+        return all(v.dtype == after[name].dtype and torch.equal(v, after[name]) for name, v in before.items())
+
+    def interrupted(of: GaPMeS, *_: object) -> dict[str, NDArray[np.generic]]:
+        of.double()
+        raise KeyboardInterrupt
+
+    assert verified(model, network, sample, judged_by_rounding(20)).beside_float64
+    assert unchanged()
+    monkeypatch.setattr(judging, "evaluated", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        judging.beside_float64({}, {}, network, sample)
+    assert unchanged()
