@@ -28,7 +28,7 @@ class Expert(nn.Module):
 
 
 class ExpertGroup(nn.Module):
-    """N_e experts shared by the streams; each expert is one gather, one batch, one scatter to distinct rows."""
+    """N_e experts shared by the streams; each expert is one gather and one batch, each choice one gather back."""
 
     def __init__(self, experts: int, channels: int) -> None:
         super().__init__()
@@ -43,18 +43,17 @@ class ExpertGroup(nn.Module):
         """
         if not self.sparse:
             return self.dense(patches, routing)
-        weights = dense_weights(routing, len(self.experts))
+        index, weight = chosen_experts(routing)
+        runs = (dense_weights(routing, len(self.experts)) != 0).t()  # (N_e, M)
         p = CELLS_PER_PATCH
-        result = torch.zeros_like(patches)
-        for number, expert in enumerate(self.experts):
-            weight = weights[:, number]
-            rows = torch.nonzero(weight != 0).squeeze(1)
-            streams = patches.index_select(0, rows).reshape(-1, self.channels, p, p)
-            output = expert(streams).reshape(-1, patches.shape[1], p, p)
-            result = result.index_put(
-                (rows,), output * weight.index_select(0, rows).reshape(-1, 1, 1, 1), accumulate=True
-            )
-        return result
+        outputs = [patches.new_zeros(1, *patches.shape[1:])]
+        for expert, run in zip(self.experts, runs.unbind(), strict=True):
+            streams = patches.index_select(0, torch.nonzero(run).squeeze(1)).reshape(-1, self.channels, p, p)
+            outputs.append(expert(streams).reshape(-1, patches.shape[1], p, p))
+        found = torch.cat(outputs)  # zeros, then expert after expert
+        rows = (runs.reshape(-1).cumsum(0).reshape(runs.shape) * runs).t().gather(1, index)  # (M, k)
+        taken = found.flatten(1).index_select(0, rows.reshape(-1)).reshape(*rows.shape, patches.shape[1] * p * p)
+        return (weight.unsqueeze(1) @ taken).reshape(patches.shape)
 
     def dense(self, patches: Tensor, routing: Routing) -> Tensor:
         """The same sum with every expert run on every patch: the readable twin that tests compare against."""
@@ -65,9 +64,15 @@ class ExpertGroup(nn.Module):
         return (outputs * weights[:, :, None, None, None]).sum(1)
 
 
-def dense_weights(routing: Routing, experts: int) -> Tensor:
-    """(M, N_e) weight of every expert for every patch, 0 where it was not selected."""
+def chosen_experts(routing: Routing) -> tuple[Tensor, Tensor]:
+    """(M, k) indices and weights. Raises `ValueError` without experts."""
     index, weight = routing.expert_index, routing.expert_weight
     if index is None or weight is None:
         raise ValueError("the routing has no experts: the gates were built without them")
+    return index, weight
+
+
+def dense_weights(routing: Routing, experts: int) -> Tensor:
+    """(M, N_e) weight of every expert for every patch, 0 where it was not selected."""
+    index, weight = chosen_experts(routing)
     return weight.new_zeros(weight.shape[0], experts).scatter(-1, index, weight)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .allocator import freed_blocks_reused
 from .anchors import anchors
 from .backdrop import backdrop
 from .confirmed import confirmed
@@ -51,6 +52,7 @@ class Placed:
         return np.minimum(self.rows // self.depths[0].size, len(self.depths))
 
 
+@freed_blocks_reused()
 def at_mended_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView]) -> Arrays:
     """The network's outputs with every pixel's Gaussian at its refined depth; of two views continued first."""
     depths = frame.depths(outputs)
@@ -60,6 +62,7 @@ def at_mended_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedV
     return frame.at_depths(outputs, [view.camera for view in views], depths)
 
 
+@freed_blocks_reused()
 def placed(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], *, stride: int = 1, moved: bool) -> Placed:
     """The network's Gaussians that belong into the scene, one for a square of `stride` px; where depths have `moved`, a
     backdrop of these depths instead of the network's own."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .allocator import freed_blocks_reused
 from .backends.choice import DEFAULT_ENGINE, EngineName
 from .budget import Budget
 from .camera import Camera
@@ -106,7 +107,7 @@ class Reconstructor:
             depths = depth_range(cameras, near, far)
             warnings += check_views(cameras, depths, trust_poses=trust_poses)
             warnings += pose_notices(cameras, depths.near)
-        with stages.stage("images", len(images) + 1) as done:
+        with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
             views: list[FittedView] = []
             for index, (image, camera) in enumerate(zip(images, cameras, strict=True)):
                 view, notices = fitted(image, camera, index, info)
@@ -136,7 +137,7 @@ class Reconstructor:
         with stages.stage("leave out"):
             may_go = found.of_pixel[~fading.gone]
             lean, drawn, pruned = leave_out(gaussians, may_go, scene, budget, self.engine.threads)
-        with stages.stage("check"):
+        with stages.stage("check"), freed_blocks_reused():
             check = {
                 **self_check(views, depths, info, drawn),
                 "from_others": from_others(
