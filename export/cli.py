@@ -48,7 +48,10 @@ def export(
         ),
     ] = None,
     size: Annotated[
-        str, typer.Option(help="HEIGHTxWIDTH in pixels, or one side; multiples of 16, of 32 for some of DepthSplat.")
+        str,
+        typer.Option(
+            help="HEIGHTxWIDTH in pixels, or one side; 32 or more, multiples of 16, of 32 for some of DepthSplat."
+        ),
     ] = "256x256",
     precision: Annotated[str, typer.Option(help=f"One of {', '.join(TOLERANCES)}.")] = "fp32",
     top_k: Annotated[int | None, typer.Option(help="Experts per patch, at most all [default: as trained].")] = None,
@@ -175,7 +178,7 @@ def _size(text: str) -> Size:
     try:
         return Size.parse(text)
     except InputError as error:
-        raise typer.BadParameter(str(error), param_hint="--size") from error
+        raise typer.BadParameter(f"{error.message} ({error.cure})", param_hint="--size") from error
 
 
 def _show(result: Exported, as_json: bool, bars: ProgressBars) -> None:

@@ -28,7 +28,7 @@ class Expert(nn.Module):
 
 
 class ExpertGroup(nn.Module):
-    """N_e experts shared by the streams; each expert is one gather and one batch, each choice one gather back."""
+    """N_e experts shared by the streams; each expert is one gather and one batch, all choices one gather back."""
 
     def __init__(self, experts: int, channels: int) -> None:
         super().__init__()
@@ -51,6 +51,7 @@ class ExpertGroup(nn.Module):
             streams = patches.index_select(0, torch.nonzero(run).squeeze(1)).reshape(-1, self.channels, p, p)
             outputs.append(expert(streams).reshape(-1, patches.shape[1], p, p))
         found = torch.cat(outputs)  # zeros, then expert after expert
+        # row of `found` for every choice; 0, the zeros, where its weight is 0
         rows = (runs.reshape(-1).cumsum(0).reshape(runs.shape) * runs).t().gather(1, index)  # (M, k)
         taken = found.flatten(1).index_select(0, rows.reshape(-1)).reshape(*rows.shape, patches.shape[1] * p * p)
         return (weight.unsqueeze(1) @ taken).reshape(patches.shape)

@@ -1,4 +1,4 @@
-"""What runs in a process of its own: reconstructions as the service does them, timed, with peak memory."""
+"""What runs in a process of its own, under the C library's own allocator: reconstructions, timed, with peak memory."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from .. import metrics
+from ..allocator import trim
 from ..errors import ModelChanged, StorageFull
 from ..progress import Listener, Stage, Stages
 from ..store import SceneStore
@@ -86,6 +87,7 @@ class Desk:
                 raise ModelChanged(changed, cure="ask for it again")
             with _told(models, work.model, hear) as reconstructor:
                 metrics.reconstructed(compute(work, scene_id, reconstructor, store, settings, hear))
+            trim()  # the scene itself is free by now
 
         return scene
 
