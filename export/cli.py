@@ -178,7 +178,8 @@ def _size(text: str) -> Size:
     try:
         return Size.parse(text)
     except InputError as error:
-        raise typer.BadParameter(f"{error.message} ({error.cure})", param_hint="--size") from error
+        error.field = None  # the hint names it
+        raise typer.BadParameter(str(error), param_hint="--size") from error
 
 
 def _show(result: Exported, as_json: bool, bars: ProgressBars) -> None:

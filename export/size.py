@@ -28,7 +28,7 @@ class Size(NamedTuple):
             raise InputError(f"{text!r} is no size", field="size", cure="give a side, 256, or HEIGHTxWIDTH, 256x336")
         size = cls(int(found[1]), int(found[2] or found[1]))
         if min(size) < LEAST:
-            raise InputError(f"is {size} px", field="size", cure=f"give {LEAST} or more for each side")
+            raise InputError(f"is {size} px, need {LEAST} or more for each side", field="size")
         return size
 
     def order(self) -> tuple[int, int, int]:
