@@ -16,7 +16,7 @@ from gapmes.service.shipped import sample_folder
 from .build import MAX_VIEWS, MIN_VIEWS
 from .gate_settings import GateSetting
 from .graph import SceneInputs
-from .samples import FLAT, all_patches, hostile_scenes, random_scene
+from .samples import FLAT, UNDETERMINED, all_patches, hostile_scenes, random_scene
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class Case:
     gates: GateSetting
     inputs: SceneInputs
     flat: bool = False  # images of one colour, where normalisation amplifies what quantisation lost
+    undetermined: bool = False  # images without a depth that fits, where matching amplifies rounding
 
     @property
     def views(self) -> int:
@@ -45,7 +46,7 @@ def verification_cases(height: int, width: int, *, quick: bool = False) -> Itera
     hostile = (3,) if quick else (2, 3)
     for views in hostile:
         for name, inputs in hostile_scenes(views, height, width).items():
-            yield Case(name, "as trained", inputs, flat=name in FLAT)
+            yield Case(name, "as trained", inputs, flat=name in FLAT, undetermined=name in UNDETERMINED)
     settings: tuple[GateSetting, ...] = ("all tied", "one expert", "two experts")
     for gates in settings:
         for views in hostile:

@@ -12,6 +12,8 @@ from gapmes.model.config import PIXELS_PER_PATCH
 from .graph import SceneInputs
 
 FLAT = ("black", "white", "grey")  # names of the hostile scenes whose images have one colour
+# Names of those where no plane fits: noise matches nowhere, and under the far range the whole scene lies between two.
+UNDETERMINED = ("noise", "far range")
 
 
 def rotation_y(angle: float) -> torch.Tensor:

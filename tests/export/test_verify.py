@@ -15,7 +15,7 @@ from gapmes.export import deviations as judging
 from gapmes.export.cases import Case, sample_scene
 from gapmes.export.graph import evaluated
 from gapmes.export.report import CaseResult
-from gapmes.export.tolerance import ROUNDING_CEILINGS, TOLERANCES, Tolerance
+from gapmes.export.tolerance import CEILINGS, TOLERANCES, UNDETERMINED_CEILINGS, Tolerance
 from gapmes.export.verify import verify
 from gapmes.model.network import GaPMeS
 
@@ -114,9 +114,11 @@ def test_a_float64_that_tells_nothing_excuses_nothing(
 
 def test_rounding_has_a_ceiling() -> None:
     assert FP32.rounding_factor is not None
-    for what, ceiling in ROUNDING_CEILINGS.items():
-        assert FP32.of_rounding(what, 0.1 * ceiling) == pytest.approx(0.1 * FP32.rounding_factor * ceiling)
-        assert FP32.of_rounding(what, np.inf) == ceiling
+    for limits, ceilings in ((FP32, CEILINGS), (FP32.for_undetermined_matching(), UNDETERMINED_CEILINGS)):
+        for what, ceiling in ceilings.items():
+            assert limits.of_rounding(what, 0.1 * ceiling) == pytest.approx(0.1 * FP32.rounding_factor * ceiling)
+            assert limits.of_rounding(what, np.inf) == ceiling
+    assert all(CEILINGS[what] <= 0.05 * wide for what, wide in UNDETERMINED_CEILINGS.items())
     assert TOLERANCES["int8"].of_rounding("p99", 1.0) == 0
 
 
