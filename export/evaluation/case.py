@@ -30,10 +30,15 @@ class NoSuchViews(InputError):
 
 @dataclass(frozen=True, eq=False)
 class TrueDepth:
-    """z-depths at pixel centres, in the cameras' units; background lies at the far end of the range."""
+    """z-depths at pixel centres, in the cameras' units; infinite where there is background."""
 
     inputs: F32  # (V, H, W)
     targets: F32  # (T, H, W)
+    far: float  # where splats of the background are put
+
+    def input_surfaces(self) -> F32:
+        """(V, H, W) of `inputs`, finite."""
+        return np.where(np.isinf(self.inputs), np.float32(self.far), self.inputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +96,10 @@ def _resampled(photos: Sequence[tuple[Photo, Camera]], height: int, width: int) 
 
 
 def suggested_views(folder: Path, inputs: int) -> tuple[list[int], list[int]]:
-    """Indices of the inputs and of the targets that `cameras.json` suggests. Raises `NoSuchViews` without them."""
+    """Indices of the inputs and of the targets that `cameras.json` suggests.
+
+    Raises `NoSuchViews` without them, and `InputError` for a target that is an input.
+    """
     path = folder / "cameras.json"
     if not path.is_file():
         raise InputError(f"{path} is not a file", field="SCENE_DIR", cure="name a folder with images/ and cameras.json")
@@ -102,6 +110,12 @@ def suggested_views(folder: Path, inputs: int) -> tuple[list[int], list[int]]:
             f"{path} suggests no context{inputs} with target{inputs}",
             field="suggested",
             cure=f'add "suggested": {{"context{inputs}": [...], "target{inputs}": [...]}} with view indices',
+        )
+    if shared := sorted(set(context) & set(targets)):
+        raise InputError(
+            f"{path}: {', '.join(map(str, shared))} both in context{inputs} = {context} and target{inputs} = {targets}",
+            field="suggested",
+            cure="a target is held out: name views that are no inputs",
         )
     return context, targets
 
@@ -130,6 +144,7 @@ def _drawn_again(seed: int, index: int, batch: SceneBatch) -> LargerTargets:
 def _of_batch(batch: SceneBatch, name: str, at_twice: Callable[[], LargerTargets]) -> Case:
     """The only scene of a batch; inputs are rounded to 8 bits, as a file would hold them."""
     v = batch.inputs
+    depths = np.where(batch.background[0], np.float32(np.inf), batch.depths[0])
     views = [_view(*parts) for parts in zip(batch.images[0], batch.intrinsics[0], batch.world_from_cam[0], strict=True)]
     photos = tuple(
         Photo.from_array(np.rint(view.image.transpose(1, 2, 0) * 255).astype(np.uint8)) for view in views[:v]
@@ -143,7 +158,7 @@ def _of_batch(batch: SceneBatch, name: str, at_twice: Callable[[], LargerTargets
         targets=tuple(views[v:]),
         near=float(batch.near_far[0, 0]),
         far=float(batch.near_far[0, 1]),
-        truth=TrueDepth(batch.depths[0, :v], batch.depths[0, v:]),
+        truth=TrueDepth(depths[:v], depths[v:], float(batch.near_far[0, 1])),
         at_twice=at_twice,
     )
 

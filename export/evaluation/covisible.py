@@ -21,11 +21,15 @@ def covisible(camera: Camera, depth: F32, cameras: Sequence[Camera], depths: Seq
     """(H, W): the point at z-depth `depth` (H, W) lies in an input's picture, and not behind that input's own surface.
 
     It is behind when its z-depth exceeds that of the input pixel that it falls into by more than `tolerance` of it.
+    Background has infinite depth: a direction, which an input sees where it has background itself.
     """
-    points = camera.unproject(pixel_grid(depth.shape), depth.ravel().astype(np.float64))
+    endless = np.isinf(depth).ravel()
+    rays = camera.unproject(pixel_grid(depth.shape), np.where(endless, 1.0, depth.ravel().astype(np.float64)))
+    rays[endless] -= camera.center
     seen = np.zeros(depth.size, dtype=bool)
     for other, surface in zip(cameras, depths, strict=True):
-        pixels, z = other.project(points)
+        pixels, z = other.project(rays + np.where(endless[:, None], other.center, 0.0))
+        z = np.where(endless & (z > 0), np.inf, z)
         inside = (z > 0) & ((pixels >= 0) & (pixels < (other.width, other.height))).all(axis=1)
         column, row = np.where(inside[:, None], pixels, 0.0).astype(np.intp).T
         seen |= inside & (z <= (1 + tolerance) * surface[row, column])

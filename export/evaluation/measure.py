@@ -61,7 +61,6 @@ class _Reconstruction:
     gaussians: Gaussians
     near: float  # the depth range that was used, given or estimated; caller's units
     far: float
-    input_depths: F32  # (V, H, W), caller's units
     routes: dict[str, NDArray]
     seconds: float
 
@@ -90,7 +89,7 @@ def measure(
         raise
     first = next(iter(results.values()))
     renders = {name: [result.draw(t.camera, threads) for t in case.targets] for name, result in results.items()}
-    masks = _masks(case, first, next(iter(renders.values())))
+    masks = _masks(case, first, next(iter(renders.values())), threads)
     pictures = _baseline_pictures(case, first.near, first.far, threads)
     scores = {name: _score(drawn, case.targets, masks, lpips) for name, drawn in pictures.items()}
     larger = case.at_twice() if twice and case.at_twice else None
@@ -119,22 +118,26 @@ def _reconstruct(case: Case, model: Model, fade: int) -> _Reconstruction:
     near, far = scene.document["near"], scene.document["far"]
     outputs = model.engine.last
     seconds = float(sum(scene.document["timings"].values()))
-    return _Reconstruction(scene.gaussians, near, far, outputs["depth"] * near, routes_of(outputs), seconds)
+    return _Reconstruction(scene.gaussians, near, far, routes_of(outputs), seconds)
 
 
-def _masks(case: Case, ours: _Reconstruction, renders: Sequence[Render]) -> list[Mask]:
+def _masks(case: Case, ours: _Reconstruction, renders: Sequence[Render], threads: int | None) -> list[Mask]:
     """By true depth where there is one, else by the depth that we drew; the same for every method."""
     cameras = [view.camera for view in case.inputs]
     if case.truth is not None:
-        surfaces, depths, tolerance = case.truth.inputs, list(case.truth.targets), TRUE_TOLERANCE
+        surfaces, depths, tolerance = list(case.truth.inputs), list(case.truth.targets), TRUE_TOLERANCE
     else:
-        # where nothing was drawn the surface behind its neighbours counts, so that a hole is not excused by itself
-        depths = [filled_from_behind(drawn.depth, drawn.alpha > 0) for drawn in renders]
-        surfaces, tolerance = ours.input_depths, PREDICTED_TOLERANCE
+        surfaces = [_surface(ours.draw(camera, threads)) for camera in cameras]
+        depths, tolerance = [_surface(drawn) for drawn in renders], PREDICTED_TOLERANCE
     return [
-        covisible(target.camera, depth, cameras, list(surfaces), tolerance)
+        covisible(target.camera, depth, cameras, surfaces, tolerance)
         for target, depth in zip(case.targets, depths, strict=True)
     ]
+
+
+def _surface(drawn: Render) -> F32:
+    """(H, W): where nothing was drawn the surface behind its neighbours, so that a hole is not excused by itself."""
+    return filled_from_behind(drawn.depth, drawn.alpha > 0)
 
 
 def _baseline_pictures(case: Case, near: float, far: float, threads: int | None) -> dict[str, list[F32]]:
@@ -147,7 +150,7 @@ def _baseline_pictures(case: Case, near: float, far: float, threads: int | None)
         TUNED_SWEEP: pixel_gaussians(case.inputs, swept.depths, swept.agreed),
     }
     if case.truth is not None:
-        splats[TRUE_DEPTH] = pixel_gaussians(case.inputs, case.truth.inputs)
+        splats[TRUE_DEPTH] = pixel_gaussians(case.inputs, case.truth.input_surfaces())
     pictures = {NEAREST: [nearest_input(case.inputs, camera) for camera in cameras], PLANE: blended}
     for name, gaussians in splats.items():
         pictures[name] = [

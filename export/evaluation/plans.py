@@ -12,9 +12,10 @@ from .case import NoSuchViews, suggested_views
 from .models import model_sizes
 from .run import GroupPlan
 
-PHOTOGRAPH_SIZES, GENERATED_SIZES = (Size.square(256), Size.square(128)), (Size.square(128),)
+PHOTOGRAPH_SIZES = (Size.square(256), Size.square(128))
 PHOTOGRAPH_INPUTS, GENERATED_INPUTS = (2, 3), (2,)
-GENERATED = 100
+GENERATED_SIZE, MOST_GENERATED = Size.square(128), 100
+GENERATED = {Size.square(256): 24, GENERATED_SIZE: MOST_GENERATED}  # scenes; one of 256 px takes four times as long
 
 
 def evaluation_plans(
@@ -26,12 +27,14 @@ def evaluation_plans(
 ) -> list[GroupPlan]:
     """Photographs first, large sizes first. What is not given: see the constants.
 
-    Without scenes and number of generated ones, the scenes beside the checkout and 100 generated. Without sizes, those
-    of the ONNX `files`, where there are any. Raises `InputError` when that leaves nothing.
+    Without scenes and number of generated ones, the scenes beside the checkout and `GENERATED`. Without sizes, those of
+    the ONNX `files`, where there are any. Raises `InputError` when that leaves nothing.
     """
-    if not scenes and generated is None:
-        scenes, generated = neighbouring_scenes(), GENERATED
     sizes = sizes or model_sizes(files)
+    of_size = dict.fromkeys(sizes or (GENERATED_SIZE,), generated or 0)
+    if not scenes and generated is None:
+        scenes = neighbouring_scenes()
+        of_size = {size: GENERATED.get(size, MOST_GENERATED) for size in sizes or GENERATED}
     plans = [
         GroupPlan(count, size, folders=tuple(scenes))
         for size in (sizes or PHOTOGRAPH_SIZES)
@@ -39,10 +42,10 @@ def evaluation_plans(
         if scenes
     ]
     plans += [
-        GroupPlan(count, size, generated=generated)
-        for size in (sizes or GENERATED_SIZES)
+        GroupPlan(count, size, generated=scenes_of_size)
+        for size, scenes_of_size in of_size.items()
         for count in (inputs or GENERATED_INPUTS)
-        if generated
+        if scenes_of_size
     ]
     if not plans:
         raise InputError("0 scenes and 0 generated ones", field="SCENE_DIR", cure="name a folder or --generated 100")

@@ -6,6 +6,7 @@ import argparse
 import json
 import logging
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -45,12 +46,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--preset", choices=sorted(PRESETS), default="tiny")
     parser.add_argument("--recipe", choices=sorted(RECIPES), default="whole", help="finish: more steps after a run")
     parser.add_argument("--initial-weights", type=Path, metavar="FILE", help="start from this checkpoint of the preset")
-    parser.add_argument("--steps", type=int, help="default: the recipe's")
+    parser.add_argument("--steps", type=_at_least(1), help="default: the recipe's")
     parser.add_argument("--seed", type=int, help="default: the recipe's")
-    parser.add_argument("--processes", type=int, default=1, help="share the scenes of each step, at most 2 (default 1)")
-    parser.add_argument("--threads", type=int, default=1, help="per process; one is fastest on shared cores")
+    parser.add_argument(
+        "--processes", type=int, choices=(1, 2), default=1, help="share the scenes of each step (default 1)"
+    )
+    parser.add_argument("--threads", type=_at_least(1), default=1, help="per process; one is fastest on shared cores")
     parser.add_argument("--device", default="auto", help="cpu, cuda, or auto: cuda when there is one")
-    parser.add_argument("--validate-every", type=int, default=250, metavar="STEPS")
+    parser.add_argument("--validate-every", type=_at_least(1), default=250, metavar="STEPS")
     parser.add_argument("--json", action="store_true", help="print the run's last figures to stdout as one JSON object")
     parser.add_argument("-q", "--quiet", action="store_true", help=QUIET_HELP)
     for switch in ("without-depth", "without-experts", "without-tasks"):
@@ -94,24 +97,44 @@ def main(arguments: list[str] | None = None) -> int:
             check_start(start, config)
     except CheckpointError as error:
         parser.error(str(error))
-    run_workers(
-        options.processes,
-        options.threads,
-        _train,
-        config,
-        recipe,
-        options.out,
-        options.validate_every,
-        device,
-        backbones,
-        start,
-        options.quiet,
-    )
+    try:
+        run_workers(
+            options.processes,
+            options.threads,
+            _train,
+            config,
+            recipe,
+            options.out,
+            options.validate_every,
+            device,
+            backbones,
+            start,
+            options.quiet,
+        )
+    except (ValueError, OSError) as error:
+        sys.stderr.write(f"refused: {error}\n")
+        return 1
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped; the same command goes on from the last state\n")
+        return 130
     if options.json:
         log = options.out / LOG
         rows = read_rows(log) if log.is_file() else []  # a run of no steps has none
         sys.stdout.write(json.dumps({"weights": str(options.out / WEIGHTS), "last": rows[-1] if rows else None}) + "\n")
     return 0
+
+
+def _at_least(least: int) -> Callable[[str], int]:
+    """A type for argparse."""
+
+    def number(text: str) -> int:
+        value = int(text)
+        if value < least:
+            raise argparse.ArgumentTypeError(f"is {value}, need at least {least}")
+        return value
+
+    number.__name__ = "whole number"  # as argparse names it where there is none
+    return number
 
 
 def _train(

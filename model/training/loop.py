@@ -25,7 +25,7 @@ from .precision import coarse_pays, compute_coarsely
 from .recipe import Recipe
 from .run_folder import append_row, claimed, forget_rows_after, restore_state, save_state, save_weights
 from .scenes import SceneSampler
-from .step import add_noise, to_tensors, training_loss
+from .step import TensorBatch, add_noise, to_tensors, training_loss
 from .validation import validate, validation_batches
 from .workers import Worker
 
@@ -110,18 +110,18 @@ def _run(
         "initial": None if initial is None else file_sha256(initial),
         "precision": "bfloat16" if coarse else "float32",
     }
-    start, seconds = restore_state(folder, identity, model, average, optimiser)
+    start, seconds, sums = restore_state(folder, identity, model, average, optimiser)
+    held_out: dict[str, list[TensorBatch]] = {}
     if worker.leads:
         forget_rows_after(folder, start)
         for part, report in fits.items():
             report.write(folder / f"{part}.checkpoint.json")
-    held_out = {
-        "wide": validation_batches(128, validation_scenes, (0.18, 0.5)),
-        "narrow": validation_batches(128, max(1, validation_scenes // 2), (0.06, 0.15)),
-    }
+        held_out = {
+            "wide": validation_batches(128, validation_scenes, (0.18, 0.5)),
+            "narrow": validation_batches(128, max(1, validation_scenes // 2), (0.06, 0.15)),
+        }
     log.info("%d parameters, step %d of %d", model.trainable_parameters(), start, recipe.steps)
     clock = last_save = time.monotonic()
-    sums: dict[str, float] = {}
     for step in range(start, recipe.steps):
         rate, parts = _step(model, optimiser, trained, recipe, step, worker)
         if not worker.leads:
@@ -138,7 +138,8 @@ def _run(
             _report(folder, step + 1, recipe, elapsed, rate, sums, figures)
             sums = {}
         if last or now - last_save > save_seconds:
-            progress: dict[str, object] = {**identity, "step": step + 1, "seconds": seconds + time.monotonic() - clock}
+            elapsed = seconds + time.monotonic() - clock
+            progress: dict[str, object] = {**identity, "step": step + 1, "seconds": elapsed, "sums": sums}
             save_state(folder, progress, model, average, optimiser)
             last_save = time.monotonic()
     if worker.leads:
@@ -184,7 +185,7 @@ def _step(
     )
     batch = to_tensors(drawn, zoomed=zoomed).to(trained[0].device)
     noisy = random.random() < 0.5
-    own = np.random.default_rng((recipe.seed, step, worker.rank))
+    own = np.random.default_rng((recipe.seed, step, 1 + worker.rank))  # with a 0 numpy gives the stream of (seed, step)
     torch.manual_seed(int(own.integers(2**62)))
     if noisy:
         batch = add_noise(batch, recipe.input_noise, own)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -15,6 +16,13 @@ class Phase:
     views: tuple[int, ...]  # numbers of input views, taken in turn
     baseline: tuple[float, float]  # in units of the median scene depth
     field_of_view: tuple[float, float] = (38.0, 78.0)  # degrees
+
+    def __post_init__(self) -> None:
+        if math.gcd(len(self.sizes), len(self.views)) > 1:
+            raise ValueError(
+                f"phase: {len(self.sizes)} sizes and {len(self.views)} numbers of views, both taken in turn, do not "
+                "meet in every combination; give lengths without a common factor"
+            )
 
     @property
     def label(self) -> str:
@@ -73,11 +81,13 @@ class Recipe:
 
 FINISH = Recipe(
     steps=700,
+    seed=11,  # other scenes than the run before it
     learning_rate=3e-4,
+    warm_up=200,  # while the rate falls already: its peak, after these, is 2.2e-4
     decay_from=0.0,
     noise_until=0.0,
     depth_weight=(0.5, 0.3),
     phases=(Phase(1.0, (128, 128, 256), 2, (2, 2, 2, 3), (0.06, 0.8), (22.0, 80.0)),),
 )
-"""`finish` goes on from trained weights: every third step at 256 px, at a fifth of the learning rate or less."""
+"""`finish` goes on from trained weights: every third step at 256 px, at 22 % of the learning rate or less."""
 RECIPES = {"whole": Recipe(), "finish": FINISH}

@@ -62,11 +62,12 @@ def save_weights(folder: Path, average: GaPMeS, step: object) -> None:
 
 def restore_state(
     folder: Path, identity: dict[str, str | None], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
-) -> tuple[int, float]:
-    """Step and seconds to go on from; raises `ValueError` when the folder holds a run of something else."""
+) -> tuple[int, float, dict[str, float]]:
+    """Step, seconds and sums since the last row of the log to go on from; raises `ValueError` when the folder holds a
+    run of something else."""
     path = folder / STATE
     if not path.is_file():
-        return 0, 0.0
+        return 0, 0.0, {}
     state = torch.load(path, weights_only=True, map_location="cpu")
     for key, value in identity.items():
         if state.get(key) != value:
@@ -76,7 +77,7 @@ def restore_state(
     _load_trained(model, state["model"], trained_names(model), path)
     _load_trained(average, state["average"], trained_names(model), path)
     optimiser.load_state_dict(state["optimiser"])
-    return int(state["step"]), float(state["seconds"])
+    return int(state["step"]), float(state["seconds"]), dict(state["sums"])
 
 
 def _load_trained(network: GaPMeS, values: dict[str, Tensor], trained: set[str], path: Path) -> None:

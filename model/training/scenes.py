@@ -35,6 +35,7 @@ class SceneBatch:
 
     images: F32  # (B, V + T, 3, H, W) in [0, 1]
     depths: F32  # (B, V + T, H, W) z-depth at the pixel centre
+    background: NDArray[np.bool_]  # (B, V + T, H, W), True where the ray through the pixel centre hits nothing
     world_from_cam: F64  # (B, V + T, 4, 4)
     intrinsics: F64  # (B, V + T, 3, 3) normalised by width and height
     near_far: F64  # (B, 2)
@@ -73,9 +74,10 @@ class SceneSampler:
     ) -> SceneBatch:
         """The next `scenes` scenes at `size` px, or (height, width).
 
-        The way from the first to the last input is log-uniform in `baseline`, in units of the scene's median depth;
-        the horizontal field of view is uniform in `field_of_view`, degrees. Only input views carry the small exposure
-        and noise errors of a real camera.
+        The way from the first to the last input is asked for log-uniform in `baseline`, in units of the median depth
+        that the origin sees; positions then tremble by 6 % of it, and rooms draw cameras together until all are
+        inside. The horizontal field of view is uniform in `field_of_view`, degrees. Only input views carry the small
+        exposure and noise errors of a real camera.
         """
         height, width = (size, size) if isinstance(size, int) else size
         samples = []
@@ -86,18 +88,19 @@ class SceneSampler:
         worlds = pack([sample.world for sample in samples])
         cameras = np.stack([_camera_rows(sample.poses, sample.lens, height, width) for sample in samples])
         images, depths = trace(self._atlas, worlds, cameras, height, width, supersample)
+        background = np.isinf(depths)
         views = inputs + targets
         poses, intrinsics = np.empty((scenes, views, 4, 4)), np.zeros((scenes, views, 3, 3))
         near_far = np.empty((scenes, 2))
         for b, sample in enumerate(samples):
             _develop(sample.rng, images[b], inputs)
             near_far[b] = _depth_range(sample.rng, depths[b, :inputs])
-            depths[b][np.isinf(depths[b])] = near_far[b, 1]
+            depths[b][background[b]] = near_far[b, 1]
             poses[b], unit = _moved(sample.rng, sample.poses)
             depths[b] *= unit
             near_far[b] *= unit
             intrinsics[b, :, [0, 1, 0, 1, 2], [0, 1, 2, 2, 2]] = np.array([*sample.lens, 1.0])[:, None]
-        return SceneBatch(images, depths, poses, intrinsics, near_far, inputs)
+        return SceneBatch(images, depths, background, poses, intrinsics, near_far, inputs)
 
     def _draw(
         self,

@@ -14,6 +14,7 @@ import torch
 import torch.distributed as distributed
 import torch.multiprocessing as multiprocessing
 from torch import nn
+from torch.multiprocessing.spawn import ProcessRaisedException
 
 LONGEST_WAIT = timedelta(hours=1)  # one process validates and saves while the others wait
 
@@ -43,14 +44,23 @@ class Worker:
 
 
 def run_workers(count: int, threads: int, work: Callable[..., None], *arguments: object) -> None:
-    """Call `work(worker, *arguments)` in `count` processes of `threads` threads; any failure ends them all."""
+    """Call `work(worker, *arguments)` in `count` processes of `threads` threads; any failure ends them all.
+
+    A `ValueError` in one of several is raised here as one with its last line, anything else as `ProcessException`.
+    """
     if count == 1:
         _limit_threads(threads)
         work(Worker(), *arguments)
         return
     with tempfile.TemporaryDirectory() as folder:
         meeting_point = (Path(folder) / "rendezvous").as_uri()
-        multiprocessing.spawn(_start, (count, threads, meeting_point, work, arguments), nprocs=count)
+        try:
+            multiprocessing.spawn(_start, (count, threads, meeting_point, work, arguments), nprocs=count)
+        except ProcessRaisedException as error:
+            kind, _, message = str(error).strip().rpartition("\n")[2].partition(": ")
+            if kind == "ValueError":
+                raise ValueError(message) from error
+            raise
 
 
 def _start(

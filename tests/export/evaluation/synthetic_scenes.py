@@ -58,7 +58,7 @@ class StepScene:
             near=NEAR,
             far=FAR,
             truth=TrueDepth(
-                np.stack([self.depth(v.camera) for v in seen]), np.stack([self.depth(v.camera) for v in held])
+                np.stack([self.depth(v.camera) for v in seen]), np.stack([self.depth(v.camera) for v in held]), FAR
             ),
         )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from synthetic_scenes import StepScene, camera_at
 
@@ -34,6 +36,26 @@ def test_it_is_what_rays_say() -> None:
     # a point falls into a pixel whose own depth is that of its centre: one column may differ at each of the edges
     differing = mask != expected
     assert differing.sum(axis=1).max() <= 4  # two edges of the slab, two inputs; measured 0
+
+
+def test_background_is_a_direction_that_an_input_sees_where_it_has_background_itself() -> None:
+    """Camera two units farther back, as after a step forward: sky has no parallax, whatever depth it is given."""
+    target = camera_at(0.0)
+    behind = target.world_from_cam.copy()
+    behind[2, 3] = -2.0
+    back = replace(target, world_from_cam=behind)
+    sky = np.full((64, 64), np.inf, np.float32)
+    assert covisible(target, sky, [back], [sky], TRUE_TOLERANCE).all()
+    finite = np.full((64, 64), 9.0, np.float32)
+    assert not covisible(target, finite, [back], [finite], TRUE_TOLERANCE).any()  # what `far` in its place would say
+    roof = sky.copy()
+    roof[:20] = 3.0  # covers what the target sees in the same pixels, since directions do not move
+    mask = covisible(target, sky, [back], [roof], TRUE_TOLERANCE)
+    assert not mask[:20].any()
+    assert mask[20:].all()
+    half = camera_at(0.0)
+    turned = replace(half, world_from_cam=half.world_from_cam @ np.diag([-1.0, 1.0, -1.0, 1.0]))  # looks the other way
+    assert not covisible(target, sky, [turned], [sky], TRUE_TOLERANCE).any()
 
 
 def test_views_see_what_they_see_themselves_and_not_what_lies_behind() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
@@ -206,7 +207,9 @@ def test_plans() -> None:
     (wide,) = evaluation_plans([], 5, [], [Size.parse("256x336")], [])
     assert wide.size == (256, 336)
     everything = evaluation_plans([], None, [], [], [])
-    assert [p.count for p in everything if p.kind == "generated"] == [100]
+    assert [(p.size, p.count) for p in everything if p.kind == "generated"] == [((256, 256), 24), ((128, 128), 100)]
+    small = evaluation_plans([], None, [], [Size.square(64)], [])[-1]
+    assert (small.kind, small.size, small.count) == ("generated", (64, 64), 100)
 
 
 def test_generated_scenes_are_those_of_their_seed_and_not_of_the_validation() -> None:
@@ -228,6 +231,17 @@ def test_a_folder_without_suggested_views_is_named(tmp_path: Path) -> None:
         photograph_case(sample_folder(), 6, 64, 64)
     with pytest.raises(InputError, match=r"cameras\.json is not a file"):
         photograph_case(tmp_path, 2, 64, 64)
+
+
+def test_a_target_that_is_an_input_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    shutil.copytree(sample_folder(), folder)
+    path = folder / "cameras.json"
+    document = json.loads(path.read_text())
+    document["suggested"] = {"context2": [1, 5], "target2": [3, 5, 1]}
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=r"1, 5 both in context2 = \[1, 5\] and target2 = \[3, 5, 1\].*held out"):
+        photograph_case(folder, 2, 64, 64)
 
 
 @pytest.mark.skipif(find_spec("openvino") is None, reason="pip install 'gapmes[openvino]'")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import math
 import signal
 import time
 from dataclasses import replace
@@ -10,6 +10,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 import torch
 
@@ -48,12 +49,19 @@ def run_alone(folder: Path) -> None:
     run(SMALL, folder)
 
 
-def run(recipe: Recipe, folder: Path) -> None:
-    loop.train(preset("tiny"), recipe, folder, validate_every=2, validation_scenes=1, save_seconds=0.0)
+def run(recipe: Recipe, folder: Path, validate_every: int = 2) -> None:
+    loop.train(preset("tiny"), recipe, folder, validate_every=validate_every, validation_scenes=1, save_seconds=0.0)
+
+
+def log_of(folder: Path) -> list[dict[str, object]]:
+    """All but the time that it took."""
+    return [
+        {key: value for key, value in row.items() if key != "minutes"} for row in read_rows(folder / run_folder.LOG)
+    ]
 
 
 def test_a_killed_run_resumes_to_the_same_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run(SMALL, tmp_path / "whole")
+    run(SMALL, tmp_path / "whole", validate_every=3)
     real, done = loop._step, []
 
     def killed(*arguments: object) -> object:
@@ -65,13 +73,14 @@ def test_a_killed_run_resumes_to_the_same_weights(tmp_path: Path, monkeypatch: p
     with monkeypatch.context() as patch:
         patch.setattr(loop, "_step", killed)
         with pytest.raises(KeyboardInterrupt):
-            run(SMALL, tmp_path / "broken")
-    run(SMALL, tmp_path / "broken")
+            run(SMALL, tmp_path / "broken", validate_every=3)
+    run(SMALL, tmp_path / "broken", validate_every=3)
     whole, broken = (load_checkpoint(tmp_path / name / run_folder.WEIGHTS) for name in ("whole", "broken"))
     assert all(torch.equal(a, b) for a, b in zip(whole.parameters(), broken.parameters(), strict=True))
-    rows = [json.loads(line) for line in (tmp_path / "broken" / run_folder.LOG).read_text().splitlines()]
-    assert [row["step"] for row in rows] == [2, 4]
-    assert set(rows[0]["validation"]) == {"wide", "narrow"}
+    rows = {name: log_of(tmp_path / name) for name in ("whole", "broken")}
+    assert rows["whole"] == rows["broken"]
+    assert [row["step"] for row in rows["broken"]] == [3, 4]  # stopped after two steps: half of what row 3 sums up
+    assert set(rows["broken"][0]["validation"]) == {"wide", "narrow"}
 
 
 def test_a_run_that_was_killed_from_outside_resumes_to_the_same_weights(tmp_path: Path) -> None:
@@ -102,6 +111,26 @@ def test_a_log_that_is_none_is_named_and_left(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="line 2 is no row of a training log"):
         run_folder.forget_rows_after(tmp_path, 2)
     assert len(log.read_text().splitlines()) == 3
+
+
+def test_a_gradient_that_is_not_finite_moves_nothing_and_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, moved = loop.training_loss, []
+
+    def broken(model: GaPMeS, batch: object, recipe: Recipe, step: int) -> object:
+        loss, parts = real(model, batch, recipe, step)
+        moved.append([p.detach().clone() for p in model.parameters()])
+        return (loss * math.inf if step == 1 else loss), parts
+
+    monkeypatch.setattr(loop, "training_loss", broken)
+    recipe = replace(SMALL, steps=3, phases=(Phase(1.0, (32,), 1, (2,), (0.1, 0.4)),))
+    loop.train(preset("tiny"), recipe, tmp_path, validate_every=3, validation_scenes=1)
+    first, second, third = moved
+    assert not all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(second, third, strict=True))
+    (row,) = read_rows(tmp_path / run_folder.LOG)
+    assert row["train"]["skipped"] == pytest.approx(1 / 3, abs=1e-4)
 
 
 def test_the_loss_on_one_scene_falls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,6 +177,21 @@ def test_zoomed_batches_halve_the_inputs_only() -> None:
     assert zoomed.targets.shape == plain.targets.shape
     torch.testing.assert_close(zoomed.images.mean(), plain.images.mean(), rtol=1e-4, atol=0)
     assert torch.equal(zoomed.intrinsics, plain.intrinsics)  # normalised, so the size does not matter
+
+
+def test_the_two_recipes_draw_no_scene_twice() -> None:
+    """The scenes of a step come from (seed, step) alone."""
+    seen = [{int(np.random.default_rng((r.seed, s)).integers(2**62)) for s in range(700)} for r in (Recipe(), FINISH)]
+    assert not seen[0] & seen[1]
+    assert all(len(draws) == 700 for draws in seen)
+
+
+def test_sizes_and_views_that_never_meet_are_refused() -> None:
+    with pytest.raises(ValueError, match="2 sizes and 4 numbers of views, both taken in turn, do not meet"):
+        Phase(1.0, (256, 128), 2, (2, 2, 2, 3), (0.06, 0.8))
+    (phase,) = FINISH.phases
+    met = {(phase.sizes[s % len(phase.sizes)], phase.views[s % len(phase.views)]) for s in range(24)}
+    assert met == {(128, 2), (128, 3), (256, 2), (256, 3)}
 
 
 def test_recipe_schedules() -> None:

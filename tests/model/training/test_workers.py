@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
@@ -65,6 +67,52 @@ def test_two_processes_train_as_one_does(tmp_path: Path) -> None:
     apart = torch.cat([(a - b).flatten() for a, b in zip(one.parameters(), two.parameters(), strict=True)])
     assert moved.detach().norm().item() > 0.1
     assert apart.detach().norm().item() < 0.1 * moved.detach().norm().item()
+
+
+WHOLE = replace(SHARED, steps=4, zoom_share=0.5, input_noise=0.01, balance_weight=0.01, noise_until=0.75)
+
+
+def _train_all_of_it(worker: Worker, folder: Path) -> None:
+    loop.train(preset("tiny"), WHOLE, folder, validate_every=4, validation_scenes=1, save_seconds=0.0, worker=worker)
+
+
+def _train_in_two(folder: Path) -> None:
+    run_workers(2, 1, _train_all_of_it, folder)
+
+
+def test_two_processes_of_the_whole_method_resume_after_a_kill(tmp_path: Path) -> None:
+    """With experts, tasks, Gumbel noise and targets of twice the size; the process that started both is killed."""
+    _train_in_two(tmp_path / "whole")
+    child = get_context("spawn").Process(target=_train_in_two, args=(tmp_path / "killed",))
+    child.start()
+    until = time.monotonic() + 300
+    while not (tmp_path / "killed" / run_folder.STATE).is_file():
+        assert child.is_alive()
+        assert time.monotonic() < until
+        time.sleep(0.001)
+    child.kill()
+    child.join()
+    until = time.monotonic() + 60
+    while True:  # its children end by themselves
+        try:
+            with run_folder.claimed(tmp_path / "killed"):
+                break
+        except ValueError:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+    assert torch.load(tmp_path / "killed" / run_folder.STATE, weights_only=True)["step"] < WHOLE.steps
+    _train_in_two(tmp_path / "killed")
+    whole, killed = (load_checkpoint(tmp_path / name / run_folder.WEIGHTS) for name in ("whole", "killed"))
+    assert all(torch.equal(a, b) for a, b in zip(whole.parameters(), killed.parameters(), strict=True))
+
+
+def _refuse(worker: Worker) -> None:
+    raise ValueError("this is refused")
+
+
+def test_a_refusal_in_a_process_is_a_refusal() -> None:
+    with pytest.raises(ValueError, match=r"^this is refused$"):
+        run_workers(2, 1, _refuse)
 
 
 def test_a_failure_ends_all(tmp_path: Path) -> None:
