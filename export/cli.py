@@ -30,7 +30,7 @@ from .variant import Variant
 REFUSED = 1
 REJECTED = 3
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
 errors = Console(stderr=True)
 
 
@@ -48,12 +48,13 @@ def export(
         ),
     ] = None,
     size: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="HEIGHTxWIDTH in pixels, or one side; 32 or more, multiples of 16, of 32 for some of DepthSplat."
+            help="HEIGHTxWIDTH in pixels, or one side; 32 or more, multiples of 16, of 32 for some of DepthSplat"
+            " [default: 256x256]."
         ),
-    ] = "256x256",
-    precision: Annotated[str, typer.Option(help=f"One of {', '.join(TOLERANCES)}.")] = "fp32",
+    ] = None,
+    precision: Annotated[str | None, typer.Option(help=f"One of {', '.join(TOLERANCES)} [default: fp32].")] = None,
     top_k: Annotated[int | None, typer.Option(help="Experts per patch, at most all [default: as trained].")] = None,
     keep_all: Annotated[
         bool, typer.Option("--keep-all", help="Run every expert on every patch and match every pair of views.")
@@ -93,6 +94,8 @@ def export(
             "--out": out,
             "--checkpoint": checkpoint,
             "--preset": preset,
+            "--size": size,
+            "--precision": precision,
             "--top-k": top_k,
             "--keep-all": keep_all,
         }
@@ -110,7 +113,8 @@ def export(
         return
     if out is None:
         raise typer.BadParameter("is missing", param_hint="--out")
-    height, width = _size(size)
+    height, width = _size(size or "256x256")
+    precision = precision or "fp32"
     _one_of(architecture, ARCHITECTURES, "--architecture")
     _one_of(preset or "tiny", PRESETS, "--preset")
     _one_of(precision, TOLERANCES, "--precision")

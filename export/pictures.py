@@ -12,12 +12,11 @@ from gapmes.service.camera import Camera
 from gapmes.service.contract import GAUSSIAN_OUTPUTS
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.picture_error import psnr
+from gapmes.service.scene_views import NEAR_PLANE_SHARE
 from gapmes.service.splat import render
 
 from .cases import Case
 from .compare import comparable, jumped_rows
-
-NEAR_SHARE = 0.05  # of the scene's near depth
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ def _replaced(values: NDArray, reference: NDArray, rows: NDArray[np.bool_]) -> N
 
 def _drawn(result: Mapping[str, NDArray], camera: Camera, near: float) -> NDArray[np.float32]:
     gaussians = Gaussians.make(*(result[name] for name in GAUSSIAN_OUTPUTS))
-    return np.clip(render(gaussians, camera, near=NEAR_SHARE * near).rgb, 0, 1)
+    return np.clip(render(gaussians, camera, near=NEAR_PLANE_SHARE * near).rgb, 0, 1)
 
 
 def between(case: Case) -> Camera:

@@ -6,10 +6,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from .budget import Budget as Budget
     from .camera import Camera as Camera
+    from .errors import GapmesError as GapmesError
+    from .errors import InputError as InputError
     from .formats.registry import read_gaussians as read_gaussians
     from .formats.registry import write_gaussians as write_gaussians
     from .gaussians import Gaussians as Gaussians
+    from .images import EncodedPhoto as EncodedPhoto
+    from .images import Photo as Photo
     from .ply import inspect_ply as inspect_ply
     from .ply import read_ply as read_ply
     from .ply import write_ply as write_ply
@@ -20,8 +25,13 @@ if TYPE_CHECKING:
     from .splat import render_reference as render_reference
 
 _HOME = {
+    "Budget": "budget",
     "Camera": "camera",
+    "EncodedPhoto": "images",
+    "GapmesError": "errors",
     "Gaussians": "gaussians",
+    "InputError": "errors",
+    "Photo": "images",
     "Reconstructor": "reconstruct",
     "Render": "splat",
     "Scene": "reconstruct",
@@ -35,8 +45,13 @@ _HOME = {
 }
 
 __all__ = [
+    "Budget",
     "Camera",
+    "EncodedPhoto",
+    "GapmesError",
     "Gaussians",
+    "InputError",
+    "Photo",
     "Reconstructor",
     "Render",
     "Scene",

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 
 from .camera import Camera
 from .camera_fields import CameraFile as CameraFile
 from .camera_fields import NamedView as NamedView
 from .camera_fields import SizeOf, image_name, list_of, number_of, opencv_pose, optional_number
-from .errors import CameraError
+from .errors import CameraError, IntrinsicsError
 from .transforms_file import parse_transforms
 
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
+_LENS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+_OF_THE_FILE = ("axes", "pose", "near", "far")
 
 
 def parse_camera_file(
@@ -19,8 +22,10 @@ def parse_camera_file(
 ) -> CameraFile:
     """Parse a decoded cameras.json or transforms.json into OpenCV camera-to-world cameras.
 
-    `size_of` supplies image sizes where a transforms.json leaves them out. Unknown keys are ignored. With `indices`
-    only those views are looked at, and come in that order.
+    `size_of` supplies image sizes where a transforms.json leaves them out. Unknown keys are ignored, but for those that
+    would mean something elsewhere: a cameras.json with coefficients of a lens, with a view that has conventions or
+    bounds of its own, or with one of these misspelt is refused. With `indices` only those views are looked at, and come
+    in that order.
     Raises `CameraError` or one of its children, naming field and view index.
     """
     document = _json_object(obj)
@@ -52,6 +57,7 @@ def conventions(obj: Mapping, *, field: str) -> tuple[str, str]:
 
 def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int | None = None) -> NamedView:
     """One view object of a cameras.json. Raises `CameraError` or one of its children."""
+    _refuse_lens(entry, field, index)
     missing = [name for name in _NUMBERS if name not in entry]
     if missing:
         raise CameraError(
@@ -83,11 +89,34 @@ def _list_name(obj: Mapping) -> str:
 
 
 def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
+    for name in set(obj) - set(_OF_THE_FILE) - {"views", "suggested"}:
+        if meant := get_close_matches(str(name).lower(), _OF_THE_FILE, 1, 0.7):
+            raise CameraError(f"{name!r} is not a key of the file", field="cameras", cure=f'did you mean "{meant[0]}"?')
+    _refuse_lens(obj, "cameras", None)
     axes, pose = conventions(obj, field="cameras")
     entries = list_of(obj, "views")
     chosen = range(len(entries)) if indices is None else indices
+    for index in chosen:
+        for name in _OF_THE_FILE:
+            if name in entries[index]:
+                raise CameraError(
+                    f"{name} = {entries[index][name]!r} stands in a view", field=f"views.{name}", index=index,
+                    cure=f'say "{name}" once, beside "views": it holds for all of them',
+                )  # fmt: skip
     views = (parse_view(entries[index], axes=axes, pose=pose, field="views", index=index) for index in chosen)
     return CameraFile(tuple(views), optional_number(obj, "near"), optional_number(obj, "far"))
+
+
+def _refuse_lens(obj: Mapping, field: str, index: int | None) -> None:
+    """The cameras of a cameras.json are pinholes. Raises `IntrinsicsError` for a coefficient other than 0."""
+    for name in _LENS:
+        if name in obj and number_of(obj, name, field=field, index=index) != 0:
+            raise IntrinsicsError(
+                f"{name} = {obj[name]}: a cameras.json holds pinholes, without distortion",
+                field=f"{field}.{name}",
+                index=index,
+                cure="send a transforms.json or a COLMAP model, whose photographs are undistorted, or do that",
+            )
 
 
 def _matrix(entry: Mapping, pose: str, field: str, index: int | None) -> object:

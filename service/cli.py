@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -15,13 +17,32 @@ from .errors import CameraError, GapmesError, ImageError
 from .extra_commands import WithExtraCommands
 from .problem_document import of_error
 
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"gapmes {version('gapmes')}")
+        raise typer.Exit
+
+
 app = typer.Typer(
     name="gapmes",
     cls=WithExtraCommands,
     help="3D Gaussians from two to six posed photographs, on an ordinary CPU.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",  # the other takes [default: all] for a style
 )
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="print the version and end")
+    ] = False,
+) -> None:
+    pass
+
+
 for module in (serve, reconstruct, render, convert, demo, doctor):
     app.command()(getattr(module, module.__name__.rpartition(".")[2]))
 

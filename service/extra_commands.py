@@ -27,7 +27,7 @@ class WithExtraCommands(TyperGroup):
         command = super().get_command(ctx, cmd_name)
         found = () if command is not None else entry_points(group=GROUP, name=cmd_name)
         for entry in found:
-            single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+            single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
             single.command(cmd_name)(entry.load())
             return typer.main.get_command(single)
         return command

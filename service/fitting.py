@@ -2,30 +2,46 @@
 
 from __future__ import annotations
 
+from os import PathLike
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
 from .distortion import Lens, pinhole_window
+from .errors import ImageError
 from .images import EncodedPhoto, FittedView, Photo, fit_view, match_photo
 from .masks import check_kept
 from .model_info import ModelInfo
 from .undistort import match_lens, undistorted
 from .view_checks import Notice
 
+Picture = NDArray[np.uint8] | Photo | EncodedPhoto | str | PathLike[str] | bytes  # what is taken for a photograph
 
-def fitted(
-    image: NDArray[np.uint8] | Photo | EncodedPhoto, camera: Camera, index: int, info: ModelInfo
-) -> tuple[FittedView, list[Notice]]:
+
+def fitted(image: Picture, camera: Camera, index: int, info: ModelInfo) -> tuple[FittedView, list[Notice]]:
     """The photograph of view `index` as the network of `info` sees it, and the warnings that belong to it.
 
-    At full size it lives in here only. Raises `ImageError` where it is none, too small, of another shape than its
-    camera, or its mask keeps nothing of the crop.
+    A path is read, bytes are those of a file. At full size it lives in here only. Raises `ImageError` where it is none,
+    too small, of another shape than its camera, or its mask keeps nothing of the crop.
     """
+    if isinstance(image, str | PathLike):
+        image = _read(image, index)
+    if isinstance(image, bytes):
+        image = EncodedPhoto(image)
     if isinstance(image, EncodedPhoto):
         return _fitted(image.decode(index=index), camera, image.lens, index, info)
     photo = image if isinstance(image, Photo) else Photo.from_array(image, index=index)
     return _fitted(photo, camera, None, index, info)
+
+
+def _read(path: str | PathLike[str], index: int) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        message = f"{path} cannot be read: {error.strerror}"
+        raise ImageError(message, field="images", index=index) from error
 
 
 def fit_notices(photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo) -> list[Notice]:

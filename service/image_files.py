@@ -63,12 +63,17 @@ def image_size(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> tupl
         return image.size
 
 
-def check_total(photos: Sequence[bytes], *, max_pixels: int, max_total: int) -> None:
+def check_total(
+    photos: Sequence[bytes], *, max_pixels: int, max_total: int, numbers: Sequence[int] | None = None
+) -> None:
     """Refuse photographs that are small enough each, but have more than `max_total` pixels together.
 
-    Raises `ImageTooLarge`, and what `open_image` raises for a single one.
+    Raises `ImageTooLarge`, and what `open_image` raises for a single one, under its place or what `numbers` calls it.
     """
-    sizes = [image_size(data, index=index, max_pixels=max_pixels) for index, data in enumerate(photos)]
+    numbers = range(len(photos)) if numbers is None else numbers
+    sizes = [
+        image_size(data, index=number, max_pixels=max_pixels) for number, data in zip(numbers, photos, strict=True)
+    ]
     total = sum(width * height for width, height in sizes)
     if total > max_total:
         raise ImageTooLarge(

@@ -8,11 +8,13 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
+
 from .camera import Camera
 from .camera_file import camera_document
 from .default_framing import default_views
 from .depth_range import depth_range
-from .errors import FormatError
+from .errors import FormatError, InputError
 from .formats.dialect import Dialect
 from .formats.reading import Reading
 from .formats.registry import FORMATS, format_of_bytes
@@ -68,6 +70,7 @@ def load(file: LoadedFile, scene_id: str, store: SceneStore, max_count: int) -> 
             raise FormatError(f"{reading.rows} rows hold no Gaussian", field="file", cure="is it the right file?")
     with stages.stage("frame"):
         views, source = framed(reading.gaussians, file.cameras, file.near, file.far)
+        _require_drawable(views)
     with stages.stage("encode"):
         ply = ply_bytes(reading.gaussians)
     document = {
@@ -101,7 +104,11 @@ def framed(
 
     What is not given of near and far is what the given cameras see of the Gaussians, or the default framing's.
     """
-    framing = default_views(gaussians)
+    try:
+        framing = default_views(gaussians)
+    except InputError as error:
+        extent = float(np.abs(gaussians.means).max())
+        raise _too_far(f"its positions reach {extent:.3g}") from error
     found, source = (framing.near, framing.far), "framing"
     if cameras:
         seen = seen_depths(gaussians, cameras)
@@ -111,7 +118,25 @@ def framed(
     if near is None and far is None:
         return SceneViews(views, *chosen), source
     depths = depth_range(views, *chosen)  # refuses what is no range
-    return SceneViews(views, depths.near, depths.far), "given"
+    return SceneViews(views, depths.near, depths.far), source if near is None or far is None else "given"
+
+
+def _require_drawable(views: SceneViews) -> None:
+    """Raises `FormatError` where the splatter's numbers do not reach as far as the scene."""
+    from .splat import Definition  # brings the kernels with it, which the service's start does not wait for
+
+    try:
+        Definition(**views.near_plane)
+    except InputError as error:
+        raise _too_far(f"its near depth is {views.near:.3g}, its far depth {views.far:.3g}") from error
+
+
+def _too_far(what: str) -> FormatError:
+    return FormatError(
+        f"the scene is too large or too small to be drawn: {what}; pictures reach from 1e-37 to 1e37 units",
+        field="file",
+        cure="are all its positions and sizes right? leave out the Gaussians that are not, or scale the scene",
+    )
 
 
 def _warnings(reading: Reading) -> list[dict[str, str]]:

@@ -20,6 +20,7 @@ from .fading import Fading, faded
 from .gaussians import Gaussians, joined
 from .images import FittedView
 from .masks import REPLACED, kept_rows
+from .ply_write import as_stored
 from .refined import refined
 from .scene_views import SceneViews
 from .stride import thinned
@@ -34,7 +35,7 @@ SMOOTHING = 0.1  # px^2 in the input, added to all three variances
 class Placed:
     """Gaussians in the caller's world, and what each of them is."""
 
-    gaussians: Gaussians
+    gaussians: Gaussians  # with the positions that the .ply will hold
     rows: NDArray[np.intp]  # (N,) the pixels' in order, then those of what stands behind the scene;
     around: int  # and from this row on of what stands around the photographs
     depths: NDArray[np.float64]  # (V, H, W) z-depths of the pixels, in the cameras' units
@@ -70,14 +71,14 @@ def placed(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], *, s
     depths = frame.depths(outputs)
     thin, rows = thinned(outputs, rows, depths.shape, stride)
     if not moved:
-        return Placed(frame.to_world(thin, rows), rows, len(outputs["opacities"]), depths, dropped, 0)
+        return Placed(as_stored(frame.to_world(thin, rows)), rows, len(outputs["opacities"]), depths, dropped, 0)
     own = rows[rows < depths.size]
     if len(own) < len(rows):
         dropped = {**dropped, REPLACED: len(rows) - len(own)}
     gaussians = _smoothed(frame.to_world(thin, own), (stride * depths).ravel()[own], own // depths[0].size, views)
     sheet, around = backdrop(views, depths, gaussians.harmonics.shape[1])
     rows = np.concatenate([own, depths.size + np.arange(len(sheet))])
-    return Placed(joined(gaussians, sheet), rows, depths.size + around, depths, dropped, len(sheet))
+    return Placed(as_stored(joined(gaussians, sheet)), rows, depths.size + around, depths, dropped, len(sheet))
 
 
 def _smoothed(

@@ -33,6 +33,12 @@ class ModelInfo:
     keep_all: bool = False  # every expert runs on every patch, every pair of views is compared
 
     @property
+    def depth_planes(self) -> int | None:
+        """How many depths the network compares; None where it does not say so."""
+        planes = self.config.get("depth_planes")
+        return planes if isinstance(planes, int) and planes >= 2 else None
+
+    @property
     def patches(self) -> int:
         return (self.height // self.patch) * (self.width // self.patch)
 

@@ -7,6 +7,9 @@ poses no depth makes them match.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
 
 from .camera import Camera
 from .coarse_views import CoarseView, coarse_view, nearest_neighbours, warp_to
@@ -25,15 +28,42 @@ GOOD_SCORE = 0.7  # and matches this well,
 POOR_SCORE = 0.65  # where the given poses match worse than this: refused
 MARGIN = 0.06  # another reading that wins by this much: a warning
 TIE = 0.03  # among other readings the one named first must lose by this much: the usual mistakes come first
+PLAIN = 0.05  # of white; pictures whose values differ by less show nothing that could tell them apart
 HARDLY = 0.55  # no reading matches better than this: a warning
 
 
-def check_photos(views: Sequence[FittedView], depths: DepthRange, *, trust_poses: bool = False) -> list[Notice]:
+def check_photos(
+    views: Sequence[FittedView],
+    depths: DepthRange,
+    *,
+    trust_poses: bool = False,
+    numbers: Sequence[int] | None = None,
+) -> list[Notice]:
     """Compare how well the photographs match under the poses and under other readings of them.
 
-    Returns warnings; raises `ContradictionError` where another reading is right beyond doubt, unless the caller says
-    that the poses are to be trusted.
+    Returns warnings; raises `ContradictionError` where another reading is right beyond doubt, or where two photographs
+    of different poses are one, unless the caller says that the poses are to be trusted. `numbers` are what the caller
+    calls the views.
     """
+    twins = _twins(views, range(len(views)) if numbers is None else numbers, trust_poses)
+    return twins + _matching(views, depths, trust_poses)
+
+
+def _twins(views: Sequence[FittedView], numbers: Sequence[int], trust_poses: bool) -> list[Notice]:
+    """Photographs that are equal to the bit, and not of one colour; the poses are not, or the cameras were refused."""
+    notices: list[Notice] = []
+    for (i, one), (j, other) in combinations(zip(numbers, views, strict=True), 2):
+        if np.ptp(one.image) < PLAIN or not np.array_equal(one.image, other.image):
+            continue
+        message = f"photographs {i} and {j} are the same picture, under poses that differ"
+        cure = "was one of them sent twice? send each photograph with the pose of its own"
+        if not trust_poses:
+            raise ContradictionError(message, field="images", index=j, cure=cure)
+        notices.append({"code": "photos_equal", "field": "images", "index": j, "message": f"{message} ({cure})"})
+    return notices
+
+
+def _matching(views: Sequence[FittedView], depths: DepthRange, trust_poses: bool) -> list[Notice]:
     coarse = [coarse_view(view) for view in views]
     cameras = [view.camera for view in coarse]
     given = consistency(coarse, cameras, depths)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ TYPES = {
 }  # fmt: skip
 LENGTH_TYPES = frozenset(name for name, kind in TYPES.items() if kind[0] != "f")
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": None}
+MAX_LIST_ROWS = 200_000  # before the vertices, walked one by one; where a mesh has faces they stand behind
+_LINE = re.compile(rb"[^\r\n]+")
 MAX_HEADER = 1 << 16  # bytes: a 3DGS header has about 1,500; more is another kind of file
 
 
@@ -173,6 +176,12 @@ def _skip_binary(data: bytes, offset: int, element: Element, byte_order: str) ->
     if not element.has_lists:
         row_bytes = _row_type(element, byte_order).itemsize
         return offset + _whole_rows(data, offset, element, row_bytes) * row_bytes
+    if element.count > MAX_LIST_ROWS:
+        raise PlyError(
+            f"{element.count} rows of lists stand before the vertices, at most {MAX_LIST_ROWS} are skipped",
+            field=element.name,
+            cure="write the vertices first",
+        )
     for index in range(element.count):
         for prop in element.properties:
             size = np.dtype(prop.kind).itemsize
@@ -200,9 +209,10 @@ def _require_bytes(data: bytes, offset: int, size: int, element: Element, index:
 
 def _ascii_columns(data: bytes, header: Header) -> dict[str, F64]:
     """One row per line, blank lines left out."""
-    lines = [line for line in data[header.body :].splitlines() if line.strip()]
     start = sum(element.count for element in header.before("vertex") if element.properties)
     vertex = header.vertex
+    filled = (match.group() for match in _LINE.finditer(data, header.body))
+    lines = list(islice((line for line in filled if line.strip()), start + vertex.count))
     if start + vertex.count > len(lines):
         raise PlyError(
             f"{vertex.count} rows are declared, the file has {max(len(lines) - start, 0)} lines of them",

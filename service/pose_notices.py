@@ -14,10 +14,11 @@ TOLD_MOVE = 0.01  # px; rotations in float32 or with six decimals turn less
 TOLD_PX = 0.1  # of precision
 
 
-def pose_notices(cameras: Sequence[Camera], near: float) -> list[dict[str, Any]]:
-    """Warnings with code, field, index and message; `near` is the nearest depth in the cameras' units."""
+def pose_notices(cameras: Sequence[Camera], near: float, numbers: Sequence[int] | None = None) -> list[dict[str, Any]]:
+    """Warnings with code, field, index and message; `near` is the nearest depth in the cameras' units, `numbers` what
+    the caller calls the views, where these were chosen from more."""
     notices = []
-    for index, camera in enumerate(cameras):
+    for index, camera in zip(range(len(cameras)) if numbers is None else numbers, cameras, strict=True):
         focal = max(camera.fx, camera.fy)
         # With R = Q S, Q the nearest rotation, S is I + (R^T R - I) / 2 to first order: components of its third
         # column's change are at most half the drift.

@@ -18,23 +18,24 @@ from .depth_range import DepthRange, depth_range
 from .depth_sweep import narrowed
 from .document import scene_document
 from .engine import Arrays, Engine
-from .errors import CameraError, ViewCountError
+from .errors import CameraError, InputError, ViewCountError
 from .fade_passes import DEFAULT_PASSES, checked_passes
-from .fitting import fitted
+from .fitting import Picture, fitted
 from .foretold import DEFAULT_OTHERS, checked_others, nearest_others
 from .gaussians import Gaussians
-from .images import EncodedPhoto, FittedView, Photo
+from .images import FittedView
 from .kernels import is_warm, warm_up
 from .left_out import leave_out, table
 from .masks import FADED, patch_mask
 from .mending import MOVED, at_mended_depths, mended, placed
 from .photo_checks import check_photos
+from .ply_write import Positions, stored_positions
 from .pose_notices import pose_notices
 from .progress import Listener, Stages, silent
 from .scene_views import SceneViews
 from .self_check import ambiguous_routes, drawn_again, from_others, self_check
 from .splat import render
-from .view_checks import MIN_VIEWS, Notice, check_count, check_views
+from .view_checks import DEPTH_PLANES, MIN_VIEWS, Notice, check_count, check_views
 from .world_frame import WorldFrame
 
 DEFAULT_BUDGET = Budget()
@@ -49,6 +50,11 @@ class Scene:
     view_cameras: tuple[Camera, ...]  # of the crops that the network saw
     inputs: tuple[NDArray[np.uint8], ...]  # those crops, (H, W, 3) or, where a mask leaves pixels out, (H, W, 4)
     document: dict[str, Any]  # plain JSON values, see document.py
+
+    @property
+    def positions(self) -> Positions:
+        """As what a .ply holds x, y, z of these Gaussians to the bit."""
+        return stored_positions(self.gaussians)
 
 
 class Reconstructor:
@@ -70,7 +76,7 @@ class Reconstructor:
 
     def reconstruct(
         self,
-        images: Sequence[NDArray[np.uint8] | Photo | EncodedPhoto],
+        images: Sequence[Picture],
         cameras: Sequence[Camera],
         *,
         near: float | None = None,
@@ -79,11 +85,13 @@ class Reconstructor:
         budget: Budget = DEFAULT_BUDGET,
         leave_one_out: int = DEFAULT_OTHERS,
         fade: int = DEFAULT_PASSES,
+        numbers: Sequence[int] | None = None,
         listener: Listener = silent,
     ) -> Scene:
-        """2..6 photographs, uint8 (H, W, 3 or 4), `Photo` or `EncodedPhoto`, with one camera each -> `Scene`.
+        """2..6 photographs, uint8 (H, W, 3 or 4), path, a file's bytes, `Photo` or `EncodedPhoto`, with one camera each
+        -> `Scene`.
 
-        An `EncodedPhoto` is decoded in its turn and dropped once it is fitted: one at a time is in memory; one with a
+        One in a file is decoded in its turn and dropped once it is fitted: one at a time is in memory; one with a
         lens is resampled to its camera, which is the pinhole that `pinhole_window` names.
         `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
@@ -93,6 +101,8 @@ class Reconstructor:
         often opacities are lowered and colours corrected where the photographs contradict them (`fading.py`), after
         depths have moved to where the photographs match best and a backdrop stands behind them (`mending.py`); with 0
         all stays as the network gave it.
+        `numbers` are what errors and warnings call the views, one for each, where these were chosen from more; else
+        they are counted from 0.
         `listener` hears the stages cameras, images, network, kernels (the first time), refine, gaussians, fade, leave
         out, check, leave one out.
         Raises `InputError` and `ModelError`.
@@ -103,18 +113,20 @@ class Reconstructor:
         checked_others(leave_one_out)
         checked_passes(fade)
         with stages.stage("cameras"):
-            cameras = _as_cameras(cameras, len(images))
+            numbers = range(len(images)) if numbers is None else numbers
+            cameras = _as_cameras(cameras, numbers, len(images))
             depths = depth_range(cameras, near, far)
-            warnings += check_views(cameras, depths, trust_poses=trust_poses)
-            warnings += pose_notices(cameras, depths.near)
+            planes = info.depth_planes or DEPTH_PLANES
+            warnings += check_views(cameras, depths, trust_poses=trust_poses, numbers=numbers, planes=planes)
+            warnings += pose_notices(cameras, depths.near, numbers)
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
             views: list[FittedView] = []
-            for index, (image, camera) in enumerate(zip(images, cameras, strict=True)):
-                view, notices = fitted(image, camera, index, info)
+            for number, image, camera in zip(numbers, images, cameras, strict=True):
+                view, notices = fitted(image, camera, number, info)
                 views.append(view)
                 warnings += notices
-                done(index + 1)
-            warnings += check_photos(views, depths, trust_poses=trust_poses)
+                done(len(views))
+            warnings += check_photos(views, depths, trust_poses=trust_poses, numbers=numbers)
             depths = narrowed(depths, views)
         masks = patch_mask(views, info.patch)
         with stages.stage("network"):
@@ -208,11 +220,13 @@ class Reconstructor:
         return rows
 
 
-def _as_cameras(cameras: Sequence[Camera], images: int) -> tuple[Camera, ...]:
+def _as_cameras(cameras: Sequence[Camera], numbers: Sequence[int], images: int) -> tuple[Camera, ...]:
+    if len(numbers) != images:
+        raise InputError(f"{images} images and {len(numbers)} numbers, need one per image", field="numbers")
     if len(cameras) != images:
         raise ViewCountError(f"{images} images and {len(cameras)} cameras, need one camera per image", field="cameras")
     check_count(images)
-    for index, camera in enumerate(cameras):
+    for index, camera in zip(numbers, cameras, strict=True):
         if not isinstance(camera, Camera):
             raise CameraError(f"is a {type(camera).__name__}", field="cameras", index=index, cure="use Camera.make")
     return tuple(cameras)

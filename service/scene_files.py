@@ -89,7 +89,11 @@ class SceneFiles:
         try:
             return (self.folder(scene_id) / _input(index)).read_bytes()
         except FileNotFoundError as error:
-            raise SceneNotFound(f"no input {index} of scene {scene_id!r}", field="scene") from error
+            if not self.folder(scene_id).is_dir():
+                raise unknown(scene_id) from error
+            count = len(list(self.folder(scene_id).glob(_input("*"))))
+            there = f"0 to {count - 1}" if count else "none: the scene was loaded from a file"
+            raise SceneNotFound(f"scene {scene_id!r} has no input {index}", field="index", cure=there) from error
 
     @contextmanager
     def reading(self, scene_id: str) -> Iterator[Path]:
@@ -160,7 +164,7 @@ class SceneFiles:
         return self.root / f"{TEMPORARY}{scene_id}-{uuid.uuid4().hex}"
 
 
-def _input(index: int) -> str:
+def _input(index: int | str) -> str:
     return f"input_{index}.png"
 
 

@@ -23,25 +23,34 @@ MIN_SHARE = 0.1  # of a view, at the depth where it shares most; real captures h
 LITTLE_SHARE = 0.3  # below it, a warning
 TIE = 0.1  # readings of the poses that overlap about equally are all named
 WIDE_RANGE = 1000.0  # far / near from which the depth steps are too coarse beyond some 10 x near
-DEPTH_PLANES = 128  # of the depth-step table in the warning
+DEPTH_PLANES = 64  # of the shipped network, for the depth-step table in the warning
 _DEPTHS = 16  # at which the overlap is looked at
 _ANY_DEPTH = np.geomspace(0.1, 1000.0, 32)  # in baselines: where an estimated range may be wrong, this one is not
 
 Notice = dict[str, Any]  # code, message and what it is about
 
 
-def check_views(cameras: Sequence[Camera], depths: DepthRange, *, trust_poses: bool = False) -> list[Notice]:
+def check_views(
+    cameras: Sequence[Camera],
+    depths: DepthRange,
+    *,
+    trust_poses: bool = False,
+    numbers: Sequence[int] | None = None,
+    planes: int = DEPTH_PLANES,
+) -> list[Notice]:
     """Refuse sets of cameras that cannot give a scene; return warnings about those that hardly can.
 
     Raises `ViewCountError`, `IntrinsicsError`, `BaselineError` (same view twice, or no parallax) or `OverlapError`,
     which says what the poses look like if another reading of them would overlap. Views that do not overlap within an
     estimated depth range are refused only if they overlap at no other depth either; with `trust_poses` none are.
+    `numbers` are what the caller calls the views, where these were chosen from more, `planes` the network's depths.
     """
     check_count(len(cameras))
-    for index, camera in enumerate(cameras):
-        _check_principal_point(camera, index)
-    _check_baselines(cameras, depths)
-    return [*_range_notices(depths), *_check_overlap(cameras, depths, trust_poses)]
+    numbers = range(len(cameras)) if numbers is None else numbers
+    for number, camera in zip(numbers, cameras, strict=True):
+        _check_principal_point(camera, number)
+    _check_baselines(cameras, depths, numbers)
+    return [*_range_notices(depths, planes), *_check_overlap(cameras, depths, trust_poses, numbers)]
 
 
 def check_count(count: int) -> None:
@@ -68,7 +77,7 @@ def _check_principal_point(camera: Camera, index: int) -> None:
         )
 
 
-def _check_baselines(cameras: Sequence[Camera], depths: DepthRange) -> None:
+def _check_baselines(cameras: Sequence[Camera], depths: DepthRange, numbers: Sequence[int]) -> None:
     widest = (0.0, 0, 1)
     for j, one in enumerate(cameras):
         for i, other in enumerate(cameras[:j]):
@@ -76,9 +85,10 @@ def _check_baselines(cameras: Sequence[Camera], depths: DepthRange) -> None:
             angle = rotation_angle(one.rotation.T @ other.rotation)
             if baseline <= SAME_POSITION * depths.near and angle <= SAME_ROTATION:
                 raise BaselineError(
-                    f"views {i} and {j} have the same pose (distance {baseline:.3g}, angle {angle:.3g} rad)",
+                    f"views {numbers[i]} and {numbers[j]} have the same pose "
+                    f"(distance {baseline:.3g}, angle {angle:.3g} rad)",
                     field="cameras",
-                    index=j,
+                    index=numbers[j],
                     cure="leave one of them out; is each pose the one of its own photograph?",
                 )
             parallax = max(one.fx, one.fy, other.fx, other.fy) * baseline / depths.near
@@ -86,44 +96,49 @@ def _check_baselines(cameras: Sequence[Camera], depths: DepthRange) -> None:
     parallax, i, j = widest
     if parallax < MIN_PARALLAX_PX:
         raise BaselineError(
-            f"no pair of views has parallax: the widest, views {i} and {j}, shifts a point at near = {depths.near:g} "
-            f"by {parallax:.3g} px, need at least {MIN_PARALLAX_PX}",
+            f"no pair of views has parallax: the widest, views {numbers[i]} and {numbers[j]}, shifts a point at "
+            f"near = {depths.near:g} by {parallax:.3g} px, need at least {MIN_PARALLAX_PX}",
             field="cameras",
-            index=j,
+            index=numbers[j],
             cure="move the camera between the photographs; are positions and near in the same unit?"
             + apart_when_inverted(cameras),
         )
 
 
-def _range_notices(depths: DepthRange) -> list[Notice]:
-    """Half a step between depth planes is z^2 (1 / near - 1 / far) / (2 (planes - 1)): it grows with z squared."""
+def _range_notices(depths: DepthRange, planes: int) -> list[Notice]:
+    """Half a step h = (1 / near - 1 / far) / (2 (planes - 1)) of inverse depth makes z nearer by z h / (1 + z h)."""
     ratio = depths.far / depths.near
     if ratio <= WIDE_RANGE:
         return []
-    step = (1 / depths.near - 1 / depths.far) / (2 * (DEPTH_PLANES - 1))
-    table = {f"{z:.4g}": f"{100 * z * step:.2g} %" for z in depths.near * np.array([1.0, 10.0, 100.0, 1000.0])}
+    step = (1 / depths.near - 1 / depths.far) / (2 * (planes - 1))
+    table = {
+        f"{z:.4g}": f"{100 * z * step / (1 + z * step):.2g} %"
+        for z in depths.near * np.array([1.0, 10.0, 100.0, 1000.0])
+    }
     return [
         {
             "code": "depth_range_wide",
             "field": "near",
             "message": f"far / near = {ratio:.3g}: depth steps are coarse beyond {10 * depths.near:.3g}; "
-            f"half a step with {DEPTH_PLANES} planes, by depth: "
+            f"half a step with {planes} planes, by depth: "
             + ", ".join(f"{depth}: {share}" for depth, share in table.items()),
         }
     ]
 
 
-def _check_overlap(cameras: Sequence[Camera], depths: DepthRange, trust_poses: bool) -> list[Notice]:
+def _check_overlap(
+    cameras: Sequence[Camera], depths: DepthRange, trust_poses: bool, numbers: Sequence[int]
+) -> list[Notice]:
     steps = inverse_depth_steps(depths.near, depths.far, _DEPTHS)
     shares = best_partner_shares(cameras, steps).max(axis=1)
     lonely = int(np.argmin(shares))
     if shares[lonely] >= LITTLE_SHARE:
         return []
     message = (
-        f"view {lonely} shares at most {100 * shares[lonely]:.0f} % of its picture with any other view, "
+        f"view {numbers[lonely]} shares at most {100 * shares[lonely]:.0f} % of its picture with any other view, "
         f"at any depth from {depths.near:.4g} to {depths.far:.4g}"
     )
-    notices = [{"code": "little_overlap", "field": "cameras", "index": lonely, "message": message}]
+    notices = [{"code": "little_overlap", "field": "cameras", "index": numbers[lonely], "message": message}]
     if shares[lonely] >= MIN_SHARE or trust_poses:
         return notices
     if depths.source == "estimated":
@@ -133,7 +148,9 @@ def _check_overlap(cameras: Sequence[Camera], depths: DepthRange, trust_poses: b
             return notices
         lonely = int(np.argmin(shares))
         share = 100 * shares[lonely]
-        message = f"view {lonely} shares at most {share:.0f} % of its picture with any other view, at any depth"
+        message = (
+            f"view {numbers[lonely]} shares at most {share:.0f} % of its picture with any other view, at any depth"
+        )
     cure = "are near and far in the unit of the poses? is each pose the one of its own photograph?"
     shares_by_reading = []
     for reading in other_readings(cameras):
@@ -146,4 +163,4 @@ def _check_overlap(cameras: Sequence[Camera], depths: DepthRange, trust_poses: b
         likely = [reading for share, reading in shares_by_reading if share >= best - TIE]
         cure = "these poses look like " + "; or ".join(f"{reading.looks_like}: {reading.cure}" for reading in likely)
     cure += "; if the poses are right as they are, set trust_poses"
-    raise OverlapError(f"{message}; need {100 * MIN_SHARE:.0f} %", field="cameras", index=lonely, cure=cure)
+    raise OverlapError(f"{message}; need {100 * MIN_SHARE:.0f} %", field="cameras", index=numbers[lonely], cure=cure)

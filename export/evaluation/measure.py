@@ -16,9 +16,9 @@ from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import FittedView
 from gapmes.service.reconstruct import Reconstructor
+from gapmes.service.scene_views import NEAR_PLANE_SHARE
 from gapmes.service.splat import Render, render
 
-from ..pictures import NEAR_SHARE
 from .case import Case, LargerTargets
 from .covisible import PREDICTED_TOLERANCE, TRUE_TOLERANCE, Mask, covisible
 from .lpips import Lpips
@@ -65,7 +65,7 @@ class _Reconstruction:
     seconds: float
 
     def draw(self, camera: Camera, threads: int | None) -> Render:
-        return render(self.gaussians, camera, near=NEAR_SHARE * self.near, threads=threads)
+        return render(self.gaussians, camera, near=NEAR_PLANE_SHARE * self.near, threads=threads)
 
 
 def measure(
@@ -154,7 +154,7 @@ def _baseline_pictures(case: Case, near: float, far: float, threads: int | None)
     pictures = {NEAREST: [nearest_input(case.inputs, camera) for camera in cameras], PLANE: blended}
     for name, gaussians in splats.items():
         pictures[name] = [
-            drawn_over(gaussians, camera, behind, NEAR_SHARE * near, threads)
+            drawn_over(gaussians, camera, behind, NEAR_PLANE_SHARE * near, threads)
             for camera, behind in zip(cameras, blended, strict=True)
         ]
     return pictures

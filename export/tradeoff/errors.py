@@ -17,12 +17,12 @@ from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import FittedView
 from gapmes.service.picture_error import psnr, ssim
 from gapmes.service.pruning import colour_range, reaches
+from gapmes.service.scene_views import NEAR_PLANE_SHARE
 from gapmes.service.splat import Definition, render, render_reference
 
 from ..cases import sample_scene
 from ..evaluation.lpips import Lpips
 from ..graph import evaluated
-from ..pictures import NEAR_SHARE
 from ..variant import load_variant
 from .files import ModelFile
 from .schema import Bound, ModelError, Rounding, SettingError
@@ -83,7 +83,7 @@ def network_rounding(file: ModelFile, threads: int | None) -> Rounding:
     pose[:3, 3] = inputs.world_from_cam[:2, :3, 3].double().mean(0).numpy()
     s = file.size
     camera = Camera.make(s, s, k[0, 0] * s, k[1, 1] * s, k[0, 2] * s, k[1, 2] * s, pose)
-    near = NEAR_SHARE * float(inputs.near_far[0])
+    near = NEAR_PLANE_SHARE * float(inputs.near_far[0])
     pictures = [
         drawn(Gaussians.make(*(result[name] for name in GAUSSIAN_OUTPUTS)), [camera], near)[0]
         for result in (values, exact)

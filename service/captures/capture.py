@@ -16,7 +16,7 @@ from .archive import SIGNATURES, ZipFiles
 from .choose import chosen_views
 from .files import Files, FolderFiles
 from .photographs import Photographs
-from .recognise import recognised, table_of_file
+from .recognise import MAX_CAMERA_BYTES, recognised, table_of_file
 from .select import DEFAULT_CONTEXT, Wish, named_views
 from .table import CameraTable
 
@@ -50,9 +50,9 @@ class Capture:
         self._paths: list[str] | None = None  # where the file names none
 
     @classmethod
-    def of(cls, files: Files, *, max_pixels: int = MAX_PIXELS) -> Capture:
+    def of(cls, files: Files, *, max_pixels: int = MAX_PIXELS, max_camera_bytes: int = MAX_CAMERA_BYTES) -> Capture:
         """Recognised by content. Raises `CaptureError` and `CameraError`."""
-        return cls(files, *recognised(files), max_pixels=max_pixels)
+        return cls(files, *recognised(files, max_camera_bytes), max_pixels=max_pixels)
 
     @property
     def names(self) -> tuple[str | None, ...]:

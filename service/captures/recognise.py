@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import posixpath
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from ..camera_fields import CameraFile, SizeOf
@@ -26,18 +27,21 @@ KNOWN = f"{', '.join(JSON_NAMES)}, a COLMAP model (sparse/0), {LLFF_NAME} or a R
 Parse = Callable[[bytes], Any]  # a decoded JSON file. Raises `ValueError` or `RecursionError`, or an error of the tree
 
 
-def recognised(files: Files) -> tuple[str, CameraTable]:
+def recognised(files: Files, max_bytes: int = MAX_CAMERA_BYTES) -> tuple[str, CameraTable]:
     """The folder of the capture, which is the root or one of its folders, and its cameras.
 
     In a folder the first of these counts: cameras.json, transforms.json, transforms_train.json, a COLMAP model,
-    poses_bounds.npy, a single RealEstate10K text. Raises `CaptureError` where there is none, or in several folders.
+    poses_bounds.npy, a single RealEstate10K text; of more than `max_bytes` a file that is read whole is refused. Raises
+    `CaptureError` where there is none, or in several folders: found by their names, before one of them is read.
     """
-    table = _table_in(files, "")
-    if table is not None:
-        return "", table
-    found = [(folder, table) for folder in files.folders("") if (table := _table_in(files, folder)) is not None]
+    read = _reader_in(files, "", max_bytes)
+    if read is not None:
+        return "", read()
+    readers = ((folder, _reader_in(files, folder, max_bytes)) for folder in files.folders(""))
+    found = [(folder, read) for folder, read in readers if read is not None]
     if len(found) == 1:
-        return found[0]
+        folder, read = found[0]
+        return folder, read()
     if found:
         listed = ", ".join(folder for folder, _ in found[:5])
         raise CaptureError(
@@ -51,9 +55,9 @@ def recognised(files: Files) -> tuple[str, CameraTable]:
     )
 
 
-def table_of_file(files: Files, path: str) -> CameraTable:
+def table_of_file(files: Files, path: str, max_bytes: int = MAX_CAMERA_BYTES) -> CameraTable:
     """The cameras of a named file, whatever its name is; a file of a COLMAP model stands for the model. Raises
-    `CameraError`.
+    `CameraError`, and `CaptureError` for more than `max_bytes`.
     """
     folder, name = posixpath.split(path)
     stem, _, form = name.rpartition(".")
@@ -62,7 +66,7 @@ def table_of_file(files: Files, path: str) -> CameraTable:
             need = "need cameras and images, both .bin or both .txt"
             raise CameraError(f"{path} is not in a whole COLMAP model, {need}", field="cameras")
         return read_colmap(files, folder, form if has_colmap(files, folder) != "bin" else "bin")
-    return table_of_bytes(read_bounded(files, path, MAX_CAMERA_BYTES), path)
+    return table_of_bytes(read_bounded(files, path, max_bytes), path)
 
 
 def table_of_bytes(data: bytes, source: str, parse: Parse = json.loads) -> CameraTable:
@@ -85,22 +89,22 @@ def table_of_bytes(data: bytes, source: str, parse: Parse = json.loads) -> Camer
     return CameraTable(kind, source, names, cameras)
 
 
-def _table_in(files: Files, base: str) -> CameraTable | None:
+def _reader_in(files: Files, base: str, max_bytes: int) -> Callable[[], CameraTable] | None:
     for name in JSON_NAMES:
         if files.has(joined(base, name)):
-            return table_of_file(files, joined(base, name))
+            return partial(table_of_file, files, joined(base, name), max_bytes)
     for folder in COLMAP_FOLDERS:
         form = has_colmap(files, joined(base, folder))
         if form is not None:
-            return read_colmap(files, joined(base, folder), form)
+            return partial(read_colmap, files, joined(base, folder), form)
     if files.has(joined(base, LLFF_NAME)):
-        return table_of_file(files, joined(base, LLFF_NAME))
+        return partial(table_of_file, files, joined(base, LLFF_NAME), max_bytes)
     texts = [joined(base, name) for name in files.files(base) if name.endswith(".txt")]
     texts = [path for path in texts if _is_realestate10k(files, path)]
     if len(texts) > 1:
         message = f"{files.label} holds {len(texts)} RealEstate10K files: {', '.join(texts[:5])}"
         raise CaptureError(message, field="capture", cure="keep one of them")
-    return table_of_file(files, texts[0]) if texts else None
+    return partial(table_of_file, files, texts[0], max_bytes) if texts else None
 
 
 def _is_realestate10k(files: Files, path: str) -> bool:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ..splat import Render
 
 SECONDS, FPS = 4.0, 24.0
+NO_FOLDER = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg")
 SHEET_FORMATS: dict[str, Format] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp"}
 
 

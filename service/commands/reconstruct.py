@@ -26,9 +26,11 @@ def reconstruct(
             " RealEstate10K",
         ),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help=".ply to write")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="file to write: .ply, .compressed.ply, .splat or .spz")
+    ],
     views: Annotated[
-        str | None, typer.Option(help="2 to 6 views by index or name, such as 4,8 [default: all, of more than 6 some]")
+        str | None, typer.Option(help="2 to 6 views by index or name, such as 1,5 [default: all, of more than 6 some]")
     ] = None,
     context: Annotated[
         int | None, typer.Option(help="how many views to choose, 2 to 6 [default: 3 where there are more than 6]")
@@ -63,13 +65,17 @@ def reconstruct(
     from ..budget import Budget, parse_max_error
     from ..captures.capture import open_capture
     from ..captures.select import Wish, checked_wish
+    from ..disk import replace_file
     from ..errors import InputError
+    from ..formats.encoded import Encoded
+    from ..formats.registry import format_of_path
     from ..image_files import image_size
     from ..images import EncodedPhoto
-    from ..ply import write_ply
+    from ..ply import ply_bytes
     from ..progress import Stages
     from ..reconstruct import Reconstructor
 
+    target = format_of_path(output, field="output")
     if not output.parent.is_dir():  # said before the work, not after it
         raise InputError(f"{output.parent} is not a folder", field="output")
     checked_others(leave_one_out)
@@ -98,10 +104,15 @@ def reconstruct(
             budget=budget,
             leave_one_out=leave_one_out,
             fade=fade,
+            numbers=found.indices,
             listener=bars,
         )
-        with stages.stage("write .ply"):
-            write_ply(output, scene.gaussians)
+        with stages.stage("write"):
+            if target.extension == "ply":
+                encoded = Encoded(ply_bytes(scene.gaussians, positions=scene.positions))
+            else:
+                encoded = target.write(scene.gaussians)
+            replace_file(output, encoded.data)
     bars.say(f"{len(scene.gaussians)} Gaussians in {output}")
     bars.say(selection_line(found.selection))
     bars.say(check_line(scene.document["check"]))
@@ -110,7 +121,15 @@ def reconstruct(
         bars.say(line)
     for warning in scene.document.get("warnings", ()):
         bars.say(f"warning: {warning['message']}")
+    for note in encoded.notes:
+        bars.say(f"warning: {output.name}: {note}")
     if as_json:
-        said = {"ply": str(output), "selected_views": list(found.indices), "selection": found.selection}
+        said = {
+            "file": str(output),
+            "format": target.extension,
+            "notes": encoded.notes,
+            "selected_views": list(found.indices),
+            "selection": found.selection,
+        }
         document = {**said, **scene.document}
         sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")

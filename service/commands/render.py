@@ -64,7 +64,7 @@ def render(
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Render views of a scene as PNG files named view_<view>.png, or a film where OUTPUT ends in .mp4, .webp or .gif.
+    """Render views of a scene as PNG files such as view_5.png, or a film where OUTPUT ends in .mp4, .webp or .gif.
 
     Where the camera file lacks near or far, the depths of the Gaussians that its cameras see stand in for them.
     """
@@ -78,7 +78,7 @@ def render(
     from ..progress import Stages
     from ..scene_views import SceneViews
     from ..seen_depths import seen_depths
-    from .outputs import SHEET_FORMATS, Drawing, FilmPlan, write_moving, write_pictures, write_sheet
+    from .outputs import NO_FOLDER, SHEET_FORMATS, Drawing, FilmPlan, write_moving, write_pictures, write_sheet
 
     effort = Effort(alpha_min, stop, sh_degree, samples)
     file = read_camera_file(cameras)
@@ -104,6 +104,12 @@ def render(
     if plan is not None:
         replace(scene, cameras=[scene.resolve(spec, field="views") for spec in specs]).path(plan.path, plan.swing)
         plan.shape(plan.fit(fit(scene.resolve(specs[0], field="views"))))
+    if plan is None and not sheet and not output.is_dir() and output.suffix.lower() in NO_FOLDER:
+        raise InputError(
+            f"{output.name!r} names a file, and pictures go into a folder",
+            field="output",
+            cure="name a folder; a film ends in .mp4, .webp or .gif; --sheet puts all views into one picture",
+        )
     if (plan is not None or sheet) and not output.parent.is_dir():
         raise InputError(f"{output.parent} is not a folder", field="output")
     options = {"background": parse_background(background), "threads": threads}

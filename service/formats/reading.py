@@ -18,7 +18,7 @@ from ..gaussians import Gaussians
 Source = str | PathLike[str] | bytes | bytearray | memoryview | BinaryIO
 
 LARGEST = float(np.finfo(np.float32).max)
-DROP_CURE = "inspect_ply(drop_invalid=True), or --drop-invalid of gapmes convert and render, leaves such rows out"
+DROP_CURE = "such rows are left out with --drop-invalid, drop_invalid=true over HTTP, inspect_ply(drop_invalid=True)"
 
 
 @dataclass(frozen=True, eq=False)

@@ -86,7 +86,12 @@ def format_of_bytes(data: bytes, name: str | None = None) -> Format:
         return FORMATS["compressed.ply" if is_compressed(parse_header(data)) else "ply"]
     if data[:2] == b"\x1f\x8b" or data[:4] == b"NGSP":
         return FORMATS["spz"]
-    return format_of_path(name or "", field="format")
+    if name:
+        return format_of_path(name, field="format")
+    if not data:
+        raise InputError("0 bytes", field="file", cure=f"send a file of Gaussians, one of {NAMES}")
+    message = f"the first bytes, {data[:8]!r}, are those of no .ply or .spz, and there is no name to tell"
+    raise InputError(message, field="format", cure=f"name the format, one of {NAMES}; a .splat has nothing that tells")
 
 
 def inspect_gaussians(

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import base64
 import io
+from functools import partial
 from typing import Annotated, Any
 
-import anyio.to_thread
 from fastapi import APIRouter, Depends, Request, Response
 from PIL import Image
 
 from ..camera_file import camera_document
 from ..depth_range import depth_range
 from ..fitting import fit_notices
-from ..image_files import check_total
-from ..images import Photo, decode_image
+from ..images import Photo, decode_image, match_photo
 from ..model_info import ModelInfo
 from ..pose_notices import pose_notices
 from ..settings import Settings
-from ..view_checks import check_views
+from ..view_checks import DEPTH_PLANES, check_views
 from .form import FORM
 from .responses import json_response
 from .runtime import Runtime, runtime_of
@@ -42,20 +41,27 @@ async def check(request: Request, runtime: Annotated[Runtime, Depends(runtime_of
     async with runtime.uploads.place():
         upload = await read_upload(request, runtime.settings, models.names)
         info = models.get(upload.work.model).file.info
-        document = await anyio.to_thread.run_sync(_understood, upload, runtime.settings, info)
+        understood = partial(_understood, upload, runtime.settings, info)
+        document = await runtime.looks.run(understood, request.is_disconnected)
     return json_response(document)
 
 
 def _understood(upload: Upload, settings: Settings, info: ModelInfo) -> dict[str, Any]:
     work, pairing = upload.work, upload.pairing
-    check_total(work.images, max_pixels=settings.max_image_pixels, max_total=settings.max_request_pixels)
+    upload.check_asked()
+    work.check_pixels(settings)
+    numbers = upload.selection["views"]
     depths = depth_range(work.cameras, work.near, work.far)
-    warnings = [*pairing.warnings, *check_views(work.cameras, depths, trust_poses=work.trust_poses)]
-    warnings += pose_notices(work.cameras, depths.near)
+    warnings = list(pairing.warnings)
+    planes = info.depth_planes or DEPTH_PLANES
+    warnings += check_views(work.cameras, depths, trust_poses=work.trust_poses, numbers=numbers, planes=planes)
+    warnings += pose_notices(work.cameras, depths.near, numbers)
     images = []
-    for index, (image, view) in enumerate(zip(pairing.images, pairing.views, strict=True)):
-        photo = decode_image(image.data, index=index, max_pixels=settings.max_image_pixels)
-        warnings += fit_notices(photo, view.camera, view.lens, index, info)
+    for number, image, view in zip(numbers, pairing.images, pairing.views, strict=True):
+        photo = decode_image(image.data, index=number, max_pixels=settings.max_image_pixels)
+        warnings += fit_notices(photo, view.camera, view.lens, number, info)
+        if view.lens is None:
+            photo, _ = match_photo(photo, view.camera, index=number)  # upright, where EXIF says so and the camera too
         size = {"width": photo.width, "height": photo.height}
         images.append(
             {"name": image.name, **size, "thumbnail": _thumbnail(photo), "camera": camera_document(view.camera)}
@@ -66,13 +72,13 @@ def _understood(upload: Upload, settings: Settings, info: ModelInfo) -> dict[str
         "selection": upload.selection,
         "near": depths.near,
         "far": depths.far,
-        "depth_range_source": depths.source,
+        "depth_range_source": "cameras" if depths.source == "estimated" else depths.source,
         "warnings": warnings,
     }
 
 
 def _thumbnail(photo: Photo) -> str:
-    """A small JPEG of the photograph as stored, in base64."""
+    """A small JPEG of the photograph, in base64."""
     small = Image.fromarray(photo.rgb)
     small.thumbnail((THUMBNAIL, THUMBNAIL), reducing_gap=2.0)
     buffer = io.BytesIO()

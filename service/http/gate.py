@@ -50,6 +50,7 @@ class Lane:
 
     def __init__(self, slots: int, waiting: int, patience_s: float, doing: str) -> None:
         self._turns = asyncio.Semaphore(slots)
+        self._threads = anyio.CapacityLimiter(slots + waiting)  # its own: what pauses keeps its thread
         self._patience_s = patience_s
         self.places = Places(slots + waiting, doing)
 
@@ -77,7 +78,9 @@ class Lane:
                 held = True
 
             try:
-                return await anyio.to_thread.run_sync(function, lambda: anyio.from_thread.run(pause))
+                return await anyio.to_thread.run_sync(
+                    function, lambda: anyio.from_thread.run(pause), limiter=self._threads
+                )
             finally:
                 if held:
                     self._turns.release()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Mapping, Sequence
+from contextlib import aclosing
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
@@ -58,12 +59,12 @@ async def job_events(
     """Server-sent events: `state` and `stage`, numbered, from the beginning or behind the last one received; comments
     as signs of life; the stream ends with the job."""
     runtime.desk.table.get(job_id)
-    runtime.streams.check()
     if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
         after = int(last_event_id[:10])
-    stream = _events(request, runtime, job_id, after)
+    events = _events(request, runtime, job_id, after)
+    first = await anext(events)  # takes the place, or refuses before the answer has begun
     return StreamingResponse(
-        stream, media_type=EVENTS, headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        _from(first, events), media_type=EVENTS, headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     )
 
 
@@ -103,7 +104,7 @@ def job_document(runtime: Runtime, job: Job) -> dict[str, Any]:
     return document
 
 
-async def _events(request: Request, runtime: Runtime, job_id: str, after: int) -> AsyncIterator[str]:
+async def _events(request: Request, runtime: Runtime, job_id: str, after: int) -> AsyncGenerator[str]:
     table, heard = runtime.desk.table, time.monotonic()
     async with runtime.streams.place():
         yield f"retry: {RETRY_MS}\n\n"
@@ -118,6 +119,14 @@ async def _events(request: Request, runtime: Runtime, job_id: str, after: int) -
                 heard = time.monotonic()
                 yield ": still here\n\n"
             await anyio.sleep(LOOK_S)
+
+
+async def _from(first: str, rest: AsyncGenerator[str]) -> AsyncIterator[str]:
+    """`first`, then the rest, which ends with this."""
+    async with aclosing(rest):
+        yield first
+        async for text in rest:
+            yield text
 
 
 def _text(event: Event) -> str:

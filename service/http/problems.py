@@ -58,15 +58,29 @@ def of_document(document: Mapping[str, Any]) -> Response:
     return response(document, {"Retry-After": str(RETRY_AFTER_S)} if document["status"] == 503 else None)
 
 
-async def _validation(_: Request, error: RequestValidationError) -> Response:
+async def _validation(request: Request, error: RequestValidationError) -> Response:
     """One document for the first wrong parameter; `errors` lists all of them."""
-    errors = [
-        {"field": ".".join(str(part) for part in item["loc"][1:]), "detail": str(item["msg"])}
-        for item in error.errors()
-    ]
+    found = error.errors()
+    errors = [{"field": ".".join(str(part) for part in item["loc"][1:]), "detail": _detail(item)} for item in found]
     first = errors[0]
-    document = problem(422, "parameter_invalid", first["detail"], field=first["field"], extra={"errors": errors})
-    return response(document)
+    cure = f"parameters: {', '.join(_parameters(request))}" if found[0]["type"] == "extra_forbidden" else None
+    extra = {"errors": errors}
+    return response(problem(422, "parameter_invalid", first["detail"], field=first["field"], cure=cure, extra=extra))
+
+
+def _detail(item: Mapping[str, Any]) -> str:
+    """What was sent, and what is needed."""
+    if item["type"] == "extra_forbidden":
+        return "is not a parameter of this route"
+    need = str(item["msg"])
+    return need if item["type"] == "missing" else f"is {str(item['input'])[:100]!r}: {need[:1].lower()}{need[1:]}"
+
+
+def _parameters(request: Request) -> list[str]:
+    """Names of the query parameters that the route has, as the open API lists them."""
+    paths, route = request.app.openapi()["paths"], request.scope["route"]
+    listed = paths.get(route.path_format, {}).get(request.method.lower(), {}).get("parameters", ())
+    return [parameter["name"] for parameter in listed if parameter["in"] == "query"]
 
 
 async def _framework(request: Request, error: HTTPException) -> Response:

@@ -9,7 +9,6 @@ from typing import Annotated
 import anyio.to_thread
 from fastapi import APIRouter, Depends, Request, Response
 
-from ..scene_views import SceneViews
 from . import problems
 from .bundle import zip_bundle
 from .form import FORM
@@ -49,9 +48,7 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
     async with AsyncExitStack() as held:
         async with runtime.uploads.place():  # slow senders take no place at the CPU
             upload = await read_upload(request, runtime.settings, models.names)
-            views = SceneViews(upload.pairing.cameras)
-            for spec in upload.views:  # refuse an unknown view before the work, not after it
-                views.resolve(spec, field="views")
+            upload.check_asked()
             work, told = upload.work, Told.of(upload)
             del upload
             scene_id = await anyio.to_thread.run_sync(work.scene_id, models.get(work.model).identity)

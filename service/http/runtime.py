@@ -56,6 +56,9 @@ class Runtime:
             settings.render_seconds,
             "converting files or waiting to",
         )
+        self.looks = Lane(  # one photograph of one request at a time lies in memory at full size
+            1, settings.max_uploads, settings.render_seconds, "having their photographs looked at"
+        )
         self.streams = Places(settings.max_streams, "following jobs")
         self.scenes = Places(settings.concurrency + settings.max_waiting, "waiting for their scenes")
         self.uploads = Places(settings.max_uploads, "sending their photographs")

@@ -114,8 +114,8 @@ class UnderstoodImage(BaseModel):
     """A photograph with the camera that belongs to it."""
 
     name: str
-    width: int = Field(description="px, as stored")
-    height: int = Field(description="px, as stored")
+    width: int = Field(description="px, turned as EXIF says where the camera is")
+    height: int = Field(description="px, likewise")
     camera: dict[str, Any] = Field(description="px and camera to world, OpenCV axes, as in cameras.json")
     thumbnail: str = Field(description="a small JPEG, base64")
 
@@ -128,7 +128,9 @@ class Understood(BaseModel):
     selection: dict[str, Any] = Field(description="which of the views that were sent, and by what they were chosen")
     near: float
     far: float
-    depth_range_source: str
+    depth_range_source: str = Field(
+        description="given, or cameras: estimated from them, before a reconstruction narrows it by the photographs"
+    )
     warnings: list[dict[str, Any]]
 
 

@@ -24,6 +24,7 @@ from ..fade_passes import DEFAULT_PASSES, checked_passes
 from ..foretold import DEFAULT_OTHERS, checked_others
 from ..jobs.work import Work
 from ..model_names import DEFAULT, checked_name
+from ..scene_views import SceneViews
 from ..settings import Settings
 from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
@@ -63,6 +64,12 @@ class Upload:
     selection: dict[str, Any]
     work: Work
     views: tuple[str, ...]  # to be drawn, such as "1.5"
+
+    def check_asked(self) -> None:
+        """Raises `ViewError` for a view that these cameras do not have, before the work and not after it."""
+        views = SceneViews(self.pairing.cameras)
+        for spec in self.views:
+            views.resolve(spec, field="views")
 
 
 @dataclass(frozen=True)
@@ -104,6 +111,7 @@ async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> U
     inputs = await _inputs(form, settings, wish, near, far)
     pairing = inputs.pairing
     lenses = tuple(view.lens for view in pairing.views)
+    numbers = tuple(inputs.selection["views"])  # as whoever sent them counts them
     work = Work(
         images=tuple(image.data for image in pairing.images),
         cameras=pairing.cameras,
@@ -115,6 +123,7 @@ async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> U
         fade=checked_passes(_whole(form, "fade", DEFAULT_PASSES)),
         budget=_budget(form),
         model=model,
+        numbers=numbers if numbers != tuple(range(len(numbers))) else (),
     )
     return Upload(pairing, inputs.selection, work, _views(form))
 

@@ -44,6 +44,7 @@ class Work:
     model: str = DEFAULT  # the name that the service has for it
     fade: int = DEFAULT_PASSES
     lenses: tuple[Lens | None, ...] = ()  # what the photographs are resampled from; empty where none is
+    numbers: tuple[int, ...] = ()  # what errors and warnings call the views; empty where they are counted from 0
 
     def scene_id(self, identity: str) -> str:
         """Everything that the stored scene depends on, and nothing else: file names are the request's own, and so is
@@ -65,7 +66,14 @@ class Work:
         }
         if self.lenses:
             options["lenses"] = [_lens_entry(lens) for lens in self.lenses]
+        if self.numbers:
+            options["numbers"] = self.numbers
         return SceneStore.scene_id(identity, self.images, [_camera_entry(camera) for camera in self.cameras], options)
+
+    def check_pixels(self, settings: Settings) -> None:
+        """By the photographs' headers. Raises `ImageError` and `ImageTooLarge`."""
+        limits = {"max_pixels": settings.max_image_pixels, "max_total": settings.max_request_pixels}
+        check_total(self.images, numbers=self.numbers or None, **limits)
 
     def document(self) -> dict[str, Any]:
         """All but the images as plain JSON; `of_document` reads it back to the bit."""
@@ -75,7 +83,7 @@ class Work:
             [_camera_entry(camera) for camera in self.cameras],
             [_lens_entry(lens) for lens in self.lenses],
         )
-        return {"cameras": cameras, "lenses": lenses, "budget": asdict(self.budget), **rest}
+        return {"cameras": cameras, "lenses": lenses, "numbers": self.numbers, "budget": asdict(self.budget), **rest}
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any], images: Sequence[bytes]) -> Work:
@@ -83,15 +91,19 @@ class Work:
         budget = {**document["budget"], "asked": tuple(document["budget"]["asked"])}
         cameras = tuple(_camera_of(entry) for entry in document["cameras"])
         lenses = tuple(None if entry is None else Lens(**entry) for entry in document.get("lenses", ()))
-        rest = {name: value for name, value in document.items() if name not in ("cameras", "lenses", "budget")}
-        return cls(images=tuple(images), cameras=cameras, lenses=lenses, budget=Budget(**budget), **rest)
+        numbers = tuple(document.get("numbers", ()))
+        own = ("cameras", "lenses", "numbers", "budget")
+        rest = {name: value for name, value in document.items() if name not in own}
+        return cls(
+            images=tuple(images), cameras=cameras, lenses=lenses, numbers=numbers, budget=Budget(**budget), **rest
+        )
 
 
 def compute(
     work: Work, scene_id: str, reconstructor: Reconstructor, store: SceneStore, settings: Settings, listener: Listener
 ) -> dict[str, Any]:
     """Decode, reconstruct and store; the store keeps the whole scene or nothing. Returns its document."""
-    check_total(work.images, max_pixels=settings.max_image_pixels, max_total=settings.max_request_pixels)
+    work.check_pixels(settings)
     scene = reconstructor.reconstruct(
         [
             EncodedPhoto(data, settings.max_image_pixels, lens)
@@ -104,11 +116,13 @@ def compute(
         budget=work.budget,
         leave_one_out=work.leave_one_out,
         fade=work.fade,
+        numbers=work.numbers or None,
         listener=listener,
     )
     created = datetime.now(UTC).isoformat(timespec="seconds")
     document = {"id": scene_id, "created": created, **scene.document, "inputs": len(scene.inputs)}
-    store.put(scene_id, ply_bytes(scene.gaussians), document, [png(pixels) for pixels in scene.inputs])
+    ply = ply_bytes(scene.gaussians, positions=scene.positions)
+    store.put(scene_id, ply, document, [png(pixels) for pixels in scene.inputs])
     return document
 
 

@@ -209,3 +209,29 @@ def test_folders_without_a_camera_file(tmp_path):
 
 def test_inverse_is_exact_for_the_test_poses():
     np.testing.assert_allclose(rigid_inverse(pose()) @ pose(), np.eye(4), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "words"),
+    [
+        (lambda f: f["views"][1].update(k1=-0.4), "views.k1", "k1 = -0.4: a cameras.json holds pinholes"),
+        (lambda f: f.update(p2=0.1), "cameras.p2", "p2 = 0.1: a cameras.json holds pinholes"),
+        (lambda f: f["views"][1].update(axes="opengl"), "views.axes", "axes = 'opengl' stands in a view"),
+        (lambda f: f["views"][0].update(near=1.0), "views.near", r"near = 1.0 stands in a view"),
+        (lambda f: f.update(axis="opengl"), "cameras", "'axis' is not a key of the file.*did you mean \"axes\""),
+        (lambda f: f.update(Near=1.0), "cameras", "'Near' is not a key of the file.*did you mean \"near\""),
+    ],
+)
+def test_keys_that_would_mean_something_elsewhere_are_refused(change, field, words):
+    file = json.loads(json.dumps(our_file()))
+    change(file)
+    with pytest.raises(CameraError, match=words) as caught:
+        parse_camera_file(file)
+    assert caught.value.field == field
+
+
+def test_keys_that_mean_nothing_are_left_alone():
+    file = json.loads(json.dumps(our_file()))
+    file |= {"licence": "ours", "suggested": {"context2": [0, 1]}, "note": "near the door"}
+    file["views"][0] |= {"time": 3, "k1": 0.0, "k2": 0}
+    assert parse_camera_file(file).views[0].camera.width == 640

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
+import typer
 from cli_runs import assert_refusal, reconstruct, run
 from PIL import Image
 from ply_cases import binary_file, columns, gaussians
+from typer.testing import CliRunner
 
-from gapmes.service import Gaussians, write_ply
+from gapmes.service import Gaussians, cli, write_ply
 from gapmes.service.ply import ply_bytes
 
 
@@ -172,3 +176,29 @@ def test_shells_complete_commands_and_options() -> None:
         command = [sys.executable, "-c", "from gapmes.service.cli import app; app(prog_name='gapmes')"]
         done = subprocess.run(command, env=os.environ | asked, capture_output=True, text=True, check=False)
         assert expected <= set(done.stdout.split()), done
+
+
+def test_every_default_that_a_help_text_names_is_shown() -> None:
+    """Markup would take what stands in brackets for a style and leave it out."""
+    runner, group = CliRunner(), typer.main.get_command(cli.app)
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        shown = runner.invoke(cli.app, [name, "--help"], env={"COLUMNS": "250"}).output
+        flat = re.sub(r"[\s│]+", "", shown)
+        for parameter in group.get_command(context, name).params:
+            for bracket in re.findall(r"\[[^]]+\]", getattr(parameter, "help", None) or ""):
+                assert re.sub(r"\s+", "", bracket) in flat, (name, parameter.name, bracket)
+
+
+def test_the_version(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run("--version") == 0
+    assert re.fullmatch(r"gapmes \d+\.\d+\.\d+\n", capfd.readouterr().out)
+
+
+@pytest.mark.parametrize("name", ["film.avi", "one.png", "one.JPG"])
+def test_pictures_do_not_go_into_a_folder_that_is_named_as_a_file(
+    name: str, scene_dir: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run("render", tmp_path / "none.ply", "--cameras", scene_dir, "-o", tmp_path / name, "--json") == 1
+    assert_refusal(capfd, f"output: '{name}' names a file, and pictures go into a folder")
+    assert not (tmp_path / name).exists()

@@ -13,6 +13,7 @@ from cli_runs import assert_refusal, reconstruct, run
 from PIL import Image
 
 from gapmes.service import read_ply
+from gapmes.service.formats.registry import inspect_gaussians
 from gapmes.service.kernels import warm_up
 
 
@@ -34,7 +35,7 @@ def test_reconstruct_and_render(scene_dir: Path, standin_model: Path, capfd: pyt
         "fade",
         "leave out",
         "check",
-        "write .ply",
+        "write",
     ):
         assert re.search(rf"^{re.escape(stage)} +\d+\.\d\d s$", err, re.MULTILINE), err
 
@@ -179,3 +180,33 @@ def test_image_that_is_none(scene_dir: Path, standin_model: Path, capfd: pytest.
     (scene_dir / "images" / "002.png").write_text("no image")
     assert reconstruct(scene_dir, standin_model, "--views", "0,2", "--json") == 1
     assert assert_refusal(capfd, "view 2")["code"] == "image_unreadable"
+
+
+@pytest.mark.parametrize("extension", ["spz", "compressed.ply", "splat"])
+def test_the_output_has_the_format_of_its_name(
+    extension: str, scene_dir: Path, standin_model: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / f"scene.{extension}"
+    assert reconstruct(scene_dir, standin_model, "--views", "0,2", "-o", output, "--json") == 0
+    document = json.loads(capfd.readouterr().out)
+    assert (document["file"], document["format"]) == (str(output), extension)
+    reading, found = inspect_gaussians(output)
+    assert found.extension == extension
+    assert len(reading.gaussians) == document["gaussians"]["count"]
+    assert not (scene_dir / "out.ply").exists()
+
+
+def test_an_unknown_format_is_refused_before_the_work(
+    scene_dir: Path, standin_model: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert reconstruct(scene_dir, standin_model, "-o", tmp_path / "x.obj", "--json") == 1
+    assert_refusal(capfd, "output: 'x.obj' ends in none of ply, compressed.ply, splat, spz")
+
+
+def test_a_refusal_names_the_view_as_the_capture_counts_it(
+    scene_dir: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    Image.fromarray(np.zeros((64, 48, 3), np.uint8)).save(scene_dir / "images" / "003.png")
+    assert reconstruct(scene_dir, standin_model, "--views", "1,3", "--json") == 1
+    error = assert_refusal(capfd, "error: view 3: images: the photograph is 48 x 64 px")
+    assert error["index"] == 3

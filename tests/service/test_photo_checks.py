@@ -129,3 +129,15 @@ def test_a_picture_matches_itself_whatever_the_exposure():
     score, _ = match_score(picture, 0.3 * picture[None] + 0.2, np.ones((1, 20, 20), bool))
     assert score == pytest.approx(1, abs=1e-4)
     assert match_score(picture, picture[None], np.zeros((1, 20, 20), bool)) == (0.0, 0.0)
+
+
+def test_one_photograph_for_two_poses_is_refused(plane_scene):
+    views = fitted(plane_scene)
+    doubled = [views[0], replace(views[1], image=views[0].image), *views[2:]]
+    with pytest.raises(ContradictionError, match="photographs 4 and 7 are the same picture") as caught:
+        check_photos(doubled, DEPTHS, numbers=[4, 7, 8, 9][: len(views)])
+    assert (caught.value.field, caught.value.index) == ("images", 7)
+    notices = check_photos(doubled, DEPTHS, trust_poses=True)
+    assert notices[0]["code"] == "photos_equal"
+    plain = [replace(view, image=np.full_like(view.image, 0.5)) for view in views]  # show nothing that could differ
+    assert [notice["code"] for notice in check_photos(plain, DEPTHS)] == ["no_texture"]

@@ -1,6 +1,7 @@
 """Files of other writers are read rightly; broken and hostile ones are refused with the place and the numbers."""
 
 import io
+import tracemalloc
 import warnings
 
 import numpy as np
@@ -251,3 +252,29 @@ def test_damaged_files_are_read_or_refused(data):
     except PlyError:
         return
     assert all(np.isfinite(getattr(result, name)).all() for name in ("means", "scales", "opacities", "harmonics"))
+
+
+def test_endless_lists_before_the_vertices_are_refused_at_once():
+    """A byte each, walked one by one by what is no machine code."""
+    head = OURS[: OURS.index(b"element vertex")] + b"element face 5000000\nproperty list uchar int vertex_indices\n"
+    data = head + OURS[OURS.index(b"element vertex") : OURS.index(b"end_header\n") + 11] + bytes(5_000_000)
+    with pytest.raises(PlyError, match="5000000 rows of lists stand before the vertices, at most 200000"):
+        read_ply(data)
+
+
+def test_text_behind_the_vertices_costs_nothing():
+    text = by_plyfile(text=True)
+    assert_same(read_ply(text + b"0 0 0\n" * 2_000_000), read_ply(text))
+    tracemalloc.start()
+    read_ply(text + b"0\n" * 4_000_000)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20_000_000  # the file itself has 8 MB; every line as an object would be 250 MB
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
+def test_every_end_of_a_line_is_one(end):
+    head, body = by_plyfile(text=True).split(b"end_header\n")
+    lines = body.splitlines()
+    spaced = end.join([b"", *lines[:2], b"  ", *lines[2:], b""])
+    assert_same(read_ply(head + b"end_header\n" + spaced), read_ply(head + b"end_header\n" + body))

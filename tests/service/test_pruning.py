@@ -16,6 +16,7 @@ from gapmes.service.certified import certified_views
 from gapmes.service.errors import InputError
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import decode_image
+from gapmes.service.ply import ply_bytes, read_ply
 from gapmes.service.pruning import colour_range, prune, reaches, removal_bound
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.shipped import sample_folder
@@ -128,6 +129,26 @@ def test_no_certified_pixel_of_a_trained_scene_changes_by_more(trained_scenes, v
     for camera in certified:
         before, after = (render(some, camera, near=near).rgb for some in (scene.gaussians, kept))
         assert np.abs(before - after).max() <= result.bound
+
+
+@pytest.mark.case("I1", "S1")
+@pytest.mark.parametrize("views", [(0, 1), (0, 4), (1, 3, 5)])
+def test_what_is_said_of_a_trained_scene_holds_for_its_file(trained_scenes, views):
+    """Surfaces of one depth: in the file each Gaussian still hides what it hid when the bound was reckoned."""
+    scene, near = trained_scenes(views)
+    whole = scene.gaussians
+    certified = certified_views(scene.view_cameras, 1)
+    result = prune(whole, certified, 1 / 255, worth=0, pictures=len(views), near=near)
+    lean = whole[result.keep]
+    from_file = read_ply(ply_bytes(lean, positions=scene.positions))
+    assert scene.positions == "float32"
+    np.testing.assert_array_equal(from_file.means, lean.means)
+    for camera in certified:
+        pictures = [render(some, camera, near=near).rgb for some in (whole, lean, from_file)]
+        rounding = np.abs(pictures[2] - pictures[1]).max(axis=2)
+        # measured 1.1e-5 at most, without rounding before 3.1e-2; on the edge of a cut one pixel in 100,000 may differ
+        assert np.quantile(rounding, 0.9999) < 3e-5
+        assert np.mean(np.abs(pictures[2] - pictures[0]).max(axis=2) > result.bound + 3e-5) < 1e-4
 
 
 def test_a_larger_budget_drops_more_and_nothing_drops_nothing():

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from PIL import Image
 from standin_model import BAND_1, C0, EXTRA, HEIGHT, OPACITY, ROTATION, SCALES, WIDTH
 
 from gapmes.service.budget import KEEP_ALL, Budget
@@ -14,6 +15,7 @@ from gapmes.service.errors import (
     ContradictionError,
     DepthRangeError,
     ImageError,
+    InputError,
     ModelError,
     ViewCountError,
 )
@@ -295,3 +297,23 @@ def test_fading_lowers_opacities_of_pixels_and_says_so(reconstructor, plane_scen
     assert dropped[FADED] == twice["fading"]["gone"] == len(scenes[0].gaussians) + added - len(scenes[1].gaussians)
     pairs = zip(never["check"]["input_views"], twice["check"]["input_views"], strict=True)
     assert all(faded["psnr"] > plain["psnr"] for plain, faded in pairs)
+
+
+def test_photographs_may_be_paths_or_bytes(reconstructor, plane_scene, tmp_path):
+    paths = [tmp_path / f"{index}.png" for index in range(len(plane_scene.images))]
+    for path, image in zip(paths, plane_scene.images, strict=True):
+        Image.fromarray(image).save(path)
+    options = {"near": plane_scene.near, "far": plane_scene.far, "fade": 0}
+    expected = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, **options).gaussians
+    for given in (paths, [str(path) for path in paths], [path.read_bytes() for path in paths]):
+        found = reconstructor.reconstruct(given, plane_scene.cameras, **options).gaussians
+        np.testing.assert_array_equal(found.means, expected.means)
+        np.testing.assert_array_equal(found.harmonics, expected.harmonics)
+    with pytest.raises(ImageError, match=r"none\.png cannot be read: No such file") as caught:
+        reconstructor.reconstruct([paths[0], tmp_path / "none.png"], plane_scene.cameras[:2], **options)
+    assert caught.value.index == 1
+
+
+def test_numbers_that_are_too_few_are_refused(reconstructor, plane_scene):
+    with pytest.raises(InputError, match="1 numbers, need one per image"):
+        reconstructor.reconstruct(plane_scene.images[:2], plane_scene.cameras[:2], numbers=[3])

@@ -22,7 +22,7 @@ DEPTHS = DepthRange(1.0, 10.0, "given")
 class Info:
     """The field of `ModelInfo` that is looked at."""
 
-    config = {"depth_planes": 65}  # noqa: RUF012
+    depth_planes = 65
 
 
 def camera(x: float = 0.0, turn: float = 0.0, size: int = 48) -> Camera:
@@ -134,7 +134,7 @@ def test_depth_steps_are_half_the_distance_of_candidates():
     assert steps["middle"] == pytest.approx(1 - 1 / (1 + math.sqrt(10) * 0.9 / 128), abs=1e-6)
     wide = depth_steps(DepthRange(1.0, 1e6, "given"), Info)
     assert 0.99 < (wide["far"] or 0.0) < 1  # half a step before 1e6 is nearly all of it, never more
-    assert depth_steps(DEPTHS, type("Other", (), {"config": {}}))["far"] is None
+    assert depth_steps(DEPTHS, type("Other", (), {"depth_planes": None}))["far"] is None
 
 
 @pytest.mark.case("P8")

@@ -168,7 +168,9 @@ def test_little_overlap_is_a_warning():
 def test_a_wide_depth_range_is_a_warning_with_its_steps():
     notices = check_views(ring((0, 0.1)), given(near=0.01, far=1e4))
     assert [notice["code"] for notice in notices] == ["depth_range_wide"]
-    assert "0.1: 3.9 %" in notices[0]["message"]  # z (1 / near - 1 / far) / 254 at z = 0.1
+    assert "64 planes, by depth: 0.01: 0.79 %, 0.1: 7.4 %" in notices[0]["message"]  # z h / (1 + z h), h = 100 / 126
+    (notice,) = check_views(ring((0, 0.1)), given(near=0.01, far=1e4), planes=128)
+    assert "128 planes, by depth: 0.01: 0.39 %, 0.1: 3.8 %" in notice["message"]
     assert check_views(ring((0, 0.1)), given(near=1.0, far=1000.0)) == []
 
 

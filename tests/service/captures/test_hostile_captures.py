@@ -354,3 +354,17 @@ def test_a_checksum_that_does_not_hold(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match="cannot be unpacked: Bad CRC-32"):
         Capture.of(opened(data.replace(text, b'{"views": 7} ')))
     assert zlib.crc32(text) != zlib.crc32(b'{"views": 7} ')
+
+
+def test_folders_are_counted_before_one_of_them_is_read() -> None:
+    """Cameras that cost 30 times their size to parse, in several folders."""
+    heavy = b"[" + b"[]," * 300_000 + b"[]]"
+    files = opened(archive_of(*((f"{name}/cameras.json", heavy) for name in "abcdef")))
+    with peak_below(1_000_000), pytest.raises(CaptureError, match="holds 6 captures: a, b, c, d, e"):
+        recognised(files)
+
+
+def test_a_camera_file_in_a_zip_is_bounded_as_the_caller_says() -> None:
+    heavy = b"[" + b"[]," * 300_000 + b"[]]"
+    with peak_below(2_000_000), pytest.raises(CaptureError, match=rf"{len(heavy)} bytes.*limit.*65536"):
+        recognised(opened(archive_of(("cameras.json", heavy))), max_bytes=65536)

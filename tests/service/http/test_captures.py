@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ from capture_scenes import (
     write_transforms,
     zipped,
 )
-from http_requests import assert_problem, stored
+from http_requests import MAX_UPLOAD, assert_problem, camera_object, stored
+from http_requests import photograph as noise
 from starlette.testclient import TestClient
 
 from gapmes.service.budget import Budget
@@ -223,3 +225,45 @@ def test_too_many_views_in_a_capture(client: TestClient, tmp_path: Path) -> None
     (tmp_path / "clip.txt").write_text("\n".join([lines[0], *[lines[1]] * 2001]))
     body = assert_problem(post_capture(client, zipped(tmp_path)), 422, "invalid_input", "capture")
     assert body["detail"] == "has 2001 views, the limit is 2000"
+
+
+def test_photographs_that_unpack_to_more_than_a_request_may_hold(client: TestClient) -> None:
+    """A picture with zeros behind its end passes for one, and shrinks to nothing in a zip."""
+    cameras = camera_object(2)
+    for index, view in enumerate(cameras["views"]):
+        view["image"] = f"{index}.png"
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as made:
+        made.writestr("cameras.json", json.dumps(cameras))
+        for index in range(2):
+            made.writestr(f"{index}.png", noise(index) + bytes(MAX_UPLOAD - 20_000))
+    assert len(buffer.getvalue()) < MAX_UPLOAD // 10
+    answer = client.post("/reconstruct", files=[("capture", ("capture.zip", buffer.getvalue()))])
+    body = assert_problem(answer, 413, "upload_too_large", "capture")
+    assert f"the limit is {MAX_UPLOAD}" in body["detail"]
+
+
+def test_refusals_and_warnings_name_views_as_the_capture_counts_them(client: TestClient) -> None:
+    cameras = camera_object(4)
+    for index, view in enumerate(cameras["views"]):
+        view["image"] = f"{index}.png"
+
+    def posted(route: str, photographs: list[bytes], select: str, cameras: object) -> Any:
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w") as made:
+            made.writestr("cameras.json", json.dumps(cameras))
+            for index, data in enumerate(photographs):
+                made.writestr(f"{index}.png", data)
+        parts = [("capture", ("capture.zip", buffer.getvalue())), ("select", (None, select))]
+        return client.post(route, files=parts)
+
+    good = [noise(index) for index in range(4)]
+    torn = [*good[:3], good[3][:-200]]
+    tall = [*good[:3], noise(3, 72, 96)]
+    twice = json.loads(json.dumps(cameras))
+    twice["views"][3]["c2w"] = twice["views"][1]["c2w"]
+    for route in ("/check", "/reconstruct"):
+        assert_problem(posted(route, torn, "1,3", cameras), 415, "image_unreadable", index=3)
+        assert_problem(posted(route, tall, "1,3", cameras), 422, "image_invalid", index=3)
+        body = assert_problem(posted(route, good, "2,1,3", twice), 422, "no_baseline", index=3)
+        assert "views 1 and 3 have the same pose" in body["detail"]

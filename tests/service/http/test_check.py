@@ -157,3 +157,33 @@ def test_the_viewer_gets_the_scene_about_its_pivot(client: TestClient, scene: di
     start = settings["cameras"][0]["initial"]
     assert start["position"][2] == pytest.approx(-1.0, abs=0.01)
     assert start["fov"] == pytest.approx(2 * np.degrees(np.arctan(0.5 * 72 / 80)), abs=0.01)
+
+
+def test_views_that_are_asked_for_are_checked_too(client: TestClient) -> None:
+    parts = [("images", (f"{index}.png", photograph(index), "image/png")) for index in range(2)]
+    parts.append(("cameras", ("cameras.json", json.dumps(camera_object(2)).encode(), "application/json")))
+    asked, done = (
+        assert_problem(client.post(route, files=[*parts, ("views", (None, "0,7"))]), 422, "view_unknown", "views")
+        for route in ("/check", "/reconstruct")
+    )
+    assert asked == done
+
+
+def test_a_photograph_that_exif_turns_is_shown_as_it_will_be_used(client: TestClient) -> None:
+    picture = Image.open(io.BytesIO(photograph(5, 72, 96)))
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    stored_on_its_side = io.BytesIO()
+    picture.rotate(90, expand=True).save(stored_on_its_side, "PNG", exif=exif)
+    cameras = camera_object(2, width=72, height=96)
+    body = checked(client, [stored_on_its_side.getvalue(), photograph(6, 72, 96)], cameras).json()
+    first = body["images"][0]
+    assert (first["width"], first["height"]) == (72, 96)
+    small = np.asarray(Image.open(io.BytesIO(base64.b64decode(first["thumbnail"]))), float)
+    assert np.abs(small - np.asarray(picture, float)).mean() < 12  # a JPEG of blocks
+
+
+def test_a_range_that_photographs_have_not_narrowed_is_called_one_of_cameras(client: TestClient) -> None:
+    cameras = camera_object(2)
+    del cameras["near"], cameras["far"]
+    assert checked(client, [photograph(5), photograph(6)], cameras).json()["depth_range_source"] == "cameras"

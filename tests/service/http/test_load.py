@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, get_args
 
 import numpy as np
@@ -163,7 +164,7 @@ def test_a_stored_scene_is_not_guessed_at_again(client: TestClient) -> None:
 @pytest.mark.parametrize(
     ("data", "query", "status", "code", "field"),
     [
-        (b"", {}, 422, "invalid_input", "format"),
+        (b"", {}, 422, "invalid_input", "file"),
         (b"no such file", {}, 422, "invalid_input", "format"),
         (b"ply\nno header", {}, 422, "ply_invalid", "header"),
         (bytes(33), {"format": "splat"}, 422, "format_invalid", "splat"),
@@ -252,3 +253,25 @@ def test_a_single_gaussian_is_framed_by_its_size(scale: float) -> None:
     assert views.far is not None
     assert 0 < views.near < views.far
     assert np.allclose(views.cameras[0].center[:2], [1, 2])
+
+
+def test_what_no_picture_can_be_drawn_of_is_refused(client: TestClient) -> None:
+    for reach in (3e38, 1e300):
+        given = moderate(50, 3, 0)
+        means = given.means.copy()
+        means[::2, 0], means[1::2, 0] = reach, -reach
+        data = ply_bytes(replace(given, means=means), positions="float64")
+        body = assert_problem(load_raw(client, data), 422, "format_invalid", "file")
+        assert "too large or too small to be drawn" in body["detail"]
+
+
+def test_bodies_that_are_no_file_of_gaussians(client: TestClient) -> None:
+    body = assert_problem(load_raw(client, b""), 422, "invalid_input", "file")
+    assert "0 bytes" in body["detail"]
+    body = assert_problem(load_raw(client, b"\x89PNG\r\n\x1a\n" + bytes(100)), 422, "invalid_input", "format")
+    assert "PNG" in body["detail"]
+
+
+def test_one_bound_that_is_given_is_not_called_both(client: TestClient) -> None:
+    scene = load_raw(client, file_of("ply", 5), near="0.01").json()
+    assert (scene["near"], scene["depth_range_source"]) == (0.01, "framing")

@@ -217,3 +217,14 @@ def test_unknown_scene(client: TestClient, scene: dict[str, Any], scene_id: str)
     answer = client.get("/render", params={"scene": scene_id})
     code = "parameter_invalid" if len(scene_id) > 200 else "scene_not_found"
     assert_problem(answer, 422 if len(scene_id) > 200 else 404, code, "scene")
+
+
+def test_a_wrong_parameter_is_told_with_what_was_sent(client: TestClient) -> None:
+    body = assert_problem(client.get("/render?width=-1"), 422, "parameter_invalid", "width")
+    assert "is '-1': input should be greater than or equal to 1" in body["detail"]
+    body = assert_problem(client.get("/render?format=jpg"), 422, "parameter_invalid", "format")
+    assert "is 'jpg'" in body["detail"]
+    assert "'jpeg'" in body["detail"]
+    body = assert_problem(client.get("/render?typo=1"), 422, "parameter_invalid", "typo")
+    assert body["detail"] == "is not a parameter of this route"
+    assert "view, camera, scene" in body["cure"]

@@ -1,0 +1,61 @@
+"""Lanes: whoever has the turn gets a thread, however many of its steps others have paused between."""
+
+from __future__ import annotations
+
+import time
+
+import anyio
+import pytest
+
+from gapmes.service.errors import ServiceBusy
+from gapmes.service.http.gate import Lane, Pause
+
+FILMS = 60  # more than the 40 worker threads that everybody shares
+
+
+async def _stays() -> bool:
+    return False
+
+
+def _film(pause: Pause) -> int:
+    for step in range(3):
+        if step:
+            pause()
+        time.sleep(0.002)
+    return 1
+
+
+def test_films_that_pause_leave_a_thread_for_the_one_whose_turn_it_is() -> None:
+    done: list[int] = []
+
+    async def all_at_once() -> None:
+        lane = Lane(1, 200, 10.0, "drawing")
+
+        async def one() -> None:
+            done.append(await lane.run_in_steps(_film, _stays))
+
+        async with anyio.create_task_group() as tasks:
+            for _ in range(FILMS):
+                tasks.start_soon(one)
+
+    anyio.run(all_at_once)
+    assert len(done) == FILMS
+
+
+def test_one_more_than_wait_is_refused() -> None:
+    async def three() -> None:
+        lane, begun = Lane(1, 1, 10.0, "drawing"), anyio.Event()
+
+        async def hold() -> None:
+            begun.set()
+            await lane.run(lambda: time.sleep(0.2), _stays)
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(hold)
+            await begun.wait()
+            tasks.start_soon(hold)
+            await anyio.sleep(0.05)
+            with pytest.raises(ServiceBusy, match="2 requests are drawing, the limit is 2"):
+                await lane.run(lambda: None, _stays)
+
+    anyio.run(three)
