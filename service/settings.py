@@ -71,6 +71,7 @@ class Settings(BaseSettings):
         32, ge=0, le=10_000, description="pictures that may wait in a process; one more gets 503"
     )
     render_seconds: float = Field(30.0, gt=0, description="time that a picture may wait for its turn, else 503")
+    picture_seconds: float = Field(60.0, gt=0, description="time that a picture may take to be drawn, else 504")
     drain_seconds: float = Field(
         20.0, ge=0, description="time that requests and jobs have to end after SIGTERM; longer ones are left to others"
     )

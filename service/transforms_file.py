@@ -23,6 +23,8 @@ from .errors import CameraError, IntrinsicsError
 # Pinholes, and what can be undistorted to one.
 _MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+_SIZES = ("w", "h", "fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy")
+_OF_A_FRAME = (*_SIZES, *COEFFICIENTS, "camera_model", "is_fisheye")  # what the top may say for all frames
 
 
 def parse_transforms(
@@ -38,9 +40,10 @@ def parse_transforms(
     """
     views = []
     frames = list_of(obj, "frames")
+    common = {name: value for name, value in obj.items() if name in _OF_A_FRAME}
     for index in range(len(frames)) if indices is None else indices:
         frame = frames[index]
-        values = {**{k: v for k, v in obj.items() if k != "frames"}, **frame}
+        values = {**common, **frame}
         name = image_name(frame, "file_path", field="frames", index=index)
         _require_known_model(values, index)
         width, height = _size(values, name, size_of, index)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import struct
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 from ..errors import CameraError
 from .colmap_model import MODELS, ColmapCamera, ColmapFrame, ColmapImage, Sensor
@@ -19,7 +20,10 @@ class _Bytes:
     """A little-endian stream that says where it ends too early."""
 
     def __init__(self, stream: BinaryIO, source: str) -> None:
-        self._stream, self._source, self._place = stream, source, 0
+        self._stream = (
+            stream if isinstance(stream, io.BufferedReader) else io.BufferedReader(cast(io.RawIOBase, stream))
+        )
+        self._source, self._place = source, 0
 
     def take(self, size: int) -> bytes:
         data = self._stream.read(size)
@@ -47,8 +51,13 @@ class _Bytes:
 
     def name(self) -> str:
         name = bytearray()
-        while (byte := self.take(1)) != b"\0":
-            name += byte
+        while True:
+            ahead = self._stream.peek(1)[: _LONGEST_NAME + 1]
+            found = ahead.find(b"\0")
+            name += self.take(found if found >= 0 else max(len(ahead), 1))
+            if found >= 0:
+                self.take(1)
+                break
             if len(name) > _LONGEST_NAME:
                 message = f"{self._source} has a name of more than {_LONGEST_NAME} bytes"
                 raise CameraError(message, field="cameras", cure="is it a file of COLMAP, and complete?")

@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from ..camera import Camera
 from ..effort import Effort
 from ..effort import draw as effort_draw
-from ..errors import InputError
+from ..errors import DeadlineExceeded, InputError
 from ..metrics import STAGES
 from ..picture import Channel
 from ..scene_views import SceneViews
@@ -51,10 +51,19 @@ def draw(
     effort: Effort | None = None,
     background: Sequence[float] | None = None,
 ) -> Render:
-    """Render a stored scene; call it on a worker thread."""
+    """Render a stored scene; call it on a worker thread. Raises `DeadlineExceeded` where that takes too long."""
     gaussians = runtime.store.gaussians(scene_id)
-    options = {"background": background, "threads": runtime.settings.threads, **views.near_plane}
+    limit = partial(_check_time, time.monotonic(), runtime.settings.picture_seconds)
+    options = {"background": background, "threads": runtime.settings.threads, "between": limit, **views.near_plane}
     return effort_draw(gaussians, camera, channel, effort, **options)
+
+
+def _check_time(begun: float, seconds: float) -> None:
+    if time.monotonic() - begun > seconds:
+        raise DeadlineExceeded(
+            f"the picture was not drawn within {seconds:g} s",
+            cure="ask for a smaller one, fewer samples, or a larger alpha_min or stop",
+        )
 
 
 class Sitting:

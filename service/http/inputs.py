@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 from ..captures.archive import SIGNATURES, ZipFiles
@@ -17,7 +17,7 @@ from ..errors import CaptureError, InputError, UploadTooLarge
 from ..settings import Settings
 from ..view_checks import check_count
 from .limits import parse_json
-from .pairing import NamedImage, Pairing, PostedSizes, pair
+from .pairing import NamedImage, Pairing, PostedSizes, match_names
 
 MAX_LISTED_VIEWS = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
 UNPACKED = 8  # times the largest body that a zip may unpack to: models shrink by some 3; chosen photographs by none
@@ -44,9 +44,10 @@ def posted(
     """Of `images` parts and a `cameras` part of any format; `near` and `far` win over those of the file."""
     table = camera_table(document, settings)
     _check_listed(table, "cameras")
-    file = table.parse(range(len(table.names)), PostedSizes(images, settings.max_image_pixels))
-    pairing = pair(images, file.views, by_sorted_name=table.by_sorted_name)
     names = [image.name for image in images]
+    match = match_names(names, table.names, by_sorted_name=table.by_sorted_name)
+    file = table.parse(match.cameras, PostedSizes(images, settings.max_image_pixels))
+    pairing = Pairing(tuple(images), file.views, match.by, match.warnings)
     said: dict[str, Any] = {"by": "all", "format": table.kind, "cameras": table.source, "of": len(images)}
     places: Sequence[int] = range(len(images))
     if wish.select is not None:
@@ -56,8 +57,7 @@ def posted(
         choice = chosen_views(pairing.cameras, wish.context, *ours)
         places, said = choice.places, said | {"by": "score", **choice.said}
     check_count(len(places))
-    pairing = pairing.chosen(places)
-    file = replace(file, views=pairing.views).chosen(range(len(places)))
+    pairing, file = pairing.chosen(places), file.chosen(places)
     near, far = (file.near if near is None else near), (file.far if far is None else far)
     said |= {"views": list(places), "images": [image.name for image in pairing.images]}
     return Inputs(pairing, near, far, said)

@@ -40,31 +40,39 @@ class Pairing:
         return replace(self, images=images, views=views)
 
 
-def pair(images: Sequence[NamedImage], views: Sequence[NamedView], *, by_sorted_name: bool = False) -> Pairing:
-    """Match by name when every view names its image and each posted name is the name of exactly one view.
+@dataclass(frozen=True)
+class Match:
+    """Which camera of a file belongs to each posted image, and by what that was found out."""
 
-    A camera file may then hold more views than were posted. Otherwise the counts must agree and order decides: that of
-    the images as they were sent, or with `by_sorted_name` that of their names.
+    cameras: tuple[int, ...]  # places in the file, in the order of the images
+    by: str
+    warnings: tuple[dict[str, Any], ...] = ()
+
+
+def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sorted_name: bool = False) -> Match:
+    """By name when every camera names its image and each posted name is the name of exactly one camera: of names alone,
+    so that the cameras which no image belongs to are never looked at.
+
+    A camera file may then hold more cameras than images were posted. Otherwise the counts must agree and order decides:
+    that of the images as they were sent, or with `by_sorted_name` that of their names.
     """
-    named = all(view.image for view in views)
-    matches = [[view for view in views if same_file(image.name, view.image)] for image in images]
-    if named and all(len(match) == 1 for match in matches):
-        found = [match[0] for match in matches]
-        if len({id(view) for view in found}) == len(images):
-            return Pairing(tuple(images), tuple(found), "name")
-    if len(images) != len(views):
+    named = all(cameras)
+    found = [[place for place, name in enumerate(cameras) if same_file(image, name)] for image in images]
+    if named and all(len(places) == 1 for places in found):
+        chosen = tuple(places[0] for places in found)
+        if len(set(chosen)) == len(images):
+            return Match(chosen, "name")
+    if len(images) != len(cameras):
         cure = "send one camera per image, or name each view's image as its file is named"
-        raise ViewCountError(f"{len(views)} cameras for {len(images)} images", field="cameras", cure=cure)
+        raise ViewCountError(f"{len(cameras)} cameras for {len(images)} images", field="cameras", cure=cure)
     if by_sorted_name:
-        order = sorted_places([image.name for image in images])
-        place_of = {place: row for row, place in enumerate(order)}
-        return Pairing(tuple(images), tuple(views[place_of[place]] for place in range(len(images))), "sorted name")
+        place_of = {place: row for row, place in enumerate(sorted_places(images))}
+        return Match(tuple(place_of[place] for place in range(len(images))), "sorted name")
     warnings: tuple[dict[str, Any], ...] = ()
     if named:
-        posted, wanted = [image.name for image in images], [view.image for view in views]
-        message = f"images are named {posted}, the cameras name {wanted}; they were paired by order"
+        message = f"images are named {list(images)}, the cameras name {list(cameras)}; they were paired by order"
         warnings = ({"code": "names_differ", "message": message},)
-    return Pairing(tuple(images), tuple(views), "order", warnings)
+    return Match(tuple(range(len(images))), "order", warnings)
 
 
 class PostedSizes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -85,15 +85,18 @@ def render(
     compatibility: str | None = None,
     outputs: Collection[str] = ("alpha", "depth"),
     subset: NDArray[np.bool_] | None = None,
+    between: Callable[[], None] | None = None,
 ) -> Render:
     """Draw the Gaussians; `definition.py` says what image that is, `reference.py` computes the same in float64.
 
     `background` is three numbers (black), `sh_degree` the highest band used (all there are), `near` the nearest z-depth
     in the caller's units (0.01), `compatibility` "inria" for the reference rasteriser's rules, `threads` the number of
     CPU threads (all), `outputs` which planes to compute beside the colours (`OUTPUTS`), `subset` (N,) which Gaussians
-    `removed` is about. The image has the same bits for every number of threads, every order of the input and every
-    choice of outputs. It differs from the float64 one by at most 1e-5 for any dilation and alpha_min from the usual
-    ones up, apart from pixels at which a Gaussian lies on the very edge of a cut (alpha_min, stop, near, equal depths).
+    `removed` is about. `between` is called between batches of tile lists (`Definition.max_entries`) and may raise, to
+    end a picture that takes too long. The image has the same bits for every number of threads, every order of the
+    input and every choice of outputs. It differs from the float64 one by at most 1e-5 for any dilation and alpha_min
+    from the usual ones up, apart from pixels at which a Gaussian lies on the very edge of a cut (alpha_min, stop, near,
+    equal depths).
 
     Raises `InputError` for a background, degree, plane, thread count, output, subset or size that makes no sense.
     """
@@ -102,11 +105,15 @@ def render(
     degree = checked_degree(sh_degree, gaussians)
     marked = checked_outputs(outputs, subset, gaussians)
     with sight(gaussians, camera, definition, degree, threads) as view:
-        return draw(view, outputs, marked, behind)
+        return draw(view, outputs, marked, behind, between)
 
 
 def draw(
-    view: Sight, outputs: Collection[str], marked: NDArray[np.bool_] | None, background: NDArray[np.float32]
+    view: Sight,
+    outputs: Collection[str],
+    marked: NDArray[np.bool_] | None,
+    background: NDArray[np.float32],
+    between: Callable[[], None] | None = None,
 ) -> Render:
     """`render`, of what is projected already; `marked` (N,) is the subset that `removed` is about, and stays marked."""
     start = time.perf_counter()
@@ -120,6 +127,8 @@ def draw(
     binning, mark = 0.0, time.perf_counter()
     for lists in view.lists():
         binning += time.perf_counter() - mark
+        if between is not None:
+            between()
         found = blend(lists, records, canvas, grid, definition, view.threads, first_batch=batches == 0)
         entries, batches = entries + len(lists.members), batches + 1
         blocks, pairs = blocks + found.blocks, pairs + found.pairs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from capture_scenes import arc, colmap_model, names, write_colmap
 
 from gapmes.service.captures.capture import open_capture, read_camera_file
 from gapmes.service.captures.colmap import PARAMETERS
+from gapmes.service.captures.colmap_binary import read_images
 from gapmes.service.captures.colmap_model import MODELS
 from gapmes.service.captures.select import Wish
 from gapmes.service.errors import CameraError, IntrinsicsError, PoseError
@@ -221,3 +223,18 @@ def test_quaternions_that_are_none(tmp_path: Path, numbers: tuple[float, ...]) -
     (tmp_path / "images.bin").write_bytes(data)
     with pytest.raises(PoseError, match="quaternion of length"):
         read_camera_file(tmp_path)
+
+
+@pytest.mark.parametrize("length", [0, 1, 4095, 4096])
+def test_names_of_any_length_are_read(length: int) -> None:
+    row = struct.pack("<I7dI", 7, 1, 0, 0, 0, 0, 0, 0, 3) + b"x" * length + b"\0" + struct.pack("<Q", 0)
+    images = read_images(io.BytesIO(struct.pack("<Q", 2) + row + row.replace(b"\7", b"\5", 1)), "images.bin")
+    assert [image.name for image in images.values()] == ["x" * length] * 2
+
+
+def test_names_that_do_not_end_are_refused() -> None:
+    head = struct.pack("<Q", 1) + struct.pack("<I7dI", 7, 1, 0, 0, 0, 0, 0, 0, 3)
+    with pytest.raises(CameraError, match="a name of more than 4096 bytes"):
+        read_images(io.BytesIO(head + b"x" * 5000 + b"\0" + bytes(8)), "images.bin")
+    with pytest.raises(CameraError, match=r"ends after .* in the middle of an entry"):
+        read_images(io.BytesIO(head + b"xyz"), "images.bin")

@@ -76,3 +76,12 @@ def parts_named(*names: str) -> list[Any]:
 def test_names_that_occur_twice_settle_nothing(client: TestClient) -> None:
     body = post(client, cameras=named("a.png", "a.png"), names=["a.png", "a.png"]).json()
     assert body["paired_by"] == "order"
+
+
+def test_cameras_that_no_image_belongs_to_are_never_parsed(client: TestClient) -> None:
+    """Each lens costs milliseconds to invert; a file may list two thousand."""
+    cameras = named("a.png", "b.png", "c.png")
+    cameras["views"][2]["fx"] = "no number"
+    assert post(client, cameras=cameras, names=["b.png", "a.png"]).status_code in (200, 201)
+    refused = post(client, cameras=cameras, names=["c.png", "a.png"]).json()
+    assert (refused["field"], refused["index"]) == ("views.fx", 2)

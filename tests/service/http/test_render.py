@@ -5,15 +5,18 @@ from __future__ import annotations
 import io
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from http_requests import assert_problem, camera_object, photograph, post
+from http_requests import assert_problem, camera_object, photograph, post, wait_until_ready
 from PIL import Image
 from starlette.testclient import TestClient
 
+from gapmes.service.app import create_app
 from gapmes.service.picture import MAX_SIDE, check_format, encode
+from gapmes.service.settings import Settings
 from gapmes.service.splat import Render
 
 
@@ -228,3 +231,12 @@ def test_a_wrong_parameter_is_told_with_what_was_sent(client: TestClient) -> Non
     body = assert_problem(client.get("/render?typo=1"), 422, "parameter_invalid", "typo")
     assert body["detail"] == "is not a parameter of this route"
     assert "view, camera, scene" in body["cure"]
+
+
+def test_a_picture_that_takes_too_long_is_ended(standin_model: Path, tmp_path: Path) -> None:
+    limited = Settings(model=standin_model, store=tmp_path / "scenes", threads=1, picture_seconds=1e-9)
+    with TestClient(create_app(limited), raise_server_exceptions=False) as other:
+        wait_until_ready(other)
+        assert post(other).status_code == 201
+        body = assert_problem(other.get("/render"), 504, "deadline_exceeded")
+        assert "within 1e-09 s" in body["detail"]
