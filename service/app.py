@@ -26,7 +26,7 @@ from .http import (
     scenes,
     viewer,
 )
-from .http.access import KeyNeeded
+from .http.access import SCHEMES, KeyNeeded
 from .http.limits import BodyLimit
 from .http.observe import Observed
 from .http.runtime import Runtime
@@ -63,14 +63,14 @@ def create_app(settings: Settings | None = None, bars: AbstractContextManager[Li
         responses=problems.RESPONSES,
     )
     app.state.runtime = runtime
-    app.openapi = lambda: _schema(app)  # type: ignore[method-assign]
+    key = settings.key()
+    app.openapi = lambda: _schema(app, locked=key is not None)  # type: ignore[method-assign]
     problems.install(app)
     for module in (
         health, metrics, models, page, check, reconstruct, jobs, render, viewer, preview, load, scenes,
     ):  # fmt: skip
         app.include_router(module.router)
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
-    key = settings.key()
     if key is not None:
         app.add_middleware(KeyNeeded, key=key)
     origins = [origin.strip() for origin in settings.cors_origins.split(",") if origin.strip()]
@@ -82,11 +82,14 @@ def create_app(settings: Settings | None = None, bars: AbstractContextManager[Li
     return app
 
 
-def _schema(app: FastAPI) -> dict[str, Any]:
-    """The open API, with the one form that all errors have."""
+def _schema(app: FastAPI, *, locked: bool) -> dict[str, Any]:
+    """The open API, with the one form that all errors have, and the key that a `locked` service asks for."""
     if app.openapi_schema is None:
         schema = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
         problem = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
         schema.setdefault("components", {}).setdefault("schemas", {})["Problem"] = problem
+        if locked:
+            schema["components"]["securitySchemes"] = SCHEMES
+            schema["security"] = [{name: []} for name in SCHEMES]  # any one of them
         app.openapi_schema = schema
     return app.openapi_schema

@@ -14,6 +14,11 @@ from . import problems
 OPEN = ("/healthz", "/readyz", "/", "/viewer")  # and the page's files, which hold no data
 OPEN_BELOW = "/static/"
 SCHEME = "bearer "
+# The same for the open API.
+SCHEMES = {
+    "bearer": {"type": "http", "scheme": "bearer"},
+    "key": {"type": "apiKey", "in": "header", "name": "X-API-Key"},
+}
 
 
 class KeyNeeded:

@@ -252,3 +252,12 @@ def test_pages_of_scenes(client: TestClient) -> None:
     for bad in ("x", "1-x", "9" * 30 + "-" + "a" * 25, "9" * 19 + "-" + "a" * 32):
         assert_problem(client.get("/scenes", params={"after": bad}), 422, "invalid_input", "after")
     assert_problem(client.get("/scenes?limit=0"), 422, "parameter_invalid")
+
+
+def test_the_open_api_says_how_the_key_is_brought(locked: TestClient, client: TestClient) -> None:
+    schema = locked.get("/openapi.json", headers={"Authorization": f"Bearer {KEY}"}).json()
+    schemes = schema["components"]["securitySchemes"]
+    assert {name for one in schema["security"] for name in one} == set(schemes)
+    assert schemes["bearer"]["scheme"] == "bearer"
+    assert schemes["key"]["name"] == "X-API-Key"
+    assert "security" not in client.get("/openapi.json").json()
