@@ -6,21 +6,23 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import IO
 
 from fastapi import Request, Response
 from fastapi.responses import FileResponse
 from starlette.types import Message, Receive, Scope, Send
 
 from ..errors import SceneNotFound
-from ..formats.encoded import Encoded
 from ..formats.registry import MEDIA_TYPE
 from ..problem_document import of_error, problem
 from ..scene_files import unknown
 from ..store import SceneStore
 from . import problems
 from .responses import PLY
+from .spilled import SpilledResponse
 
 _RANGE = re.compile(rb"bytes=(\d+-\d*|-\d+)(\s*,\s*(\d+-\d*|-\d+))*")
 
@@ -47,19 +49,26 @@ def etag_of_converted(etag: str, extension: str) -> str:
     return f'"{hashlib.sha256(json.dumps([etag, extension, version("gapmes")]).encode()).hexdigest()[:32]}"'
 
 
-def converted_file(name: str, etag: str, encoded: Encoded | None) -> Response:
-    """A file that was made for this answer, with what its format cannot hold; None is for HEAD, which makes none."""
+@dataclass(frozen=True)
+class Made:
+    """A file that was made for one answer, and what its format cannot hold."""
+
+    file: IO[bytes]
+    notes: tuple[str, ...]
+
+
+def converted_file(name: str, etag: str, made: Made | None) -> Response:
+    """The answer with what was made for it; None is for HEAD, for which nothing is made."""
     headers = {
         "ETag": etag,
         "Cache-Control": "private, no-cache",
         "Accept-Ranges": "none",
         "Content-Disposition": f'attachment; filename="{name}"',
     }
-    if encoded is not None:
-        headers["X-Gapmes-Notes"] = json.dumps(encoded.notes)
-    answer = Response(encoded.data if encoded else b"", media_type=MEDIA_TYPE, headers=headers)
-    if encoded is None:
-        del answer.headers["content-length"]  # not known before it is made
+    if made is not None:
+        return SpilledResponse(made.file, MEDIA_TYPE, {**headers, "X-Gapmes-Notes": json.dumps(made.notes)})
+    answer = Response(media_type=MEDIA_TYPE, headers=headers)
+    del answer.headers["content-length"]  # not known before it is made
     return answer
 
 

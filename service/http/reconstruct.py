@@ -17,6 +17,7 @@ from .responses import JSON, PLY, ZIP, accepted, json_response, server_timing
 from .runtime import Runtime, runtime_of
 from .scenes import with_links
 from .schemas import Job, SceneDocument
+from .spilled import SpilledResponse, spilled
 from .upload import Told, read_upload
 from .waiting import ended
 
@@ -84,9 +85,11 @@ async def _answer(request: Request, runtime: Runtime, scene_id: str, form: str, 
     if form == JSON:
         return json_response(document, status, headers)
     if form == PLY:
-        name, body = f"{scene_id}.ply", await anyio.to_thread.run_sync(runtime.store.ply, scene_id)
+        name = f"{scene_id}.ply"
+        body = await anyio.to_thread.run_sync(lambda: spilled(runtime.store.ply(scene_id), runtime.store.root))
     else:
         name = f"{scene_id}.zip"
-        body = await runtime.pictures.run(lambda: zip_bundle(runtime, document, told.views), request.is_disconnected)
+        made = partial(zip_bundle, runtime, document, told.views)
+        body = await runtime.pictures.run(lambda: spilled(made(), runtime.store.root), request.is_disconnected)
     headers["Content-Disposition"] = f'attachment; filename="{name}"'
-    return Response(body, status_code=status, media_type=form, headers=headers)
+    return SpilledResponse(body, form, headers, status)

@@ -10,14 +10,14 @@ import anyio.to_thread
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from ..errors import FormatUnknown, InputError
-from ..formats.encoded import Encoded
 from ..formats.registry import FORMATS, MEDIA_TYPE, NAMES
 from ..scene_files import is_id
 from ..view_checks import MAX_VIEWS
-from .files import SceneFile, converted_file, etag_of, etag_of_converted, matches, not_modified
+from .files import Made, SceneFile, converted_file, etag_of, etag_of_converted, matches, not_modified
 from .responses import json_response
 from .runtime import Runtime, runtime_of
 from .schemas import SceneDocument, SceneList
+from .spilled import spilled
 
 router = APIRouter(tags=["scenes"])
 
@@ -72,11 +72,12 @@ async def scene_file(
     if extension == "ply":
         return SceneFile(runtime.store, scene_id, etag, size)
 
-    def convert() -> Encoded:
-        return FORMATS[extension].write(runtime.store.gaussians(scene_id))
+    def convert() -> Made:
+        encoded = FORMATS[extension].write(runtime.store.gaussians(scene_id))
+        return Made(spilled(encoded.data, runtime.store.root), encoded.notes)
 
-    encoded = None if request.method == "HEAD" else await runtime.files.run(convert, request.is_disconnected)
-    return converted_file(f"{scene_id}.{extension}", etag, encoded)
+    made = None if request.method == "HEAD" else await runtime.files.run(convert, request.is_disconnected)
+    return converted_file(f"{scene_id}.{extension}", etag, made)
 
 
 @router.get(

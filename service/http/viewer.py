@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import IO, Annotated, Any
 
 import anyio.to_thread
 import numpy as np
@@ -16,6 +16,7 @@ from ..scene_views import SceneViews
 from .files import etag_of, matches, not_modified
 from .responses import PLY, json_response
 from .runtime import Runtime, runtime_of
+from .spilled import SpilledResponse, spilled
 
 router = APIRouter(tags=["scenes"], include_in_schema=False)
 
@@ -28,9 +29,9 @@ _TURNED = np.array([-1.0, -1.0, 1.0])  # the viewer turns a .ply by half a turn 
 async def viewer_ply(request: Request, scene_id: str, runtime: Held) -> Response:
     """The scene's .ply in its level frame, float32 near the origin."""
 
-    def made() -> bytes:
+    def made() -> IO[bytes]:
         frame = _frame(SceneViews.of_document(runtime.store.document(scene_id)))
-        return ply_bytes(frame.gaussians(runtime.store.gaussians(scene_id)))
+        return spilled(ply_bytes(frame.gaussians(runtime.store.gaussians(scene_id))), runtime.store.root)
 
     def tag() -> str:
         with runtime.store.reading(scene_id) as path:
@@ -40,7 +41,7 @@ async def viewer_ply(request: Request, scene_id: str, runtime: Held) -> Response
     if matches(request, etag):
         return not_modified(etag)
     body = await runtime.pictures.run(made, request.is_disconnected)
-    return Response(body, media_type=PLY, headers={"ETag": etag, "Cache-Control": "private, no-cache"})
+    return SpilledResponse(body, PLY, {"ETag": etag, "Cache-Control": "private, no-cache"})
 
 
 @router.get("/scenes/{scene_id}/viewer.json")

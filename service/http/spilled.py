@@ -1,0 +1,40 @@
+"""Large answers on disk while they are sent: a client that does not read holds a file handle, not the memory."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO
+
+from fastapi.responses import StreamingResponse
+
+CHUNK = 256 * 2**10  # bytes of an answer that lie in memory
+
+
+def spilled(data: bytes, folder: Path) -> IO[bytes]:
+    """The bytes in a file of `folder` that has no name and goes with its handle; where the disk is full, in memory."""
+    try:
+        file: IO[bytes] = TemporaryFile(dir=folder)  # noqa: SIM115 - the answer closes it
+        file.write(data)
+    except OSError:
+        file = io.BytesIO(data)
+    file.seek(0)
+    return file
+
+
+class SpilledResponse(StreamingResponse):
+    """What `spilled` keeps, sent piece by piece."""
+
+    def __init__(self, file: IO[bytes], media_type: str, headers: Mapping[str, str], status_code: int = 200) -> None:
+        size = file.seek(0, io.SEEK_END)
+        file.seek(0)
+        headers = {**headers, "Content-Length": str(size)}
+        super().__init__(_pieces(file), status_code, headers, media_type)
+
+
+def _pieces(file: IO[bytes]) -> Iterator[bytes]:
+    with file:
+        while piece := file.read(CHUNK):
+            yield piece

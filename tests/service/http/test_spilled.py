@@ -1,0 +1,46 @@
+"""Large answers lie on disk while they are sent: whole, in pieces, without a name, and in memory where that is all."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+
+from gapmes.service.http import spilled as module
+from gapmes.service.http.spilled import CHUNK, SpilledResponse, spilled
+
+DATA = os.urandom(2 * CHUNK + 5)
+
+
+def sent(response: SpilledResponse) -> list[bytes]:
+    async def pieces() -> list[bytes]:
+        body: AsyncIterator[Any] = response.body_iterator  # type: ignore[assignment]
+        return [piece async for piece in body]
+
+    return anyio.run(pieces)
+
+
+def test_it_is_sent_in_pieces_and_leaves_nothing(tmp_path: Path) -> None:
+    file = spilled(DATA, tmp_path)
+    assert not list(tmp_path.iterdir())  # no name, so that nothing stays after a kill
+    assert os.fstat(file.fileno()).st_size == len(DATA)
+    response = SpilledResponse(file, "application/octet-stream", {"ETag": '"x"'}, 201)
+    assert response.headers["content-length"] == str(len(DATA))
+    assert (response.status_code, response.headers["etag"]) == (201, '"x"')
+    pieces = sent(response)
+    assert [len(piece) for piece in pieces] == [CHUNK, CHUNK, 5]
+    assert b"".join(pieces) == DATA
+    assert file.closed
+
+
+def test_where_the_disk_is_full_it_is_sent_from_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(**_: object) -> object:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(module, "TemporaryFile", full)
+    assert b"".join(sent(SpilledResponse(spilled(DATA, tmp_path), "application/octet-stream", {}))) == DATA
