@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 
 from .camera import Camera
 from .camera_fields import CameraFile as CameraFile
@@ -15,6 +14,7 @@ from .transforms_file import parse_transforms
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
 _LENS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _OF_THE_FILE = ("axes", "pose", "near", "far")
+_MISSPELT = {"axis": "axes", "poses": "pose", "near_plane": "near", "znear": "near", "far_plane": "far", "zfar": "far"}
 
 
 def parse_camera_file(
@@ -89,16 +89,17 @@ def _list_name(obj: Mapping) -> str:
 
 
 def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
-    for name in set(obj) - set(_OF_THE_FILE) - {"views", "suggested"}:
-        if meant := get_close_matches(str(name).lower(), _OF_THE_FILE, 1, 0.7):
-            raise CameraError(f"{name!r} is not a key of the file", field="cameras", cure=f'did you mean "{meant[0]}"?')
+    for name in set(obj) - set(_OF_THE_FILE):
+        meant = _MISSPELT.get(str(name).lower(), str(name).lower())
+        if meant in _OF_THE_FILE:
+            raise CameraError(f"{name!r} is not a key of the file", field="cameras", cure=f'did you mean "{meant}"?')
     _refuse_lens(obj, "cameras", None)
     axes, pose = conventions(obj, field="cameras")
     entries = list_of(obj, "views")
     chosen = range(len(entries)) if indices is None else indices
     for index in chosen:
         for name in _OF_THE_FILE:
-            if name in entries[index]:
+            if entries[index].get(name) is not None:
                 raise CameraError(
                     f"{name} = {entries[index][name]!r} stands in a view", field=f"views.{name}", index=index,
                     cure=f'say "{name}" once, beside "views": it holds for all of them',
@@ -110,7 +111,7 @@ def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
 def _refuse_lens(obj: Mapping, field: str, index: int | None) -> None:
     """The cameras of a cameras.json are pinholes. Raises `IntrinsicsError` for a coefficient other than 0."""
     for name in _LENS:
-        if name in obj and number_of(obj, name, field=field, index=index) != 0:
+        if obj.get(name) is not None and number_of(obj, name, field=field, index=index) != 0:
             raise IntrinsicsError(
                 f"{name} = {obj[name]}: a cameras.json holds pinholes, without distortion",
                 field=f"{field}.{name}",

@@ -26,6 +26,10 @@ from .scene_views import SceneViews
 from .seen_depths import seen_depths
 from .store import SceneStore
 
+MOST_UNITS = (
+    1e15  # of a scene's extent, and one by it of its near depth: squares and their inverses are float32 numbers
+)
+
 
 @dataclass(frozen=True)
 class LoadedFile:
@@ -70,7 +74,7 @@ def load(file: LoadedFile, scene_id: str, store: SceneStore, max_count: int) -> 
             raise FormatError(f"{reading.rows} rows hold no Gaussian", field="file", cure="is it the right file?")
     with stages.stage("frame"):
         views, source = framed(reading.gaussians, file.cameras, file.near, file.far)
-        _require_drawable(views)
+        _require_drawable(reading.gaussians, views)
     with stages.stage("encode"):
         ply = ply_bytes(reading.gaussians)
     document = {
@@ -122,19 +126,17 @@ def framed(
     return SceneViews(views, depths.near, depths.far), source if near is None or far is None else "given"
 
 
-def _require_drawable(views: SceneViews) -> None:
-    """Raises `FormatError` where the splatter's numbers do not reach as far as the scene."""
-    from .splat import Definition  # brings the kernels with it, which the service's start does not wait for
-
-    try:
-        Definition(**views.near_plane)
-    except InputError as error:
-        raise _too_far(f"its near depth is {views.near:.3g}, its far depth {views.far:.3g}") from error
+def _require_drawable(gaussians: Gaussians, views: SceneViews) -> None:
+    """Raises `FormatError` where the squares in a splatter of float32 would not reach as far as the scene."""
+    reach = float(np.abs(gaussians.means).max())
+    if not (reach < MOST_UNITS and views.near and views.near > 1 / MOST_UNITS and (views.far or 0) < MOST_UNITS):
+        raise _too_far(f"its positions reach {reach:.3g}, its depths from {views.near:.3g} to {views.far:.3g}")
 
 
 def _too_far(what: str) -> FormatError:
     return FormatError(
-        f"the scene is too large or too small to be drawn: {what}; pictures reach from 1e-37 to 1e37 units",
+        f"the scene is too large or too small to be drawn: {what}; pictures reach from {1 / MOST_UNITS:g} to "
+        f"{MOST_UNITS:g} units",
         field="file",
         cure="are all its positions and sizes right? leave out the Gaussians that are not, or scale the scene",
     )

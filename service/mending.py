@@ -100,7 +100,7 @@ def mended(
     threads: int | None,
     done: Callable[[int], None] | None = None,
 ) -> Fading:
-    """Faded and recoloured; what stands behind the scene keeps at least half of its opacity, since it is there for
+    """Faded and recoloured; what stands behind the scene keeps more than half of its opacity, since it is there for
     views that nobody has asked for, what stands around it nothing."""
     options: dict[str, Any] = {"threads": threads, **cameras.near_plane}
     of_pixel = scene.of_pixel

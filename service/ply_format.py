@@ -22,7 +22,7 @@ TYPES = {
 }  # fmt: skip
 LENGTH_TYPES = frozenset(name for name, kind in TYPES.items() if kind[0] != "f")
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": None}
-MAX_LIST_ROWS = 200_000  # before the vertices, walked one by one; where a mesh has faces they stand behind
+MAX_LISTS = 200_000  # before the vertices, walked one by one; where a mesh has faces they stand behind
 _LINE = re.compile(rb"[^\r\n]+")
 MAX_HEADER = 1 << 16  # bytes: a 3DGS header has about 1,500; more is another kind of file
 
@@ -45,8 +45,9 @@ class Element:
     properties: tuple[Property, ...]
 
     @property
-    def has_lists(self) -> bool:
-        return any(prop.length_kind for prop in self.properties)
+    def lists(self) -> int:
+        """Of each row."""
+        return sum(prop.length_kind is not None for prop in self.properties)
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def parse_header(data: bytes) -> Header:
     if names.count("vertex") != 1:
         raise PlyError(f"elements are {names}, need one named vertex", field="header")
     header = Header(BYTE_ORDERS[format_name], tuple(elements), end.end())
-    if header.vertex.has_lists:
+    if header.vertex.lists:
         raise PlyError("has list properties, need numbers only", field="vertex")
     return header
 
@@ -148,7 +149,14 @@ def binary_rows(data: bytes, header: Header, element: Element) -> NDArray:
     """
     order = header.byte_order or "<"
     offset = header.body
-    for other in header.before(element.name):
+    before = header.before(element.name)
+    if (lists := sum(other.count * other.lists for other in before)) > MAX_LISTS:
+        raise PlyError(
+            f"{lists} lists stand before it, at most {MAX_LISTS} are walked past",
+            field=element.name,
+            cure="write the vertices first",
+        )
+    for other in before:
         offset = _skip_binary(data, offset, other, order)
     row = _row_type(element, order)
     return np.frombuffer(data, row, count=_whole_rows(data, offset, element, row.itemsize), offset=offset)
@@ -173,15 +181,9 @@ def _whole_rows(data: bytes, offset: int, element: Element, row_bytes: int) -> i
 
 
 def _skip_binary(data: bytes, offset: int, element: Element, byte_order: str) -> int:
-    if not element.has_lists:
+    if not element.lists:
         row_bytes = _row_type(element, byte_order).itemsize
         return offset + _whole_rows(data, offset, element, row_bytes) * row_bytes
-    if element.count > MAX_LIST_ROWS:
-        raise PlyError(
-            f"{element.count} rows of lists stand before the vertices, at most {MAX_LIST_ROWS} are skipped",
-            field=element.name,
-            cure="write the vertices first",
-        )
     for index in range(element.count):
         for prop in element.properties:
             size = np.dtype(prop.kind).itemsize
@@ -211,17 +213,20 @@ def _ascii_columns(data: bytes, header: Header) -> dict[str, F64]:
     """One row per line, blank lines left out."""
     start = sum(element.count for element in header.before("vertex") if element.properties)
     vertex = header.vertex
-    filled = (match.group() for match in _LINE.finditer(data, header.body))
-    lines = list(islice((line for line in filled if line.strip()), start + vertex.count))
-    if start + vertex.count > len(lines):
+    found = (match.group() for match in _LINE.finditer(data, header.body))
+    filled = (line for line in found if line.strip())
+    lines = list(
+        islice(filled, start, start + vertex.count)
+    )  # those before are passed over, those behind not looked for
+    if vertex.count > len(lines):
         raise PlyError(
-            f"{vertex.count} rows are declared, the file has {max(len(lines) - start, 0)} lines of them",
+            f"{vertex.count} rows are declared, the file has {len(lines)} lines of them",
             field="vertex",
-            index=max(len(lines) - start, 0),
+            index=len(lines),
             cure="is the file truncated?",
         )
     table = np.empty((vertex.count, len(vertex.properties)))
-    for index, line in enumerate(lines[start : start + vertex.count]):
+    for index, line in enumerate(lines):
         words = line.split()
         if len(words) != len(vertex.properties):
             raise PlyError(f"row has {len(words)} numbers, need {len(vertex.properties)}", field="vertex", index=index)

@@ -83,8 +83,8 @@ def stored_positions(gaussians: Gaussians) -> Positions:
 
 
 def ply_size(gaussians: Gaussians) -> int:
-    """Bytes of the rows that `ply_bytes` writes."""
-    record, _, _ = _layout(gaussians.harmonics.shape[1] - 1, _needs_float64(gaussians))
+    """Bytes of the rows that `ply_bytes` writes of a set that came from `as_stored`, with its `stored_positions`."""
+    record, _, _ = _layout(gaussians.harmonics.shape[1] - 1, stored_positions(gaussians) == "float64")
     return len(gaussians) * record.itemsize
 
 

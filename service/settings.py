@@ -93,7 +93,9 @@ class Settings(BaseSettings):
     )
     upload_seconds: float = Field(120.0, gt=0, description="time that a request body may take, else 408")
     max_upload_bytes: int = Field(128 * 2**20, ge=2**10, description="largest request body, in bytes")
-    max_camera_bytes: int = Field(2**20, ge=2**10, description="largest `cameras` document that is no zip, in bytes")
+    max_camera_bytes: int = Field(
+        2**20, ge=2**10, description="largest `cameras` document, in bytes; in a zip four times as much"
+    )
     max_gaussians: int = Field(1_000_000, ge=1, description="Gaussians of a file that `POST /scenes` loads, at most")
     max_image_pixels: int = Field(64_000_000, ge=32 * 32, description="largest photograph, in pixels before decoding")
     max_request_pixels: int = Field(

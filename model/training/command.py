@@ -21,7 +21,7 @@ from ..weights_file import CheckpointError
 from .log_rows import read_rows
 from .loop import check_start, train
 from .recipe import RECIPES, Recipe
-from .run_folder import LOG, WEIGHTS
+from .run_folder import LOG, WEIGHTS, Refused
 from .workers import Worker, run_workers
 
 
@@ -111,7 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
             start,
             options.quiet,
         )
-    except (ValueError, OSError) as error:
+    except (Refused, CheckpointError) as error:
         sys.stderr.write(f"refused: {error}\n")
         return 1
     except KeyboardInterrupt:
@@ -119,8 +119,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     if options.json:
         log = options.out / LOG
-        rows = read_rows(log) if log.is_file() else []  # a run of no steps has none
-        sys.stdout.write(json.dumps({"weights": str(options.out / WEIGHTS), "last": rows[-1] if rows else None}) + "\n")
+        sys.stdout.write(json.dumps({"weights": str(options.out / WEIGHTS), "last": read_rows(log)[-1]}) + "\n")
     return 0
 
 

@@ -23,7 +23,16 @@ from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
 from ..weights_file import CheckpointError, file_sha256
 from .precision import coarse_pays, compute_coarsely
 from .recipe import Recipe
-from .run_folder import append_row, claimed, forget_rows_after, restore_state, save_state, save_weights
+from .run_folder import (
+    REVISION,
+    Refused,
+    append_row,
+    claimed,
+    forget_rows_after,
+    restore_state,
+    save_state,
+    save_weights,
+)
 from .scenes import SceneSampler
 from .step import TensorBatch, add_noise, to_tensors, training_loss
 from .validation import validate, validation_batches
@@ -51,14 +60,14 @@ def train(
     Every random number of a step comes from (seed, step, worker), so a resumed run sees what an unbroken one would
     have seen. `backbones` gives the frozen parts of a preset that has them; `initial` is a checkpoint of this
     configuration to start from instead of from random numbers, frozen parts and all; `listener` hears of every step.
-    Several workers divide each step's scenes between them: raises `ValueError` when they cannot. Raises
+    Several workers divide each step's scenes between them: raises `Refused` when they cannot. Raises
     `CheckpointError` for a checkpoint of another configuration.
     """
     if backbones is not None and initial is not None:
         raise ValueError("backbones: the weights to start from carry the frozen parts already; give one of both")
     for phase in recipe.phases:
         if phase.scenes % worker.count:
-            raise ValueError(
+            raise Refused(
                 f"processes: {worker.count} cannot share the {phase.scenes} scenes of a step at {phase.label} evenly"
             )
     with claimed(folder) if worker.leads else nullcontext():
@@ -109,6 +118,7 @@ def _run(
         "backbones": model.provenance.get(RECORD),  # the frozen parts are not in the state: others are another run
         "initial": None if initial is None else file_sha256(initial),
         "precision": "bfloat16" if coarse else "float32",
+        "revision": REVISION,
     }
     start, seconds, sums = restore_state(folder, identity, model, average, optimiser)
     held_out: dict[str, list[TensorBatch]] = {}

@@ -22,15 +22,22 @@ LOG = "log.jsonl"
 LOCK = "lock"
 
 
+REVISION = "2"  # of what a state holds and of where random numbers come from: another one is another run
+
+
+class Refused(ValueError):
+    """A run that cannot be begun or gone on with in this folder."""
+
+
 @contextmanager
 def claimed(folder: Path) -> Iterator[None]:
-    """Hold the folder alone; raises `ValueError` while another process does. A kill frees it."""
+    """Hold the folder alone; raises `Refused` while another process does. A kill frees it."""
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOCK).open("w") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ValueError(f"{folder}: another run is at work there; wait for it or use a new folder") from None
+            raise Refused(f"{folder}: another run is at work there; wait for it or use a new folder") from None
         yield
 
 
@@ -63,15 +70,15 @@ def save_weights(folder: Path, average: GaPMeS, step: object) -> None:
 def restore_state(
     folder: Path, identity: dict[str, str | None], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
 ) -> tuple[int, float, dict[str, float]]:
-    """Step, seconds and sums since the last row of the log to go on from; raises `ValueError` when the folder holds a
-    run of something else."""
+    """Step, seconds and sums since the last row of the log to go on from; raises `Refused` when the folder holds a run
+    of something else."""
     path = folder / STATE
     if not path.is_file():
         return 0, 0.0, {}
     state = torch.load(path, weights_only=True, map_location="cpu")
     for key, value in identity.items():
         if state.get(key) != value:
-            raise ValueError(
+            raise Refused(
                 f"{path} is of a run with another {key}: {state.get(key)}, asked for {value}; use a new folder"
             )
     _load_trained(model, state["model"], trained_names(model), path)

@@ -16,6 +16,9 @@ import torch.multiprocessing as multiprocessing
 from torch import nn
 from torch.multiprocessing.spawn import ProcessRaisedException
 
+from ..weights_file import CheckpointError
+from .run_folder import Refused
+
 LONGEST_WAIT = timedelta(hours=1)  # one process validates and saves while the others wait
 
 
@@ -46,7 +49,7 @@ class Worker:
 def run_workers(count: int, threads: int, work: Callable[..., None], *arguments: object) -> None:
     """Call `work(worker, *arguments)` in `count` processes of `threads` threads; any failure ends them all.
 
-    A `ValueError` in one of several is raised here as one with its last line, anything else as `ProcessException`.
+    A refusal in one of several is raised here as one, anything else as `ProcessException`.
     """
     if count == 1:
         _limit_threads(threads)
@@ -58,8 +61,8 @@ def run_workers(count: int, threads: int, work: Callable[..., None], *arguments:
             multiprocessing.spawn(_start, (count, threads, meeting_point, work, arguments), nprocs=count)
         except ProcessRaisedException as error:
             kind, _, message = str(error).strip().rpartition("\n")[2].partition(": ")
-            if kind == "ValueError":
-                raise ValueError(message) from error
+            if kind.rpartition(".")[2] in (Refused.__name__, CheckpointError.__name__):
+                raise Refused(message) from error
             raise
 
 

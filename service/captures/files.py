@@ -91,8 +91,9 @@ def read_bounded(files: Files, path: str, most: int) -> bytes:
     size = files.size(path)
     if size <= most:
         with files.open(path) as stream:
-            data = stream.read(most + 1)
-        if len(data) <= most:
+            data = stream.read(size + 1)
+        if len(data) <= size:
             return data
         size = len(data)
-    raise CaptureError(f"{path} has {size} bytes or more, the limit is {most}", field="capture")
+    cure = "is it the right file? send one that is smaller"
+    raise CaptureError(f"{path} has {size} bytes or more, the limit is {most}", field="capture", cure=cure)

@@ -17,6 +17,7 @@ from ..images import Photo, decode_image, match_photo
 from ..model_info import ModelInfo
 from ..pose_notices import pose_notices
 from ..settings import Settings
+from ..undistort import match_lens
 from ..view_checks import DEPTH_PLANES, check_views
 from .form import FORM
 from .responses import json_response
@@ -40,9 +41,9 @@ async def check(request: Request, runtime: Annotated[Runtime, Depends(runtime_of
     models = runtime.models  # refuses until there is one
     async with runtime.uploads.place():
         upload = await read_upload(request, runtime.settings, models.names)
-        info = models.get(upload.work.model).file.info
-        understood = partial(_understood, upload, runtime.settings, info)
-        document = await runtime.looks.run(understood, request.is_disconnected)
+    info = models.get(upload.work.model).file.info
+    understood = partial(_understood, upload, runtime.settings, info)
+    document = await runtime.looks.run(understood, request.is_disconnected)
     return json_response(document)
 
 
@@ -60,8 +61,10 @@ def _understood(upload: Upload, settings: Settings, info: ModelInfo) -> dict[str
     for number, image, view in zip(numbers, pairing.images, pairing.views, strict=True):
         photo = decode_image(image.data, index=number, max_pixels=settings.max_image_pixels)
         warnings += fit_notices(photo, view.camera, view.lens, number, info)
-        if view.lens is None:
-            photo, _ = match_photo(photo, view.camera, index=number)  # upright, where EXIF says so and the camera too
+        if view.lens is None:  # upright, where EXIF says so and the camera too
+            photo, _ = match_photo(photo, view.camera, index=number)
+        else:
+            photo = match_lens(photo, view.lens, index=number)
         size = {"width": photo.width, "height": photo.height}
         images.append(
             {"name": image.name, **size, "thumbnail": _thumbnail(photo), "camera": camera_document(view.camera)}

@@ -20,6 +20,7 @@ from .limits import parse_json
 from .pairing import NamedImage, Pairing, PostedSizes, match_names
 
 MAX_LISTED_VIEWS = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
+ZIPPED = 4  # times the largest camera document that a zip may hold: it may be of all photographs of a capture
 UNPACKED = 8  # times the largest body that a zip may unpack to: models shrink by some 3; chosen photographs by none
 
 
@@ -68,19 +69,19 @@ def captured(stream: BinaryIO, wish: Wish, settings: Settings, near: float | Non
     if stream.read(4) not in SIGNATURES:
         raise CaptureError("is not a zip", field="capture", cure="zip the photographs with their camera file")
     files = ZipFiles(stream, max_bytes=UNPACKED * settings.max_upload_bytes)
-    capture = Capture.of(files, max_pixels=settings.max_image_pixels, max_camera_bytes=settings.max_camera_bytes)
+    most = ZIPPED * settings.max_camera_bytes
+    capture = Capture.of(files, max_pixels=settings.max_image_pixels, max_camera_bytes=most)
     _check_listed(capture.table, "capture")
     found = capture.choose(wish, near, far)
     check_count(len(found.indices))
-    images: list[NamedImage] = []
-    for place, path in enumerate(found.paths):
-        images.append(NamedImage(path, found.read(place)))
-        if (size := sum(len(image.data) for image in images)) > settings.max_upload_bytes:
-            raise UploadTooLarge(
-                f"the chosen photographs unpack to {size} bytes or more, the limit is {settings.max_upload_bytes}",
-                field="capture",
-                cure="choose fewer with `select` or `context`, or send smaller photographs",
-            )
+    size = sum(files.size(path) for path in found.paths)
+    if size > settings.max_upload_bytes:  # as the zip says; a photograph that is longer is refused while it is read
+        raise UploadTooLarge(
+            f"the chosen photographs unpack to {size} bytes, the limit is {settings.max_upload_bytes}",
+            field="capture",
+            cure="choose fewer with `select` or `context`, or send smaller photographs",
+        )
+    images = [NamedImage(path, found.read(place)) for place, path in enumerate(found.paths)]
     by = "sorted name" if capture.table.by_sorted_name else "name"
     pairing = Pairing(tuple(images), found.file.views, by)
     near, far = (found.file.near if near is None else near), (found.file.far if far is None else far)
@@ -94,7 +95,7 @@ def camera_table(document: str | bytes, settings: Settings) -> CameraTable:
         return table_of_bytes(data, "cameras", lambda _: parse_json(document, "cameras"))
     try:
         files = ZipFiles(io.BytesIO(data), max_bytes=UNPACKED * settings.max_upload_bytes)
-        return recognised(files, settings.max_camera_bytes)[1]
+        return recognised(files, ZIPPED * settings.max_camera_bytes)[1]
     except CaptureError as error:
         error.field = "cameras"
         raise

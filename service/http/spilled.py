@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO
@@ -16,10 +17,16 @@ CHUNK = 256 * 2**10  # bytes of an answer that lie in memory
 def spilled(data: bytes, folder: Path) -> IO[bytes]:
     """The bytes in a file of `folder` that has no name and goes with its handle; where the disk is full, in memory."""
     try:
-        file: IO[bytes] = TemporaryFile(dir=folder)  # noqa: SIM115 - the answer closes it
-        file.write(data)
+        file = TemporaryFile(dir=folder)  # noqa: SIM115 - the answer closes it
     except OSError:
-        file = io.BytesIO(data)
+        return io.BytesIO(data)
+    try:
+        file.write(data)
+        file.flush()
+    except OSError:
+        with suppress(OSError):
+            file.close()
+        return io.BytesIO(data)
     file.seek(0)
     return file
 

@@ -232,6 +232,6 @@ def test_keys_that_would_mean_something_elsewhere_are_refused(change, field, wor
 
 def test_keys_that_mean_nothing_are_left_alone():
     file = json.loads(json.dumps(our_file()))
-    file |= {"licence": "ours", "suggested": {"context2": [0, 1]}, "note": "near the door"}
-    file["views"][0] |= {"time": 3, "k1": 0.0, "k2": 0}
+    file |= {"licence": "ours", "suggested": {"context2": [0, 1]}, "year": 2026, "purpose": "near the door", "k1": None}
+    file["views"][0] |= {"time": 3, "k1": 0.0, "k2": 0, "near": None, "axes": None}
     assert parse_camera_file(file).views[0].camera.width == 640

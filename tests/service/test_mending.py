@@ -13,6 +13,7 @@ from gapmes.service.anchors import anchors
 from gapmes.service.backdrop import OPACITY, backdrop
 from gapmes.service.confirmed import confirmed
 from gapmes.service.depth_range import DepthRange
+from gapmes.service.fading import BEHIND_KEEPS
 from gapmes.service.gaussians import Gaussians, joined
 from gapmes.service.images import FittedView
 from gapmes.service.masks import MASKED, REPLACED, TRANSPARENT
@@ -84,7 +85,7 @@ def test_a_stride_and_a_mask_leave_the_backdrop(views: list[FittedView], frame: 
     assert found.added == len(backdrop(masked, found.depths, 1)[0]) < thin.added
 
 
-def test_what_stands_behind_keeps_half_and_what_stands_around_may_go(
+def test_what_stands_behind_keeps_more_than_half_and_what_stands_around_may_go(
     views: list[FittedView], frame: WorldFrame, cameras: SceneViews
 ) -> None:
     """Without the pixels' own Gaussians and in a wrong colour, all of it contradicts the photographs."""
@@ -95,7 +96,7 @@ def test_what_stands_behind_keeps_half_and_what_stands_around_may_go(
     alone = Placed(wrong, whole.rows[behind], whole.around, whole.depths, {}, whole.added)
     found = mended(alone, views, cameras, 8, 1).gaussians.opacities
     sheet = alone.rows < alone.around
-    assert found[sheet].min() == pytest.approx(OPACITY / 2)
+    assert found[sheet].min() == pytest.approx(BEHIND_KEEPS * OPACITY)
     assert found[~sheet].min() < 0.1
 
 

@@ -3,13 +3,15 @@
 import { colourOf, digits, make, swatch } from "./dom.js";
 import { plan } from "./plan.js";
 
+const SOURCES = { cameras: "estimated from the cameras; the photographs will narrow it" };
+
 /** Elements for an answer of POST /check. */
 export function understood({ images, near, far, depth_range_source: source, paired_by: by, warnings, selection }) {
   const chosen = selection.by === "score" ? `${images.length} of ${selection.of} photographs, chosen for their overlap and baselines. ` : "";
   return [
     make("ul", { class: "cards" }, ...images.map(card)),
     plan(images.map((image) => image.camera), near, far),
-    make("p", { role: "status" }, `${chosen}Cameras paired by ${by}. Depth from ${digits(near)} to ${digits(far)} (${source}), in the cameras' units.`),
+    make("p", { role: "status" }, `${chosen}Cameras paired by ${by}. Depth from ${digits(near)} to ${digits(far)} (${SOURCES[source] ?? source}), in the cameras' units.`),
     ...warnings.map((warning) => make("p", { class: "warning" }, make("strong", {}, "Note: "), warning.message)),
   ];
 }

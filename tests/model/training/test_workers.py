@@ -107,11 +107,11 @@ def test_two_processes_of_the_whole_method_resume_after_a_kill(tmp_path: Path) -
 
 
 def _refuse(worker: Worker) -> None:
-    raise ValueError("this is refused")
+    raise run_folder.Refused("this is refused")
 
 
 def test_a_refusal_in_a_process_is_a_refusal() -> None:
-    with pytest.raises(ValueError, match=r"^this is refused$"):
+    with pytest.raises(run_folder.Refused, match=r"^this is refused$"):
         run_workers(2, 1, _refuse)
 
 

@@ -183,6 +183,17 @@ def test_a_photograph_that_exif_turns_is_shown_as_it_will_be_used(client: TestCl
     assert np.abs(small - np.asarray(picture, float)).mean() < 12  # a JPEG of blocks
 
 
+@pytest.mark.parametrize("lens", [{}, {"k1": -0.05}])
+def test_it_is_so_through_a_lens_too(client: TestClient, lens: dict[str, float]) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    on_its_side = io.BytesIO()
+    Image.open(io.BytesIO(photograph(5, 72, 96))).rotate(90, expand=True).save(on_its_side, "PNG", exif=exif)
+    form = transforms_form([on_its_side.getvalue(), photograph(6, 72, 96)], (72, 96), **lens)
+    first = client.post("/check", files=form).json()["images"][0]
+    assert (first["width"], first["height"]) == (72, 96)
+
+
 def test_a_range_that_photographs_have_not_narrowed_is_called_one_of_cameras(client: TestClient) -> None:
     cameras = camera_object(2)
     del cameras["near"], cameras["far"]

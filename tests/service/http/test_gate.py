@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import anyio
@@ -44,18 +45,18 @@ def test_films_that_pause_leave_a_thread_for_the_one_whose_turn_it_is() -> None:
 
 def test_one_more_than_wait_is_refused() -> None:
     async def three() -> None:
-        lane, begun = Lane(1, 1, 10.0, "drawing"), anyio.Event()
+        lane, over = Lane(1, 1, 600.0, "drawing"), threading.Event()
 
         async def hold() -> None:
-            begun.set()
-            await lane.run(lambda: time.sleep(0.2), _stays)
+            await lane.run(lambda: over.wait(600), _stays)
 
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(hold)
-            await begun.wait()
-            tasks.start_soon(hold)
-            await anyio.sleep(0.05)
+            for _ in range(2):
+                tasks.start_soon(hold)
+            while lane.places.taken < 2:
+                await anyio.sleep(0.001)
             with pytest.raises(ServiceBusy, match="2 requests are drawing, the limit is 2"):
                 await lane.run(lambda: None, _stays)
+            over.set()
 
     anyio.run(three)

@@ -256,13 +256,22 @@ def test_a_single_gaussian_is_framed_by_its_size(scale: float) -> None:
 
 
 def test_what_no_picture_can_be_drawn_of_is_refused(client: TestClient) -> None:
-    for reach in (3e38, 1e300):
+    for reach in (1e16, 3e38, 1e300):
         given = moderate(50, 3, 0)
         means = given.means.copy()
         means[::2, 0], means[1::2, 0] = reach, -reach
         data = ply_bytes(replace(given, means=means), positions="float64")
         body = assert_problem(load_raw(client, data), 422, "format_invalid", "file")
         assert "too large or too small to be drawn" in body["detail"]
+    for unit, drawn in ((1e14, True), (1e-14, True), (1e-20, False)):
+        given = moderate(50, 3, 0)
+        given = replace(given, means=given.means * unit, scales=given.scales * np.float32(unit))
+        answer = load_raw(client, ply_bytes(given))
+        if not drawn:
+            assert_problem(answer, 422, "format_invalid", "file")
+            continue
+        picture = client.get(f"/render?channel=alpha&width=64&height=64&scene={answer.json()['id']}")
+        assert np.asarray(Image.open(io.BytesIO(picture.content))).max() > 50
 
 
 def test_bodies_that_are_no_file_of_gaussians(client: TestClient) -> None:

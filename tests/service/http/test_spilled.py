@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
+import resource
+import signal
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -36,6 +39,20 @@ def test_it_is_sent_in_pieces_and_leaves_nothing(tmp_path: Path) -> None:
     assert [len(piece) for piece in pieces] == [CHUNK, CHUNK, 5]
     assert b"".join(pieces) == DATA
     assert file.closed
+
+
+def test_a_disk_that_is_full_at_the_end_is_full(tmp_path: Path) -> None:
+    """As the kernel says it: the last bytes of a file are written when it is flushed."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(DATA) - 2, before[1]))
+        file = spilled(DATA, tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert isinstance(file, io.BytesIO)
+    assert file.read() == DATA
 
 
 def test_where_the_disk_is_full_it_is_sent_from_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
