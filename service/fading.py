@@ -28,7 +28,7 @@ from .splat import Definition
 STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
 DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
 # Of its opacity, at least: it is there for views that nobody has asked for. One sheet of 0.97 alone then stops more
-# than half of the light; with 0.5 single pixels of generated scenes were open, at 0.49.
+# than half of the light, and is no hole.
 BEHIND_KEEPS = 0.55
 ANCHORED = 2.0  # weight of a pixel of what is sure: between the inputs a few pictures stand for all views there
 COLOUR_STEP = 1.2  # of the mean that the pixels which show a Gaussian have too much: those share it with others

@@ -159,9 +159,16 @@ def test_the_bytes_say_more_than_the_name_and_what_nothing_says_is_asked_for() -
     assert format_of_bytes(COMPRESSED, "x.ply").extension == "compressed.ply"
     assert format_of_bytes(SPZ, "x.splat").extension == "spz"
     assert format_of_path("a.b.COMPRESSED.PLY").extension == "compressed.ply"
-    for name in ("scene.ksplat", "splat", "", "../../etc/passwd"):
+    for name in ("scene.ksplat", "splat", "../../etc/passwd"):
         with pytest.raises(InputError, match=r"ends in none of ply, compressed\.ply, splat, spz"):
             format_of_bytes(SPLAT, name)
+    for name in ("", None):
+        with pytest.raises(
+            InputError, match=r"no \.ply or \.spz, and there is no name to tell .*ply, compressed\.ply, splat"
+        ):
+            format_of_bytes(SPLAT, name)
+    with pytest.raises(InputError, match="0 bytes"):
+        format_of_bytes(b"", None)
     with pytest.raises(InputError, match="is no format of Gaussians"):
         read_gaussians(SPLAT, format="obj")
     with pytest.raises(PlyError, match="read_gaussians reads"):
