@@ -36,6 +36,8 @@ def test_the_header_of_an_image_is_read_once(client: TestClient, monkeypatch: py
         pairing, "image_size", lambda data, **options: read.append(options["index"]) or original(data, **options)
     )
     assert_problem(post(client, cameras=transforms(300)), 422, "view_count", "cameras")
+    assert read == []  # names and counts are compared before a camera is parsed
+    assert_problem(post(client, cameras=transforms(2)), 422, "no_baseline")
     assert read == [0, 1]
 
 
@@ -63,11 +65,11 @@ def test_parsing_and_hashing_leave_the_event_loop_alone(client: TestClient, monk
 
         monkeypatch.setattr(owner, name, watched)
 
-    for owner, name in ((inputs, "parse_json"), (inputs, "table_of_bytes"), (inputs, "pair")):
+    for owner, name in ((inputs, "parse_json"), (inputs, "table_of_bytes"), (inputs, "match_names")):
         watch(owner, name)
     watch(SceneStore, "scene_id")
     assert post(client).status_code in (200, 201)
-    assert on_loop == dict.fromkeys(("parse_json", "table_of_bytes", "pair", "scene_id"), False)
+    assert on_loop == dict.fromkeys(("parse_json", "table_of_bytes", "match_names", "scene_id"), False)
 
 
 def test_a_full_queue_answers_before_the_body_is_read(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
