@@ -9,10 +9,9 @@ from .camera_fields import CameraFile as CameraFile
 from .camera_fields import NamedView as NamedView
 from .camera_fields import SizeOf, image_name, list_of, number_of, opencv_pose, optional_number
 from .errors import CameraError, IntrinsicsError
-from .transforms_file import parse_transforms
+from .transforms_file import COEFFICIENTS, parse_transforms
 
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
-_LENS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _OF_THE_FILE = ("axes", "pose", "near", "far")
 _MISSPELT = {"axis": "axes", "poses": "pose", "near_plane": "near", "znear": "near", "far_plane": "far", "zfar": "far"}
 
@@ -89,9 +88,9 @@ def _list_name(obj: Mapping) -> str:
 
 
 def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
-    for name in set(obj) - set(_OF_THE_FILE):
+    for name in obj:
         meant = _MISSPELT.get(str(name).lower(), str(name).lower())
-        if meant in _OF_THE_FILE:
+        if meant in _OF_THE_FILE and name != meant:
             raise CameraError(f"{name!r} is not a key of the file", field="cameras", cure=f'did you mean "{meant}"?')
     _refuse_lens(obj, "cameras", None)
     axes, pose = conventions(obj, field="cameras")
@@ -110,7 +109,7 @@ def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
 
 def _refuse_lens(obj: Mapping, field: str, index: int | None) -> None:
     """The cameras of a cameras.json are pinholes. Raises `IntrinsicsError` for a coefficient other than 0."""
-    for name in _LENS:
+    for name in COEFFICIENTS:
         if obj.get(name) is not None and number_of(obj, name, field=field, index=index) != 0:
             raise IntrinsicsError(
                 f"{name} = {obj[name]}: a cameras.json holds pinholes, without distortion",

@@ -26,9 +26,8 @@ from .scene_views import SceneViews
 from .seen_depths import seen_depths
 from .store import SceneStore
 
-MOST_UNITS = (
-    1e15  # of a scene's extent, and one by it of its near depth: squares and their inverses are float32 numbers
-)
+# Of a scene's extent, and one by it of its near depth: squares and their inverses are float32 numbers.
+MOST_UNITS = 1e15
 
 
 @dataclass(frozen=True)

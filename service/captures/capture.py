@@ -15,7 +15,7 @@ from ..view_checks import MAX_VIEWS, MIN_VIEWS
 from .archive import SIGNATURES, ZipFiles
 from .choose import chosen_views
 from .files import Files, FolderFiles
-from .photographs import MAX_PHOTOGRAPH_BYTES, Photographs
+from .photographs import Photographs
 from .recognise import MAX_CAMERA_BYTES, recognised, table_of_file
 from .select import DEFAULT_CONTEXT, Wish, named_views
 from .table import CameraTable
@@ -34,9 +34,9 @@ class ChosenViews:
     indices: tuple[int, ...]  # the views' places in the file
     selection: dict[str, Any]  # plain JSON values: by what they were chosen, of how many
 
-    def read(self, place: int, most: int = MAX_PHOTOGRAPH_BYTES) -> bytes:
-        """The encoded photograph of a chosen view. Raises `CaptureError` where it has more than `most` bytes."""
-        return self.photographs.read(self.paths[place], most)
+    def read(self, place: int) -> bytes:
+        """The encoded photograph of a chosen view."""
+        return self.photographs.read(self.paths[place])
 
 
 class Capture:

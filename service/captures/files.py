@@ -94,6 +94,7 @@ def read_bounded(files: Files, path: str, most: int) -> bytes:
             data = stream.read(size + 1)
         if len(data) <= size:
             return data
-        size = len(data)
+        cure = "is it being written? try again when it is whole"
+        raise CaptureError(f"{path} has more bytes than the {size} that it is listed with", field="capture", cure=cure)
     cure = "is it the right file? send one that is smaller"
     raise CaptureError(f"{path} has {size} bytes or more, the limit is {most}", field="capture", cure=cure)

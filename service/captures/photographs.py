@@ -58,9 +58,9 @@ class Photographs:
             cure="cameras belong to photographs in the order of their names: leave out none",
         )
 
-    def read(self, path: str, most: int = MAX_PHOTOGRAPH_BYTES) -> bytes:
-        """Raises `CaptureError` for a file of more than `most` bytes, or one that cannot be unpacked."""
-        return read_bounded(self._files, path, min(most, MAX_PHOTOGRAPH_BYTES))
+    def read(self, path: str) -> bytes:
+        """Raises `CaptureError` for a file that is too large or cannot be unpacked."""
+        return read_bounded(self._files, path, MAX_PHOTOGRAPH_BYTES)
 
     def size_of(self, path: str, index: int) -> tuple[int, int]:
         """(width, height) in px, from the beginning of the file where that is enough. Raises `ImageError`."""

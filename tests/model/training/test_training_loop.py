@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-import signal
-import time
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 import torch
+from killed_runs import killed_with_a_state
 
 from gapmes.model.checkpoint import load_checkpoint, save_checkpoint
 from gapmes.model.config import preset
@@ -86,16 +84,7 @@ def test_a_killed_run_resumes_to_the_same_weights(tmp_path: Path, monkeypatch: p
 def test_a_run_that_was_killed_from_outside_resumes_to_the_same_weights(tmp_path: Path) -> None:
     """By SIGKILL, as soon as there is a state; a row of the log is cut short as well."""
     run(SMALL, tmp_path / "whole")
-    child = get_context("spawn").Process(target=run_alone, args=(tmp_path / "killed",), daemon=True)
-    child.start()
-    until = time.monotonic() + 300
-    while not (tmp_path / "killed" / run_folder.STATE).is_file():
-        assert child.is_alive()
-        assert time.monotonic() < until
-        time.sleep(0.001)
-    child.kill()
-    child.join()
-    assert child.exitcode == -signal.SIGKILL
+    killed_with_a_state(run_alone, tmp_path / "killed")
     assert torch.load(tmp_path / "killed" / run_folder.STATE, weights_only=True)["step"] < SMALL.steps
     with (tmp_path / "killed" / run_folder.LOG).open("a") as log:
         log.write('{"step": 4, "minu')

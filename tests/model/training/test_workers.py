@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
 import torch
+from killed_runs import killed_with_a_state
 from torch import nn
 from torch.multiprocessing.spawn import ProcessException
 
@@ -83,15 +83,7 @@ def _train_in_two(folder: Path) -> None:
 def test_two_processes_of_the_whole_method_resume_after_a_kill(tmp_path: Path) -> None:
     """With experts, tasks, Gumbel noise and targets of twice the size; the process that started both is killed."""
     _train_in_two(tmp_path / "whole")
-    child = get_context("spawn").Process(target=_train_in_two, args=(tmp_path / "killed",))
-    child.start()
-    until = time.monotonic() + 300
-    while not (tmp_path / "killed" / run_folder.STATE).is_file():
-        assert child.is_alive()
-        assert time.monotonic() < until
-        time.sleep(0.001)
-    child.kill()
-    child.join()
+    killed_with_a_state(_train_in_two, tmp_path / "killed", daemon=False)
     until = time.monotonic() + 60
     while True:  # its children end by themselves
         try:

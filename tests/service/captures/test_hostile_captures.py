@@ -368,3 +368,11 @@ def test_a_camera_file_in_a_zip_is_bounded_as_the_caller_says() -> None:
     heavy = b"[" + b"[]," * 300_000 + b"[]]"
     with peak_below(2_000_000), pytest.raises(CaptureError, match=rf"{len(heavy)} bytes.*limit.*65536"):
         recognised(opened(archive_of(("cameras.json", heavy))), max_bytes=65536)
+
+
+def test_a_file_that_grows_while_it_is_read_is_said_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.txt").write_bytes(bytes(20))
+    files = FolderFiles(tmp_path)
+    monkeypatch.setattr(files, "size", lambda _: 10)
+    with pytest.raises(CaptureError, match=r"a\.txt has more bytes than the 10 that it is listed with"):
+        read_bounded(files, "a.txt", 100)
