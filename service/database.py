@@ -13,10 +13,11 @@ from .errors import GapmesError, StorageFull
 from .file_lock import exclusive
 
 BUSY_S = 30.0  # that a write waits for another process's; each takes milliseconds
-VERSION = 1
+VERSION = 2
 _FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE)  # the second where a quota is
 
-# A job is active while it is queued or running; a scene has one active job at most.
+# A job is active while it is queued or running; a scene has one active job at most. A row of `waits` is a request of a
+# process that waits for a job's answer.
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS scenes (
     id TEXT PRIMARY KEY, created_ns INTEGER NOT NULL, used_ns INTEGER NOT NULL, bytes INTEGER NOT NULL,
@@ -25,13 +26,15 @@ CREATE TABLE IF NOT EXISTS scenes (
 CREATE INDEX IF NOT EXISTS scenes_created ON scenes (created_ns);
 CREATE INDEX IF NOT EXISTS scenes_used ON scenes (used_ns);
 CREATE TABLE IF NOT EXISTS jobs (
-    id TEXT PRIMARY KEY, scene_id TEXT NOT NULL, state TEXT NOT NULL, kept INTEGER NOT NULL, waiting INTEGER NOT NULL,
+    id TEXT PRIMARY KEY, scene_id TEXT NOT NULL, state TEXT NOT NULL, kept INTEGER NOT NULL,
     cancelled INTEGER NOT NULL DEFAULT 0, attempts INTEGER NOT NULL DEFAULT 0, owner TEXT, created REAL NOT NULL,
     started REAL, ended REAL, problem TEXT
 );
 CREATE UNIQUE INDEX IF NOT EXISTS jobs_active ON jobs (scene_id) WHERE state IN ('queued', 'running');
 CREATE INDEX IF NOT EXISTS jobs_state ON jobs (state, created);
 CREATE INDEX IF NOT EXISTS jobs_ended ON jobs (ended);
+CREATE TABLE IF NOT EXISTS waits (job_id TEXT NOT NULL, process TEXT NOT NULL);
+CREATE INDEX IF NOT EXISTS waits_job ON waits (job_id);
 CREATE TABLE IF NOT EXISTS events (
     job_id TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT NOT NULL, data TEXT NOT NULL, PRIMARY KEY (job_id, seq)
 );

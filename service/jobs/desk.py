@@ -91,6 +91,11 @@ class Desk:
 
         return scene
 
+    @property
+    def _process(self) -> str:
+        """Its name for the others; that of a process that is gone where this one has closed before it opened."""
+        return "closed" if self._lease is None else self._lease.name
+
     def tidy(self) -> None:
         """Forget what ended long ago, and inputs that no job needs."""
         self.table.forget()
@@ -111,7 +116,7 @@ class Desk:
 
     def leave(self, job_id: str) -> None:
         """A request does not wait any more; what nobody wants ends, and its inputs go."""
-        if self.table.leave(job_id):
+        if self.table.leave(job_id, self._process):
             self._spool.drop(job_id)
 
     def cancel(self, job_id: str) -> Job:
@@ -130,7 +135,8 @@ class Desk:
         """
         if kept and self._store.exists(scene_id):
             return self.table.already_done(scene_id), True
-        there = self.table.join(scene_id, kept=kept)
+        waits = None if kept else self._process
+        there = self.table.join(scene_id, waits)
         if there is not None:
             return there, False
         self.table.check_room()
@@ -138,7 +144,7 @@ class Desk:
         self._spool.put(job_id, work)
         job = None
         try:
-            job = self.table.submit(job_id, scene_id, kept=kept)
+            job = self.table.submit(job_id, scene_id, waits)
         finally:
             if job is None or job.id != job_id:  # refused, or somebody else was faster
                 self._spool.drop(job_id)

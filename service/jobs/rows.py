@@ -12,6 +12,7 @@ from typing import Any
 from ..errors import GapmesError, JobNotFound
 
 ACTIVE = ("queued", "running")
+JOBS = "SELECT *, (SELECT count(*) FROM waits WHERE job_id = jobs.id) AS waiting FROM jobs"
 ENDED = ("done", "failed", "cancelled")
 
 
@@ -53,6 +54,7 @@ def end_job(connection: Connection, job_id: str, state: str, problem: Mapping[st
         [state, time.time(), None if problem is None else json.dumps(problem), job_id],
     )
     if changed.rowcount:
+        connection.execute("DELETE FROM waits WHERE job_id = ?", [job_id])
         tell(connection, job_id, "state", {"state": state, **({} if problem is None else {"problem": problem})})
 
 
@@ -71,9 +73,15 @@ def running_job(connection: Connection, job_id: str, owner: str) -> Row | None:
     return connection.execute(query, [job_id, owner]).fetchone()
 
 
+def wait_for(connection: Connection, job_id: str, process: str | None) -> None:
+    """A request of the process waits for the job's answer; none does where there is no process."""
+    if process is not None:
+        connection.execute("INSERT INTO waits (job_id, process) VALUES (?, ?)", [job_id, process])
+
+
 def cancel_unwanted(connection: Connection, job_id: str, why: str) -> bool:
     """A queued job ends at once, a running one after the stage that it is in. Returns whether it is over by this."""
-    row = connection.execute("SELECT * FROM jobs WHERE id = ?", [job_id]).fetchone()
+    row = connection.execute(f"{JOBS} WHERE id = ?", [job_id]).fetchone()
     if row is None or row["kept"] or row["waiting"] > 0:
         return False
     if row["state"] == "queued":
@@ -96,7 +104,7 @@ def tell(connection: Connection, job_id: str, name: str, data: Mapping[str, Any]
 
 def found_job(connection: Connection, job_id: str) -> Job:
     """Raises `JobNotFound`."""
-    row = connection.execute("SELECT * FROM jobs WHERE id = ?", [job_id]).fetchone()
+    row = connection.execute(f"{JOBS} WHERE id = ?", [job_id]).fetchone()
     if row is None:
         raise unknown_job(job_id)
     return job_of(row)

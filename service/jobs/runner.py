@@ -77,7 +77,7 @@ class Runner:
             "the processes that computed it ended unexpectedly, twice",
             cure="the service's log may say why; was memory short?",
         )
-        gone = self._lease.gone(self._table.owners())
+        gone = self._lease.gone(self._table.processes())
         if gone:
             for job_id in self._table.recover(gone, why):
                 self._spool.drop(job_id)

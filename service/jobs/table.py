@@ -16,6 +16,7 @@ from ..database import Database
 from ..errors import ServiceBusy
 from .rows import (
     ACTIVE,
+    JOBS,
     Event,
     Job,
     cancel_unwanted,
@@ -26,6 +27,7 @@ from .rows import (
     running_job,
     tell,
     unknown_job,
+    wait_for,
 )
 
 MAX_ATTEMPTS = 2  # a job whose process died is tried once more; then it is taken for the reason
@@ -46,25 +48,27 @@ class JobTable:
         if sum(count.values()) >= self._most:
             raise self._busy(sum(count.values()))
 
-    def join(self, scene_id: str, *, kept: bool) -> Job | None:
-        """Take part in the active job of the scene, if there is one."""
+    def join(self, scene_id: str, waits: str | None = None) -> Job | None:
+        """Take part in the active job of the scene, if there is one: for good, or with a request of the process `waits`
+        for as long as that waits."""
         with self._database.write() as connection:
-            return self._joined(connection, scene_id, kept)
+            return self._joined(connection, scene_id, waits)
 
-    def submit(self, job_id: str, scene_id: str, *, kept: bool) -> Job:
+    def submit(self, job_id: str, scene_id: str, waits: str | None = None) -> Job:
         """Queue a job whose inputs are spooled under `job_id`, or take part in the scene's active one: the answer's id
-        tells which. Raises `ServiceBusy`."""
+        tells which. `waits` as in `join`. Raises `ServiceBusy`."""
         with self._database.write() as connection:
-            there = self._joined(connection, scene_id, kept)
+            there = self._joined(connection, scene_id, waits)
             if there is not None:
                 return there
             (active,) = connection.execute("SELECT count(*) FROM jobs WHERE state IN ('queued', 'running')").fetchone()
             if active >= self._most:
                 raise self._busy(active)
             connection.execute(
-                "INSERT INTO jobs (id, scene_id, state, kept, waiting, created) VALUES (?, ?, 'queued', ?, ?, ?)",
-                [job_id, scene_id, kept, not kept, time.time()],
+                "INSERT INTO jobs (id, scene_id, state, kept, created) VALUES (?, ?, 'queued', ?, ?)",
+                [job_id, scene_id, waits is None, time.time()],
             )
+            wait_for(connection, job_id, waits)
             tell(connection, job_id, "state", {"state": "queued"})
             return found_job(connection, job_id)
 
@@ -74,8 +78,7 @@ class JobTable:
         with self._database.write() as connection:
             self._forget(connection)
             connection.execute(
-                "INSERT INTO jobs (id, scene_id, state, kept, waiting, created, ended)"
-                " VALUES (?, ?, 'done', 1, 0, ?, ?)",
+                "INSERT INTO jobs (id, scene_id, state, kept, created, ended) VALUES (?, ?, 'done', 1, ?, ?)",
                 [job_id, scene_id, now, now],
             )
             tell(connection, job_id, "state", {"state": "done"})
@@ -84,20 +87,20 @@ class JobTable:
     def claim(self, owner: str, *, waited_for: bool = False) -> Job | None:
         """The oldest queued job, running from now on and this owner's; with `waited_for` one whose answer a request
         waits for."""
-        some = "state = 'queued' AND waiting >= ?"
-        least = int(waited_for)
-        if not self._database.rows(f"SELECT 1 FROM jobs WHERE {some} LIMIT 1", [least]):
+        some = "state = 'queued'" + (" AND id IN (SELECT job_id FROM waits)" if waited_for else "")
+        if not self._database.rows(f"SELECT 1 FROM jobs WHERE {some} LIMIT 1"):
             return None  # most looks find nothing, and need not write
         with self._database.write() as connection:
             rows = connection.execute(
                 "UPDATE jobs SET state = 'running', owner = ?, started = ?, attempts = attempts + 1 WHERE id ="
-                f" (SELECT id FROM jobs WHERE {some} ORDER BY created, id LIMIT 1) RETURNING *",
-                [owner, time.time(), least],
+                f" (SELECT id FROM jobs WHERE {some} ORDER BY created, id LIMIT 1) RETURNING id",
+                [owner, time.time()],
             ).fetchall()
             if not rows:
                 return None
-            tell(connection, rows[0]["id"], "state", {"state": "running", "attempt": rows[0]["attempts"]})
-            return job_of(rows[0])
+            job = found_job(connection, rows[0]["id"])
+            tell(connection, job.id, "state", {"state": "running", "attempt": job.attempts})
+            return job
 
     def stage(self, job_id: str, owner: str, data: Mapping[str, Any]) -> bool:
         """Note a step of the work; returns whether it should go on: it is this owner's, and somebody wants it."""
@@ -136,10 +139,12 @@ class JobTable:
             if running_job(connection, job_id, owner) is not None:
                 requeue_job(connection, job_id, "the process that computed it stopped", attempts=-1)
 
-    def leave(self, job_id: str) -> bool:
-        """A request does not wait any more; a job that nobody wants is cancelled. Returns whether that ended it."""
+    def leave(self, job_id: str, process: str) -> bool:
+        """A request of a process does not wait any more; a job that nobody wants is cancelled. Returns whether that
+        ended it."""
         with self._database.write() as connection:
-            connection.execute("UPDATE jobs SET waiting = max(waiting - 1, 0) WHERE id = ?", [job_id])
+            one = "SELECT rowid FROM waits WHERE job_id = ? AND process = ? LIMIT 1"
+            connection.execute(f"DELETE FROM waits WHERE rowid IN ({one})", [job_id, process])
             return cancel_unwanted(connection, job_id, "the client went away")
 
     def cancel(self, job_id: str) -> Job:
@@ -154,10 +159,15 @@ class JobTable:
             return found_job(connection, job_id)
 
     def recover(self, gone: set[str], why: Mapping[str, Any]) -> set[str]:
-        """Queue the running jobs of owners that are gone again, or fail them with `why` after the last attempt. Returns
-        the ids of those that are over."""
+        """Queue the running jobs of processes that are gone again, or fail them with `why` after the last attempt.
+        Returns the ids of those that are over.
+
+        Requests that waited there are forgotten. What they asked for goes on, since their clients will ask again, but
+        can be cancelled.
+        """
         over = set()
         with self._database.write() as connection:
+            connection.executemany("DELETE FROM waits WHERE process = ?", [[process] for process in gone])
             for row in connection.execute("SELECT * FROM jobs WHERE state = 'running'").fetchall():
                 if row["owner"] not in gone:
                     continue
@@ -171,13 +181,14 @@ class JobTable:
                     requeue_job(connection, row["id"], "the process that computed it ended unexpectedly")
         return over
 
-    def owners(self) -> set[str]:
-        """Of the running jobs."""
-        return {row["owner"] for row in self._database.rows("SELECT DISTINCT owner FROM jobs WHERE state = 'running'")}
+    def processes(self) -> set[str]:
+        """Those that compute jobs, and those whose requests wait for some."""
+        query = "SELECT owner AS process FROM jobs WHERE state = 'running' UNION SELECT process FROM waits"
+        return {row["process"] for row in self._database.rows(query)}
 
     def get(self, job_id: str) -> Job:
         """Raises `JobNotFound`."""
-        rows = self._database.rows("SELECT * FROM jobs WHERE id = ?", [job_id])
+        rows = self._database.rows(f"{JOBS} WHERE id = ?", [job_id])
         if not rows:
             raise unknown_job(job_id)
         return job_of(rows[0])
@@ -219,13 +230,16 @@ class JobTable:
         """Ids of the active jobs."""
         return {row["id"] for row in self._database.rows("SELECT id FROM jobs WHERE state IN ('queued', 'running')")}
 
-    def _joined(self, connection: Connection, scene_id: str, kept: bool) -> Job | None:
+    def _joined(self, connection: Connection, scene_id: str, waits: str | None) -> Job | None:
         rows = connection.execute(
-            "UPDATE jobs SET kept = max(kept, ?), waiting = waiting + ?, cancelled = 0"
-            " WHERE scene_id = ? AND state IN ('queued', 'running') RETURNING *",
-            [kept, not kept, scene_id],
+            "UPDATE jobs SET kept = max(kept, ?), cancelled = 0"
+            " WHERE scene_id = ? AND state IN ('queued', 'running') RETURNING id",
+            [waits is None, scene_id],
         ).fetchall()
-        return job_of(rows[0]) if rows else None
+        if not rows:
+            return None
+        wait_for(connection, rows[0]["id"], waits)
+        return found_job(connection, rows[0]["id"])
 
     def _forget(self, connection: Connection) -> None:
         old = [time.time() - self._keep_s]

@@ -57,9 +57,9 @@ class Place:
         runner.start()
         return runner
 
-    def submit(self, job_id: str = "1", scene_id: str = A, *, kept: bool = True) -> Job:
+    def submit(self, job_id: str = "1", scene_id: str = A, waits: str | None = None) -> Job:
         self.spool.put(job_id, work())
-        return self.table.submit(job_id, scene_id, kept=kept)
+        return self.table.submit(job_id, scene_id, waits)
 
     def ended(self, job_id: str = "1", seconds: float = 20.0) -> Job:
         return self.until(lambda job: job.over, job_id, seconds)
@@ -333,6 +333,36 @@ def test_a_job_that_kills_its_process_twice_fails_with_the_reason(place: Place) 
     watcher.recover()
     job = place.table.get("1")
     assert (job.state, job.problem["code"]) == ("failed", "job_abandoned")
+
+
+WAITS = """
+import sys, time
+from pathlib import Path
+from gapmes.service.database import Database
+from gapmes.service.jobs.leases import Lease
+from gapmes.service.jobs.table import JobTable
+root = Path(sys.argv[1])
+lease = Lease(root / "leases")
+JobTable(Database(root / "index.sqlite"), most=20, keep_s=1e6).join(sys.argv[2], lease.name)
+time.sleep(60)
+"""
+
+
+def test_requests_of_a_killed_process_wait_no_more(place: Place) -> None:
+    """Were they counted for ever, the job could not be cancelled."""
+    place.submit()
+    watcher = Runner(place.table, place.spool, Lease(place.root / "leases"), lambda *_: None, slots=1, limit_s=60.0)
+    child = subprocess.Popen([sys.executable, "-c", WAITS, str(place.root), A])
+    try:
+        place.until(lambda job: job.waiting == 1)
+        watcher.recover()
+        assert place.table.cancel("1").state == "queued"  # the child lives, and waits
+    finally:
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+    watcher.recover()
+    assert (place.table.get("1").state, place.table.get("1").waiting) == ("queued", 0)
+    assert place.table.cancel("1").state == "cancelled"
 
 
 def test_the_living_are_not_taken_for_dead(tmp_path: Path) -> None:

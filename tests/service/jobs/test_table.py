@@ -28,9 +28,9 @@ def states(table: JobTable, job_id: str) -> list[str]:
 
 
 def test_from_queued_to_done(table: JobTable) -> None:
-    job = table.submit("1", A, kept=True)
+    job = table.submit("1", A)
     assert (job.id, job.state, job.kept, job.waiting) == ("1", "queued", True, 0)
-    assert table.submit("2", B, kept=True).id == "2"
+    assert table.submit("2", B).id == "2"
     assert table.ahead(table.get("2")) == 1
     claimed = table.claim("me")
     assert claimed is not None
@@ -49,55 +49,55 @@ def test_from_queued_to_done(table: JobTable) -> None:
 
 
 def test_a_scene_has_one_active_job(table: JobTable) -> None:
-    first = table.submit("1", A, kept=False)
-    again = table.submit("2", A, kept=True)
+    first = table.submit("1", A, "web")
+    again = table.submit("2", A)
     assert again.id == first.id == "1"
     assert (again.kept, again.waiting) == (True, 1)
-    assert table.join(A, kept=False).waiting == 2
-    assert table.join(B, kept=False) is None
+    assert table.join(A, "web").waiting == 2
+    assert table.join(B, "web") is None
     table.claim("me")
     table.end("1", "me", "done")
-    assert table.submit("3", A, kept=False).id == "3"
+    assert table.submit("3", A, "web").id == "3"
 
 
 def test_no_more_than_so_many(table: JobTable) -> None:
     for number in range(5):
-        table.submit(str(number), f"{number:032x}", kept=True)
+        table.submit(str(number), f"{number:032x}")
     with pytest.raises(ServiceBusy, match="5 reconstructions are running or waiting, the limit is 5"):
-        table.submit("5", A, kept=True)
+        table.submit("5", A)
     with pytest.raises(ServiceBusy):
         table.check_room()
-    assert table.submit("6", f"{0:032x}", kept=True).id == "0"  # joining needs no room
+    assert table.submit("6", f"{0:032x}").id == "0"  # joining needs no room
     table.cancel("0")
     table.check_room()
 
 
 def test_a_job_goes_when_nobody_wants_it(table: JobTable) -> None:
-    table.submit("1", A, kept=False)
-    table.join(A, kept=False)
-    assert not table.leave("1")
+    table.submit("1", A, "web")
+    table.join(A, "web")
+    assert not table.leave("1", "web")
     assert table.get("1").state == "queued"
-    assert table.leave("1")
+    assert table.leave("1", "web")
     assert table.get("1").state == "cancelled"
-    table.submit("2", A, kept=True)
-    table.join(A, kept=False)
+    table.submit("2", A)
+    table.join(A, "web")
     assert table.cancel("2").state == "queued"  # somebody waits for it
-    table.leave("2")
+    table.leave("2", "web")
     assert table.get("2").state == "cancelled"
     assert table.cancel("2").state == "cancelled"
 
 
 def test_a_running_job_ends_after_its_stage_unless_somebody_wants_it_again(table: JobTable) -> None:
-    table.submit("1", A, kept=True)
+    table.submit("1", A)
     table.claim("me")
     assert table.cancel("1").state == "running"
     assert not table.stage("1", "me", {"stage": "x"})
     assert table.end_cancelled("1", "me")
     assert table.get("1").state == "cancelled"
-    table.submit("2", A, kept=True)
+    table.submit("2", A)
     table.claim("me")
     table.cancel("2")
-    assert table.submit("3", A, kept=True).id == "2"
+    assert table.submit("3", A).id == "2"
     assert table.stage("2", "me", {"stage": "x"})
     assert not table.end_cancelled("2", "me")  # it had heard of the cancel before
     assert table.get("2").state == "queued"
@@ -105,25 +105,63 @@ def test_a_running_job_ends_after_its_stage_unless_somebody_wants_it_again(table
 
 
 def test_jobs_of_the_dead_are_tried_once_more(table: JobTable) -> None:
-    table.submit("1", A, kept=True)
+    table.submit("1", A)
     for attempt in (1, 2):
         assert table.claim("dead").attempts == attempt
         table.recover(set(), WHY)
         assert table.get("1").state == "running"
-        assert table.owners() == {"dead"}
+        assert table.processes() == {"dead"}
         assert table.recover({"dead"}, WHY) == (set() if attempt == 1 else {"1"})
         assert table.get("1").state == ("queued" if attempt == 1 else "failed")
     assert table.get("1").problem == WHY
     assert states(table, "1") == ["queued", "running", "queued", "running", "failed"]
-    table.submit("2", B, kept=True)
+    table.submit("2", B)
     table.claim("dead")
     table.cancel("2")
     assert table.recover({"dead"}, WHY) == {"2"}
     assert table.get("2").state == "cancelled"
 
 
+def test_requests_of_the_dead_wait_no_more(table: JobTable) -> None:
+    """What they asked for goes on, and can be cancelled."""
+    table.submit("1", A, "dead")
+    table.submit("2", B, "dead")
+    table.join(B, "web")
+    assert table.claim("web").id == "1"
+    assert table.cancel("1").state == "running"
+    assert table.processes() == {"dead", "web"}
+    assert table.recover({"dead"}, WHY) == set()
+    assert [table.get(job_id).waiting for job_id in "12"] == [0, 1]
+    assert table.stage("1", "web", {"stage": "x"})
+    table.cancel("1")
+    assert not table.stage("1", "web", {"stage": "x"})
+    assert table.cancel("2").state == "queued"
+    assert table.leave("2", "web")
+    assert table.processes() == {"web"}
+
+
+def test_a_job_that_its_own_process_waited_for_is_tried_once_more(table: JobTable) -> None:
+    table.submit("1", A, "dead")
+    table.claim("dead")
+    assert table.recover({"dead"}, WHY) == set()
+    assert (table.get("1").state, table.get("1").waiting) == ("queued", 0)
+    assert table.claim("web").id == "1"
+
+
+def test_a_request_leaves_for_itself_alone(table: JobTable) -> None:
+    table.submit("1", A, "web")
+    table.join(A, "web")
+    table.join(A, "other")
+    assert not table.leave("1", "stranger")
+    assert table.get("1").waiting == 3
+    assert not table.leave("1", "web")
+    assert not table.leave("1", "other")
+    assert table.get("1").waiting == 1
+    assert table.leave("1", "web")
+
+
 def test_what_is_given_back_does_not_count(table: JobTable) -> None:
-    table.submit("1", A, kept=True)
+    table.submit("1", A)
     for _ in range(4):
         assert table.claim("me").attempts == 1
         table.give_back("1", "me")
@@ -131,10 +169,10 @@ def test_what_is_given_back_does_not_count(table: JobTable) -> None:
 
 def test_ended_jobs_are_forgotten(tmp_path: Path) -> None:
     table = JobTable(Database(tmp_path / "index.sqlite"), most=5, keep_s=0.05)
-    table.submit("1", A, kept=True)
+    table.submit("1", A)
     table.cancel("1")
     time.sleep(0.1)
-    table.submit("2", B, kept=True)
+    table.submit("2", B)
     table.claim("me")
     table.end("2", "me", "done")
     with pytest.raises(JobNotFound, match="'1'"):
@@ -160,7 +198,7 @@ def test_many_claim_and_each_job_is_had_once(tmp_path: Path) -> None:
     """From threads with connections of their own, as processes have them."""
     table = JobTable(Database(tmp_path / "index.sqlite"), most=100, keep_s=100.0)
     for number in range(60):
-        table.submit(str(number), f"{number:032x}", kept=True)
+        table.submit(str(number), f"{number:032x}")
     had: list[str] = []
 
     def work(owner: str) -> None:
@@ -189,13 +227,13 @@ def test_whatever_happens_a_job_ends_once_and_tells_it_in_order(tmp_path: Path, 
         match rng.integers(7):
             case 0 | 1:
                 try:
-                    known.add(table.submit(str(step), scene, kept=kept).id)
+                    known.add(table.submit(str(step), scene, None if kept else str(rng.integers(3))).id)
                 except ServiceBusy:
                     assert sum(table.counts().values()) >= 4
             case 2:
                 table.claim(str(rng.integers(3)))
             case 3 if some:
-                table.leave(some)
+                table.leave(some, str(rng.integers(3)))
             case 4 if some:
                 table.cancel(some)
             case 5:
@@ -223,7 +261,7 @@ def test_whatever_happens_a_job_ends_once_and_tells_it_in_order(tmp_path: Path, 
 def test_a_file_of_another_version_is_refused(tmp_path: Path) -> None:
     with Database(tmp_path / "index.sqlite").write() as connection:
         connection.execute("PRAGMA user_version = 99")
-    with pytest.raises(GapmesError, match="version 99, this service reads version 1"):
+    with pytest.raises(GapmesError, match="version 99, this service reads version 2"):
         Database(tmp_path / "index.sqlite")
 
 
@@ -245,7 +283,7 @@ def test_a_failed_transaction_leaves_nothing(tmp_path: Path) -> None:
 
 def test_only_the_owner_of_a_running_job_says_how_it_goes(table: JobTable) -> None:
     """A process that gave a job back, or was taken for dead, may still be at it."""
-    table.submit("1", A, kept=True)
+    table.submit("1", A)
     table.claim("first")
     table.give_back("1", "first")
     table.give_back("1", "first")
@@ -261,8 +299,8 @@ def test_only_the_owner_of_a_running_job_says_how_it_goes(table: JobTable) -> No
 
 
 def test_while_a_process_ends_it_takes_only_what_a_request_waits_for(table: JobTable) -> None:
-    table.submit("1", A, kept=True)
-    table.submit("2", B, kept=False)
+    table.submit("1", A)
+    table.submit("2", B, "web")
     assert table.claim("me", waited_for=True).id == "2"
     assert table.claim("me", waited_for=True) is None
     assert table.claim("me").id == "1"
