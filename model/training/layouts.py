@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from .objects import Paint, place, random_object
+from .objects import Paint, Part, place, random_object
 from .primitives import BOX, ROOM, Background, Light, Primitive, World
 from .rotations import tilt
 
@@ -123,6 +123,29 @@ def _scatter(rng: Rng, paint: Paint, half_width: float, frame: F64, floor: float
             spot, rotation = np.array([side, rng.uniform(-1, 1) * depth * half_width, depth]), tilt(rng, 1, 1, 1)
         solids += place(random_object(rng, size), paint, spot, rotation)
     return solids
+
+
+def close_thing(rng: Rng, paint: Paint, pose: F64, half_width: float, depth: float) -> list[Primitive]:
+    """Something near at the edge of the picture of a camera (4, 4), mostly a post across the whole edge, as of the door
+    that the photographer stands in; `depth` is that of the scene. Cameras beside see past it."""
+    away = depth * math.exp(rng.uniform(math.log(0.2), math.log(0.6)))
+    edge = half_width * away
+    level = rng.random() < 0.25  # a lintel or a sill
+    side = rng.choice([-1.0, 1.0])
+    turned = tilt(rng, 0.03, 0.3, 0.03)
+    if rng.random() < 0.65:
+        wide = edge * rng.uniform(0.2, 1.0)
+        across = side * (edge * (1 - 2 * rng.uniform(0.04, 0.35)) + wide)
+        spot, half = np.array([across, 0.0, away]), np.array([wide, 2 * edge, rng.uniform(0.01, 0.2) * away])
+        if level:
+            spot, half = spot[[1, 0, 2]], half[[1, 0, 2]]
+        parts = [Part(BOX, (0.0, 0.0, 0.0), (half[0], half[1], half[2]))]
+        untextured = 0.5
+    else:
+        parts, untextured = random_object(rng, edge * rng.uniform(0.2, 0.6)), 0.12
+        spot = np.array([side * rng.uniform(0.6, 1.1) * edge, rng.uniform(0.2, 1.2) * edge, away])
+    rotation = pose[:3, :3]
+    return place(parts, paint, pose[:3, 3] + rotation @ spot, rotation @ turned, untextured)
 
 
 def _light(rng: Rng, position: F64, falloff: float | None = None) -> Light:

@@ -191,7 +191,13 @@ def _step(
     sampler = SceneSampler(int(random.integers(2**31)), "train", first=worker.rank * scenes)
     views = phase.views[step % len(phase.views)]
     drawn = sampler.batch(
-        scenes, views, recipe.targets, size, baseline=phase.baseline, field_of_view=phase.field_of_view
+        scenes,
+        views,
+        recipe.targets,
+        size,
+        baseline=phase.baseline,
+        field_of_view=phase.field_of_view,
+        close_share=recipe.close_share,
     )
     batch = to_tensors(drawn, zoomed=zoomed).to(trained[0].device)
     noisy = random.random() < 0.5

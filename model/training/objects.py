@@ -55,10 +55,11 @@ class Paint:
         return self.rng.uniform(0.05, 0.35) if self.rng.random() < 0.2 else 0.0
 
 
-def place(parts: Sequence[Part], paint: Paint, foot: F64, rotation: F64) -> list[Primitive]:
-    """The object with its foot at `foot`, each part painted anew or all alike."""
+def place(parts: Sequence[Part], paint: Paint, foot: F64, rotation: F64, untextured: float = 0.12) -> list[Primitive]:
+    """The object with its foot at `foot`, each part painted anew or all alike, or with the probability `untextured` in
+    plain colours."""
     size = max(max(part.half) for part in parts)
-    flat_share = 1.0 if paint.rng.random() < 0.12 else 0.12  # some things are untextured altogether
+    flat_share = 1.0 if paint.rng.random() < untextured else 0.12
     alike = paint.faces(flat_share, 0.6)
     gloss, albedo = paint.gloss(), paint.albedo()
     return [

@@ -67,6 +67,10 @@ class World:
     light: Light
     background: Background
 
+    def with_more(self, primitives: Sequence[Primitive]) -> World:
+        """The same with further things in it."""
+        return World((*self.primitives, *primitives), self.light, self.background)
+
 
 @dataclass(frozen=True, eq=False)
 class PackedWorlds:

@@ -33,7 +33,7 @@ class Phase:
 class Recipe:
     """What a run depends on besides code, data, precision and what it starts from."""
 
-    steps: int = 11_600
+    steps: int = 6_000
     seed: int = 1
     learning_rate: float = 1e-3
     warm_up: int = 200  # steps
@@ -44,15 +44,16 @@ class Recipe:
     targets: int = 2
     zoom_share: float = 0.2  # of steps whose targets have twice the input resolution: keeps scales from collapsing
     noise_until: float = 0.75  # share of the steps after which there is no Gumbel noise, as in inference
+    close_share: float = 0.25  # of scenes with something close at the edge of one input
     input_noise: float = 0.01  # standard deviation, on every other step
     depth_weight: tuple[float, float] = (1.0, 0.3)  # from, to
     ssim_weight: float = 0.2
     balance_weight: float = 0.01
     phases: tuple[Phase, ...] = (
-        Phase(0.26, (64,), 4, (2, 2, 3), (0.06, 0.6)),
-        Phase(0.26, (96,), 2, (2, 3, 2, 4), (0.06, 0.8)),
-        Phase(0.336, (128,), 2, (2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
-        Phase(0.144, (256,), 2, (2, 2, 2, 3), (0.06, 0.7), (22.0, 80.0)),
+        Phase(0.08, (64,), 4, (2, 2, 3), (0.06, 0.6)),
+        Phase(0.2, (96,), 2, (2, 3, 2, 4), (0.06, 0.8)),
+        Phase(0.44, (128,), 2, (2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
+        Phase(0.28, (256, 128, 256), 2, (2, 2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
     )
 
     def phase(self, step: int) -> Phase:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera_paths import camera_poses
-from .layouts import make_world
+from .layouts import close_thing, make_world
 from .objects import Paint
 from .primitives import ROOM, World, pack
 from .rotations import uniform_rotation
@@ -70,20 +70,22 @@ class SceneSampler:
         *,
         baseline: tuple[float, float] = (0.06, 0.8),
         field_of_view: tuple[float, float] = (38.0, 78.0),
+        close_share: float = 0.0,
         supersample: int = 2,
     ) -> SceneBatch:
         """The next `scenes` scenes at `size` px, or (height, width).
 
         The way from the first to the last input is asked for log-uniform in `baseline`, in units of the median depth
         that the origin sees; positions then tremble by 6 % of it, and rooms draw cameras together until all are
-        inside. The horizontal field of view is uniform in `field_of_view`, degrees. Only input views carry the small
-        exposure and noise errors of a real camera.
+        inside. The horizontal field of view is uniform in `field_of_view`, degrees. In a `close_share` of the scenes
+        something close stands at the edge of one input's picture, mostly out of the others'. Only input views carry the
+        small exposure and noise errors of a real camera.
         """
         height, width = (size, size) if isinstance(size, int) else size
         samples = []
         for _ in range(scenes):
             rng = np.random.default_rng((*self._key, self._next))
-            samples.append(self._draw(rng, inputs, targets, width / height, baseline, field_of_view))
+            samples.append(self._draw(rng, inputs, targets, width / height, baseline, field_of_view, close_share))
             self._next += 1
         worlds = pack([sample.world for sample in samples])
         cameras = np.stack([_camera_rows(sample.poses, sample.lens, height, width) for sample in samples])
@@ -110,6 +112,7 @@ class SceneSampler:
         aspect: float,
         baseline: tuple[float, float],
         field_of_view: tuple[float, float],
+        close_share: float,
     ) -> _Sample:
         half_width = math.tan(math.radians(rng.uniform(*field_of_view)) / 2)
         fx = 0.5 / half_width
@@ -126,6 +129,9 @@ class SceneSampler:
             length = middle * math.exp(rng.uniform(*np.log(baseline)))
             poses = camera_poses(rng, inputs, targets, length, middle, half_width)
             world, poses = _cleared(world, poses, CLEARANCE * middle)
+            if close_share and rng.random() < close_share:
+                near = close_thing(rng, paint, poses[rng.integers(inputs)], half_width, middle)
+                world, poses = _cleared(world.with_more(near), poses, CLEARANCE * middle)
             seen = np.isfinite(self._probe(world, poses[:inputs], lens)).mean(axis=(1, 2))
             if seen.min() >= LEAST_INPUT_COVER:
                 return _Sample(world, poses, lens, rng)

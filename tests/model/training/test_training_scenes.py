@@ -156,6 +156,32 @@ def test_supersampling_leaves_depth_alone():
     np.testing.assert_allclose(fine.depths / coarse.depths, np.ones_like(fine.depths), rtol=1e-6)
 
 
+def test_something_close_stands_at_the_edge_of_one_input():
+    """The same worlds with and without it: one input shows it, in front of all else there, the other mostly less."""
+    shares, at_edge = [], []
+    for scene in range(40):
+        pair = [
+            SceneSampler(78, "train", first=scene).batch(
+                1, 2, 1, 24, baseline=(0.15, 0.5), close_share=share, supersample=1
+            )
+            for share in (0.0, 1.0)
+        ]
+        ways = [np.linalg.norm(b.world_from_cam[0, 0, :3, 3] - b.world_from_cam[0, 1, :3, 3]) for b in pair]
+        without, there = (
+            np.where(b.background[0, :2], np.inf, b.depths[0, :2] / way) for b, way in zip(pair, ways, strict=True)
+        )
+        assert (there <= 1.001 * without).all()  # nothing else has moved
+        nearer = there < 0.99 * without
+        shares.append(sorted(nearer.mean(axis=(1, 2))))
+        if nearer.any():
+            most = nearer[np.argmax(nearer.mean(axis=(1, 2)))]
+            at_edge.append(most.sum() > most[1:-1, 1:-1].sum())
+    less, more = np.array(shares).T
+    assert np.mean(at_edge) > 0.7  # measured 0.84: small things stand just within
+    assert (more > 0.01).mean() > 0.75  # measured 0.9: what stands in a camera's way is taken out
+    assert np.mean(less) < 0.5 * np.mean(more)  # measured 0.07 and 0.20
+
+
 def test_splits_share_no_texture():
     atlas = load_atlas()
     train, validation = set(atlas.indices("train")), set(atlas.indices("validation"))
