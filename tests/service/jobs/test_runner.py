@@ -3,81 +3,22 @@
 from __future__ import annotations
 
 import os
-import signal
 import sqlite3
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from job_place import A, Place, work
 
-from gapmes.service.budget import Budget
-from gapmes.service.camera import Camera
-from gapmes.service.database import Database
 from gapmes.service.errors import InputError, StorageFull
 from gapmes.service.fade_passes import DEFAULT_PASSES
-from gapmes.service.jobs.leases import Lease
-from gapmes.service.jobs.rows import Job
-from gapmes.service.jobs.runner import Compute, Runner
 from gapmes.service.jobs.spool import Spool
-from gapmes.service.jobs.table import JobTable
 from gapmes.service.jobs.work import Work
-from gapmes.service.pose import Given
 from gapmes.service.progress import Stage, Stages
-
-A = "a" * 32
-
-
-def work(seed: int = 0) -> Work:
-    rng = np.random.default_rng(seed)
-    pose = np.eye(4)
-    pose[:3, 3] = rng.normal(size=3)
-    cameras = tuple(Camera(64, 48, 60.1, 60.2, 32.3, 24.4, pose, Given(1e-5, 0.25, 2.0**-26)) for _ in range(2))
-    return Work((b"one", b"two"), cameras, None, 7.5, True, 2, Budget(None, 3, ("1.5", "0"), 0.25, 2), "ds")
-
-
-class Place:
-    """A store's jobs, computed by a function."""
-
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        self.table = JobTable(Database(root / "index.sqlite"), most=20, keep_s=1e6)
-        self.spool = Spool(root / "jobs")
-        self.runners: list[Runner] = []
-
-    def runner(self, compute: Compute, *, slots: int = 1, limit_s: float = 60.0) -> Runner:
-        runner = Runner(self.table, self.spool, Lease(self.root / "leases"), compute, slots=slots, limit_s=limit_s)
-        self.runners.append(runner)
-        runner.start()
-        return runner
-
-    def submit(self, job_id: str = "1", scene_id: str = A, waits: str | None = None) -> Job:
-        self.spool.put(job_id, work())
-        return self.table.submit(job_id, scene_id, waits)
-
-    def ended(self, job_id: str = "1", seconds: float = 20.0) -> Job:
-        return self.until(lambda job: job.over, job_id, seconds)
-
-    def until(self, reached: Callable[[Job], bool], job_id: str = "1", seconds: float = 20.0) -> Job:
-        deadline = time.monotonic() + seconds
-        while not reached(job := self.table.get(job_id)):
-            assert time.monotonic() < deadline, job
-            time.sleep(0.005)
-        return job
-
-
-@pytest.fixture
-def place(tmp_path: Path) -> Iterator[Place]:
-    place = Place(tmp_path)
-    yield place
-    for runner in place.runners:
-        runner.stop(5.0)
 
 
 def test_work_comes_back_from_disk_to_the_bit(tmp_path: Path) -> None:
@@ -285,91 +226,3 @@ def test_the_end_of_a_job_is_noted_even_if_the_disk_is_full_for_a_while(
     place.submit()
     assert place.ended().state == "done"
     assert len(calls) == 4
-
-
-CHILD = """
-import sys, time
-from pathlib import Path
-from gapmes.service.database import Database
-from gapmes.service.jobs.leases import Lease
-from gapmes.service.jobs.runner import Runner
-from gapmes.service.jobs.spool import Spool
-from gapmes.service.jobs.table import JobTable
-root = Path(sys.argv[1])
-table = JobTable(Database(root / "index.sqlite"), most=20, keep_s=1e6)
-Runner(table, Spool(root / "jobs"), Lease(root / "leases"), lambda *_: time.sleep(60), slots=1, limit_s=60).start()
-time.sleep(60)
-"""
-
-
-def killed(place: Place) -> None:
-    """A process that claims the job and is killed while it computes."""
-    child = subprocess.Popen([sys.executable, "-c", CHILD, str(place.root)])
-    try:
-        place.until(lambda job: job.state == "running")
-    finally:
-        child.send_signal(signal.SIGKILL)
-        child.wait()
-
-
-def test_a_job_whose_process_was_killed_is_taken_over(place: Place) -> None:
-    place.submit()
-    killed(place)
-    assert place.table.get("1").state == "running"  # nobody has looked yet
-    place.runner(lambda *_: None)
-    job = place.ended()
-    assert (job.state, job.attempts) == ("done", 2)
-    reasons = [event.data.get("reason") for event in place.table.events("1")]
-    assert "the process that computed it ended unexpectedly" in reasons
-
-
-def test_a_job_that_kills_its_process_twice_fails_with_the_reason(place: Place) -> None:
-    place.submit()
-    killed(place)
-    watcher = Runner(place.table, place.spool, Lease(place.root / "leases"), lambda *_: None, slots=1, limit_s=60.0)
-    watcher.recover()
-    assert place.table.get("1").state == "queued"
-    killed(place)
-    watcher.recover()
-    job = place.table.get("1")
-    assert (job.state, job.problem["code"]) == ("failed", "job_abandoned")
-
-
-WAITS = """
-import sys, time
-from pathlib import Path
-from gapmes.service.database import Database
-from gapmes.service.jobs.leases import Lease
-from gapmes.service.jobs.table import JobTable
-root = Path(sys.argv[1])
-lease = Lease(root / "leases")
-JobTable(Database(root / "index.sqlite"), most=20, keep_s=1e6).join(sys.argv[2], lease.name)
-time.sleep(60)
-"""
-
-
-def test_requests_of_a_killed_process_wait_no_more(place: Place) -> None:
-    """Were they counted for ever, the job could not be cancelled."""
-    place.submit()
-    watcher = Runner(place.table, place.spool, Lease(place.root / "leases"), lambda *_: None, slots=1, limit_s=60.0)
-    child = subprocess.Popen([sys.executable, "-c", WAITS, str(place.root), A])
-    try:
-        place.until(lambda job: job.waiting == 1)
-        watcher.recover()
-        assert place.table.cancel("1").state == "queued"  # the child lives, and waits
-    finally:
-        child.send_signal(signal.SIGKILL)
-        child.wait()
-    watcher.recover()
-    assert (place.table.get("1").state, place.table.get("1").waiting) == ("queued", 0)
-    assert place.table.cancel("1").state == "cancelled"
-
-
-def test_the_living_are_not_taken_for_dead(tmp_path: Path) -> None:
-    one, two = Lease(tmp_path), Lease(tmp_path)
-    assert one.gone([one.name, two.name, "never"]) == {"never"}
-    two.release()
-    assert one.gone([one.name, two.name]) == {two.name}
-    (tmp_path / "dead").touch()  # as a process leaves it that was killed
-    three = Lease(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {one.name, three.name}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gapmes.service.database import Database
-from gapmes.service.errors import GapmesError, JobNotFound, ServiceBusy, StorageFull
+from gapmes.service.errors import JobNotFound, ServiceBusy
 from gapmes.service.jobs.rows import ACTIVE, ENDED
 from gapmes.service.jobs.table import JobTable
 
@@ -258,29 +258,6 @@ def test_whatever_happens_a_job_ends_once_and_tells_it_in_order(tmp_path: Path, 
     assert len(scenes) == len(set(scenes))
 
 
-def test_a_file_of_another_version_is_refused(tmp_path: Path) -> None:
-    with Database(tmp_path / "index.sqlite").write() as connection:
-        connection.execute("PRAGMA user_version = 99")
-    with pytest.raises(GapmesError, match="version 99, this service reads version 2"):
-        Database(tmp_path / "index.sqlite")
-
-
-def test_a_failed_transaction_leaves_nothing(tmp_path: Path) -> None:
-    database = Database(tmp_path / "index.sqlite")
-
-    def broken() -> None:
-        with database.write() as connection:
-            connection.execute("INSERT INTO scenes VALUES ('x', 1, 1, 1, '{}')")
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        broken()
-    assert database.rows("SELECT * FROM scenes") == []
-    with database.write() as connection:
-        connection.execute("INSERT INTO scenes VALUES ('x', 1, 1, 1, '{}')")
-    assert len(database.rows("SELECT * FROM scenes")) == 1
-
-
 def test_only_the_owner_of_a_running_job_says_how_it_goes(table: JobTable) -> None:
     """A process that gave a job back, or was taken for dead, may still be at it."""
     table.submit("1", A)
@@ -304,34 +281,3 @@ def test_while_a_process_ends_it_takes_only_what_a_request_waits_for(table: JobT
     assert table.claim("me", waited_for=True).id == "2"
     assert table.claim("me", waited_for=True) is None
     assert table.claim("me").id == "1"
-
-
-def test_a_full_disk_is_named(tmp_path: Path) -> None:
-    database = Database(tmp_path / "index.sqlite")
-    database.rows("PRAGMA max_page_count = 20")
-
-    def fill() -> None:
-        with database.write() as connection:
-            connection.execute("INSERT INTO scenes VALUES ('x', 1, 1, 1, ?)", ["y" * 200_000])
-
-    with pytest.raises(StorageFull, match="no space for the index"):
-        fill()
-    assert database.rows("SELECT * FROM scenes") == []
-
-
-def test_many_open_a_new_file_at_once(tmp_path: Path) -> None:
-    failures = []
-
-    def opened(path: Path) -> None:
-        try:
-            Database(path)
-        except Exception as error:
-            failures.append(error)
-
-    for number in range(20):
-        threads = [threading.Thread(target=opened, args=(tmp_path / str(number),)) for _ in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    assert failures == []

@@ -1,0 +1,100 @@
+"""Processes that are killed: what they computed is taken over, what waited there waits no more."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from job_place import A, Place
+
+from gapmes.service.jobs.leases import Lease
+from gapmes.service.jobs.runner import Runner
+
+CHILD = """
+import sys, time
+from pathlib import Path
+from gapmes.service.database import Database
+from gapmes.service.jobs.leases import Lease
+from gapmes.service.jobs.runner import Runner
+from gapmes.service.jobs.spool import Spool
+from gapmes.service.jobs.table import JobTable
+root = Path(sys.argv[1])
+table = JobTable(Database(root / "index.sqlite"), most=20, keep_s=1e6)
+Runner(table, Spool(root / "jobs"), Lease(root / "leases"), lambda *_: time.sleep(60), slots=1, limit_s=60).start()
+time.sleep(60)
+"""
+
+
+def killed(place: Place) -> None:
+    """A process that claims the job and is killed while it computes."""
+    child = subprocess.Popen([sys.executable, "-c", CHILD, str(place.root)])
+    try:
+        place.until(lambda job: job.state == "running")
+    finally:
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+
+
+def test_a_job_whose_process_was_killed_is_taken_over(place: Place) -> None:
+    place.submit()
+    killed(place)
+    assert place.table.get("1").state == "running"  # nobody has looked yet
+    place.runner(lambda *_: None)
+    job = place.ended()
+    assert (job.state, job.attempts) == ("done", 2)
+    reasons = [event.data.get("reason") for event in place.table.events("1")]
+    assert "the process that computed it ended unexpectedly" in reasons
+
+
+def test_a_job_that_kills_its_process_twice_fails_with_the_reason(place: Place) -> None:
+    place.submit()
+    killed(place)
+    watcher = Runner(place.table, place.spool, Lease(place.root / "leases"), lambda *_: None, slots=1, limit_s=60.0)
+    watcher.recover()
+    assert place.table.get("1").state == "queued"
+    killed(place)
+    watcher.recover()
+    job = place.table.get("1")
+    assert (job.state, job.problem["code"]) == ("failed", "job_abandoned")
+
+
+WAITS = """
+import sys, time
+from pathlib import Path
+from gapmes.service.database import Database
+from gapmes.service.jobs.leases import Lease
+from gapmes.service.jobs.table import JobTable
+root = Path(sys.argv[1])
+lease = Lease(root / "leases")
+JobTable(Database(root / "index.sqlite"), most=20, keep_s=1e6).join(sys.argv[2], lease.name)
+time.sleep(60)
+"""
+
+
+def test_requests_of_a_killed_process_wait_no_more(place: Place) -> None:
+    """Were they counted for ever, the job could not be cancelled."""
+    place.submit()
+    watcher = Runner(place.table, place.spool, Lease(place.root / "leases"), lambda *_: None, slots=1, limit_s=60.0)
+    child = subprocess.Popen([sys.executable, "-c", WAITS, str(place.root), A])
+    try:
+        place.until(lambda job: job.waiting == 1)
+        watcher.recover()
+        assert place.table.cancel("1").state == "queued"  # the child lives, and waits
+    finally:
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+    watcher.recover()
+    assert (place.table.get("1").state, place.table.get("1").waiting) == ("queued", 0)
+    assert place.table.cancel("1").state == "cancelled"
+
+
+def test_the_living_are_not_taken_for_dead(tmp_path: Path) -> None:
+    one, two = Lease(tmp_path), Lease(tmp_path)
+    assert one.gone([one.name, two.name, "never"]) == {"never"}
+    two.release()
+    assert one.gone([one.name, two.name]) == {two.name}
+    (tmp_path / "dead").touch()  # as a process leaves it that was killed
+    three = Lease(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {one.name, three.name}
