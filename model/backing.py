@@ -44,8 +44,8 @@ def backing_layer(images: Tensor, inverse: Tensor, views: Views, keep: Tensor, c
 
     rows, columns = depth.shape[-2:]
     device = images.device
-    y = (torch.arange(rows, dtype=torch.float32, device=device) - MARGIN + 0.5) * CELL / height
-    x = (torch.arange(columns, dtype=torch.float32, device=device) - MARGIN + 0.5) * CELL / width
+    y = (torch.arange(rows, dtype=torch.get_default_dtype(), device=device) - MARGIN + 0.5) * CELL / height
+    x = (torch.arange(columns, dtype=torch.get_default_dtype(), device=device) - MARGIN + 0.5) * CELL / width
     positions = torch.stack([x[None, :].expand(rows, columns), y[:, None].expand(rows, columns)]).unsqueeze(0)
     intrinsics, poses = views.intrinsics.reshape(-1, 3, 3), views.world_from_cam.reshape(-1, 4, 4)
     positions = positions.expand(images.shape[0], -1, -1, -1)

@@ -10,8 +10,8 @@ FRONT = 1e-4  # as shares of its depth in one view, what a point must lie before
 
 def pixel_grid(height: int, width: int, device: torch.device) -> Tensor:
     """(2, H, W) normalised pixel centres (x, y) in (0, 1)."""
-    y = (torch.arange(height, dtype=torch.float32, device=device) + 0.5) / height
-    x = (torch.arange(width, dtype=torch.float32, device=device) + 0.5) / width
+    y = (torch.arange(height, dtype=torch.get_default_dtype(), device=device) + 0.5) / height
+    x = (torch.arange(width, dtype=torch.get_default_dtype(), device=device) + 0.5) / width
     return torch.stack([x[None, :].expand(height, width), y[:, None].expand(height, width)])
 
 

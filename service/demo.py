@@ -17,9 +17,10 @@ import numpy as np
 from PIL import Image
 
 from .contact_sheet import Cell, Row, contact_sheet
-from .local_server import checked, local_server, wait_until_ready
+from .local_server import checked, local_client, local_server, wait_until_ready
 from .picture_error import psnr
 from .progress import Stage, Stages
+from .settings import Settings
 from .shipped import sample_folder
 from .terminal import ProgressBars
 
@@ -38,7 +39,8 @@ class DemoResult:
 
 
 def run_demo(output: Path, bars: ProgressBars, *, keep: bool = False) -> DemoResult:
-    """Write scene.ply, view_<i>.png and comparison.png into `output`; the service is left running only with `keep`."""
+    """Write scene.ply, view_<i>.png and comparison.png into `output`; the service is left running only with `keep`,
+    then on the port of the settings if that is free."""
     output.mkdir(parents=True, exist_ok=True)
     log = output / "server.log"
     stages = Stages(bars)
@@ -51,9 +53,11 @@ def run_demo(output: Path, bars: ProgressBars, *, keep: bool = False) -> DemoRes
         )  # empty, so that every run measures the work itself
         if not keep:
             stack.callback(shutil.rmtree, store, ignore_errors=True)
-        address, process = stack.enter_context(local_server(log, store=store, keep=keep))
+        address, process = stack.enter_context(
+            local_server(log, store=store, keep=keep, port=Settings().port if keep else 0)
+        )
         bars.say(f"service: {address}/ (log in {log})")
-        client = stack.enter_context(httpx.Client(base_url=address, timeout=REQUEST_TIMEOUT_S))
+        client = stack.enter_context(local_client(address, REQUEST_TIMEOUT_S))
         wait_until_ready(client, process, log, stages)
         scene = _reconstruct(client, sample, cameras, context, stages, bars)
         with stages.stage("fetch .ply"):

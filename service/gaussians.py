@@ -20,7 +20,11 @@ _TAIL = {"means": (3,), "scales": (3,), "rotations_wxyz": (4,), "opacities": ()}
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """N Gaussians; build them with `Gaussians.make`, which checks shapes, finiteness and ranges once."""
+    """N Gaussians; build them with `Gaussians.make`, which checks shapes, finiteness and ranges once.
+
+    The arrays must not change afterwards: what was prepared to draw them is kept. For other values make another set
+    (`dataclasses.replace`).
+    """
 
     means: F64  # (N, 3) world, caller's units; float64 so that a far-off origin costs nothing
     scales: F32  # (N, 3) standard deviations along the own axes, caller's units, >= 0

@@ -20,13 +20,17 @@ from .progress import Stages
 READY_TIMEOUT_S = 300.0  # the first start compiles every kernel, which a slow core needs a minute or two for
 POLL_S = 0.2
 STOP_TIMEOUT_S = 10.0
+KEYS = ("GAPMES_API_KEY", "GAPMES_API_KEY_FILE")
 LOADING = ("start", "import", "model", "kernels")  # the stages that /readyz names, in order
 
 
 @contextmanager
-def local_server(log: Path, *, store: Path, keep: bool = False) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Yield (address, process) of `gapmes serve` on a free port; stopped at the end unless `keep` and no failure."""
-    port = _free_port()
+def local_server(
+    log: Path, *, store: Path, keep: bool = False, port: int = 0
+) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Yield (address, process) of `gapmes serve` on `port` if that is free, else on a free one; stopped at the end
+    unless `keep` and no failure. It needs no key, whatever the environment says."""
+    port = _free_port(port)
     command = [sys.executable, "-m", "gapmes.service.cli", "serve", "--host", "127.0.0.1", "--port", str(port)]
     with log.open("wb") as output:
         process = subprocess.Popen(
@@ -34,7 +38,7 @@ def local_server(log: Path, *, store: Path, keep: bool = False) -> Iterator[tupl
             stdout=output,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
-            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            env={name: value for name, value in os.environ.items() if name not in KEYS} | {"PYTHONUNBUFFERED": "1"},
             start_new_session=True,  # Ctrl-C reaches this process alone, which then stops the server in order
         )
     done = False
@@ -49,6 +53,11 @@ def local_server(log: Path, *, store: Path, keep: bool = False) -> Iterator[tupl
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+
+
+def local_client(address: str, timeout_s: float) -> httpx.Client:
+    """A client of a service on loopback, which no proxy of the environment stands before."""
+    return httpx.Client(base_url=address, timeout=timeout_s, trust_env=False)
 
 
 def wait_until_ready(
@@ -89,7 +98,13 @@ def checked(answer: httpx.Response) -> httpx.Response:
     )
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+def _free_port(wanted: int) -> int:
+    for port in (wanted, 0):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server does: a port just left is free
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return probe.getsockname()[1]
+    raise GapmesError("no port of 127.0.0.1 is free", field="port")

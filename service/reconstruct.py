@@ -34,7 +34,7 @@ from .pose_notices import pose_notices
 from .progress import Listener, Stages, silent
 from .scene_views import SceneViews
 from .self_check import ambiguous_routes, drawn_again, from_others, self_check
-from .splat import render
+from .splat import Render, render
 from .view_checks import DEPTH_PLANES, MIN_VIEWS, Notice, check_count, check_views
 from .world_frame import WorldFrame
 
@@ -55,6 +55,11 @@ class Scene:
     def positions(self) -> Positions:
         """As what a .ply holds x, y, z of these Gaussians to the bit."""
         return stored_positions(self.gaussians)
+
+    def render(self, camera: Camera, **options: Any) -> Render:
+        """The picture that `camera` has of the scene, drawn as the service does, from a tenth of its near depth on: in
+        the caller's units, and as the bound on what was left out has it. `options` as for the function."""
+        return render(self.gaussians, camera, **{**SceneViews.of_document(self.document).near_plane, **options})
 
 
 class Reconstructor:

@@ -16,10 +16,12 @@ from gapmes.service.local_server import local_server, wait_until_ready
 from gapmes.service.masks import REPLACED
 from gapmes.service.ply import read_ply
 from gapmes.service.progress import Stages
+from gapmes.service.settings import Settings
 from gapmes.service.shipped import sample_folder
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
+PORT = Settings.model_fields["port"].default
 
 
 def blocks() -> list[str]:
@@ -31,12 +33,13 @@ def test_the_curl_lines_yield_a_ply_and_a_picture(tmp_path: Path) -> None:
     import httpx
 
     (script,) = [block for block in blocks() if "curl" in block]
+    assert set(re.findall(r"http://[\d.]+:\d+", script)) == {f"http://127.0.0.1:{PORT}"}  # what `serve` and KEEP=1 take
     folder = tmp_path / "scene"
     shutil.copytree(sample_folder(), folder)
     with local_server(tmp_path / "log", store=tmp_path / "store", keep=False) as (address, process):
         with httpx.Client(base_url=address, timeout=300) as client:
             wait_until_ready(client, process, tmp_path / "log", Stages())
-        commands = script.replace("http://127.0.0.1:8000", address)
+        commands = script.replace(f"http://127.0.0.1:{PORT}", address)
         subprocess.run(["bash", "-ec", commands], cwd=folder, check=True, capture_output=True, env=dict(os.environ))
         with httpx.Client(base_url=address, timeout=300) as client:
             (listed,) = client.get("/scenes").json()["scenes"]

@@ -94,6 +94,6 @@ FINISH = Recipe(
         Phase(0.55, (128, 128, 256), 2, (2, 2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
     ),
 )
-"""`finish` goes on from trained weights, without noise: half of its scenes have something close at the edge of an input,
-and the steps at 256 px come last."""
+"""`finish` goes on from trained weights, without noise: in half of its scenes something is close at the edge of an
+input, and the steps at 256 px come last."""
 RECIPES = {"whole": Recipe(), "finish": FINISH}

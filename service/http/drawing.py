@@ -20,6 +20,7 @@ from ..effort import draw as effort_draw
 from ..errors import DeadlineExceeded, InputError
 from ..metrics import STAGES
 from ..picture import Channel
+from ..revision import DRAWING_REVISION
 from ..scene_views import SceneViews
 from .files import etag_of
 from .gate import Pause
@@ -94,5 +95,5 @@ def picture_tag(runtime: Runtime, scene_id: str, query: BaseModel) -> str:
     """Of a picture or film: it depends on the scene's file, on what is asked, and on the splatter of this release."""
     with runtime.store.reading(scene_id) as path:
         scene = etag_of(path)
-    parts = [scene, version("gapmes"), type(query).__name__, query.model_dump_json(exclude={"scene"})]
+    parts = [scene, version("gapmes"), DRAWING_REVISION, type(query).__name__, query.model_dump_json(exclude={"scene"})]
     return f'"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}"'

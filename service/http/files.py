@@ -18,6 +18,7 @@ from starlette.types import Message, Receive, Scope, Send
 from ..errors import SceneNotFound
 from ..formats.registry import MEDIA_TYPE
 from ..problem_document import of_error, problem
+from ..revision import DRAWING_REVISION
 from ..scene_files import unknown
 from ..store import SceneStore
 from . import problems
@@ -46,7 +47,8 @@ def not_modified(etag: str, headers: Mapping[str, str] | None = None) -> Respons
 
 def etag_of_converted(etag: str, extension: str) -> str:
     """Of a file that is made from the one with `etag`: another release may write it otherwise."""
-    return f'"{hashlib.sha256(json.dumps([etag, extension, version("gapmes")]).encode()).hexdigest()[:32]}"'
+    parts = [etag, extension, version("gapmes"), DRAWING_REVISION]
+    return f'"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}"'
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from .schemas import ModelList
 router = APIRouter(tags=["operations"])
 
 
+@router.head("/models", include_in_schema=False)
 @router.get("/models", response_model=ModelList)
 def list_models(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
     """The configured models, the default one first; `loaded` is that of the process that answers."""

@@ -49,11 +49,13 @@ class _File(NamedTuple):
     media_type: str
 
 
+@router.head("/")
 @router.get("/")
 def index(request: Request) -> Response:
     return _answer(request, "index.html", POLICY)
 
 
+@router.head("/viewer")
 @router.get("/viewer")
 def viewer(request: Request) -> Response:
     """The frame that the page shows a scene in by WebGL; 404 where the package was built without the viewer."""

@@ -28,6 +28,7 @@ _KEPT = "; ".join(f".{extension} {entry.keeps}" for extension, entry in FORMATS.
 # Ids are matched as paths: a slash in one, encoded or not, is an unknown scene and not another route.
 
 
+@router.head("/scenes", include_in_schema=False)
 @router.get("/scenes", response_model=SceneList)
 def list_scenes(
     runtime: Held,

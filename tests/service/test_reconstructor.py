@@ -101,6 +101,8 @@ def test_gaussians_move_with_the_world(reconstructor, scene, plane_scene, unit, 
     d = np.array([[0.0, 0.6, 0.8]])
     before = evaluate_basis(d, 1) @ scene.gaussians.harmonics[3]
     np.testing.assert_allclose(evaluate_basis(d @ rotation.T, 1) @ result.harmonics[3], before, atol=1e-6)
+    one, other = whole.render(moved.cameras[0]).stats, scene.render(plane_scene.cameras[0]).stats
+    assert (one["projected"], one["culled"]["near"]) == (other["projected"], 0)  # none lost to a near plane
 
 
 def test_a_far_origin_keeps_every_pixel(reconstructor, plane_scene):

@@ -140,6 +140,12 @@ def test_framework_errors_are_problems(client: TestClient, method: str, path: st
         assert answer.headers["allow"]
 
 
+@pytest.mark.parametrize("path", ["/", "/scenes", "/models", "/healthz", "/readyz"])
+def test_monitors_may_ask_for_the_head_alone(client: TestClient, path: str) -> None:
+    head, whole = client.head(path), client.get(path)
+    assert (head.status_code, head.headers["content-type"]) == (200, whole.headers["content-type"])
+
+
 def test_unexpected_exception_is_a_problem_without_internals(
     client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -1,0 +1,40 @@
+"""What the proxy before several replicas refuses itself reads as what the service refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+from gapmes.service.errors import GapmesError
+from gapmes.service.problem_document import of_error
+
+CONF = (Path(__file__).parent.parent / "docker" / "nginx.conf").read_text()
+
+
+def errors(kind: type[GapmesError] = GapmesError) -> dict[str, type[GapmesError]]:
+    return {kind.code: kind} | {code: each for some in kind.__subclasses__() for code, each in errors(some).items()}
+
+
+def test_its_refusals_are_problem_documents_of_the_service() -> None:
+    answers = re.findall(
+        r"location (@\w+) \{[^}]*?default_type ([\w/+]+);[^}]*?return (\d+) '(\{.*?\})';", CONF, re.DOTALL
+    )
+    assert sorted(name for name, *_ in answers) == sorted(set(re.findall(r"error_page [\d ]+ = (@\w+);", CONF)))
+    assert len(answers) == 2
+    for _, media_type, status, body in answers:
+        document = json.loads(body)
+        expected = of_error(errors()[document["code"]](document["detail"], cure=document["cure"]))
+        assert document == expected
+        assert int(status) == document["status"]
+        assert media_type == "application/problem+json"
+
+
+def test_it_takes_what_the_service_takes() -> None:
+    """A little more, so that the service says what is too large, with its own limit."""
+    from gapmes.service.settings import Settings
+
+    (megabytes,) = map(int, re.findall(r"client_max_body_size (\d+)m;", CONF))
+    most = Settings.model_fields["max_upload_bytes"].default
+    assert most < megabytes * 2**20 < 1.05 * most
+    assert f"more than {megabytes} MiB" in CONF
