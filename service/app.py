@@ -70,7 +70,7 @@ def create_app(settings: Settings | None = None, bars: AbstractContextManager[Li
         health, metrics, models, page, check, reconstruct, jobs, render, viewer, preview, load, scenes,
     ):  # fmt: skip
         app.include_router(module.router)
-    app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes)
+    app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes, most_together=settings.max_uploads_bytes)
     if key is not None:
         app.add_middleware(KeyNeeded, key=key)
     origins = [origin.strip() for origin in settings.cors_origins.split(",") if origin.strip()]

@@ -41,9 +41,9 @@ async def check(request: Request, runtime: Annotated[Runtime, Depends(runtime_of
     models = runtime.models  # refuses until there is one
     async with runtime.uploads.place():
         upload = await read_upload(request, runtime.settings, models.names)
-    info = models.get(upload.work.model).file.info
-    understood = partial(_understood, upload, runtime.settings, info)
-    document = await runtime.looks.run(understood, request.is_disconnected)
+        info = models.get(upload.work.model).file.info
+        understood = partial(_understood, upload, runtime.settings, info)
+        document = await runtime.looks.run(understood, request.is_disconnected)
     return json_response(document)
 
 

@@ -1,4 +1,4 @@
-"""The bound on a request's body, counted as the bytes arrive, and JSON parsing that no document can upset."""
+"""The bounds on a request's body and on all together, counted as bytes arrive, and JSON parsing that nothing upsets."""
 
 from __future__ import annotations
 
@@ -8,17 +8,24 @@ from typing import Any
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ..errors import MalformedRequest, UploadTooLarge
+from ..errors import MalformedRequest, ServiceBusy, UploadTooLarge
 from ..problem_document import of_error
 from . import problems
 
+RELEASE = "gapmes.release"  # in a request's scope: what to call once its body is out of memory
+
 
 class BodyLimit:
-    """ASGI middleware: a declared length over the limit is refused unread, an undeclared one where it crosses it."""
+    """ASGI middleware: a declared length over the limit is refused unread, an undeclared one where it crosses it.
 
-    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
+    The bodies of all requests, from their first byte until they are released or answered, have `most_together` bytes
+    at most; a single one may be larger.
+    """
+
+    def __init__(self, app: ASGIApp, max_bytes: int, most_together: int) -> None:
         self.app = app
-        self.max_bytes = max_bytes
+        self.max_bytes, self.most_together = max_bytes, most_together
+        self._held = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -29,17 +36,37 @@ class BodyLimit:
             answer = problems.response(of_error(self._error(int(declared))), {"Connection": "close"})
             await answer(scope, receive, send)
             return
-        received = 0
+        received = held = 0
 
         async def counted() -> Message:
-            nonlocal received
+            nonlocal received, held
             message = await receive()
-            received += len(message.get("body", b""))
+            size = len(message.get("body", b""))
+            received += size
             if received > self.max_bytes:
                 raise self._error(received)
+            others = self._held - held
+            if others and others + held + size > self.most_together:
+                raise ServiceBusy(
+                    f"{others} bytes of other requests are in memory, with this one the limit of {self.most_together} "
+                    "would be passed",
+                    field="body",
+                    cure="retry later",
+                )
+            held += size
+            self._held += size
             return message
 
-        await self.app(scope, counted, send)
+        def release() -> None:
+            nonlocal held
+            self._held -= held
+            held = 0
+
+        scope[RELEASE] = release
+        try:
+            await self.app(scope, counted, send)
+        finally:
+            release()
 
     def _error(self, size: int) -> UploadTooLarge:
         return UploadTooLarge(

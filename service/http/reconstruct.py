@@ -13,6 +13,7 @@ from . import problems
 from .bundle import zip_bundle
 from .form import FORM
 from .jobs import accepted_job, wanted_async, why_not
+from .limits import RELEASE
 from .responses import JSON, PLY, ZIP, accepted, json_response, server_timing
 from .runtime import Runtime, runtime_of
 from .scenes import with_links
@@ -61,6 +62,7 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
                 job, new = await anyio.to_thread.run_sync(submit)
                 del submit
             del work  # and with it the photographs: they are on disk now
+            request.scope[RELEASE]()
         if job is not None and kept:
             return accepted_job(runtime, job, told.selection)
         if job is not None:

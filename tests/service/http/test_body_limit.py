@@ -1,0 +1,80 @@
+"""The bound on all request bodies together: who is refused, and when the bytes of another count no more."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from gapmes.service.errors import ServiceBusy, UploadTooLarge
+from gapmes.service.http.limits import RELEASE, BodyLimit
+
+Scope = dict[str, Any]
+
+
+class App:
+    """Reads the whole body, tells it, and answers when it may."""
+
+    def __init__(self) -> None:
+        self.may_answer = asyncio.Event()
+        self.read: list[int] = []
+        self.scopes: list[Scope] = []
+
+    async def __call__(self, scope: Scope, receive: Any, send: Any) -> None:
+        self.scopes.append(scope)
+        size, more = 0, True
+        while more:
+            message = await receive()
+            size, more = size + len(message["body"]), message["more_body"]
+        self.read.append(size)
+        await self.may_answer.wait()
+
+
+async def ask(limit: BodyLimit, sizes: list[int]) -> None:
+    left = list(sizes)
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "http.request", "body": bytes(left.pop(0)), "more_body": bool(left)}
+
+    async def send(_: object) -> None:
+        raise AssertionError("nothing is answered here")
+
+    await limit({"type": "http", "headers": []}, receive, send)
+
+
+def test_bodies_together_are_bounded_until_they_are_released_or_answered() -> None:
+    async def story() -> None:
+        app = App()
+        limit = BodyLimit(app, 1000, 1500)
+        first = asyncio.create_task(ask(limit, [400, 400]))
+        await asyncio.sleep(0)
+        with pytest.raises(
+            ServiceBusy, match="800 bytes of other requests are in memory, with this one the limit of 1500"
+        ):
+            await ask(limit, [400, 400])
+        second = asyncio.create_task(ask(limit, [400, 300]))
+        await asyncio.sleep(0)
+        assert app.read == [800, 700]
+        app.scopes[0][RELEASE]()  # its photographs are on disk
+        third = asyncio.create_task(ask(limit, [800]))
+        await asyncio.sleep(0)
+        assert app.read == [800, 700, 800]
+        app.may_answer.set()
+        await asyncio.gather(first, second, third)
+        await asyncio.gather(*(ask(limit, [750]) for _ in range(2)))
+        assert app.read[3:] == [750, 750]
+
+    asyncio.run(story())
+
+
+def test_one_body_alone_may_pass_the_bound_on_all_together() -> None:
+    async def story() -> None:
+        app = App()
+        app.may_answer.set()
+        await ask(BodyLimit(app, 1000, 500), [600, 300])
+        assert app.read == [900]
+        with pytest.raises(UploadTooLarge, match="1001 bytes or more, the limit is 1000"):
+            await ask(BodyLimit(app, 1000, 500), [600, 401])
+
+    asyncio.run(story())
