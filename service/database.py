@@ -14,11 +14,16 @@ from .file_lock import exclusive
 
 BUSY_S = 30.0  # that a write waits for another process's; each takes milliseconds
 VERSION = 2
+_ANEW = "move the file away: scenes are listed anew from their folders, its jobs are lost"
 _FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE)  # the second where a quota is
 
 # A job is active while it is queued or running; a scene has one active job at most. A row of `waits` is a request of a
 # process that waits for a job's answer.
-_SCHEMA = """
+_WAITS = """
+CREATE TABLE IF NOT EXISTS waits (job_id TEXT NOT NULL, process TEXT NOT NULL);
+CREATE INDEX IF NOT EXISTS waits_job ON waits (job_id);
+"""
+_SCHEMA = f"""
 CREATE TABLE IF NOT EXISTS scenes (
     id TEXT PRIMARY KEY, created_ns INTEGER NOT NULL, used_ns INTEGER NOT NULL, bytes INTEGER NOT NULL,
     summary TEXT NOT NULL
@@ -33,35 +38,47 @@ CREATE TABLE IF NOT EXISTS jobs (
 CREATE UNIQUE INDEX IF NOT EXISTS jobs_active ON jobs (scene_id) WHERE state IN ('queued', 'running');
 CREATE INDEX IF NOT EXISTS jobs_state ON jobs (state, created);
 CREATE INDEX IF NOT EXISTS jobs_ended ON jobs (ended);
-CREATE TABLE IF NOT EXISTS waits (job_id TEXT NOT NULL, process TEXT NOT NULL);
-CREATE INDEX IF NOT EXISTS waits_job ON waits (job_id);
 CREATE TABLE IF NOT EXISTS events (
     job_id TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT NOT NULL, data TEXT NOT NULL, PRIMARY KEY (job_id, seq)
 );
+{_WAITS}
 """
+# What a file of each version lacks. Version 1 counted the requests that wait in `jobs.waiting`: they ended with their
+# processes.
+_MISSING = {0: _SCHEMA, 1: f"{_WAITS} ALTER TABLE jobs DROP COLUMN waiting", VERSION: ""}
 
 
 class Database:
     """Connections by thread to one file; with the write-ahead log readers never wait."""
 
     def __init__(self, path: Path) -> None:
-        """Open or make the file; one that is there is not written. Raises `GapmesError` where another version of the
-        service has made it."""
+        """Open or make the file, and give one of an earlier version what it lacks. Raises `GapmesError` where a later
+        version of the service has made it, or where it is no such file or cannot be written."""
         self._path = path
         self._threads = threading.local()
         with exclusive(path.with_name(f"{path.name}.lock")):  # the change to the write-ahead log waits for nobody
-            found = self.rows("PRAGMA user_version")[0][0]
-            if found == 0:
+            try:
                 with self.write() as connection:
-                    for statement in _SCHEMA.split(";"):
-                        connection.execute(statement)
-                    connection.execute(f"PRAGMA user_version = {VERSION}")
-            elif found != VERSION:
+                    self._complete(connection)
+            except sqlite3.DatabaseError as error:
                 raise GapmesError(
-                    f"{path} has version {found}, this service reads version {VERSION}",
+                    f"{path} cannot be used: {error}",
                     field="store",
-                    cure="use another store, or move the file away: scenes are listed anew from their folders",
-                )
+                    cure=f"let this user write it, or {_ANEW}",
+                ) from error
+
+    def _complete(self, connection: sqlite3.Connection) -> None:
+        found = connection.execute("PRAGMA user_version").fetchone()[0]
+        if found not in _MISSING:
+            raise GapmesError(
+                f"{self._path} has version {found}, this service reads versions 1 to {VERSION}",
+                field="store",
+                cure=f"use another store, or {_ANEW}",
+            )
+        if found != VERSION:
+            for statement in _MISSING[found].split(";"):
+                connection.execute(statement)
+            connection.execute(f"PRAGMA user_version = {VERSION}")
 
     def _connection(self) -> sqlite3.Connection:
         connection = getattr(self._threads, "connection", None)

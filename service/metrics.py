@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, disable_created_metrics
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, disable_created_metrics
 
 from .progress import Stage
 
@@ -21,6 +22,13 @@ SECONDS = Histogram("gapmes_request_seconds", "Time to the last byte", ["route"]
 REJECTED = Counter("gapmes_rejected", "Refusals", ["code"], registry=OWN)
 STAGES = Histogram("gapmes_stage_seconds", "Stages of jobs and pictures", ["stage"], registry=OWN, buckets=BUCKETS)
 JOBS = Counter("gapmes_jobs", "Jobs that ended", ["state"], registry=OWN)
+PLACES = Gauge(
+    "gapmes_places_taken",
+    "Requests that hold a place or wait for their turn",
+    ["of"],
+    registry=OWN,
+    multiprocess_mode="livesum",
+)
 GAUSSIANS = Counter("gapmes_gaussians", "Gaussians of reconstructions", ["fate"], registry=OWN)
 if not SHARED:
     ProcessCollector(registry=OWN)
@@ -36,3 +44,12 @@ def reconstructed(document: Mapping[str, Any]) -> None:
     """Count what a scene kept and left out."""
     GAUSSIANS.labels("kept").inc(document["pruning"]["kept"])
     GAUSSIANS.labels("dropped").inc(document["pruning"]["dropped"])
+
+
+def forget_dead(folder: Path) -> None:
+    """Remove the gauges that processes left in `folder` which are gone."""
+    for file in folder.glob("gauge_live*.db"):
+        try:
+            os.kill(int(file.stem.rpartition("_")[2]), 0)
+        except OSError:
+            file.unlink(missing_ok=True)

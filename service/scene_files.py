@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -44,12 +44,12 @@ class SceneFiles:
         self,
         scene_id: str,
         ply: bytes,
-        document: Mapping[str, Any],
+        document: bytes,
         created_ns: int,
         inputs: Sequence[bytes] = (),
     ) -> bool:
-        """Store a scene, with PNGs of its inputs; False where it was there already. Raises `StorageFull`, with nothing
-        left behind."""
+        """Store a scene with its document as JSON and PNGs of its inputs; False where it was there already. Raises
+        `StorageFull`, with nothing left behind."""
         target, incoming = self.folder(scene_id), self._temporary(scene_id)
         with full_is_refused("the scene"):
             try:
@@ -57,7 +57,7 @@ class SceneFiles:
                 write_file(incoming / PLY, ply)
                 for index, picture in enumerate(inputs):
                     write_file(incoming / _input(index), picture)
-                write_file(incoming / DOCUMENT, json.dumps(document, allow_nan=False).encode())
+                write_file(incoming / DOCUMENT, document)
                 os.utime(incoming / DOCUMENT, ns=(created_ns, created_ns))
                 sync(incoming)
                 try:

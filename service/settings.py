@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +14,14 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from .backends.choice import DEFAULT_ENGINE, EngineName
 from .errors import InputError
 from .model_names import model_paths
+
+PREFIX = "GAPMES_"
+# Variables that begin so and are read elsewhere: by docker/compose.yaml, by setup.py, and by tests/parity.
+ELSEWHERE = {
+    f"{PREFIX}{name}"
+    for name in ("IMAGE", "PUBLISH", "VIEWER", "DEPTHSPLAT_REPO", "DEPTH_ANYTHING_REPO", "DINOV2_REPO")
+}
+NEAR = 0.8  # likeness of two names, of 1, from which one is taken for a slip of the pen of the other
 
 
 def default_store() -> Path:
@@ -23,7 +33,7 @@ def default_store() -> Path:
 class Settings(BaseSettings):
     """Every knob of the service; arguments override the environment, the environment overrides the defaults."""
 
-    model_config = SettingsConfigDict(env_prefix="GAPMES_", frozen=True, env_ignore_empty=True, protected_namespaces=())
+    model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, env_ignore_empty=True, protected_namespaces=())
 
     host: str = Field("127.0.0.1", description="address that `gapmes serve` listens on")
     port: int = Field(8000, ge=0, le=65535, description="port that `gapmes serve` listens on; 0 takes a free one")
@@ -76,9 +86,11 @@ class Settings(BaseSettings):
         20.0, ge=0, description="time that requests and jobs have to end after SIGTERM; longer ones are left to others"
     )
     api_key: SecretStr | None = Field(
-        None, description="key that requests must bring as `Authorization: Bearer`; empty means that none is needed"
+        None,
+        description="key that requests must bring as `Authorization: Bearer`, of printable ASCII; empty means that none"
+        " is needed",
     )
-    api_key_file: Path | None = Field(None, description="file with that key, such as a mounted secret")
+    api_key_file: Path | None = Field(None, description="file with that key, such as a mounted secret, in its place")
     cors_origins: str = Field(
         "", description="origins, comma separated, whose pages may call the service; empty means none, `*` all"
     )
@@ -93,6 +105,11 @@ class Settings(BaseSettings):
     )
     upload_seconds: float = Field(120.0, gt=0, description="time that a request body may take, else 408")
     max_upload_bytes: int = Field(128 * 2**20, ge=2**10, description="largest request body, in bytes")
+    max_uploads_bytes: int = Field(
+        512 * 2**20,
+        ge=2**10,
+        description="request bodies in the memory of a process together, in bytes; what goes beyond gets 503",
+    )
     max_camera_bytes: int = Field(
         2**20, ge=2**10, description="largest `cameras` document, in bytes; in a zip four times as much"
     )
@@ -111,15 +128,57 @@ class Settings(BaseSettings):
         return model_paths(self.model, self.models)
 
     def key(self) -> str | None:
-        """The API key, from its file where one is named. Raises `InputError` where it cannot be read or is empty."""
-        if self.api_key_file is None:
-            if self.api_key is not None and not self.api_key.get_secret_value():
-                raise InputError("is empty", field="GAPMES_API_KEY", cure="leave it out where none is needed")
-            return self.api_key.get_secret_value() if self.api_key is not None else None
-        try:
-            key = self.api_key_file.read_text(encoding="utf-8").strip()
-        except OSError as error:
-            raise InputError(f"cannot be read: {error.strerror}", field="GAPMES_API_KEY_FILE") from error
+        """The API key, from its file where one is named. Raises `InputError` where it cannot be read or is empty, where
+        no request could bring it, or where both settings have one."""
+        if self.api_key is not None and self.api_key_file is not None:
+            raise InputError(
+                "is set, and so is GAPMES_API_KEY_FILE; need one of them",
+                field="GAPMES_API_KEY",
+                cure="unset GAPMES_API_KEY or GAPMES_API_KEY_FILE",
+            )
+        if self.api_key_file is not None:
+            try:
+                key = self.api_key_file.read_bytes().strip().decode("latin-1")  # so that each byte has an index
+            except OSError as error:
+                raise InputError(f"cannot be read: {error.strerror}", field="GAPMES_API_KEY_FILE") from error
+            if not key:
+                raise InputError("the file is empty", field="GAPMES_API_KEY_FILE", cure="write the key into it")
+            return _sendable(key, "GAPMES_API_KEY_FILE")
+        if self.api_key is None:
+            return None
+        key = self.api_key.get_secret_value()
         if not key:
-            raise InputError("the file is empty", field="GAPMES_API_KEY_FILE", cure="write the key into it")
-        return key
+            raise InputError("is empty", field="GAPMES_API_KEY", cure="leave it out where none is needed")
+        return _sendable(key, "GAPMES_API_KEY")
+
+
+def _sendable(key: str, field: str) -> str:
+    """The key. Raises `InputError` where it is none that the header of a request can hold, and does not tell it."""
+    strange = next((index for index, letter in enumerate(key) if not " " <= letter <= "~"), None)
+    if strange is not None:
+        raise InputError(
+            f"the key's character {strange}, counted from 0, is not printable ASCII, which every request could send",
+            field=field,
+            index=strange,
+            cure="take a key of ASCII letters, digits and signs",
+        )
+    if key != key.strip():
+        raise InputError(
+            "the key begins or ends with a space, which a request's header loses",
+            field=field,
+            cure="remove the spaces around it",
+        )
+    return key
+
+
+def strange_variables(names: Iterable[str]) -> list[str]:
+    """Those of `names`, of variables of the environment, that begin as a setting's and that nothing reads. Raises
+    `InputError` where one is nearly that of a setting."""
+    known = {name.upper() for name in Settings.model_fields}
+    strange = [name for name in sorted(names) if name.upper().startswith(PREFIX) and name.upper() not in ELSEWHERE]
+    strange = [name for name in strange if name.upper().removeprefix(PREFIX) not in known]
+    for name in strange:
+        near = get_close_matches(name.upper().removeprefix(PREFIX), sorted(known), n=1, cutoff=NEAR)
+        if near:
+            raise InputError("is no setting", field=name, cure=f"set {PREFIX}{near[0]} if that is meant, or unset it")
+    return strange

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from .database import Database
-from .errors import SceneNotFound, StorageFull
+from .errors import GapmesError, SceneNotFound, StorageFull
 from .file_lock import exclusive, exclusive_if_free, shared
 from .formats.dialect import STANDARD
 from .gaussians import Gaussians
@@ -45,20 +45,28 @@ class SceneStore:
         """Make `root` if needed, list what it holds, and remove what a crash left there unless somebody writes.
 
         Beyond `max_bytes` the scenes go that were read longest ago; those that nobody has read for `max_days` go too.
+        Raises `GapmesError` where the folder cannot be made or written, or its index belongs to a later version.
         """
         self.root = Path(root)
-        self.root.mkdir(parents=True, exist_ok=True)
         self.max_bytes, self.max_days = max_bytes, max_days
-        self.database = Database(self.root / _INDEX)
         self._files = SceneFiles(self.root)
-        self._index = SceneIndex(self.database)
         self._cache = GaussiansCache(cache_bytes)
         self._clock = threading.Lock()
         self._last = 0
-        with exclusive_if_free(self.root / _LOCK) as free:
-            if free:
-                self._files.sweep()
-                self._agree()
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            self.database = Database(self.root / _INDEX)
+            self._index = SceneIndex(self.database)
+            with exclusive_if_free(self.root / _LOCK) as free:
+                if free:
+                    self._files.sweep()
+                    self._agree()
+        except OSError as error:
+            raise GapmesError(
+                f"{self.root} cannot be used: {error.strerror}",
+                field="store",
+                cure="let GAPMES_STORE or --store name a folder that this user may write",
+            ) from error
 
     @staticmethod
     def scene_id(model_sha256: str, images: Sequence[bytes], cameras_json: object, options: Mapping[str, Any]) -> str:
@@ -78,8 +86,9 @@ class SceneStore:
         """
         with self._alone():
             if not self._files.folder(scene_id).is_dir():
-                self._make_room(len(ply) + sum(map(len, inputs)))
-                self._files.write(scene_id, ply, document, self._tick(), inputs)
+                text = json.dumps(document, allow_nan=False).encode()
+                self._make_room(len(ply) + len(text) + sum(map(len, inputs)))
+                self._files.write(scene_id, ply, text, self._tick(), inputs)
             self._list([scene_id])
 
     def listed(self, scene_id: str) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 import os
 import random
 import signal
@@ -87,9 +88,18 @@ def kept(service: Service, promises: Promises) -> list[str]:
             elif job["state"] != "failed" or job["problem"]["code"] != "job_abandoned":
                 wrong.append(f"{location}: {job}")
     for folder in service.store.iterdir():
-        if len(folder.name) == 32 and {path.name for path in folder.iterdir()} != {"scene.ply", "scene.json"}:
+        if len(folder.name) == 32 and not whole(folder):
             wrong.append(f"{folder.name} is half a scene")
     return wrong
+
+
+def whole(folder: Path) -> bool:
+    """Whether a scene's folder has its .ply, its document, the pictures of its inputs, and nothing else."""
+    names = {path.name for path in folder.iterdir()}
+    if "scene.json" not in names:
+        return False
+    inputs = json.loads((folder / "scene.json").read_bytes()).get("inputs", 0)
+    return names == {"scene.ply", "scene.json", *(f"input_{index}.png" for index in range(inputs))}
 
 
 def main() -> None:

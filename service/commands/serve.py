@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from ..settings import Settings
 
 SHARED_MEMORY = "/dev/shm"
+_log = logging.getLogger("gapmes")
 
 
 def serve(
@@ -54,8 +56,10 @@ def serve(
     import uvicorn
     from pydantic import ValidationError
 
+    from ..logs import configure
     from ..models import Models
-    from ..settings import Settings
+    from ..settings import Settings, strange_variables
+    from ..store import SceneStore
 
     given: dict[str, Any] = {
         "host": host, "port": port, "model": model, "models": models, "engine": engine, "store": store,
@@ -68,6 +72,7 @@ def serve(
         first = error.errors()[0]
         name = f"GAPMES_{'_'.join(map(str, first['loc'])).upper()}"
         raise InputError(f"{first['msg']}, got {first['input']!r}", field=name, cure="see docs/settings.md") from error
+    strange = strange_variables(os.environ)
     found = Models(settings)  # looks at the files; said before the work
     settings.key()
     if os.environ.get("TMPDIR"):  # where large uploads lie for a moment; an empty volume has no such folder yet
@@ -75,6 +80,10 @@ def serve(
     if prepare:
         _prepare(settings, found)
         return
+    SceneStore(settings.store)  # is refused here once, not by one worker after the other
+    configure(settings.log, quiet=settings.quiet)
+    if strange:
+        _log.warning("nothing reads %s: docs/settings.md has the names of the settings", ", ".join(strange))
     os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in given.items()}  # what the workers read
     options: dict[str, Any] = {
         "factory": True,

@@ -13,6 +13,7 @@ import anyio.to_thread
 from starlette.requests import ClientDisconnect
 
 from ..errors import ServiceBusy
+from ..metrics import PLACES
 
 T = TypeVar("T")
 Gone = Callable[[], Awaitable[bool]]  # whether the client has gone away
@@ -24,10 +25,12 @@ GLANCE_S = 0.1  # between two looks whether it has
 class Places:
     """A bounded number of requests that may do something at the same time; one more raises `ServiceBusy`."""
 
-    def __init__(self, most: int, doing: str) -> None:
-        self.taken = 0
+    def __init__(self, name: str, most: int, doing: str) -> None:
+        """`name` is what the metrics call them, `doing` what a refusal says of those who have one."""
         self.most = most
         self._doing = doing
+        self._gauge = PLACES.labels(name)
+        self._take(0)
 
     def check(self) -> None:
         """Raise `ServiceBusy` when no place is free."""
@@ -38,21 +41,26 @@ class Places:
     async def place(self) -> AsyncIterator[None]:
         """Hold a place for the length of the block."""
         self.check()
-        self.taken += 1
+        self._take(self.taken + 1)
         try:
             yield
         finally:
-            self.taken -= 1
+            self._take(self.taken - 1)
+
+    def _take(self, taken: int) -> None:
+        self.taken = taken
+        self._gauge.set(taken)
 
 
 class Lane:
     """Runs functions on worker threads, `slots` at a time in the order of arrival; `waiting` more may queue."""
 
-    def __init__(self, slots: int, waiting: int, patience_s: float, doing: str) -> None:
+    def __init__(self, name: str, slots: int, waiting: int, patience_s: float, doing: str) -> None:
+        """`name` and `doing` as of `Places`."""
         self._turns = asyncio.Semaphore(slots)
         self._threads = anyio.CapacityLimiter(slots + waiting)  # its own: what pauses keeps its thread
         self._patience_s = patience_s
-        self.places = Places(slots + waiting, doing)
+        self.places = Places(name, slots + waiting, doing)
 
     async def run(self, function: Callable[[], T], gone: Gone) -> T:
         """Wait for a turn, then run, so that the event loop keeps answering.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from fastapi import APIRouter, Depends, Response
@@ -11,7 +13,7 @@ from prometheus_client.metrics_core import GaugeMetricFamily, Metric
 from prometheus_client.multiprocess import MultiProcessCollector
 from prometheus_client.registry import Collector
 
-from ..metrics import OWN, SHARED
+from ..metrics import FOLDER, OWN, SHARED, forget_dead
 from .runtime import Runtime, runtime_of
 
 if TYPE_CHECKING:
@@ -42,6 +44,7 @@ def metrics(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
     """In the text format of Prometheus."""
     registry = CollectorRegistry()
     if SHARED:
+        forget_dead(Path(os.environ[FOLDER]))
         MultiProcessCollector(registry)
     own = b"" if SHARED else generate_latest(OWN)
     registry.register(_Now(runtime.store, runtime.desk.table))

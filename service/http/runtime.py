@@ -48,20 +48,25 @@ class Runtime:
         )
         self.desk = Desk(self.store, settings)
         self.pictures = Lane(
-            settings.render_concurrency, settings.render_waiting, settings.render_seconds, "drawing or waiting to"
+            "pictures",
+            settings.render_concurrency,
+            settings.render_waiting,
+            settings.render_seconds,
+            "drawing or waiting to",
         )
         self.files = Lane(
+            "files",
             settings.render_concurrency,
             settings.render_waiting,
             settings.render_seconds,
             "converting files or waiting to",
         )
         self.looks = Lane(  # one photograph of one request at a time lies in memory at full size
-            1, settings.max_uploads, settings.render_seconds, "having their photographs looked at"
+            "looks", 1, settings.max_uploads, settings.render_seconds, "having their photographs looked at"
         )
-        self.streams = Places(settings.max_streams, "following jobs")
-        self.scenes = Places(settings.concurrency + settings.max_waiting, "waiting for their scenes")
-        self.uploads = Places(settings.max_uploads, "sending their photographs")
+        self.streams = Places("streams", settings.max_streams, "following jobs")
+        self.scenes = Places("scenes", settings.concurrency + settings.max_waiting, "waiting for their scenes")
+        self.uploads = Places("uploads", settings.max_uploads, "sending their photographs")
         self.stage = "start"
         self._told: float | None = None  # when the process was told to end
         self._stages = Stages()

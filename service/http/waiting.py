@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
+from functools import partial
 
 import anyio
 import anyio.to_thread
@@ -17,9 +19,12 @@ FIRST_S, LAST_S, SHARE = 0.005, 0.2, 0.05  # looks come at a twentieth of the ti
 
 
 async def ended(desk: Desk, job: Job, patience_s: float, gone: Gone) -> Job:
-    """The job once it is over. Raises `ClientDisconnect` or `DeadlineExceeded`, after which it is left."""
+    """The job once it is over. Raises `ClientDisconnect` or `DeadlineExceeded`, after which it is left.
+
+    A wait that the server ends since the process does leaves the job to another one: the client has not gone away.
+    """
     start = time.monotonic()
-    over = False
+    over = goes_on = False
     try:
         while True:
             job = desk.table.get(job.id)
@@ -35,7 +40,10 @@ async def ended(desk: Desk, job: Job, patience_s: float, gone: Gone) -> Job:
             if await gone():
                 raise ClientDisconnect
             await anyio.sleep(min(max(SHARE * passed, FIRST_S), LAST_S))
+    except asyncio.CancelledError:
+        goes_on = desk.draining
+        raise
     finally:
         if not over:
             with anyio.CancelScope(shield=True):
-                await anyio.to_thread.run_sync(desk.leave, job.id)
+                await anyio.to_thread.run_sync(partial(desk.leave, job.id, goes_on=goes_on))

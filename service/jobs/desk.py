@@ -40,6 +40,7 @@ class Desk:
         self._spool = Spool(store.root / SPOOL)
         self._opening = threading.Lock()
         self._closed = False
+        self.draining = False  # the process was told to end
         self._lease: Lease | None = None
         self._runner: Runner | None = None
 
@@ -57,6 +58,8 @@ class Desk:
                 slots=self._settings.concurrency,
                 limit_s=self._settings.reconstruct_seconds,
             )
+            if self.draining:  # while the model was loaded
+                self._runner.drain()
             try:
                 self.tidy()
                 self._runner.recover()
@@ -103,6 +106,7 @@ class Desk:
 
     def drain(self) -> None:
         """The process was told to end: begin nothing but what a request waits for."""
+        self.draining = True
         if self._runner is not None:
             self._runner.drain()
 
@@ -114,9 +118,9 @@ class Desk:
                 self._runner.stop(patience_s)
                 self._lease.release()
 
-    def leave(self, job_id: str) -> None:
-        """A request does not wait any more; what nobody wants ends, and its inputs go."""
-        if self.table.leave(job_id, self._process):
+    def leave(self, job_id: str, *, goes_on: bool = False) -> None:
+        """A request does not wait any more; what nobody wants ends, and its inputs go, unless it `goes_on`."""
+        if self.table.leave(job_id, self._process, goes_on=goes_on):
             self._spool.drop(job_id)
 
     def cancel(self, job_id: str) -> Job:

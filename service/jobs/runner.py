@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 
 from ..errors import DeadlineExceeded, GapmesError, JobCancelled
-from ..metrics import JOBS
 from ..priority import give_way
 from ..problem_document import problem, public
 from ..progress import Listener, Stage
@@ -58,7 +57,8 @@ class Runner:
         self._draining = True
 
     def stop(self, patience_s: float) -> None:
-        """Claim no further job and wait for those that run; those that take longer are queued for another process."""
+        """Claim no further job and wait for those that run; those that take longer are queued for another process, or
+        end where they were cancelled."""
         with self._wake:
             self._stopping = True
             self._wake.notify_all()
@@ -67,7 +67,8 @@ class Runner:
             if thread.ident is not None:
                 thread.join(max(0.0, deadline - time.monotonic()))
         for job_id in list(self._running):
-            self._table.give_back(job_id, self._lease.name)
+            if self._table.give_back(job_id, self._lease.name):
+                self._spool.drop(job_id)
 
     def recover(self) -> None:
         """Queue the jobs of processes that ended again, or fail those that have ended two."""
@@ -117,16 +118,15 @@ class Runner:
             work = self._spool.get(job.id)
             self._compute(work, job.scene_id, self._listener(job))
         except JobCancelled:
-            state, over = "cancelled", self._noted(job, lambda: self._table.end_cancelled(job.id, owner))
+            over = self._noted(job, lambda: self._table.end_cancelled(job.id, owner))
         except Exception as error:
             if not isinstance(error, GapmesError) or error.status == 500:
                 _log.error("job %s failed", job.id, exc_info=error)
             document = public(error)
-            state, over = "failed", self._noted(job, lambda: self._table.end(job.id, owner, "failed", document))
+            over = self._noted(job, lambda: self._table.end(job.id, owner, "failed", document))
         else:
-            state, over = "done", self._noted(job, lambda: self._table.end(job.id, owner, "done"))
+            over = self._noted(job, lambda: self._table.end(job.id, owner, "done"))
         if over:
-            JOBS.labels(state).inc()
             self._spool.drop(job.id)
 
     def _noted(self, job: Job, note: Callable[[], bool]) -> bool:

@@ -1,44 +1,42 @@
 """Jobs and their events in the store's database: submitted once per scene, claimed by one process, ended once.
 
-queued -> running -> done | failed | cancelled        queued -> cancelled        running -> queued (its process died)
+queued -> running -> done | failed | cancelled        queued -> cancelled        running -> queued (its process ended)
+
+Every end is counted, once it is written.
 """
 
 from __future__ import annotations
 
-import json
 import time
 import uuid
 from collections.abc import Mapping
 from sqlite3 import Connection
 from typing import Any
 
+from .. import metrics
 from ..database import Database
 from ..errors import ServiceBusy
+from .reading import JobReader
 from .rows import (
-    ACTIVE,
-    JOBS,
-    Event,
     Job,
     cancel_unwanted,
     end_job,
     found_job,
-    job_of,
     requeue_job,
     running_job,
     tell,
-    unknown_job,
     wait_for,
 )
 
 MAX_ATTEMPTS = 2  # a job whose process died is tried once more; then it is taken for the reason
 
 
-class JobTable:
+class JobTable(JobReader):
     """All of it is safe for many processes on one store."""
 
     def __init__(self, database: Database, *, most: int, keep_s: float) -> None:
         """`most` active jobs; ended ones are forgotten after `keep_s` seconds."""
-        self._database = database
+        super().__init__(database)
         self._most = most
         self._keep_s = keep_s
 
@@ -82,7 +80,9 @@ class JobTable:
                 [job_id, scene_id, now, now],
             )
             tell(connection, job_id, "state", {"state": "done"})
-            return found_job(connection, job_id)
+            job = found_job(connection, job_id)
+        metrics.JOBS.labels("done").inc()
+        return job
 
     def claim(self, owner: str, *, waited_for: bool = False) -> Job | None:
         """The oldest queued job, running from now on and this owner's; with `waited_for` one whose answer a request
@@ -118,7 +118,8 @@ class JobTable:
             if running_job(connection, job_id, owner) is None:
                 return False
             end_job(connection, job_id, state, problem)
-            return True
+        metrics.JOBS.labels(state).inc()
+        return True
 
     def end_cancelled(self, job_id: str, owner: str) -> bool:
         """The owner's job ended because nobody wanted it; it begins anew where somebody does by now. Returns whether it
@@ -127,25 +128,37 @@ class JobTable:
             row = running_job(connection, job_id, owner)
             if row is None:
                 return False
-            if row["cancelled"]:
-                end_job(connection, job_id, "cancelled", None)
-                return True
-            requeue_job(connection, job_id, "somebody wants it again", attempts=-1)
-            return False
+            if not row["cancelled"]:
+                requeue_job(connection, job_id, "somebody wants it again", attempts=-1)
+                return False
+            end_job(connection, job_id, "cancelled", None)
+        metrics.JOBS.labels("cancelled").inc()
+        return True
 
-    def give_back(self, job_id: str, owner: str) -> None:
-        """Queue a job again that its owner will not finish; the attempt does not count."""
+    def give_back(self, job_id: str, owner: str) -> bool:
+        """Queue a job again that its owner will not finish; the attempt does not count. One that was cancelled ends.
+        Returns whether it is over by this."""
         with self._database.write() as connection:
-            if running_job(connection, job_id, owner) is not None:
+            row = running_job(connection, job_id, owner)
+            if row is None:
+                return False
+            if not row["cancelled"]:
                 requeue_job(connection, job_id, "the process that computed it stopped", attempts=-1)
+                return False
+            end_job(connection, job_id, "cancelled", None)
+        metrics.JOBS.labels("cancelled").inc()
+        return True
 
-    def leave(self, job_id: str, process: str) -> bool:
-        """A request of a process does not wait any more; a job that nobody wants is cancelled. Returns whether that
-        ended it."""
+    def leave(self, job_id: str, process: str, *, goes_on: bool = False) -> bool:
+        """A request of a process does not wait any more; a job that nobody wants is cancelled, unless it `goes_on`.
+        Returns whether that ended it."""
         with self._database.write() as connection:
             one = "SELECT rowid FROM waits WHERE job_id = ? AND process = ? LIMIT 1"
             connection.execute(f"DELETE FROM waits WHERE rowid IN ({one})", [job_id, process])
-            return cancel_unwanted(connection, job_id, "the client went away")
+            over = not goes_on and cancel_unwanted(connection, job_id, "the client went away")
+        if over:
+            metrics.JOBS.labels("cancelled").inc()
+        return over
 
     def cancel(self, job_id: str) -> Job:
         """Nobody asks for the job any more; requests that wait for the same scene keep it going.
@@ -155,8 +168,11 @@ class JobTable:
         with self._database.write() as connection:
             found_job(connection, job_id)
             connection.execute("UPDATE jobs SET kept = 0 WHERE id = ?", [job_id])
-            cancel_unwanted(connection, job_id, "it was cancelled")
-            return found_job(connection, job_id)
+            over = cancel_unwanted(connection, job_id, "it was cancelled")
+            job = found_job(connection, job_id)
+        if over:
+            metrics.JOBS.labels("cancelled").inc()
+        return job
 
     def recover(self, gone: set[str], why: Mapping[str, Any]) -> set[str]:
         """Queue the running jobs of processes that are gone again, or fail them with `why` after the last attempt.
@@ -165,52 +181,23 @@ class JobTable:
         Requests that waited there are forgotten. What they asked for goes on, since their clients will ask again, but
         can be cancelled.
         """
-        over = set()
+        over: dict[str, str] = {}
         with self._database.write() as connection:
             connection.executemany("DELETE FROM waits WHERE process = ?", [[process] for process in gone])
             for row in connection.execute("SELECT * FROM jobs WHERE state = 'running'").fetchall():
                 if row["owner"] not in gone:
                     continue
                 if row["cancelled"]:
-                    end_job(connection, row["id"], "cancelled", None)
-                    over.add(row["id"])
+                    over[row["id"]] = "cancelled"
                 elif row["attempts"] >= MAX_ATTEMPTS:
-                    end_job(connection, row["id"], "failed", why)
-                    over.add(row["id"])
+                    over[row["id"]] = "failed"
                 else:
                     requeue_job(connection, row["id"], "the process that computed it ended unexpectedly")
-        return over
-
-    def processes(self) -> set[str]:
-        """Those that compute jobs, and those whose requests wait for some."""
-        query = "SELECT owner AS process FROM jobs WHERE state = 'running' UNION SELECT process FROM waits"
-        return {row["process"] for row in self._database.rows(query)}
-
-    def get(self, job_id: str) -> Job:
-        """Raises `JobNotFound`."""
-        rows = self._database.rows(f"{JOBS} WHERE id = ?", [job_id])
-        if not rows:
-            raise unknown_job(job_id)
-        return job_of(rows[0])
-
-    def ahead(self, job: Job) -> int:
-        """How many are queued before it or running."""
-        rows = self._database.rows(
-            "SELECT count(*) FROM jobs WHERE state = 'running' OR (state = 'queued' AND (created, id) < (?, ?))",
-            [job.created, job.id],
-        )
-        return int(rows[0][0])
-
-    def events(self, job_id: str, after: int = 0) -> list[Event]:
-        """Those with a number above `after`, in order."""
-        rows = self._database.rows("SELECT * FROM events WHERE job_id = ? AND seq > ? ORDER BY seq", [job_id, after])
-        return [Event(row["seq"], row["name"], json.loads(row["data"])) for row in rows]
-
-    def last_stage(self, job_id: str) -> dict[str, Any] | None:
-        """The step that was noted last, if any."""
-        query = "SELECT data FROM events WHERE job_id = ? AND name = 'stage' ORDER BY seq DESC LIMIT 1"
-        rows = self._database.rows(query, [job_id])
-        return json.loads(rows[0]["data"]) if rows else None
+            for job_id, state in over.items():
+                end_job(connection, job_id, state, why if state == "failed" else None)
+        for state in over.values():
+            metrics.JOBS.labels(state).inc()
+        return set(over)
 
     def forget(self) -> None:
         """Forget jobs that ended long ago."""
@@ -218,17 +205,6 @@ class JobTable:
             return
         with self._database.write() as connection:
             self._forget(connection)
-
-    def counts(self) -> dict[str, int]:
-        """Queued and running jobs."""
-        found = self._database.rows(
-            "SELECT state, count(*) AS n FROM jobs WHERE state IN ('queued', 'running') GROUP BY state"
-        )
-        return dict.fromkeys(ACTIVE, 0) | {row["state"]: row["n"] for row in found}
-
-    def unfinished(self) -> set[str]:
-        """Ids of the active jobs."""
-        return {row["id"] for row in self._database.rows("SELECT id FROM jobs WHERE state IN ('queued', 'running')")}
 
     def _joined(self, connection: Connection, scene_id: str, waits: str | None) -> Job | None:
         rows = connection.execute(

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from gapmes.service.settings import Settings, default_store
+from gapmes.service.errors import InputError
+from gapmes.service.settings import Settings, default_store, strange_variables
 
 TABLE = Path(__file__).parents[2] / "docs" / "settings.md"
 
@@ -49,3 +50,20 @@ def test_nonsense_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, value: 
 def test_store_follows_the_user_data_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", "/data")
     assert default_store() == Path("/data/gapmes/scenes")
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"), [("GAPMES_WORKER", "WORKERS"), ("GAPMES_MAX_WAITNG", "MAX_WAITING"), ("gapmes_ports", "PORT")]
+)
+def test_a_slip_of_the_pen_in_a_name_is_refused(name: str, meant: str) -> None:
+    with pytest.raises(InputError, match=f"set GAPMES_{meant} if") as caught:
+        strange_variables(["GAPMES_PORT", name])
+    assert caught.value.field == name
+
+
+def test_names_that_nothing_reads_are_told_apart_from_those_that_something_reads() -> None:
+    """Some are set by others: for a service `gapmes-store` beside it, Kubernetes sets GAPMES_STORE_PORT."""
+    elsewhere = ["GAPMES_VIEWER", "GAPMES_IMAGE", "GAPMES_PUBLISH", "GAPMES_DINOV2_REPO", "_GAPMES_COMPLETE", "PATH"]
+    others = ["GAPMES_STORE_PORT", "GAPMES_STORE_SERVICE_HOST", "GAPMES_QUEUE"]
+    known = [f"GAPMES_{name.upper()}" for name in Settings.model_fields]
+    assert strange_variables([*known, *elsewhere, *others, "gapmes_port"]) == sorted(others)

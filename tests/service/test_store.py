@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gapmes.service import store as store_module
-from gapmes.service.errors import SceneNotFound, StorageFull
+from gapmes.service.errors import GapmesError, SceneNotFound, StorageFull
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.gaussians_cache import GaussiansCache, size_of
 from gapmes.service.ply import ply_bytes
@@ -51,6 +51,15 @@ def test_what_is_put_can_be_read(store):
     assert store.exists(A)
     assert not store.exists(B)
     assert SceneStore(store.root).document(A) == document
+
+
+def test_a_folder_that_cannot_be_one_is_refused(tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    for root in (tmp_path / "file", tmp_path / "file" / "scenes"):
+        with pytest.raises(GapmesError, match="cannot be used") as caught:
+            SceneStore(root)
+        assert caught.value.field == "store"
+        assert "GAPMES_STORE" in caught.value.cure
 
 
 def test_the_first_put_wins(store):

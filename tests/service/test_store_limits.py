@@ -74,9 +74,21 @@ def test_what_is_being_read_never_goes(tmp_path: Path) -> None:
 
 def test_a_scene_beyond_the_limit_is_refused_and_takes_no_other_along(tmp_path: Path) -> None:
     store = filled(tmp_path, 2, max_bytes=2 * ONE)
-    with pytest.raises(StorageFull, match=rf"the scene has 10000 bytes, more than the store's limit of {2 * ONE}"):
+    size = ONE + 9 * len(PLY)
+    with pytest.raises(StorageFull, match=rf"the scene has {size} bytes, more than the store's limit of {2 * ONE}"):
         store.put(IDS[5], PLY * 10, DOCUMENT)
     assert listed(store) == set(IDS[:2])
+
+
+def test_all_files_of_a_scene_count(tmp_path: Path) -> None:
+    """Its document and the pictures of its inputs, too."""
+    store = filled(tmp_path, 1, max_bytes=2 * ONE + 9)
+    store.put(IDS[1], PLY, DOCUMENT, [b"x" * 5, b"x" * 4])
+    assert listed(store) == {IDS[0], IDS[1]}
+    assert store.totals()[1] == store.max_bytes
+    store.delete(IDS[0])
+    store.put(IDS[2], PLY, {"text": "y" * 51})
+    assert listed(store) == {IDS[2]}
 
 
 def test_a_scene_that_a_crash_left_unlisted_is_listed_when_it_is_met_again(tmp_path: Path) -> None:

@@ -71,6 +71,36 @@ def test_a_key_file_that_is_none_is_refused_at_start(tmp_path: Path) -> None:
         assert caught.value.field == "GAPMES_API_KEY_FILE"
 
 
+@pytest.mark.parametrize(
+    ("key", "index"), [("schlüssel", 4), ("tab\tin it", 3), ("two\nlines", 3), (" before", None), ("behind ", None)]
+)
+def test_a_key_that_no_request_can_bring_is_refused(key: str, index: int | None) -> None:
+    with pytest.raises(InputError) as caught:
+        Settings(api_key=key).key()
+    assert (caught.value.field, caught.value.index) == ("GAPMES_API_KEY", index)
+    assert caught.value.cure is not None
+    assert key.strip() not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "index"),
+    [("schlüssel".encode(), 4), ("schlüssel".encode("latin-1"), 4), (b"\xef\xbb\xbfkey", 0), (b"two\nlines", 3)],
+)
+def test_a_key_file_that_no_request_can_bring_is_refused(tmp_path: Path, content: bytes, index: int) -> None:
+    (tmp_path / "key").write_bytes(b"\r\n " + content + b" \n")
+    with pytest.raises(InputError, match=f"character {index}, counted from 0, is not printable ASCII") as caught:
+        Settings(api_key_file=tmp_path / "key").key()
+    assert (caught.value.field, caught.value.index) == ("GAPMES_API_KEY_FILE", index)
+
+
+def test_two_keys_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "key").write_text(KEY)
+    with pytest.raises(InputError, match="GAPMES_API_KEY_FILE") as caught:
+        Settings(api_key=KEY, api_key_file=tmp_path / "key").key()
+    assert caught.value.field == "GAPMES_API_KEY"
+    assert KEY not in str(caught.value)
+
+
 def test_the_key_is_not_shown() -> None:
     assert KEY not in repr(Settings(api_key=KEY))
     assert Settings(api_key=KEY).key() == KEY

@@ -30,7 +30,7 @@ def test_films_that_pause_leave_a_thread_for_the_one_whose_turn_it_is() -> None:
     done: list[int] = []
 
     async def all_at_once() -> None:
-        lane = Lane(1, 200, 10.0, "drawing")
+        lane = Lane("pictures", 1, 200, 10.0, "drawing")
 
         async def one() -> None:
             done.append(await lane.run_in_steps(_film, _stays))
@@ -45,7 +45,7 @@ def test_films_that_pause_leave_a_thread_for_the_one_whose_turn_it_is() -> None:
 
 def test_one_more_than_wait_is_refused() -> None:
     async def three() -> None:
-        lane, over = Lane(1, 1, 600.0, "drawing"), threading.Event()
+        lane, over = Lane("pictures", 1, 1, 600.0, "drawing"), threading.Event()
 
         async def hold() -> None:
             await lane.run(lambda: over.wait(600), _stays)

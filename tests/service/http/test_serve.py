@@ -2,17 +2,78 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
+import uvicorn
+from cli_runs import run
 from http_requests import photograph, post
 from served_process import serving, until
+
+from gapmes.service.database import Database
+
+
+@pytest.fixture
+def refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing may be started."""
+    monkeypatch.setattr(uvicorn, "run", None)
+
+
+def one_line(capfd: pytest.CaptureFixture[str]) -> str:
+    line, *more = capfd.readouterr().err.splitlines()
+    assert more == []
+    return line
+
+
+@pytest.mark.usefixtures("refused")
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_store_that_is_refused_is_refused_once(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], workers: int
+) -> None:
+    """Not by one worker after the other, each of which is replaced."""
+    with Database(tmp_path / "index.sqlite").write() as connection:
+        connection.execute("PRAGMA user_version = 99")
+    (tmp_path / "file").write_text("no folder")
+    for store, why in ((tmp_path, "has version 99"), (tmp_path / "file" / "scenes", "Not a directory")):
+        assert run("serve", "--workers", workers, "--store", store) == 1
+        line = one_line(capfd)
+        assert line.startswith(f"error: store: {store}")
+        assert why in line
+
+
+@pytest.mark.usefixtures("refused")
+def test_a_name_that_is_nearly_a_setting_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("GAPMES_WORKER", "2")
+    assert run("serve", "--store", tmp_path) == 1
+    assert one_line(capfd) == "error: GAPMES_WORKER: is no setting (set GAPMES_WORKERS if that is meant, or unset it)"
+
+
+STARTS_NOTHING = """
+import sys, uvicorn
+from gapmes.service.cli import main
+uvicorn.run = lambda *_, **__: None
+main(["serve", "--workers", "2", "--store", sys.argv[1]])
+"""
+
+
+def test_names_that_nothing_reads_are_in_the_log_once(tmp_path: Path) -> None:
+    environment = os.environ | {"GAPMES_LOG": "json", "GAPMES_QUEUE": "5", "GAPMES_STORE_PORT": "tcp://10.0.0.1:80"}
+    words = [sys.executable, "-c", STARTS_NOTHING, str(tmp_path)]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+    said = json.loads(done.stderr)  # one line
+    assert said["level"] == "warning"
+    assert said["message"].startswith("nothing reads GAPMES_QUEUE, GAPMES_STORE_PORT: ")
 
 
 def workers(process: subprocess.Popen[bytes]) -> list[int]:

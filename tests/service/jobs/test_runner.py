@@ -193,6 +193,18 @@ def test_stopping_leaves_what_takes_too_long_to_another(place: Place) -> None:
     assert place.table.get("1").state == "done"  # the first process has no say any more
 
 
+def test_stopping_ends_what_was_cancelled_and_its_inputs_go(place: Place) -> None:
+    going = threading.Event()
+    runner = place.runner(lambda *_: going.wait(20))
+    place.submit()
+    place.until(lambda job: job.state == "running")
+    place.table.cancel("1")
+    runner.stop(0.05)
+    assert place.table.get("1").state == "cancelled"
+    assert not (place.root / "jobs" / "1").exists()
+    going.set()
+
+
 def test_a_thread_survives_whatever_happens_to_a_job(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     real, calls = place.spool.drop, []
 

@@ -13,6 +13,7 @@ from gapmes.service.database import Database
 from gapmes.service.errors import JobNotFound, ServiceBusy
 from gapmes.service.jobs.rows import ACTIVE, ENDED
 from gapmes.service.jobs.table import JobTable
+from gapmes.service.metrics import OWN
 
 A, B = "a" * 32, "b" * 32
 WHY = {"code": "job_abandoned", "status": 500}
@@ -25,6 +26,11 @@ def table(tmp_path: Path) -> JobTable:
 
 def states(table: JobTable, job_id: str) -> list[str]:
     return [event.data["state"] for event in table.events(job_id) if event.name == "state"]
+
+
+def counted() -> dict[str, float]:
+    """Ends of jobs by state, as the metrics have them."""
+    return {state: OWN.get_sample_value("gapmes_jobs_total", {"state": state}) or 0.0 for state in ENDED}
 
 
 def test_from_queued_to_done(table: JobTable) -> None:
@@ -164,7 +170,88 @@ def test_what_is_given_back_does_not_count(table: JobTable) -> None:
     table.submit("1", A)
     for _ in range(4):
         assert table.claim("me").attempts == 1
-        table.give_back("1", "me")
+        assert not table.give_back("1", "me")
+
+
+def test_what_is_given_back_ends_where_it_was_cancelled(table: JobTable) -> None:
+    """Nobody wants it; another process would load the model for it before it noticed."""
+    table.submit("1", A)
+    table.claim("me")
+    table.cancel("1")
+    assert table.give_back("1", "me")
+    assert table.get("1").state == "cancelled"
+    table.submit("2", A)
+    table.claim("me")
+    table.cancel("2")
+    table.join(A, "web")
+    assert not table.give_back("2", "me")  # somebody wants it again
+    assert (table.get("2").state, table.get("2").cancelled) == ("queued", False)
+
+
+def test_a_job_goes_on_without_its_request_where_the_process_ends(table: JobTable) -> None:
+    table.submit("1", A, "web")
+    table.submit("2", B, "web")
+    assert table.claim("web").id == "1"
+    for job_id in "12":
+        assert not table.leave(job_id, "web", goes_on=True)
+        assert (table.get(job_id).waiting, table.get(job_id).cancelled) == (0, False)
+    assert table.stage("1", "web", {"stage": "x"})
+    table.give_back("1", "web")
+    assert [table.claim("other").id for _ in range(2)] == ["1", "2"]
+    assert table.stage("1", "other", {"stage": "x"})
+    assert table.cancel("2").cancelled
+
+
+def test_every_end_is_counted_once(table: JobTable) -> None:
+    before = counted()
+    found: list[dict[str, float]] = []
+
+    def note() -> None:
+        found.append({state: value - before[state] for state, value in counted().items()})
+
+    table.submit("queued", A)
+    for _ in range(2):
+        table.cancel("queued")
+    note()
+    table.submit("left", A, "web")
+    for _ in range(2):
+        table.leave("left", "web")
+    note()
+    table.already_done(A)
+    note()
+    table.submit("runs", A)
+    table.claim("me")
+    table.cancel("runs")
+    for _ in range(2):
+        table.end_cancelled("runs", "me")
+    note()
+    table.submit("gone", A)
+    for _ in range(2):
+        table.claim("dead")
+        table.recover({"dead"}, WHY)
+    table.submit("unwanted", B)
+    table.claim("dead")
+    table.cancel("unwanted")
+    for _ in range(2):
+        table.recover({"dead"}, WHY)
+    note()
+    table.submit("back", A)
+    table.claim("me")
+    table.give_back("back", "me")
+    table.claim("me")
+    table.cancel("back")
+    for _ in range(2):
+        table.give_back("back", "me")
+    note()
+    for state in ("done", "failed"):
+        table.submit(state, A)
+        table.claim("me")
+        for _ in range(2):
+            table.end(state, "me", state)
+    note()
+    assert [(one["done"], one["failed"], one["cancelled"]) for one in found] == [
+        (0, 0, 1), (0, 0, 2), (1, 0, 2), (1, 0, 3), (1, 1, 4), (1, 1, 5), (2, 2, 5),
+    ]  # fmt: skip
 
 
 def test_ended_jobs_are_forgotten(tmp_path: Path) -> None:

@@ -1,0 +1,58 @@
+"""What the database knows of jobs; nothing here writes."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from ..database import Database
+from .rows import ACTIVE, JOBS, Event, Job, job_of, unknown_job
+
+
+class JobReader:
+    """Safe for many processes on one store, as its table is."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def get(self, job_id: str) -> Job:
+        """Raises `JobNotFound`."""
+        rows = self._database.rows(f"{JOBS} WHERE id = ?", [job_id])
+        if not rows:
+            raise unknown_job(job_id)
+        return job_of(rows[0])
+
+    def ahead(self, job: Job) -> int:
+        """How many are queued before it or running."""
+        rows = self._database.rows(
+            "SELECT count(*) FROM jobs WHERE state = 'running' OR (state = 'queued' AND (created, id) < (?, ?))",
+            [job.created, job.id],
+        )
+        return int(rows[0][0])
+
+    def events(self, job_id: str, after: int = 0) -> list[Event]:
+        """Those with a number above `after`, in order."""
+        rows = self._database.rows("SELECT * FROM events WHERE job_id = ? AND seq > ? ORDER BY seq", [job_id, after])
+        return [Event(row["seq"], row["name"], json.loads(row["data"])) for row in rows]
+
+    def last_stage(self, job_id: str) -> dict[str, Any] | None:
+        """The step that was noted last, if any."""
+        query = "SELECT data FROM events WHERE job_id = ? AND name = 'stage' ORDER BY seq DESC LIMIT 1"
+        rows = self._database.rows(query, [job_id])
+        return json.loads(rows[0]["data"]) if rows else None
+
+    def counts(self) -> dict[str, int]:
+        """Queued and running jobs."""
+        found = self._database.rows(
+            "SELECT state, count(*) AS n FROM jobs WHERE state IN ('queued', 'running') GROUP BY state"
+        )
+        return dict.fromkeys(ACTIVE, 0) | {row["state"]: row["n"] for row in found}
+
+    def unfinished(self) -> set[str]:
+        """Ids of the active jobs."""
+        return {row["id"] for row in self._database.rows("SELECT id FROM jobs WHERE state IN ('queued', 'running')")}
+
+    def processes(self) -> set[str]:
+        """Those that compute jobs, and those whose requests wait for some."""
+        query = "SELECT owner AS process FROM jobs WHERE state = 'running' UNION SELECT process FROM waits"
+        return {row["process"] for row in self._database.rows(query)}

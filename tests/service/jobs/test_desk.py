@@ -1,0 +1,71 @@
+"""The desk while requests wait: whose going away cancels a job, and whose does not."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+from job_place import A, work
+from starlette.requests import ClientDisconnect
+
+from gapmes.service.http.waiting import ended
+from gapmes.service.jobs.desk import SPOOL, Desk
+from gapmes.service.jobs.rows import Job
+from gapmes.service.settings import Settings
+from gapmes.service.store import SceneStore
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Desk:
+    """Without models, so that nothing is computed here."""
+    return Desk(SceneStore(tmp_path), Settings(store=tmp_path))
+
+
+async def _stays() -> bool:
+    return False
+
+
+async def wait_and_be_ended(desk: Desk, job: Job) -> None:
+    """A request waits for the job, and then the server cancels it."""
+    task = asyncio.create_task(ended(desk, job, 60.0, _stays))
+    await asyncio.sleep(0.05)
+    assert not task.done()
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+
+
+@pytest.mark.parametrize("running", [False, True])
+def test_a_process_that_ends_leaves_what_its_requests_wait_for_to_another(
+    desk: Desk, tmp_path: Path, running: bool
+) -> None:
+    job, _ = desk.submit(work(), A, kept=False)
+    if running:
+        desk.table.claim("this")
+    desk.drain()
+    asyncio.run(wait_and_be_ended(desk, job))
+    desk.table.give_back(job.id, "this")
+    left = desk.table.get(job.id)
+    assert (left.state, left.waiting, left.cancelled, left.attempts) == ("queued", 0, False, 0)
+    assert (tmp_path / SPOOL / job.id).is_dir()
+    assert desk.table.claim("other").id == job.id
+    assert desk.table.stage(job.id, "other", {"stage": "network"})
+
+
+def test_a_request_that_ends_alone_takes_its_job_along(desk: Desk, tmp_path: Path) -> None:
+    job, _ = desk.submit(work(), A, kept=False)
+    asyncio.run(wait_and_be_ended(desk, job))
+    assert desk.table.get(job.id).state == "cancelled"
+    assert not (tmp_path / SPOOL / job.id).exists()
+
+
+def test_a_client_that_goes_away_while_the_process_ends_takes_its_job_along(desk: Desk) -> None:
+    async def leaves() -> bool:
+        return True
+
+    job, _ = desk.submit(work(), A, kept=False)
+    desk.drain()
+    with pytest.raises(ClientDisconnect):
+        asyncio.run(ended(desk, job, 60.0, leaves))
+    assert desk.table.get(job.id).state == "cancelled"
