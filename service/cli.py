@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -15,7 +16,7 @@ from .allocator import give_back_freed
 from .commands import convert, demo, doctor, reconstruct, render, serve
 from .errors import CameraError, GapmesError, ImageError
 from .extra_commands import WithExtraCommands
-from .problem_document import of_error
+from .problem_document import of_error, problem
 
 
 def _show_version(asked: bool) -> None:
@@ -50,7 +51,7 @@ for module in (serve, reconstruct, render, convert, demo, doctor):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command. Exit codes: 0 done, 1 refused (with the reason and its cure), 2 wrong usage, 130 interrupted.
 
-    With `--json` a refusal is also printed to stdout, as {"error": {...}}.
+    With `--json` a refusal, of ours or of the system, is also printed to stdout, as {"error": {...}}.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     give_back_freed()
@@ -58,21 +59,33 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         app(arguments)
     except GapmesError as error:
-        console.print(f"error: {_one_line(error)}", markup=False)
-        if "--json" in arguments:
-            sys.stdout.write(json.dumps({"error": of_error(error)}) + "\n")
-        sys.exit(1)
+        line, document = _one_line(error), of_error(error)
     except OSError as error:
-        console.print(f"error: {error}", markup=False)
-        sys.exit(1)
+        line, document = _of_system(error)
     except KeyboardInterrupt:
         sys.exit(130)
+    else:
+        return
+    console.print(f"error: {line}", markup=False)
+    if "--json" in arguments:
+        sys.stdout.write(json.dumps({"error": document}) + "\n")
+    sys.exit(1)
 
 
 def _one_line(error: GapmesError) -> str:
     of_a_view = isinstance(error, CameraError | ImageError) and error.index is not None
     where = f"view {error.index}: " if of_a_view else ""
     return f"{where}{error}".replace("\n", " ")
+
+
+def _of_system(error: OSError) -> tuple[str, dict[str, Any]]:
+    """What the system refused, such as a file without permission or on a full disk: a line, and a problem document."""
+    where = "" if error.filename is None else f"{error.filename}: "
+    detail = str(error) if error.strerror is None else f"{where}{error.strerror}"
+    if error.filename is None and error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return detail, problem(500, "system_error", detail)
+    cure = "is there room, and permission to read and write there?"
+    return f"{detail} ({cure})", problem(500, "storage_error", detail, cure=cure)
 
 
 if __name__ == "__main__":

@@ -69,13 +69,21 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
         )
     for name, value in (("near", near), ("far", far)):
         if not math.isfinite(value) or value <= 0:
-            raise DepthRangeError(f"{name} = {value:g}, need a finite depth above 0", field=name)
+            raise DepthRangeError(
+                f"{name} = {value:g}, need a finite depth above 0",
+                field=name,
+                cure="depths are counted from the camera along its axis; leave near and far out to have them estimated",
+            )
     if not near < far:
         cure = "they are swapped" if near > far else "the scene needs some depth"
         raise DepthRangeError(f"near = {near:g}, far = {far:g}, need near < far", field="near", cure=cure)
     for name, value in (("near", near), ("far", far)):
         if not 1 / MAX_DEPTH <= value <= MAX_DEPTH:
-            raise DepthRangeError(f"{name} = {value:g}, need {1 / MAX_DEPTH:g} to {MAX_DEPTH:g}", field=name)
+            raise DepthRangeError(
+                f"{name} = {value:g}, need {1 / MAX_DEPTH:g} to {MAX_DEPTH:g}",
+                field=name,
+                cure="give near, far and the poses in one unit, such as metres",
+            )
     if far / near > MAX_RATIO:
         raise DepthRangeError(
             f"far / near = {far / near:.3g}, need at most {MAX_RATIO:g}",

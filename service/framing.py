@@ -48,9 +48,10 @@ def within(camera: Camera, side: int) -> Camera:
 
 
 def even(camera: Camera) -> Camera:
-    """The view without its last row and column of pixels where their number is odd, as a film in MP4 needs it."""
+    """The view without its last row or column of pixels where their number is odd, as a film in MP4 needs it; the
+    others show what they did, at the same rays."""
     width, height = (side - side % 2 if side > 1 else side for side in (camera.width, camera.height))
-    return frame(camera, width, height) if (width, height) != (camera.width, camera.height) else camera
+    return camera.cropped(0, 0, width, height) if (width, height) != (camera.width, camera.height) else camera
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -38,7 +38,10 @@ def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Imag
             image = Image.open(io.BytesIO(data), formats=FORMATS)
     except UnidentifiedImageError as error:
         raise ImageUnreadable(
-            f"{len(data)} bytes are not a {', '.join(FORMATS)} file", field="images", index=index
+            f"{len(data)} bytes are not a {', '.join(FORMATS)} file",
+            field="images",
+            index=index,
+            cure="save the photograph in one of these formats; its content counts, not its name",
         ) from error
     except Image.DecompressionBombError as error:
         raise ImageTooLarge(

@@ -16,6 +16,7 @@ from .image_files import DAMAGED, MAX_PIXELS, damaged, open_image
 MIN_SIDE = 32  # px; two patches of the network, below that there is nothing to match
 OPAQUE = 128  # alpha of 8 bits from here on keeps a pixel
 _STRIP = 64  # rows of a 16-bit image that are converted at a time
+_PNG_BIT_DEPTH = 24  # place in the file: behind its signature, the header's length and name, width and height
 _ORIENTATION = 0x0112  # EXIF tag
 _TURNED = (5, 6, 7, 8)  # orientations that swap width and height
 
@@ -45,6 +46,7 @@ class Photo:
                 f"array is {pixels.dtype} of shape {pixels.shape}, need uint8 (H, W, 3) or (H, W, 4)",
                 field="images",
                 index=index,
+                cure="give 8-bit RGB with the channels last; np.rint(255 * array).astype(np.uint8) where it is 0 to 1",
             )
         _check_smallest(pixels.shape[1], pixels.shape[0], index)
         mask = None
@@ -52,7 +54,10 @@ class Photo:
             mask = pixels[:, :, 3] >= OPAQUE
             if not mask.any():
                 raise ImageError(
-                    f"alpha is below {OPAQUE} everywhere: the mask leaves no pixel", field="images", index=index
+                    f"alpha is below {OPAQUE} everywhere: the mask leaves no pixel",
+                    field="images",
+                    index=index,
+                    cure="save the photograph without transparency, or with what is to be kept opaque",
                 )
         return cls(np.ascontiguousarray(pixels[:, :, :3]), None if mask is None or mask.all() else mask)
 
@@ -77,7 +82,8 @@ class FittedView:
 def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Photo:
     """Decode JPEG, PNG or WEBP bytes; the size is read and bounded before any pixel is decoded.
 
-    Greyscale, palette, CMYK and 16-bit images become 8-bit RGB; an alpha channel becomes the mask.
+    Greyscale, palette, CMYK and 16-bit images become 8-bit RGB; an alpha channel or the transparent level, colour or
+    palette entry of a PNG becomes the mask.
     Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (below 32 x 32, animated, a
     JPEG of hundreds of scans).
     """
@@ -85,10 +91,16 @@ def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Ph
         _check_smallest(*image.size, index)
         if getattr(image, "is_animated", False) and image.format in ("PNG", "WEBP"):
             frames = getattr(image, "n_frames", 1)  # of the format's own class, not of every image
-            raise ImageError(f"is an animation of {frames} frames, need one", field="images", index=index)
+            raise ImageError(
+                f"is an animation of {frames} frames, need one",
+                field="images",
+                index=index,
+                cure="save its frames as files of their own",
+            )
         try:
             orientation = image.getexif().get(_ORIENTATION, 1)
             image.load()
+            _narrow_transparency(image, data)
             pixels = _eight_bit(image)
         except DAMAGED as error:
             raise damaged(error, index) from error
@@ -187,14 +199,33 @@ def _eight_bit(image: Image.Image) -> NDArray[np.uint8]:
     return np.asarray(image if image.mode == mode else image.convert(mode))
 
 
+def _narrow_transparency(image: Image.Image, data: bytes) -> None:
+    """Bring a PNG's transparent level or colour to the eight bits that Pillow gives its pixels, which it leaves to us.
+
+    Levels of 2 and 4 bits are spread over 8. Of colours of 16 bits Pillow keeps the upper eight, which is all that can
+    be compared.
+    """
+    if image.format != "PNG":
+        return
+    bits, transparent = data[_PNG_BIT_DEPTH], image.info.get("transparency")
+    if image.mode == "L" and bits in (2, 4) and isinstance(transparent, int):
+        image.info["transparency"] = transparent * (255 // (2**bits - 1))
+    if image.mode == "RGB" and bits == 16 and isinstance(transparent, tuple):
+        image.info["transparency"] = tuple(value >> 8 for value in transparent)
+
+
 def _eight_bit_grey(image: Image.Image) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 of 16-bit levels, strip by strip: round(level / 257), which has no ties."""
-    rgb = np.empty((image.height, image.width, 3), np.uint8)
+    """(H, W, 3) uint8 of 16-bit levels, strip by strip: round(level / 257), which has no ties; (H, W, 4) where one
+    level is transparent, compared as it is in the file."""
+    transparent = image.info.get("transparency")
+    pixels = np.empty((image.height, image.width, 3 if transparent is None else 4), np.uint8)
     for top in range(0, image.height, _STRIP):
         bottom = min(top + _STRIP, image.height)
         levels = np.asarray(image.crop((0, top, image.width, bottom)), dtype=np.int32).clip(0, 65535)
-        rgb[top:bottom] = ((levels + 128) // 257)[:, :, None]
-    return rgb
+        pixels[top:bottom, :, :3] = ((levels + 128) // 257)[:, :, None]
+        if transparent is not None:
+            pixels[top:bottom, :, 3] = np.where(levels == transparent, 0, 255)
+    return pixels
 
 
 def _upright(photo: Photo) -> Photo:
@@ -225,5 +256,8 @@ def _same_aspect(width: int, height: int, camera: Camera) -> bool:
 def _check_smallest(width: int, height: int, index: int | None) -> None:
     if width < MIN_SIDE or height < MIN_SIDE:
         raise ImageError(
-            f"is {width} x {height} px, need at least {MIN_SIDE} x {MIN_SIDE}", field="images", index=index
+            f"is {width} x {height} px, need at least {MIN_SIDE} x {MIN_SIDE}",
+            field="images",
+            index=index,
+            cure="send the photograph itself, not a thumbnail of it",
         )

@@ -59,7 +59,12 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
     if matrix.shape == (3, 4):
         matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
     if matrix.shape != (4, 4):
-        raise PoseError(f"shape is {matrix.shape}, need (4, 4)", field=field, index=index)
+        raise PoseError(
+            f"shape is {matrix.shape}, need (4, 4)",
+            field=field,
+            index=index,
+            cure="give 4 rows of 4 numbers, or the upper 3 of them",
+        )
     bad = int((~np.isfinite(matrix)).sum())
     if bad:
         cure = "was the pose of this view found at all? leave it out"
@@ -70,11 +75,21 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
         )
     offset = float(np.abs(matrix[:3, 3]).max())
     if offset > MAX_OFFSET:
-        raise PoseError(f"the camera is {offset:.3g} units away, need at most {MAX_OFFSET:g}", field=field, index=index)
+        raise PoseError(
+            f"the camera is {offset:.3g} units away, need at most {MAX_OFFSET:g}",
+            field=field,
+            index=index,
+            cure="was the pose of this view found at all? leave it out",
+        )
     rotation = matrix[:3, :3]
     largest = float(np.abs(rotation).max())
     if largest > MAX_OFFSET:
-        raise PoseError(f"R has an entry of {largest:.3g}, need at most 1", field=field, index=index)
+        raise PoseError(
+            f"R has an entry of {largest:.3g}, need at most 1",
+            field=field,
+            index=index,
+            cure="was the pose of this view found at all? leave it out",
+        )
     drift = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     det = float(rotation[0] @ np.cross(rotation[1], rotation[2]))  # np.linalg.det divides by pivots, which may be 0
     if det < 0:

@@ -22,6 +22,7 @@ SIGNATURES = (b"PK\x03\x04", b"PK\x05\x06")  # of an archive's first file, and o
 _ARCHIVES = (".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".7z", ".rar", ".zst")
 _END, _END64, _LOCATOR64 = b"PK\x05\x06", b"PK\x06\x06", b"PK\x06\x07"  # APPNOTE 4.3.14 to 4.3.16
 _LONGEST_END = 22 + 65_535  # the last record with its comment
+_ANEW, _ALONE = "zip the photographs and cameras anew", "zip the photographs and cameras alone"  # cures
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # What `zipfile` raises on damaged archives, its own error being one of many.
 _DAMAGED = (
@@ -54,8 +55,7 @@ class ZipFiles:
             if len(infos) != count:
                 raise zipfile.BadZipFile(f"{len(infos)} files were read of its list of {count}")
         except _DAMAGED as error:
-            cure = "zip the photographs and cameras anew"
-            raise CaptureError(f"is not a readable zip: {error}", field="capture", cure=cure) from error
+            raise CaptureError(f"is not a readable zip: {error}", field="capture", cure=_ANEW) from error
         self._infos: dict[str, zipfile.ZipInfo] = {}
         self._folders: dict[str, set[str]] = {"": set()}
         self._files: dict[str, set[str]] = {"": set()}
@@ -82,20 +82,22 @@ class ZipFiles:
         try:
             stream = self._zip.open(self._infos[path])
         except _DAMAGED as error:
-            raise CaptureError(f"{path} cannot be unpacked: {error}", field="capture") from error
+            raise CaptureError(f"{path} cannot be unpacked: {error}", field="capture", cure=_ANEW) from error
         return cast(BinaryIO, io.BufferedReader(_Counted(self, path, cast(BinaryIO, stream))))
 
     def count(self, size: int) -> None:
         """Raises `CaptureError` once more was unpacked than the limit."""
         self._read += size
         if self._read > self._max_bytes:
-            raise CaptureError(f"unpacks to more than {self._max_bytes} bytes, the limit", field="capture")
+            message = f"unpacks to more than {self._max_bytes} bytes, the limit"
+            raise CaptureError(message, field="capture", cure=_ALONE)
 
     def _add(self, info: zipfile.ZipInfo) -> None:
         name = info.filename
         parts = name.rstrip("/").split("/")
         if not name or name.startswith("/") or "\\" in name or ":" in parts[0] or {"", ".", ".."} & set(parts):
-            raise CaptureError(f"has a file at {name!r}: paths must stay inside the zip", field="capture")
+            message = f"has a file at {name!r}: paths must stay inside the zip"
+            raise CaptureError(message, field="capture", cure=_ALONE)
         if any(is_clutter(part) for part in parts):
             return
         for depth in range(1, len(parts)):
@@ -108,7 +110,7 @@ class ZipFiles:
         if name in self._infos:
             refusal = "is there twice"
         if refusal:
-            raise CaptureError(f"{name!r} {refusal}", field="capture", cure="zip the photographs and cameras alone")
+            raise CaptureError(f"{name!r} {refusal}", field="capture", cure=_ALONE)
         self._infos[name] = info
         self._files.setdefault(folder, set()).add(parts[-1])
 
@@ -127,7 +129,7 @@ class _Counted(io.RawIOBase):
         try:
             data = self._stream.read(len(view))
         except _DAMAGED as error:
-            raise CaptureError(f"{self._path} cannot be unpacked: {error}", field="capture") from error
+            raise CaptureError(f"{self._path} cannot be unpacked: {error}", field="capture", cure=_ANEW) from error
         self._owner.count(len(data))
         view[: len(data)] = data
         return len(data)
@@ -178,9 +180,10 @@ def _check_directory(stream: BinaryIO) -> int:
             )
         count, bytes_, offset = struct.unpack_from("<QQQ", record, 32)
     if count > MAX_MEMBERS:
-        raise CaptureError(f"holds {count} files, the limit is {MAX_MEMBERS}", field="capture")
+        raise CaptureError(f"holds {count} files, the limit is {MAX_MEMBERS}", field="capture", cure=_ALONE)
     if bytes_ > MAX_DIRECTORY:
-        raise CaptureError(f"its list of files has {bytes_} bytes, the limit is {MAX_DIRECTORY}", field="capture")
+        message = f"its list of files has {bytes_} bytes, the limit is {MAX_DIRECTORY}"
+        raise CaptureError(message, field="capture", cure=_ALONE)
     if offset != end - bytes_:
         raise zipfile.BadZipFile(f"its list of files starts at byte {end - bytes_}, its last record says {offset}")
     stream.seek(offset)

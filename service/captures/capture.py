@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +12,12 @@ from ..camera_fields import CameraFile
 from ..distortion import MAX_SHIFT_PX
 from ..errors import CaptureError, ImageError, IntrinsicsError
 from ..image_files import MAX_PIXELS
-from ..view_checks import MAX_VIEWS, MIN_VIEWS
+from ..view_checks import MAX_VIEWS, MIN_VIEWS, Notice
 from .archive import SIGNATURES, ZipFiles
 from .choose import chosen_views
+from .colmap import folders_below_project, is_of_colmap
 from .files import Files, FolderFiles
-from .photographs import Photographs
+from .photographs import FOLDERS, Photographs
 from .recognise import MAX_CAMERA_BYTES, recognised, table_of_file
 from .select import DEFAULT_CONTEXT, Wish, named_views
 from .table import CameraTable
@@ -33,6 +35,7 @@ class ChosenViews:
     photographs: Photographs
     indices: tuple[int, ...]  # the views' places in the file
     selection: dict[str, Any]  # plain JSON values: by what they were chosen, of how many
+    warnings: tuple[Notice, ...] = ()
 
     def read(self, place: int) -> bytes:
         """The encoded photograph of a chosen view."""
@@ -102,7 +105,7 @@ class Capture:
     def _chosen(self, file: CameraFile, indices: Sequence[int], said: dict[str, Any]) -> ChosenViews:
         paths = tuple(self.path_of(index) for index in indices)
         said = {**said, "views": list(indices), "images": list(paths)}
-        return ChosenViews(file, paths, self._photographs, tuple(indices), said)
+        return ChosenViews(file, paths, self._photographs, tuple(indices), said, self.table.warnings)
 
     def _with_photograph(self) -> list[int]:
         there, first = [], None
@@ -138,12 +141,23 @@ def open_capture(path: str | Path) -> Capture:
     try:
         stream = path.open("rb")
     except OSError as error:
-        raise CaptureError(f"{path} cannot be read: {error.strerror}", field="capture") from error
+        cure = "ask who owns it for permission"
+        raise CaptureError(f"{path} cannot be read: {error.strerror}", field="capture", cure=cure) from error
     if stream.read(4) in SIGNATURES:
         return Capture.of(ZipFiles(stream, str(path)))
     stream.close()
-    files = FolderFiles(path.parent)
-    return Capture(files, "", table_of_file(files, path.name))
+    root = _root_of(path)
+    files = FolderFiles(root)
+    return Capture(files, "", table_of_file(files, Path(os.path.relpath(path, root)).as_posix()))
+
+
+def _root_of(path: Path) -> Path:
+    """The folder among whose files the photographs of a named camera file are: its own. A COLMAP model that has no
+    folder of photographs beside it stands for its project, the folder above `sparse`."""
+    above = folders_below_project(Path(os.path.abspath(path.parent))) if is_of_colmap(path.name) else 0
+    if not above or any((path.parent / name).is_dir() for name in FOLDERS if name):
+        return path.parent
+    return Path(os.path.abspath(path.parent)).parents[above - 1]
 
 
 def read_camera_file(path: str | Path) -> CameraFile:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import PurePath
 
 from ..camera_fields import CameraFile, SizeOf, view_through
 from ..distortion import Lens
@@ -23,6 +24,20 @@ PARAMETERS = {
     "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
 _READERS = {"bin": colmap_binary, "txt": colmap_text}
+_FILES = ("cameras", "images", "rigs", "frames", "points3D")  # of a model, each .bin or .txt
+
+
+def is_of_colmap(name: str) -> bool:
+    """Whether a file of this name stands for the COLMAP model that it lies in."""
+    stem, _, form = name.rpartition(".")
+    return stem in _FILES and form in _READERS
+
+
+def folders_below_project(folder: PurePath) -> int:
+    """How deep a model's folder lies in its project: 1 for sparse, 2 for sparse/1, one more in colmap; else 0."""
+    names = [name for name in folder.parts[::-1] if name != folder.anchor]
+    place = names.index("sparse") if "sparse" in names[:2] else -1
+    return place + 1 + (names[place + 1 : place + 2] == ["colmap"]) if place >= 0 else 0
 
 
 def has_colmap(files: Files, folder: str) -> str | None:
@@ -48,7 +63,7 @@ def read_colmap(files: Files, folder: str, form: str) -> CameraTable:
             camera = model.cameras.get(image.camera_id)
             if camera is None:
                 message = f"{source}: {image.name!r} is of camera {image.camera_id}, which is missing"
-                raise CameraError(message, field="cameras", index=index)
+                raise CameraError(message, field="cameras", index=index, cure="are both files of one model?")
             pose = inverted_pose(poses[ids[index]], field="cameras", index=index)
             lens = lens_of(camera, image.camera_id, index)
             views.append(view_through(image.name, lens, pose, field="cameras", index=index))

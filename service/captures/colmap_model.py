@@ -87,7 +87,8 @@ class ColmapModel:
         for frame_id, frame in self.frames.items():
             rig = self.rigs.get(frame.rig_id)
             if rig is None:
-                raise CameraError(f"frame {frame_id} is of rig {frame.rig_id}, which is missing", field="cameras")
+                message = f"frame {frame_id} is of rig {frame.rig_id}, which is missing"
+                raise CameraError(message, field="cameras", cure="are both files of one model?")
             for sensor, image_id in frame.images:
                 sensor_from_rig = rig.get(sensor)
                 if sensor[0] == CAMERA and image_id in self.images and sensor_from_rig is not None:
@@ -105,7 +106,8 @@ def rigid(numbers: tuple[float, ...], name: str) -> F64:
     with np.errstate(over="ignore"):
         length = float(np.linalg.norm(wxyz))
     if not (np.isfinite(length) and length > 0):
-        raise PoseError(f"image {name!r} has a quaternion of length {length:g}, need 1", field="cameras")
+        message = f"image {name!r} has a quaternion of length {length:g}, need 1"
+        raise PoseError(message, field="cameras", cure="was the pose of this image found at all? leave it out")
     matrix = np.eye(4)
     matrix[:3, :3] = matrix_from_quaternion(wxyz / length)
     matrix[:3, 3] = numbers[4:]

@@ -84,10 +84,12 @@ def _entries(
             key, entry = parse(line.split(maxsplit=most - 1))
         except (ValueError, IndexError, StopIteration, RuntimeError, OverflowError) as error:
             reason = str(error) if isinstance(error, ValueError) else "has too few columns"
-            raise CameraError(f"{source}, line {number}: {reason}", field="cameras") from error
+            cure = "is it a file of COLMAP, and complete?"
+            raise CameraError(f"{source}, line {number}: {reason}", field="cameras", cure=cure) from error
         entries[key] = entry
         if len(entries) > MAX_LISTED:
-            raise CameraError(f"{source} lists more than {MAX_LISTED} entries, the limit", field="cameras")
+            message = f"{source} lists more than {MAX_LISTED} entries, the limit"
+            raise CameraError(message, field="cameras", cure="leave out the images that are not to be used")
     return entries
 
 

@@ -65,7 +65,8 @@ class FolderFiles:
         try:
             return (self.root / path).open("rb")
         except OSError as error:
-            raise CaptureError(f"{self.root / path} cannot be read: {error.strerror}", field="capture") from error
+            message = f"{self.root / path} cannot be read: {error.strerror}"
+            raise CaptureError(message, field="capture", cure="ask who owns it for permission") from error
 
     def _entries(self, folder: str, *, folders: bool) -> Sequence[str]:
         try:

@@ -41,7 +41,8 @@ def _view(row: NDArray[np.float64], index: int) -> NamedView:
     near, far = float(row[15]), float(row[16])
     if not (np.isfinite([near, far]).all() and 0 < near < far):
         message = f"bounds are {near:g} and {far:g}, need 0 < near < far"
-        raise CameraError(message, field="cameras", index=index)
+        cure = "was this view registered at all? leave out its row and its photograph"
+        raise CameraError(message, field="cameras", index=index, cure=cure)
     return NamedView(None, camera, bounds=(near, far))
 
 
@@ -57,10 +58,12 @@ def _rows(data: bytes, source: str) -> NDArray[np.float64]:
         else:
             raise ValueError(f"its version is {version}")
     except (ValueError, SyntaxError, TypeError, OverflowError, MemoryError, RecursionError, TokenError) as error:
-        raise CameraError(f"{source} is not a readable .npy file: {error}", field="cameras") from error
+        message = f"{source} is not a readable .npy file: {error}"
+        raise CameraError(message, field="cameras", cure="is the file complete?") from error
     if dtype.kind != "f" or len(shape) != 2 or shape[1] != COLUMNS:
         need = f"need floating-point numbers of shape (N, {COLUMNS}), as LLFF writes them"
-        raise CameraError(f"{source} holds {dtype} of shape {shape}, {need}", field="cameras")
+        message = f"{source} holds {dtype} of shape {shape}, {need}"
+        raise CameraError(message, field="cameras", cure="is it the poses_bounds.npy of the capture?")
     body = data[stream.tell() :]
     if shape[0] * COLUMNS * dtype.itemsize != len(body):
         message = f"{source} has {len(body)} bytes of numbers, its header says {shape[0]} x {COLUMNS} of {dtype}"

@@ -30,7 +30,8 @@ class Photographs:
         of it alone. Raises `ImageError`.
         """
         if name is None:
-            raise ImageError("the camera file names no photograph for this view", field="views.image", index=index)
+            message = "the camera file names no photograph for this view"
+            raise ImageError(message, field="views.image", index=index, cure="name one for each view")
         found = self._at(name) or self._at(posixpath.basename(joined(name)))
         if found is None:
             looked = ", ".join(place or "." for place in self._places[:3])

@@ -39,13 +39,15 @@ def _view(row: Sequence[str], index: int, source: str, size_of: SizeOf | None) -
     try:
         numbers = [float(word) for word in row[1:]]
     except ValueError as error:
-        raise CameraError(f"{source}: {error}", field="cameras", index=index) from error
+        cure = "is it a file of RealEstate10K, and complete?"
+        raise CameraError(f"{source}: {error}", field="cameras", index=index, cure=cure) from error
     if len(row) != COLUMNS:
-        raise CameraError(f"{source}: the line has {len(row)} columns, need {COLUMNS}", field="cameras", index=index)
+        message = f"{source}: the line has {len(row)} columns, need {COLUMNS}"
+        raise CameraError(message, field="cameras", index=index, cure="is the file complete?")
     fx, fy, cx, cy, *rest = numbers
     if rest[0] != 0 or rest[1] != 0:
         message = f"{source}: columns 6 and 7 are {rest[0]:g} and {rest[1]:g}, need 0: a pinhole"
-        raise CameraError(message, field="cameras", index=index)
+        raise CameraError(message, field="cameras", index=index, cure="undistort the photographs first")
     if not all(map(math.isfinite, (fx, fy, cx, cy))) or max(abs(fx), abs(fy)) > 20:
         message = f"{source}: fx, fy = {fx:g}, {fy:g}, need shares of the picture's width and height"
         raise CameraError(message, field="cameras", index=index, cure="divide pixels by the width and the height")

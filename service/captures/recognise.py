@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import posixpath
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from ..camera_fields import CameraFile, SizeOf
 from ..camera_file import parse_camera_file, view_names
 from ..errors import CameraError, CaptureError
-from .colmap import has_colmap, read_colmap
+from .colmap import has_colmap, is_of_colmap, read_colmap
+from .colmap_models import several_models
 from .files import Files, joined, read_bounded
 from .llff import SIGNATURE, read_llff
 from .realestate10k import looks_like_realestate10k, read_realestate10k
@@ -60,12 +62,11 @@ def table_of_file(files: Files, path: str, max_bytes: int = MAX_CAMERA_BYTES) ->
     `CameraError`, and `CaptureError` for more than `max_bytes`.
     """
     folder, name = posixpath.split(path)
-    stem, _, form = name.rpartition(".")
-    if stem in ("cameras", "images", "rigs", "frames", "points3D") and form in ("bin", "txt"):
+    if is_of_colmap(name):
         if has_colmap(files, folder) is None:
-            need = "need cameras and images, both .bin or both .txt"
-            raise CameraError(f"{path} is not in a whole COLMAP model, {need}", field="cameras")
-        return read_colmap(files, folder, form if has_colmap(files, folder) != "bin" else "bin")
+            message = f"{path} is not in a whole COLMAP model, need cameras and images, both .bin or both .txt"
+            raise CameraError(message, field="cameras", cure="copy or export the model with all its files")
+        return read_colmap(files, folder, name[-3:] if has_colmap(files, folder) != "bin" else "bin")
     return table_of_bytes(read_bounded(files, path, max_bytes), path)
 
 
@@ -80,7 +81,8 @@ def table_of_bytes(data: bytes, source: str, parse: Parse = json.loads) -> Camer
     try:
         obj = parse(data)
     except (ValueError, RecursionError) as error:
-        raise CameraError(f"{source} is not readable JSON: {error}", field="cameras") from error
+        message = f"{source} is not readable JSON: {error}"
+        raise CameraError(message, field="cameras", cure="is it the camera file, and complete?") from error
     kind, names = view_names(obj)
 
     def cameras(indices: Sequence[int], size_of: SizeOf | None) -> CameraFile:
@@ -96,7 +98,7 @@ def _reader_in(files: Files, base: str, max_bytes: int) -> Callable[[], CameraTa
     for folder in COLMAP_FOLDERS:
         form = has_colmap(files, joined(base, folder))
         if form is not None:
-            return partial(read_colmap, files, joined(base, folder), form)
+            return partial(_colmap, files, base, joined(base, folder), form)
     if files.has(joined(base, LLFF_NAME)):
         return partial(table_of_file, files, joined(base, LLFF_NAME), max_bytes)
     texts = [joined(base, name) for name in files.files(base) if name.endswith(".txt")]
@@ -105,6 +107,10 @@ def _reader_in(files: Files, base: str, max_bytes: int) -> Callable[[], CameraTa
         message = f"{files.label} holds {len(texts)} RealEstate10K files: {', '.join(texts[:5])}"
         raise CaptureError(message, field="capture", cure="keep one of them")
     return partial(table_of_file, files, texts[0], max_bytes) if texts else None
+
+
+def _colmap(files: Files, base: str, folder: str, form: str) -> CameraTable:
+    return replace(read_colmap(files, folder, form), warnings=several_models(files, base, folder))
 
 
 def _is_realestate10k(files: Files, path: str) -> bool:

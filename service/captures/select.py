@@ -24,10 +24,12 @@ class Wish:
 def checked_wish(wish: Wish) -> Wish:
     """Raises `ViewCountError` for a number outside 2..6, and `InputError` for views that are both named and counted."""
     if wish.context is not None and not MIN_VIEWS <= wish.context <= MAX_VIEWS:
-        raise ViewCountError(f"{wish.context} views, need {MIN_VIEWS} to {MAX_VIEWS}", field="context")
+        cure = f"leave it out for {DEFAULT_CONTEXT} of a large capture"
+        raise ViewCountError(f"{wish.context} views, need {MIN_VIEWS} to {MAX_VIEWS}", field="context", cure=cure)
     if wish.select is not None and wish.select.count(",") >= MAX_VIEWS:
         count = wish.select.count(",") + 1
-        raise ViewCountError(f"{count} views, need {MIN_VIEWS} to {MAX_VIEWS}", field=wish.field)
+        cure = "name those that overlap most, or say how many to choose"
+        raise ViewCountError(f"{count} views, need {MIN_VIEWS} to {MAX_VIEWS}", field=wish.field, cure=cure)
     if wish.context is not None and wish.select is not None:
         raise InputError(f"is given beside {wish.field}", field="context", cure="name the views, or say how many")
     return wish
@@ -43,7 +45,7 @@ def named_views(text: str, names: Sequence[str | None], *, field: str) -> list[i
     for part in text.split(","):
         index = _index_of(part.strip(), names, field)
         if index in indices:
-            raise ViewError(f"view {part.strip()} is given twice", field=field)
+            raise ViewError(f"view {part.strip()} is given twice", field=field, cure="name each view once")
         indices.append(index)
     return indices
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from ..camera_fields import CameraFile, SizeOf
 from ..errors import CameraError
+from ..view_checks import Notice
 
 MAX_LISTED = 20_000  # views of one file; a count above it is a damaged or hostile file
 
@@ -20,9 +21,11 @@ class CameraTable:
     names: tuple[str | None, ...]  # of the photographs, as the file has them
     parse: Callable[[Sequence[int], SizeOf | None], CameraFile]  # the cameras of these views, in this order
     by_sorted_name: bool = False  # view i belongs to photograph i of all that there are, sorted by name
+    warnings: tuple[Notice, ...] = ()  # what was passed over for this file
 
 
 def check_listed(count: int, source: str) -> None:
     """Raises `CameraError` for no view at all, or more than any capture has."""
     if not 1 <= count <= MAX_LISTED:
-        raise CameraError(f"{source} lists {count} views, need 1 to {MAX_LISTED}", field="cameras")
+        message = f"{source} lists {count} views, need 1 to {MAX_LISTED}"
+        raise CameraError(message, field="cameras", cure="is it the right file, and complete?")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +14,24 @@ from ..errors import InputError
 from ..film import FILM_FORMATS, FilmFormat, FilmShape, check_film, write_film
 from ..framing import even, within
 from ..picture import Channel, Format, encode, encode_image
+from ..problem_document import plain
 from ..progress import Stages
 from ..scene_views import SceneViews
+from .output_file import named
 
 if TYPE_CHECKING:
     from ..camera import Camera
     from ..gaussians import Gaussians
     from ..splat import Render
 
+LISTED = 5  # empty pictures that the warning names
+REASONS = {  # why the splatter left Gaussians out
+    "near": "before the near plane at z-depth {near:.4g}",
+    "far": "beyond z-depth 1e37",
+    "faint": "fainter than alpha_min",
+    "not_finite": "without a finite extent",
+    "outside": "beside the picture",
+}
 SECONDS, FPS = 4.0, 24.0
 NO_FOLDER = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg")
 SHEET_FORMATS: dict[str, Format] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp"}
@@ -38,15 +48,19 @@ class Drawing:
     channel: Channel
     effort: Effort
     options: dict[str, Any]
+    empty: dict[str, Mapping[str, int]] = field(default_factory=dict)  # pictures of no Gaussian: culled, by reason
 
     @property
     def shots(self) -> list[Camera]:
         """The cameras of the views, as they are drawn."""
         return [self.fit(self.scene.resolve(spec, field="views")) for spec in self.specs]
 
-    def draw(self, camera: Camera) -> Render:
-        """One picture."""
-        return draw(self.gaussians, camera, self.channel, self.effort, **self.options, **self.scene.near_plane)
+    def draw(self, camera: Camera, name: str) -> Render:
+        """One picture; one that shows no Gaussian is noted in `empty` under its name."""
+        drawn = draw(self.gaussians, camera, self.channel, self.effort, **self.options, **self.scene.near_plane)
+        if not drawn.stats["projected"]:
+            self.empty[name] = drawn.stats["culled"]
+        return drawn
 
 
 @dataclass(frozen=True)
@@ -88,16 +102,40 @@ class FilmPlan:
         return shape
 
 
+def empty_pictures(drawing: Drawing) -> list[str]:
+    """A sentence where pictures show no Gaussian at all: which, why the first of them does not, and the likely cure."""
+    from ..splat import Definition
+
+    if not drawing.empty:
+        return []
+    names = list(drawing.empty)
+    near = drawing.scene.near_plane.get("near", Definition.near)
+    culled = {reason: count for reason, count in drawing.empty[names[0]].items() if count}
+    why = ", ".join(f"{count} {REASONS[reason].format(near=near)}" for reason, count in culled.items())
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    cure = "lower --alpha-min"
+    if set(culled) != {"faint"}:
+        cure = "do scene and cameras have the same unit, origin and axes? near puts the near plane at a tenth of it"
+    return [
+        f"{', '.join(names[:LISTED])}{more}: none of {len(drawing.gaussians)} Gaussians is drawn "
+        f"({names[0]}: {why or 'there are none'}; {cure})"
+    ]
+
+
 def write_pictures(drawing: Drawing, folder: Path, depth_scale: float | None, stages: Stages) -> list[dict[str, Any]]:
     """A PNG for each view, named view_<view>.png; returns what each is."""
-    folder.mkdir(parents=True, exist_ok=True)
+    with named(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     written: list[dict[str, Any]] = []
     with stages.stage("render", len(drawing.specs)) as step:
         for spec, camera in zip(drawing.specs, drawing.shots, strict=True):
-            picture = encode(drawing.draw(camera), drawing.channel, depth_scale=depth_scale)
+            drawn = drawing.draw(camera, f"view {spec}")
+            picture = encode(drawn, drawing.channel, depth_scale=depth_scale)
             path = folder / f"view_{spec.replace(':', '_')}.png"
-            replace_file(path, picture.data)
+            with named(path):
+                replace_file(path, picture.data)
             entry = {"view": spec, "file": str(path), "width": camera.width, "height": camera.height}
+            entry |= {"stats": plain(drawn.stats)}
             if picture.depth is not None:
                 entry |= {"depth_range": (picture.depth.low, picture.depth.high)}
                 entry |= {"depth_scale": picture.depth.scale, "depth_offset": picture.depth.offset}
@@ -107,30 +145,39 @@ def write_pictures(drawing: Drawing, folder: Path, depth_scale: float | None, st
 
 
 def write_moving(drawing: Drawing, output: Path, plan: FilmPlan, stages: Stages) -> dict[str, Any]:
-    """The film of a path among the views; frames go into the file as they are drawn. Returns what it is."""
+    """The film of a path among the views; frames go into the file as they are drawn. Returns what it is, and the least
+    and the largest number of Gaussians in a frame."""
     among = replace(drawing.scene, cameras=[drawing.scene.resolve(spec, field="views") for spec in drawing.specs])
     path = among.path(plan.path, plan.swing)
     shape = plan.shape(plan.fit(drawing.fit(path(0.0))))
+    projected: list[int] = []
 
     def frames(step: Callable[[int], None]) -> Iterator[Any]:
-        for number, camera in enumerate(loop(path, shape.frames), 1):
-            yield drawing.draw(plan.fit(drawing.fit(camera))).rgb8()
-            step(number)
+        for number, camera in enumerate(loop(path, shape.frames)):
+            drawn = drawing.draw(plan.fit(drawing.fit(camera)), f"frame {number}")
+            projected.append(drawn.stats["projected"])
+            yield drawn.rgb8()
+            step(number + 1)
 
-    with stages.stage("render film", shape.frames) as step:
+    with stages.stage("render film", shape.frames) as step, named(output):
         write_film(output, shape, frames(step))
-    return {"file": str(output), "path": plan.path, "fps": shape.fps, **vars(shape)}
+    said = {"file": str(output), "path": plan.path, "fps": shape.fps, **vars(shape)}
+    return said | {"projected": (min(projected), max(projected))}
 
 
 def write_sheet(drawing: Drawing, output: Path, stages: Stages) -> dict[str, Any]:
     """All views in one picture. Returns what it is."""
     from ..contact_sheet import CELL, Cell, contact_sheet, rows_of
 
-    cells = []
+    cells, stats = [], []
     with stages.stage("render", len(drawing.specs)) as step:
         for spec, camera in zip(drawing.specs, drawing.shots, strict=True):
-            cells.append(Cell(drawing.draw(within(camera, CELL)).rgb8(), f"view {spec}"))
+            drawn = drawing.draw(within(camera, CELL), f"view {spec}")
+            cells.append(Cell(drawn.rgb8(), f"view {spec}"))
+            stats.append(plain(drawn.stats))
             step(len(cells))
     sheet = contact_sheet(rows_of("Views", cells))
-    replace_file(output, encode_image(sheet, SHEET_FORMATS[output.suffix.lower()]))
-    return {"file": str(output), "views": list(drawing.specs), "width": sheet.width, "height": sheet.height}
+    with named(output):
+        replace_file(output, encode_image(sheet, SHEET_FORMATS[output.suffix.lower()]))
+    size = {"width": sheet.width, "height": sheet.height}
+    return {"file": str(output), "views": list(drawing.specs), **size, "stats": stats}

@@ -66,7 +66,6 @@ def reconstruct(
     from ..captures.capture import open_capture
     from ..captures.select import Wish, checked_wish
     from ..disk import replace_file
-    from ..errors import InputError
     from ..formats.encoded import Encoded
     from ..formats.registry import format_of_path
     from ..image_files import image_size
@@ -74,10 +73,10 @@ def reconstruct(
     from ..ply import ply_bytes
     from ..progress import Stages
     from ..reconstruct import Reconstructor
+    from .output_file import check_output_file, named
 
     target = format_of_path(output, field="output")
-    if not output.parent.is_dir():  # said before the work, not after it
-        raise InputError(f"{output.parent} is not a folder", field="output")
+    check_output_file(output)
     checked_others(leave_one_out)
     checked_passes(fade)
     chosen = checked_engine(engine)
@@ -107,7 +106,7 @@ def reconstruct(
             numbers=found.indices,
             listener=bars,
         )
-        with stages.stage("write"):
+        with stages.stage("write"), named(output):
             if target.extension == "ply":
                 encoded = Encoded(ply_bytes(scene.gaussians, positions=scene.positions))
             else:
@@ -119,7 +118,8 @@ def reconstruct(
     bars.say(fading_line(scene.document))
     for line in left_out_lines(scene.document):
         bars.say(line)
-    for warning in scene.document.get("warnings", ()):
+    warnings = [*found.warnings, *scene.document["warnings"]]
+    for warning in warnings:
         bars.say(f"warning: {warning['message']}")
     for note in encoded.notes:
         bars.say(f"warning: {output.name}: {note}")
@@ -131,5 +131,5 @@ def reconstruct(
             "selected_views": list(found.indices),
             "selection": found.selection,
         }
-        document = {**said, **scene.document}
+        document = {**said, **scene.document, "warnings": warnings}
         sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")

@@ -66,9 +66,9 @@ def render(
 ) -> None:
     """Render views of a scene as PNG files such as view_5.png, or a film where OUTPUT ends in .mp4, .webp or .gif.
 
-    Where the camera file lacks near or far, the depths of the Gaussians that its cameras see stand in for them.
+    Where the camera file lacks near and far, the depths of the Gaussians that its cameras see stand in for them.
     """
-    from ..captures.capture import read_camera_file
+    from ..captures.capture import open_capture
     from ..depth_range import depth_range
     from ..errors import InputError
     from ..formats.dialect import Dialect
@@ -78,21 +78,33 @@ def render(
     from ..progress import Stages
     from ..scene_views import SceneViews
     from ..seen_depths import seen_depths
-    from .outputs import NO_FOLDER, SHEET_FORMATS, Drawing, FilmPlan, write_moving, write_pictures, write_sheet
+    from .output_file import check_output_file, check_output_folder
+    from .outputs import (
+        NO_FOLDER,
+        SHEET_FORMATS,
+        Drawing,
+        FilmPlan,
+        empty_pictures,
+        write_moving,
+        write_pictures,
+        write_sheet,
+    )
 
     effort = Effort(alpha_min, stop, sh_degree, samples)
-    file = read_camera_file(cameras)
+    capture = open_capture(cameras)
+    file = capture.cameras(range(len(capture.table.names)))
     specs = [str(index) for index in range(len(file.views))] if views is None else view_specs(views)
-    in_file = file.near is not None and file.far is not None
+    in_file = file.near is not None or file.far is not None
     if in_file:
-        depth_range(file.cameras, file.near, file.far)  # refuses what is no range
+        depth_range(file.cameras, file.near, file.far)  # refuses what is no range, and one end without the other
     scene = SceneViews(file.cameras, file.near, file.far) if in_file else SceneViews(file.cameras)
     sides = None if size is None else parse_size(size)
     moving: dict[str, Any] = {"path": path, "seconds": seconds, "fps": fps, "swing": swing}
     plan = FilmPlan.asked(output, channel, sheet, sides is not None, **moving)
     if sheet and (channel != "rgb" or output.suffix.lower() not in SHEET_FORMATS):
         wanted = ", ".join(SHEET_FORMATS)
-        raise InputError(f"is {channel} in {output.name!r}, need rgb in one of {wanted}", field="sheet")
+        message = f"is {channel} in {output.name!r}, need rgb in one of {wanted}"
+        raise InputError(message, field="sheet", cure="name such a file, and leave --channel out")
 
     def fit(camera: Camera) -> Camera:
         cropped = square(camera) if crop == "square" else camera
@@ -110,11 +122,13 @@ def render(
             field="output",
             cure="name a folder; a film ends in .mp4, .webp or .gif; --sheet puts all views into one picture",
         )
-    if (plan is not None or sheet) and not output.parent.is_dir():
-        raise InputError(f"{output.parent} is not a folder", field="output")
+    if plan is not None or sheet:
+        check_output_file(output)
+    else:
+        check_output_folder(output)
     options = {"background": parse_background(background), "threads": threads}
     if not ply.is_file():
-        raise InputError(f"{ply} is not a file", field="SCENE")
+        raise InputError(f"{ply} is not a file", field="SCENE", cure="give a .ply, .compressed.ply, .splat or .spz")
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("read"):
@@ -131,7 +145,9 @@ def render(
             written = {"sheet": write_sheet(drawing, output, stages)}
         else:
             written = {"views": write_pictures(drawing, output, depth_scale, stages)}
-    warnings = [*reading.notes(), *_precision(gaussians, drawing.shots, scene.near)]
+    passed_over = [notice["message"] for notice in capture.table.warnings]
+    precision = _precision(gaussians, drawing.shots, scene.near)
+    warnings = [*passed_over, *reading.notes(), *precision, *empty_pictures(drawing)]
     bars.say(f"{len(written['views'])} pictures in {output}" if "views" in written else f"wrote {output}")
     for warning in warnings:
         bars.say(f"warning: {warning}")

@@ -43,7 +43,8 @@ def read_compressed_ply(data: bytes, *, drop_invalid: bool = False, max_count: i
     header = parse_header(data)
     chunk, sh = header.element("chunk"), header.element("sh")
     if chunk is None or header.byte_order is None:
-        raise PlyError("is no binary compressed .ply: it has no element chunk", field="header")
+        message = "is no binary compressed .ply: it has no element chunk"
+        raise PlyError(message, field="header", cure="read it as a .ply")
     count = header.vertex.count
     check_count(count, max_count, "vertex")
     groups = [group for group in GROUPS if any(prop.name == f"min_{group[0]}" for prop in chunk.properties)]
@@ -52,7 +53,8 @@ def read_compressed_ply(data: bytes, *, drop_invalid: bool = False, max_count: i
     )
     _require_properties(header.vertex, PACKED)
     if chunk.count != -(-count // CHUNK):
-        raise PlyError(f"{chunk.count} chunks for {count} Gaussians, need {-(-count // CHUNK)}", field="chunk")
+        message = f"{chunk.count} chunks for {count} Gaussians, need {-(-count // CHUNK)}"
+        raise PlyError(message, field="chunk", cure="is it a damaged .compressed.ply?")
     bounds, rows = binary_rows(data, header, chunk), binary_rows(data, header, header.vertex)
     place = np.arange(count) // CHUNK
     position, rotation, scale, colour = (rows[name].astype(np.int64) for name in PACKED)
@@ -165,7 +167,8 @@ def _higher(data: bytes, header: Header, sh: Element | None, count: int) -> NDAr
         return np.zeros((count, 0, 3), np.float32)
     numbers = len(sh.properties)
     if numbers not in (9, 24, 45) or sh.count != count:
-        raise PlyError(f"has {numbers} properties and {sh.count} rows, need 9, 24 or 45 and {count}", field="sh")
+        message = f"has {numbers} properties and {sh.count} rows, need 9, 24 or 45 and {count}"
+        raise PlyError(message, field="sh", cure="is it a damaged .compressed.ply?")
     _require_properties(sh, [f"f_rest_{index}" for index in range(numbers)], kind="u1")
     table = binary_rows(data, header, sh)
     levels = np.stack([table[f"f_rest_{index}"] for index in range(numbers)], axis=1)

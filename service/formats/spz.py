@@ -25,6 +25,7 @@ from .reading import Reading, check_count, gaussians_of
 from .smallest_three import BOUND, join, split
 
 HEADER = struct.Struct("<IIIBBBB")  # magic, version, rows, degree, fractional bits, flags, reserved
+ANTIALIASED, EXTENDED = 1, 2  # flags
 MAGIC = 0x5053474E  # NGSP
 VERSION = 3
 LEGACY = {2: 3, 3: 4}  # version: bytes of a rotation
@@ -123,7 +124,9 @@ def _unpacked(data: bytes, max_count: int | None) -> tuple[list[NDArray[np.uint8
         )
     if degree > 3 or not 0 <= fraction <= MAX_FRACTION:
         raise FormatError(
-            f"degree is {degree} and fractional bits are {fraction}, need 0 to 3 and 0 to {MAX_FRACTION}", field="spz"
+            f"degree is {degree} and fractional bits are {fraction}, need 0 to 3 and 0 to {MAX_FRACTION}",
+            field="spz",
+            cure="is it a damaged .spz?",
         )
     check_count(count, max_count, "spz")
     sizes = [size * count for size in (9, 1, 3, 3, LEGACY[version], 3 * ((degree + 1) ** 2 - 1))]
@@ -136,7 +139,12 @@ def _unpacked(data: bytes, max_count: int | None) -> tuple[list[NDArray[np.uint8
         )
     body = np.frombuffer(_inflated(stream, stream.unconsumed_tail, sum(sizes)), np.uint8)
     more = _more(stream)
-    remarks = [f"{'an extension' if flags & 2 else 'what'} behind the Gaussians was passed over"] if more else []
+    remarks = [f"{'an extension' if flags & EXTENDED else 'what'} behind the Gaussians was passed over"] if more else []
+    if flags & ANTIALIASED:
+        remarks.append(
+            "the file says that its Gaussians were trained with an antialiasing filter; they are taken and drawn "
+            "without it, so that small ones look too strong"
+        )
     return np.split(body, np.cumsum(sizes)[:-1]), degree, fraction, version, remarks
 
 

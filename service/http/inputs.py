@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
@@ -13,7 +14,7 @@ from ..captures.choose import chosen_views
 from ..captures.recognise import recognised, table_of_bytes
 from ..captures.select import Wish, named_views
 from ..captures.table import CameraTable
-from ..errors import CaptureError, InputError, UploadTooLarge
+from ..errors import CameraError, CaptureError, InputError, MalformedRequest, UploadTooLarge
 from ..settings import Settings
 from ..view_checks import check_count
 from .limits import parse_json
@@ -34,6 +35,17 @@ class Inputs:
     selection: dict[str, Any]  # plain JSON values: which of what was sent these are, and why
 
 
+@contextmanager
+def _cured() -> Iterator[None]:
+    """Where a refused camera file has no cure of its own, say what a right one looks like."""
+    try:
+        yield
+    except (CameraError, MalformedRequest) as error:
+        error.cure = error.cure or "GET /openapi.json has an example of `cameras`"
+        raise
+
+
+@_cured()
 def posted(
     document: str | bytes,
     images: Sequence[NamedImage],
@@ -48,7 +60,8 @@ def posted(
     names = [image.name for image in images]
     match = match_names(names, table.names, by_sorted_name=table.by_sorted_name)
     file = table.parse(match.cameras, PostedSizes(images, settings.max_image_pixels))
-    pairing = Pairing(tuple(images), file.views, match.by, match.warnings)
+    passed_over = tuple(notice | {"field": "cameras"} for notice in table.warnings)
+    pairing = Pairing(tuple(images), file.views, match.by, (*passed_over, *match.warnings))
     said: dict[str, Any] = {"by": "all", "format": table.kind, "cameras": table.source, "of": len(images)}
     places: Sequence[int] = range(len(images))
     if wish.select is not None:
@@ -64,6 +77,7 @@ def posted(
     return Inputs(pairing, near, far, said)
 
 
+@_cured()
 def captured(stream: BinaryIO, wish: Wish, settings: Settings, near: float | None, far: float | None) -> Inputs:
     """Of a zip with photographs and cameras; `near` and `far` win over those of the camera file."""
     if stream.read(4) not in SIGNATURES:
@@ -83,11 +97,12 @@ def captured(stream: BinaryIO, wish: Wish, settings: Settings, near: float | Non
         )
     images = [NamedImage(path, found.read(place)) for place, path in enumerate(found.paths)]
     by = "sorted name" if capture.table.by_sorted_name else "name"
-    pairing = Pairing(tuple(images), found.file.views, by)
+    pairing = Pairing(tuple(images), found.file.views, by, found.warnings)
     near, far = (found.file.near if near is None else near), (found.file.far if far is None else far)
     return Inputs(pairing, near, far, found.selection)
 
 
+@_cured()
 def camera_table(document: str | bytes, settings: Settings) -> CameraTable:
     """The cameras of a `cameras` part of any format, which may be a zip with a COLMAP model."""
     data = document.encode("utf-8", "replace") if isinstance(document, str) else document

@@ -17,6 +17,7 @@ from ..captures.select import Wish, checked_wish
 from ..errors import (
     DepthRangeError,
     InputError,
+    MalformedRequest,
     UploadTooLarge,
     ViewCountError,
 )
@@ -97,8 +98,12 @@ async def read_upload(request: Request, settings: Settings, models: Sequence[str
     What takes long, parsing the cameras and reading sizes, runs on a worker thread.
     """
     example = "curl -F images=@a.jpg -F images=@b.jpg -F cameras=@cameras.json"
-    async with posted_form(request, settings, example, _too_many(f"more than {MAX_PARTS} files")) as form:
-        return await _parse(form, settings, models)
+    try:
+        async with posted_form(request, settings, example, _too_many(f"more than {MAX_PARTS} files")) as form:
+            return await _parse(form, settings, models)
+    except MalformedRequest as error:
+        error.cure = error.cure or example
+        raise
 
 
 async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> Upload:
@@ -132,7 +137,7 @@ def _budget(form: FormData) -> Budget:
     max_error = _text(form, "max_error")
     min_opacity, stride = _text(form, "min_opacity"), _text(form, "stride")
     if stride not in ("", *map(str, STRIDES)):
-        raise InputError(f"{stride[:50]!r} is none of {STRIDES}", field="stride")
+        raise InputError(f"{stride[:50]!r} is none of {STRIDES}", field="stride", cure="leave it out for 1")
     return Budget(
         parse_max_error(max_error) if max_error else DEFAULT_MAX_ERROR,
         _whole(form, "certify", DEFAULT_CERTIFY),
@@ -204,7 +209,8 @@ async def _cameras(form: FormData, max_bytes: int) -> str | bytes:
         await part.seek(0)
     size = (part.size or 0) if isinstance(part, UploadFile) else len(part)
     if size > max_bytes:
-        raise UploadTooLarge(f"{size} bytes, the limit is {max_bytes}", field="cameras")
+        cure = "send the cameras of the posted images alone"
+        raise UploadTooLarge(f"{size} bytes, the limit is {max_bytes}", field="cameras", cure=cure)
     return await part.read() if isinstance(part, UploadFile) else part
 
 
@@ -216,24 +222,27 @@ def _number(form: FormData, name: str) -> float | None:
 def _whole(form: FormData, name: str, otherwise: _Otherwise) -> int | _Otherwise:
     text = _text(form, name)
     if text and not (text.isascii() and text.isdigit() and len(text) < 9):
-        raise InputError(f"{text[:50]!r} is not a whole number", field=name)
+        cure = "send digits alone, such as 3, or leave it out"
+        raise InputError(f"{text[:50]!r} is not a whole number", field=name, cure=cure)
     return int(text) if text else otherwise
 
 
 def _finite(text: str, name: str, refusal: type[InputError]) -> float:
+    cure = "send a number such as 0.5, or leave it out"
     try:
         value = float(text)
     except ValueError as error:
-        raise refusal(f"{text[:100]!r} is not a number", field=name) from error
+        raise refusal(f"{text[:100]!r} is not a number", field=name, cure=cure) from error
     if not math.isfinite(value):
-        raise refusal(f"{value} is not finite", field=name)
+        raise refusal(f"{value} is not finite", field=name, cure=cure)
     return value
 
 
 def _flag(form: FormData, name: str) -> bool:
     text = _text(form, name).lower()
     if text not in ("", "false", "true"):
-        raise InputError(f"{text[:100]!r} is neither true nor false", field=name)
+        cure = "send true, or leave it out for false"
+        raise InputError(f"{text[:100]!r} is neither true nor false", field=name, cure=cure)
     return text == "true"
 
 
@@ -241,5 +250,6 @@ def _views(form: FormData) -> tuple[str, ...]:
     text = _text(form, "views")
     views = tuple(view.strip() for view in text.split(",")) if text else ()
     if len(views) > MAX_ASKED_VIEWS:
-        raise InputError(f"{len(views)} views, need at most {MAX_ASKED_VIEWS}", field="views")
+        cure = "ask for the others by GET /render"
+        raise InputError(f"{len(views)} views, need at most {MAX_ASKED_VIEWS}", field="views", cure=cure)
     return views

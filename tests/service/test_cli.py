@@ -143,10 +143,11 @@ def test_render_tells_what_it_did_not_take_as_it_was(
     assert run(*arguments) == 1
     assert json.loads(capfd.readouterr().out)["error"]["field"] == "vertex.scale_1"
     assert run(*arguments, "--drop-invalid") == 0
-    dropped, zero, precision = json.loads(capfd.readouterr().out)["warnings"]
+    dropped, zero, precision, empty = json.loads(capfd.readouterr().out)["warnings"]
     assert dropped == "1 of 20 Gaussians dropped, invalid in scale_1 (1)"
     assert zero == "1 of 19 rotations are zero and were taken as no rotation"
     assert precision.startswith("positions are float32 numbers far from the origin")
+    assert empty.startswith("view 0: none of 19 Gaussians is drawn")
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -201,6 +202,63 @@ def test_an_unknown_format_is_refused_before_the_work(
 ) -> None:
     assert reconstruct(scene_dir, standin_model, "-o", tmp_path / "x.obj", "--json") == 1
     assert_refusal(capfd, "output: 'x.obj' ends in none of ply, compressed.ply, splat, spz")
+
+
+@pytest.mark.parametrize(
+    ("output", "words"),
+    [
+        ("missing/out.ply", "missing is not a folder (make it first)"),
+        ("folder.ply", "folder.ply is a folder, need a file (name a file in it)"),
+    ],
+)
+def test_where_no_file_can_be_is_said_before_the_work(
+    scene_dir: Path, output: str, words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (scene_dir / "folder.ply").mkdir()
+    assert reconstruct(scene_dir, scene_dir / "no_model.onnx", "-o", scene_dir / output, "--json") == 1
+    assert assert_refusal(capfd, words)["field"] == "output"
+
+
+def test_a_folder_without_permission_is_said_before_the_work(
+    scene_dir: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Of a link it is the folder of the file behind it, of a pipe the pipe."""
+    (scene_dir / "elsewhere").mkdir()
+    (scene_dir / "link.ply").symlink_to(scene_dir / "elsewhere" / "out.ply")
+    os.mkfifo(scene_dir / "pipe.ply")
+    asked: list[Path] = []
+
+    def access(path: Path, mode: int) -> bool:
+        if not mode & os.W_OK:  # of what is read
+            return True
+        asked.append(Path(path))
+        return False
+
+    monkeypatch.setattr(os, "access", access)
+    for name in ("out.ply", "link.ply", "pipe.ply"):
+        assert reconstruct(scene_dir, scene_dir / "no_model.onnx", "-o", scene_dir / name, "--json") == 1
+        error = assert_refusal(capfd, f"{name} cannot be written: no permission (choose another folder")
+        assert (error["code"], error["field"]) == ("invalid_input", "output")
+    assert asked == [scene_dir.resolve(), (scene_dir / "elsewhere").resolve(), scene_dir / "pipe.ply"]
+
+
+def test_models_that_were_passed_over_are_told(
+    tmp_path: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "scene").mkdir()
+    write_colmap(tmp_path / "scene", arc(2))
+    write_colmap(tmp_path / "scene", arc(3), "sparse/1")
+    more = ("--near", 2, "--far", 8, "--trust-poses", "--leave-one-out", 0, "--json")
+    assert reconstruct(tmp_path / "scene", standin_model, *more) == 0
+    out, err = capfd.readouterr()
+    (told,) = [warning for warning in json.loads(out)["warnings"] if warning["code"] == "several_models"]
+    assert "such as sparse/1/images.bin" in told["message"]
+    assert f"warning: {told['message']}" in err
+    arguments = ("--model", standin_model, "--threads", 1, "-o", tmp_path / "out.ply")
+    assert run("reconstruct", tmp_path / "scene/sparse/1/images.bin", *arguments, *more) == 0
+    document = json.loads(capfd.readouterr().out)
+    assert (len(document["cameras"]), document["selection"]["cameras"]) == (3, "sparse/1/images.bin")
+    assert not any(warning["code"] == "several_models" for warning in document["warnings"])
 
 
 def test_a_refusal_names_the_view_as_the_capture_counts_it(

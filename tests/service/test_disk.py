@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import resource
 import threading
@@ -100,27 +101,34 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+RENDER = ("render", "scene.ply", "--cameras", "cameras.json", "-o")
+
+
 @pytest.mark.parametrize(
-    "arguments",
+    ("arguments", "named"),
     [
-        ("convert", "scene.ply", "scene.ply", "--measure", "off"),
-        ("convert", "scene.ply", "scene.splat", "--measure", "off"),
-        ("render", "scene.ply", "--cameras", "cameras.json", "-o", "pictures"),
-        ("render", "scene.ply", "--cameras", "cameras.json", "-o", "sheet.png", "--sheet"),
-        ("render", "scene.ply", "--cameras", "cameras.json", "-o", "film.gif", "--seconds", "0.2", "--fps", "10"),
-        ("reconstruct", ".", "-o", "scene.ply", "--near", "2", "--far", "8", "--trust-poses"),
+        (("convert", "scene.ply", "scene.ply", "--measure", "off"), ""),
+        (("convert", "scene.ply", "scene.splat", "--measure", "off"), ""),
+        ((*RENDER, "pictures"), "pictures/view_0.png: "),
+        ((*RENDER, "sheet.png", "--sheet"), "sheet.png: "),
+        ((*RENDER, "film.gif", "--seconds", "0.2", "--fps", "10"), "film.gif: "),
+        (("reconstruct", ".", "-o", "scene.ply", "--near", "2", "--far", "8", "--trust-poses"), "scene.ply: "),
     ],
-    ids=lambda arguments: f"{arguments[0]}-{arguments[2] if arguments[0] == 'convert' else arguments[-1]}",
+    ids=["convert-in-place", "convert", "pictures", "sheet", "film", "reconstruct"],
 )
 def test_commands_on_a_full_disk_lose_nothing(
     folder: Path, standin_model: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
-    arguments: tuple[str, ...],
+    arguments: tuple[str, ...], named: str,
 ) -> None:  # fmt: skip
     monkeypatch.chdir(folder)
     more = ("--model", standin_model) if arguments[0] == "reconstruct" else ()
     assert run(*arguments, *more, "-q", "--threads", 1) == 0  # kernels are compiled, and there is something to lose
     before = contents(folder)
     with full_disk():
-        assert run(*arguments, *more, "-q", "--threads", 1) == 1
-    assert capfd.readouterr().err == "error: [Errno 27] File too large\n"
+        assert run(*arguments, *more, "-q", "--threads", 1, "--json") == 1
+    out, err = capfd.readouterr()
+    error = json.loads(out)["error"]
+    assert (error["code"], error["cure"]) == ("storage_error", "is there room, and permission to read and write there?")
+    assert error["detail"] == f"{named}File too large"
+    assert err == f"error: {error['detail']} ({error['cure']})\n"
     assert contents(folder) == before

@@ -89,6 +89,14 @@ def test_a_spz_is_read_no_further_than_its_header_says() -> None:
         inspect_gaussians(spz_file(3_000_000, body=bytes(2**20)), max_count=1_000_000)
 
 
+@pytest.mark.parametrize(("flags", "told"), [(0, 0), (1, 1), (3, 1), (2, 0)])
+def test_a_spz_of_antialiased_splats_says_so(flags: int, told: int) -> None:
+    """They are the same Gaussians, and another filter draws them as they were trained."""
+    reading, _ = inspect_gaussians(spz_file(version=3, flags=flags))
+    assert len(reading.gaussians) == 2
+    assert sum("trained with an antialiasing filter" in note for note in reading.notes()) == told
+
+
 def test_a_count_that_no_such_file_can_hold_is_refused_before_memory_is_taken() -> None:
     with pytest.raises(FormatError, match=r"4294967295 Gaussians need \d+ bytes, a file of \d+ holds \d+ at most"):
         read_gaussians(spz_file(2**32 - 1, body=bytes(1000)))

@@ -26,14 +26,20 @@ def picture(width=40, height=36, seed=0):
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-def png_header(width: int, height: int) -> bytes:
-    """A PNG that claims a size and holds no pixels: whoever decodes it before looking at the size fails otherwise."""
+def png(width: int, height: int, bits: int, colour_type: int, *chunks: tuple[bytes, bytes]) -> bytes:
+    """A PNG of these chunks behind its header."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
+    header = struct.pack(">IIBBBBB", width, height, bits, colour_type, 0, 0, 0)
+    parts = [(b"IHDR", header), *chunks, (b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in parts)
+
+
+def png_header(width: int, height: int) -> bytes:
+    """A PNG that claims a size and holds no pixels: whoever decodes it before looking at the size fails otherwise."""
+    return png(width, height, 8, 2, (b"IDAT", b""))
 
 
 @pytest.mark.parametrize("kind", ["PNG", "WEBP"])
@@ -123,6 +129,38 @@ def test_sixteen_bit_greyscale_keeps_its_range():
     levels = np.linspace(0, 65535, 40 * 36).reshape(36, 40).astype(np.uint16)
     photo = decode_image(encoded(Image.fromarray(levels)), index=0)
     np.testing.assert_array_equal(photo.rgb[:, :, 1], np.rint(levels / 257.0).astype(np.uint8))
+
+
+def of_one_row(bits: int, colour_type: int, row: bytes, transparent: tuple[int, ...]) -> bytes:
+    """A PNG of 40 x 36 px, all rows alike, with a transparent level or colour."""
+    pixels = zlib.compress((b"\0" + row) * 36)
+    return png(
+        40, 36, bits, colour_type, (b"tRNS", struct.pack(f">{len(transparent)}H", *transparent)), (b"IDAT", pixels)
+    )
+
+
+def test_a_transparent_level_of_sixteen_bits_is_a_mask():
+    """The level as it is in the file: its neighbours become the same 8 bits, and stay."""
+    levels = np.repeat(np.array([999, 1000, 1001, 50000]), 10)
+    photo = decode_image(of_one_row(16, 0, levels.astype(">u2").tobytes(), (1000,)), index=0)
+    np.testing.assert_array_equal(photo.mask, np.tile(levels != 1000, (36, 1)))
+    np.testing.assert_array_equal(photo.rgb[:, :, 2], np.tile(np.rint(levels / 257.0), (36, 1)))
+    assert decode_image(of_one_row(16, 0, levels.astype(">u2").tobytes(), (1002,)), index=0).mask is None
+
+
+@pytest.mark.parametrize(("bits", "level"), [(1, 1), (2, 1), (4, 3), (8, 7)])
+def test_a_transparent_level_of_few_bits_is_a_mask(bits, level):
+    levels = np.repeat([0, level], 20).astype(np.uint8)
+    row = np.packbits(np.unpackbits(levels[:, None], axis=1)[:, -bits:].ravel()).tobytes()
+    photo = decode_image(of_one_row(bits, 0, row, (level,)), index=0)
+    np.testing.assert_array_equal(photo.mask, np.tile(levels == 0, (36, 1)))
+
+
+@pytest.mark.parametrize(("bits", "colour"), [(8, (1, 2, 3)), (16, (1000, 2000, 3000))])
+def test_a_transparent_colour_is_a_mask(bits, colour):
+    row = np.repeat(np.array([colour, [4 << bits - 8] * 3]), 20, axis=0).astype(">u2" if bits == 16 else np.uint8)
+    photo = decode_image(of_one_row(bits, 2, row.tobytes(), colour), index=0)
+    np.testing.assert_array_equal(photo.mask, np.tile(np.arange(40) >= 20, (36, 1)))
 
 
 def test_cmyk_jpeg_is_converted():

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from capture_scenes import arc, write_colmap
 from cli_runs import assert_refusal, run
 from PIL import Image, ImageSequence
 from test_film import decoded, planes
@@ -169,3 +172,103 @@ def test_refusals_before_the_work(
     assert render(folder, output, *options, "--json") == 1
     assert_refusal(capfd, words)
     assert sorted(path.name for path in folder.iterdir()) == ["cameras.json"]
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [
+        ({"near": 1.0}, "far is missing"),
+        ({"far": 9.0}, "near is missing"),
+        ({"near": -1.0}, "far is missing"),
+        ({"near": 0.0, "far": 5.0}, "near = 0, need a finite depth above 0"),
+    ],
+)
+def test_bounds_are_refused_as_by_a_reconstruction(
+    folder: Path, bounds: dict[str, float], words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    cameras = json.loads((folder / "cameras.json").read_text())
+    (folder / "cameras.json").write_text(json.dumps({"views": cameras["views"], **bounds}))
+    assert render(folder, "views", "--json") == 1
+    assert assert_refusal(capfd, words)["code"] == "depth_range_invalid"
+
+
+def test_what_was_drawn_is_counted(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert render(folder, "views", "--views", "0,1", "--json") == 0
+    document = json.loads(capfd.readouterr().out)
+    assert document["warnings"] == []
+    for entry in document["views"]:
+        stats = entry["stats"]
+        assert stats["projected"] > 100
+        assert stats["count"] == stats["projected"] + sum(stats["culled"].values()) == 300
+        assert stats["crossing_near"] == 0
+    assert render(folder, "sheet.png", "--sheet", "--views", "0,1", "--json") == 0
+    stats = json.loads(capfd.readouterr().out)["sheet"]["stats"]
+    assert [one["count"] for one in stats] == [300, 300]
+    assert render(folder, "film.webp", "--seconds", 0.4, "--fps", 10, "--json") == 0
+    least, most = json.loads(capfd.readouterr().out)["film"]["projected"]
+    assert 100 < least <= most <= 300
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "named"),
+    [
+        ("views", (), "view 0, view 1, view 2"),
+        ("sheet.png", ("--sheet", "--views", "2,0.5"), "view 2, view 0.5"),
+        ("film.gif", ("--seconds", 0.6, "--fps", 10), "frame 0, frame 1, frame 2, frame 3, frame 4 and 1 more"),
+    ],
+)
+def test_pictures_of_nothing_are_told(
+    folder: Path, output: str, options: tuple[object, ...], named: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Cameras in millimetres where the scene is in metres."""
+    cameras = json.loads((folder / "cameras.json").read_text())
+    (folder / "cameras.json").write_text(json.dumps(cameras | {"near": 1000.0, "far": 10000.0}))
+    assert render(folder, output, *options, "--json") == 0
+    out, err = capfd.readouterr()
+    (told,) = json.loads(out)["warnings"]
+    assert told.startswith(
+        f"{named}: none of 300 Gaussians is drawn ({named.split(', ')[0]}: 300 before the near plane"
+    )
+    assert "at z-depth 100; do scene and cameras have the same unit" in told
+    assert f"warning: {told}" in err
+
+
+def test_why_nothing_is_drawn(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Without near and far, behind the camera; and fainter than what is asked to be drawn."""
+    cameras = json.loads((folder / "cameras.json").read_text())
+    back = {**cameras["views"][0], "c2w": np.diag([1.0, -1.0, -1.0, 1.0]).tolist()}
+    (folder / "back.json").write_text(json.dumps({"views": [back]}))
+    assert render(folder, "views", "--cameras", folder / "back.json", "--json") == 0
+    (told,) = json.loads(capfd.readouterr().out)["warnings"]
+    assert "300 before the near plane at z-depth 0.01; do scene" in told
+    faint = cloud(300, 3, degree=0)
+    write_ply(folder / "scene.ply", replace(faint, opacities=np.full(300, 0.5, np.float32)))
+    assert render(folder, "views", "--views", "0", "--alpha-min", 0.6, "--json") == 0
+    told = json.loads(capfd.readouterr().out)["warnings"][-1]
+    assert told.endswith("fainter than alpha_min; lower --alpha-min)")
+
+
+def test_other_models_of_the_cameras_are_told(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_colmap(folder / "project", arc(2))
+    write_colmap(folder / "project", arc(3), "sparse/1")
+    arguments = ("-o", folder / "views", "--threads", 1, "--json")
+    assert run("render", folder / "scene.ply", "--cameras", folder / "project", *arguments) == 0
+    out, err = capfd.readouterr()
+    assert len(json.loads(out)["views"]) == 2
+    assert "warning: 2 COLMAP models are there: sparse/0 (2 images) is read, passed over are sparse/1 (3 images)" in err
+    assert run("render", folder / "scene.ply", "--cameras", folder / "project/sparse/1/images.bin", *arguments) == 0
+    document = json.loads(capfd.readouterr().out)
+    assert len(document["views"]) == 3
+    assert not any("COLMAP" in warning for warning in document["warnings"])
+
+
+@pytest.mark.parametrize(("output", "options"), [("views", ()), ("film.gif", ()), ("sheet.png", ("--sheet",))])
+def test_where_nothing_may_be_written(
+    folder: Path, output: str, options: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    monkeypatch.setattr(os, "access", lambda _, mode: not mode & os.W_OK)
+    (folder / "scene.ply").unlink()  # it is not looked at
+    assert render(folder, output, *options, "--json") == 1
+    error = assert_refusal(capfd, "no permission")
+    assert (error["field"], error["code"]) == ("output", "invalid_input")
+    assert error["cure"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from capture_scenes import arc, colmap_model, names, write_colmap
+from capture_scenes import arc, colmap_model, names, write_colmap, zipped
 
 from gapmes.service.captures.capture import open_capture, read_camera_file
 from gapmes.service.captures.colmap import PARAMETERS
@@ -238,3 +238,73 @@ def test_names_that_do_not_end_are_refused() -> None:
         read_images(io.BytesIO(head + b"x" * 5000 + b"\0" + bytes(8)), "images.bin")
     with pytest.raises(CameraError, match=r"ends after .* in the middle of an entry"):
         read_images(io.BytesIO(head + b"xyz"), "images.bin")
+
+
+def write_models(root: Path, counts: dict[str, int], *, text: bool = False) -> None:
+    """A project with photographs and a model of so many images in each folder."""
+    for folder, count in counts.items():
+        write_colmap(root, arc(count), folder, text=text)
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("packed", [False, True])
+def test_of_several_models_one_is_read_and_the_others_are_named(tmp_path: Path, text: bool, packed: bool) -> None:
+    root, path = tmp_path / "scene", tmp_path / "scene"
+    write_models(root, {"sparse/0": 3, "sparse/1": 5, "sparse/10": 2, "sparse/2": 4}, text=text)
+    (root / "sparse" / "notes").mkdir()
+    if packed:
+        path = tmp_path / "capture.zip"
+        path.write_bytes(zipped(root, inside="inner/"))
+    inside, form = ("inner/" if packed else ""), ("txt" if text else "bin")
+    found = open_capture(path).choose(Wish())
+    assert found.indices == (0, 1, 2)
+    (notice,) = found.warnings
+    assert notice == {
+        "code": "several_models",
+        "field": "capture",
+        "message": f"4 COLMAP models are there: {inside}sparse/0 (3 images) is read, passed over are {inside}sparse/1 "
+        f"(5 images), {inside}sparse/2 (4 images), {inside}sparse/10 (2 images) (for another one name a file of it, "
+        f"such as {inside}sparse/1/images.{form}; in a zip keep its folder alone)",
+    }
+
+
+def test_many_models_are_counted(tmp_path: Path) -> None:
+    write_models(tmp_path, {"sparse": 2} | {f"colmap/sparse/{index}": 2 for index in range(7)})
+    (notice,) = open_capture(tmp_path).table.warnings
+    assert "8 COLMAP models are there: sparse (2 images) is read" in notice["message"]
+    assert "colmap/sparse/4 (2 images), 2 more (for" in notice["message"]
+
+
+@pytest.mark.parametrize("data", [b"", b"\1\0\0", b"\xff" * 8])
+def test_a_model_that_is_not_read_may_be_damaged(tmp_path: Path, data: bytes) -> None:
+    write_models(tmp_path, {"sparse/0": 2, "sparse/1": 2})
+    (tmp_path / "sparse/1/images.bin").write_bytes(data)
+    (notice,) = open_capture(tmp_path).table.warnings
+    assert "passed over are sparse/1 (for another" in notice["message"]
+
+
+@pytest.mark.parametrize("folder", ["sparse/1", "sparse", "colmap/sparse/3", "colmap/sparse"])
+def test_a_named_model_has_the_photographs_of_its_project(
+    tmp_path: Path, folder: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_models(tmp_path, {folder: 3, "sparse/0": 2})
+    for path in (tmp_path / folder / "images.bin", Path(folder) / "cameras.bin", Path("images.bin")):
+        monkeypatch.chdir(tmp_path / folder if len(path.parts) == 1 else tmp_path)
+        found = open_capture(path).choose(Wish())
+        assert found.selection["cameras"] == f"{folder}/images.bin"
+        assert found.paths == tuple(f"images/{name}" for name in names(3))
+        assert found.warnings == ()
+        assert found.read(1)
+
+
+def test_a_named_model_with_photographs_beside_it_keeps_them(tmp_path: Path) -> None:
+    write_models(tmp_path, {"sparse/0": 2})
+    (tmp_path / "images").rename(tmp_path / "sparse/0/images")
+    found = open_capture(tmp_path / "sparse/0/images.bin").choose(Wish())
+    assert found.paths == tuple(f"images/{name}" for name in names(2))
+
+
+def test_a_single_model_is_not_talked_about(tmp_path: Path) -> None:
+    write_models(tmp_path, {"sparse/0": 2})
+    (tmp_path / "sparse/1").mkdir()
+    assert open_capture(tmp_path).choose(Wish()).warnings == ()

@@ -79,8 +79,11 @@ def stored(settings: Settings) -> dict[str, int]:
     return {str(path.relative_to(settings.store)): path.stat().st_size for path in paths}
 
 
-def assert_problem(answer: Any, status: int, code: str, field: str | None = None, index: int | None = None) -> dict:
-    """The answer is a problem document with this status, code, field and index, and says something."""
+def assert_problem(
+    answer: Any, status: int, code: str, field: str | None = None, index: int | None = None, *, cured: bool = False
+) -> dict:
+    """The answer is a problem document with this status, code, field and index, and says something; with `cured` also
+    what to do about it."""
     assert answer.status_code == status, answer.text
     assert answer.headers["content-type"] == "application/problem+json"
     body = answer.json()
@@ -89,6 +92,8 @@ def assert_problem(answer: Any, status: int, code: str, field: str | None = None
     assert body["type"] == f"urn:gapmes:problem:{code}"
     assert body["title"]
     assert len(body["detail"]) > 5
+    if cured:
+        assert len(body.get("cure", "")) > 5, body
     if field is not None:
         assert body.get("field") == field, body
     if index is not None:

@@ -1,4 +1,5 @@
-"""Bad input of every kind: the right status, code, field and index; the next request works, the store is unchanged."""
+"""Bad input of every kind: the right status, code, field and index, and a cure; the next request works, the store is
+unchanged."""
 
 from __future__ import annotations
 
@@ -7,15 +8,19 @@ import json
 import struct
 import zlib
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
+import http_requests
 import numpy as np
 import pytest
-from http_requests import MAX_UPLOAD, assert_problem, camera_object, photograph, post, stored
+from http_requests import MAX_UPLOAD, camera_object, photograph, post, stored
 from PIL import Image
 from starlette.testclient import TestClient
 
 from gapmes.service.settings import Settings
+
+assert_problem = partial(http_requests.assert_problem, cured=True)
 
 
 @pytest.fixture(autouse=True)
@@ -155,6 +160,12 @@ def test_pose_that_is_no_number(client: TestClient, value: Any) -> None:
     assert_problem(post(client, cameras=text), 422, "pose_not_rotation", "views.c2w", 1)
 
 
+@pytest.mark.parametrize("matrix", [[[1, 0], [0, 1]], [], [1.0] * 16])
+def test_pose_of_another_shape(client: TestClient, matrix: list[Any]) -> None:
+    body = assert_problem(post(client, cameras=bent(1, c2w=matrix)), 422, "pose_not_rotation", "views.c2w", 1)
+    assert "need (4, 4)" in body["detail"]
+
+
 def test_mirrored_rotation(client: TestClient) -> None:
     body = assert_problem(post(client, cameras=bent(1, c2w=pose(m00=-1))), 422, "pose_not_rotation", "views.c2w", 1)
     assert "-1" in body["detail"]
@@ -207,6 +218,22 @@ def test_odd_intrinsics(client: TestClient, name: str, value: Any) -> None:
     assert_problem(answer, 422, answer.json()["code"], index=1)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "detail"),
+    [
+        ("stride", "3", "'3' is none of (1, 2, 4)"),
+        ("trust_poses", "maybe", "'maybe' is neither true nor false"),
+        ("certify", "few", "'few' is not a whole number"),
+        ("min_opacity", "low", "'low' is not a number"),
+        ("min_opacity", "inf", "inf is not finite"),
+        ("max_error", "2", "is 2, need 0 to 1"),
+    ],
+)
+def test_fields_with_values_that_are_none(client: TestClient, name: str, value: str, detail: str) -> None:
+    body = assert_problem(post(client, **{name: value}), 422, "invalid_input", name)
+    assert body["detail"] == detail
+
+
 def test_unknown_field(client: TestClient) -> None:
     body = assert_problem(post(client, max_eror="1"), 422, "invalid_input", "max_eror")
     assert "near" in body["cure"]
@@ -219,7 +246,7 @@ def test_field_given_twice(client: TestClient) -> None:
     answer = client.post(
         "/reconstruct", content=part * 2 + good.read(), headers={"content-type": good.headers["content-type"]}
     )
-    assert_problem(answer, 422, "invalid_input", "near")
+    assert_problem(answer, 422, "invalid_input", "near", cured=False)  # the detail has it: need once
 
 
 def test_image_as_a_text_field(client: TestClient) -> None:
@@ -285,4 +312,5 @@ def test_other_media_type(client: TestClient, kind: str) -> None:
 
 
 def test_nothing_acceptable(client: TestClient) -> None:
-    assert_problem(post(client, accept="image/png"), 406, "not_acceptable", "Accept")
+    answer = post(client, accept="image/png")
+    assert_problem(answer, 406, "not_acceptable", "Accept", cured=False)  # the detail lists what is

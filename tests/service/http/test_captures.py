@@ -267,3 +267,20 @@ def test_refusals_and_warnings_name_views_as_the_capture_counts_them(client: Tes
         assert_problem(posted(route, tall, "1,3", cameras), 422, "image_invalid", index=3)
         body = assert_problem(posted(route, good, "2,1,3", twice), 422, "no_baseline", index=3)
         assert "views 1 and 3 have the same pose" in body["detail"]
+
+
+def test_models_that_were_passed_over_are_told(client: TestClient, tmp_path: Path) -> None:
+    """Of a capture and of a zip beside photographs, by the reconstruction and by the check."""
+    write_colmap(tmp_path, arc(3))
+    write_colmap(tmp_path, arc(2), "sparse/1")
+    data = zipped(tmp_path)
+    posted = [f"{index}|{name.split('/')[1]}" for index, name in enumerate(names(3))]
+    parts = [("capture", ("capture.zip", data)), *((name, (None, value)) for name, value in DEPTHS.items())]
+    for answer, field in (
+        (post_capture(client, data), "capture"),
+        (client.post("/check", files=parts), "capture"),
+        (post_parts(client, data, posted), "cameras"),
+    ):
+        (told,) = [warning for warning in answer.json()["warnings"] if warning["code"] == "several_models"]
+        assert told["field"] == field
+        assert "sparse/0 (3 images) is read, passed over are sparse/1 (2 images)" in told["message"]

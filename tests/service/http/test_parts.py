@@ -31,7 +31,7 @@ def held(lane: Lane, seconds: float) -> asyncio.Task[None]:
 
 def test_a_lane_takes_as_many_as_it_says() -> None:
     async def scenario() -> None:
-        lane = Lane(1, 1, 9.0, "drawing")
+        lane = Lane("pictures", 1, 1, 9.0, "drawing")
         tasks = [held(lane, 0.05), held(lane, 0.05)]
         await asyncio.sleep(0)
         with pytest.raises(ServiceBusy, match="2 requests are drawing, the limit is 2"):
@@ -44,7 +44,7 @@ def test_a_lane_takes_as_many_as_it_says() -> None:
 
 def test_a_lane_survives_a_failure_inside() -> None:
     async def scenario() -> None:
-        lane = Lane(1, 0, 9.0, "drawing")
+        lane = Lane("pictures", 1, 0, 9.0, "drawing")
         for _ in range(3):
             with pytest.raises(ZeroDivisionError):
                 await lane.run(lambda: 1 / 0, here)
@@ -58,7 +58,7 @@ def test_nothing_is_drawn_for_a_client_that_left_or_waited_too_long() -> None:
     drawn: list[str] = []
 
     async def scenario() -> None:
-        lane = Lane(1, 5, 0.2, "drawing")
+        lane = Lane("pictures", 1, 5, 0.2, "drawing")
         task = held(lane, 0.6)
         await asyncio.sleep(0.01)
         with pytest.raises(ClientDisconnect):

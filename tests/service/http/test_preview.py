@@ -223,7 +223,7 @@ def test_others_come_between_two_steps() -> None:
     order: list[str] = []
 
     async def scenario() -> None:
-        lane = Lane(1, 5, 9.0, "drawing")
+        lane = Lane("pictures", 1, 5, 9.0, "drawing")
         first = threading.Event()
         asked = threading.Event()
 
@@ -254,7 +254,7 @@ def test_a_lane_survives_steps_that_end_early(ending: type[Exception]) -> None:
     steps: list[int] = []
 
     async def scenario() -> None:
-        lane = Lane(1, 5, 0.2, "drawing")
+        lane = Lane("pictures", 1, 5, 0.2, "drawing")
         release = threading.Event()
         begun = threading.Event()
 
