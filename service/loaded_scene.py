@@ -25,6 +25,7 @@ from .revision import ALGORITHM_REVISION
 from .scene_views import SceneViews
 from .seen_depths import seen_depths
 from .store import SceneStore
+from .view_checks import Notice
 
 # Of a scene's extent, and one by it of its near depth: squares and their inverses are float32 numbers.
 MOST_UNITS = 1e15
@@ -41,6 +42,7 @@ class LoadedFile:
     cameras: tuple[Camera, ...] = ()  # none: the default framing
     near: float | None = None
     far: float | None = None
+    notices: tuple[Notice, ...] = ()  # of the cameras
 
     @classmethod
     def of(cls, data: bytes, format: str | None, name: str | None, dialect: Dialect, **rest: Any) -> LoadedFile:
@@ -93,7 +95,7 @@ def load(file: LoadedFile, scene_id: str, store: SceneStore, max_count: int) -> 
         "view_cameras": [camera_document(camera) for camera in views.cameras],
         "gaussians": {"count": len(reading.gaussians), "sh_degree": reading.gaussians.sh_degree},
         "dropped": [{"reason": f"invalid {name}", "count": count} for name, count in reading.invalid.items()],
-        "warnings": _warnings(reading),
+        "warnings": [*file.notices, *_warnings(reading)],
         "timings": {stage: round(seconds, 6) for stage, seconds in stages.timings.items()},
     }
     store.put(scene_id, ply, document)

@@ -41,20 +41,21 @@ def convert(
     quiet: Quiet = False,
 ) -> None:
     """Convert Gaussians between formats; says their count, the bytes, what was lost, and the PSNR of pictures."""
-    from ..captures.capture import read_camera_file
+    from ..captures.capture import open_capture
     from ..disk import replace_file
     from ..errors import InputError
     from ..formats.cost import picture_psnr
     from ..formats.dialect import STANDARD, Dialect
     from ..formats.registry import format_named, format_of_path, inspect_gaussians
     from ..progress import Stages
+    from .output_file import check_output_file, named
 
     target = format_of_path(output, field="OUT") if to is None else format_named(to, field="to")
-    cameras = None if measure in ("around", "off") else read_camera_file(Path(measure)).cameras
+    capture = None if measure in ("around", "off") else open_capture(Path(measure))
+    cameras = None if capture is None else capture.cameras(range(len(capture.table.names))).cameras
     if not source.is_file():
-        raise InputError(f"{source} is not a file", field="IN")
-    if not output.parent.is_dir():
-        raise InputError(f"{output.parent} is not a folder", field="OUT")
+        raise InputError(f"{source} is not a file", field="IN", cure="give a .ply, .compressed.ply, .splat or .spz")
+    check_output_file(output)
     dialect = Dialect(opacity, scales, rotation, axes)
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
@@ -69,8 +70,10 @@ def convert(
             with stages.stage("measure", len(shots)) as step:
                 kept = target.read(encoded.data, STANDARD, False, None).gaussians
                 values = picture_psnr(gaussians, kept, shots, views.near_plane, threads=threads, step=step)
-        replace_file(output, encoded.data)
-    warnings = [*reading.notes(), *encoded.notes]
+        with named(output):
+            replace_file(output, encoded.data)
+    passed_over = [] if capture is None else [notice["message"] for notice in capture.table.warnings]
+    warnings = [*passed_over, *reading.notes(), *encoded.notes]
     before = source.stat().st_size
     bars.say(
         f"{len(gaussians)} Gaussians in {output}: {len(encoded.data):,} bytes, "

@@ -17,6 +17,7 @@ from ..formats.dialect import Dialect
 from ..formats.registry import MEDIA_TYPE, NAMES
 from ..loaded_scene import LoadedFile, load
 from ..settings import Settings
+from ..view_checks import Notice
 from .form import CAMERAS
 from .inputs import camera_table
 from .posted import FORM, MAX_PARTS, in_time, media_type, posted_form, single, text
@@ -116,7 +117,9 @@ async def _of_form(form: FormData, settings: Settings) -> LoadedFile:
     cameras = single(form, "cameras")
     size = 0 if cameras is None else (cameras.size or 0) if isinstance(cameras, UploadFile) else len(cameras)
     if size > settings.max_camera_bytes:
-        raise UploadTooLarge(f"{size} bytes, the limit is {settings.max_camera_bytes}", field="cameras")
+        raise UploadTooLarge(
+            f"{size} bytes, the limit is {settings.max_camera_bytes}", field="cameras", cure="send fewer cameras"
+        )
     document = await cameras.read() if isinstance(cameras, UploadFile) else cameras
     fields = _checked({name: text(form, name) for name in form if name not in ("file", "cameras")})
     data, name = await part.read(), part.filename
@@ -131,18 +134,19 @@ def _checked(texts: Mapping[str, str]) -> LoadFields:
         raise RequestValidationError([{**item, "loc": ("body", *item["loc"])} for item in error.errors()]) from error
 
 
-def _cameras(document: str | bytes, settings: Settings) -> CameraFile:
+def _cameras(document: str | bytes, settings: Settings) -> tuple[CameraFile, tuple[Notice, ...]]:
     table = camera_table(document, settings)
     if len(table.names) > MAX_LOADED_VIEWS:
-        raise InputError(f"has {len(table.names)} views, the limit is {MAX_LOADED_VIEWS}", field="cameras")
-    return table.parse(range(len(table.names)), None)
+        message = f"has {len(table.names)} views, the limit is {MAX_LOADED_VIEWS}"
+        raise InputError(message, field="cameras", cure="leave out those that need no picture")
+    return table.parse(range(len(table.names)), None), table.warnings
 
 
 def _file(
     data: bytes, name: str | None, fields: LoadFields, document: str | bytes | None, settings: Settings
 ) -> LoadedFile:
     """Parse the cameras and tell the format; call it on a worker thread."""
-    found = _cameras(document, settings) if document else CameraFile((), None, None)
+    found, notices = _cameras(document, settings) if document else (CameraFile((), None, None), ())
     return LoadedFile.of(
         data,
         fields.format,
@@ -152,4 +156,5 @@ def _file(
         cameras=tuple(found.cameras),
         near=found.near if fields.near is None else fields.near,
         far=found.far if fields.far is None else fields.far,
+        notices=tuple(notice | {"field": "cameras"} for notice in notices),
     )

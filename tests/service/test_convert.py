@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from capture_scenes import arc, write_colmap
 from cli_runs import run
 from PIL import Image
 from ply_cases import assert_same, binary_file, columns
@@ -76,6 +77,14 @@ def test_lines_on_a_terminal_and_cameras_of_a_file(ply: Path, cameras: Path, cap
     assert "96,000 bytes, 47.0% of" in err
     assert "pictures keep" in err
     assert len(converted(capfd, ply, output, "--measure", cameras)["psnr"]) == 1
+
+
+def test_cameras_that_were_passed_over_are_told(ply: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_colmap(tmp_path, arc(3))
+    write_colmap(tmp_path, arc(2), "sparse/1")
+    document = converted(capfd, ply, ply.with_name("out.spz"), "--measure", tmp_path)
+    assert len(document["psnr"]) == 3
+    assert any("passed over are sparse/1 (2 images)" in warning for warning in document["warnings"])
 
 
 def test_the_format_may_be_named(ply: Path, capfd: pytest.CaptureFixture[str]) -> None:

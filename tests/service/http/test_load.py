@@ -6,10 +6,12 @@ import io
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pytest
+from capture_scenes import arc, write_colmap, zipped
 from format_cases import moderate, spz_file
 from http_requests import MAX_UPLOAD, assert_problem, camera_object, stored
 from PIL import Image
@@ -119,6 +121,16 @@ def test_a_sheet_of_a_loaded_scene_has_no_scores(client: TestClient, monkeypatch
     assert client.get(scene["links"]["sheet"]).status_code == 200
     [row] = drawn
     assert (row.title, [cell.label for cell in row.cells]) == ("Views", ["view 0", "view 1"])
+
+
+def test_cameras_that_were_passed_over_are_told(client: TestClient, tmp_path: Path) -> None:
+    write_colmap(tmp_path, arc(3))
+    write_colmap(tmp_path, arc(2), "sparse/1")
+    parts = [("file", ("scene.ply", file_of("ply", 3))), ("cameras", ("cameras.zip", zipped(tmp_path)))]
+    scene = client.post("/scenes", files=parts).json()
+    assert len(scene["view_cameras"]) == 3
+    (told,) = [warning for warning in scene["warnings"] if warning["code"] == "several_models"]
+    assert told["field"] == "cameras"
 
 
 def test_cameras_and_depths_may_be_given(client: TestClient) -> None:
