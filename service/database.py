@@ -52,14 +52,14 @@ class Database:
     """Connections by thread to one file; with the write-ahead log readers never wait."""
 
     def __init__(self, path: Path) -> None:
-        """Open or make the file, and give one of an earlier version what it lacks. Raises `GapmesError` where a later
-        version of the service has made it, or where it is no such file or cannot be written."""
+        """Open or make the file, and give one of an earlier version what it lacks; one of this version is not written,
+        so that what is on a full disk can be read. Raises `GapmesError` where a later version of the service has made
+        it, or where it is no such file or cannot be written."""
         self._path = path
         self._threads = threading.local()
         with exclusive(path.with_name(f"{path.name}.lock")):  # the change to the write-ahead log waits for nobody
             try:
-                with self.write() as connection:
-                    self._complete(connection)
+                self._complete()
             except sqlite3.DatabaseError as error:
                 raise GapmesError(
                     f"{path} cannot be used: {error}",
@@ -67,8 +67,8 @@ class Database:
                     cure=f"let this user write it, or {_ANEW}",
                 ) from error
 
-    def _complete(self, connection: sqlite3.Connection) -> None:
-        found = connection.execute("PRAGMA user_version").fetchone()[0]
+    def _complete(self) -> None:
+        found = self.rows("PRAGMA user_version")[0][0]
         if found not in _MISSING:
             raise GapmesError(
                 f"{self._path} has version {found}, this service reads versions 1 to {VERSION}",
@@ -76,9 +76,10 @@ class Database:
                 cure=f"use another store, or {_ANEW}",
             )
         if found != VERSION:
-            for statement in _MISSING[found].split(";"):
-                connection.execute(statement)
-            connection.execute(f"PRAGMA user_version = {VERSION}")
+            with self.write() as connection:
+                for statement in _MISSING[found].split(";"):
+                    connection.execute(statement)
+                connection.execute(f"PRAGMA user_version = {VERSION}")
 
     def _connection(self) -> sqlite3.Connection:
         connection = getattr(self._threads, "connection", None)

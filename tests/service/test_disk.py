@@ -107,8 +107,8 @@ RENDER = ("render", "scene.ply", "--cameras", "cameras.json", "-o")
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (("convert", "scene.ply", "scene.ply", "--measure", "off"), ""),
-        (("convert", "scene.ply", "scene.splat", "--measure", "off"), ""),
+        (("convert", "scene.ply", "scene.ply", "--measure", "off"), "scene.ply: "),
+        (("convert", "scene.ply", "scene.splat", "--measure", "off"), "scene.splat: "),
         ((*RENDER, "pictures"), "pictures/view_0.png: "),
         ((*RENDER, "sheet.png", "--sheet"), "sheet.png: "),
         ((*RENDER, "film.gif", "--seconds", "0.2", "--fps", "10"), "film.gif: "),
