@@ -124,30 +124,12 @@ class JobTable(JobReader):
     def end_cancelled(self, job_id: str, owner: str) -> bool:
         """The owner's job ended because nobody wanted it; it begins anew where somebody does by now. Returns whether it
         is over."""
-        with self._database.write() as connection:
-            row = running_job(connection, job_id, owner)
-            if row is None:
-                return False
-            if not row["cancelled"]:
-                requeue_job(connection, job_id, "somebody wants it again", attempts=-1)
-                return False
-            end_job(connection, job_id, "cancelled", None)
-        metrics.JOBS.labels("cancelled").inc()
-        return True
+        return self._stopped(job_id, owner, "somebody wants it again")
 
     def give_back(self, job_id: str, owner: str) -> bool:
-        """Queue a job again that its owner will not finish; the attempt does not count. One that was cancelled ends.
-        Returns whether it is over by this."""
-        with self._database.write() as connection:
-            row = running_job(connection, job_id, owner)
-            if row is None:
-                return False
-            if not row["cancelled"]:
-                requeue_job(connection, job_id, "the process that computed it stopped", attempts=-1)
-                return False
-            end_job(connection, job_id, "cancelled", None)
-        metrics.JOBS.labels("cancelled").inc()
-        return True
+        """Queue a job again that its owner will not finish. One that was cancelled ends. Returns whether it is over by
+        this."""
+        return self._stopped(job_id, owner, "the process that computed it stopped")
 
     def leave(self, job_id: str, process: str, *, goes_on: bool = False) -> bool:
         """A request of a process does not wait any more; a job that nobody wants is cancelled, unless it `goes_on`.
@@ -205,6 +187,19 @@ class JobTable(JobReader):
             return
         with self._database.write() as connection:
             self._forget(connection)
+
+    def _stopped(self, job_id: str, owner: str, why: str) -> bool:
+        """The owner's job ends where it was cancelled; else it is queued again, and the attempt does not count."""
+        with self._database.write() as connection:
+            row = running_job(connection, job_id, owner)
+            if row is None:
+                return False
+            if not row["cancelled"]:
+                requeue_job(connection, job_id, why, attempts=-1)
+                return False
+            end_job(connection, job_id, "cancelled", None)
+        metrics.JOBS.labels("cancelled").inc()
+        return True
 
     def _joined(self, connection: Connection, scene_id: str, waits: str | None) -> Job | None:
         rows = connection.execute(

@@ -1,4 +1,4 @@
-"""A store's jobs, whose runners end with the test."""
+"""A store's jobs, whose runners end with the test, and their table alone."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 from job_place import Place
 
+from gapmes.service.database import Database
+from gapmes.service.jobs.table import JobTable
+
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
@@ -15,3 +18,8 @@ def place(tmp_path: Path) -> Iterator[Place]:
     yield place
     for runner in place.runners:
         runner.stop(5.0)
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> JobTable:
+    return JobTable(Database(tmp_path / "index.sqlite"), most=5, keep_s=100.0)

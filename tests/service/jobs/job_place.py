@@ -19,7 +19,8 @@ from gapmes.service.jobs.table import JobTable
 from gapmes.service.jobs.work import Work
 from gapmes.service.pose import Given
 
-A = "a" * 32
+A, B = "a" * 32, "b" * 32
+WHY = {"code": "job_abandoned", "status": 500}
 
 
 def work(seed: int = 0) -> Work:
@@ -58,3 +59,7 @@ class Place:
             assert time.monotonic() < deadline, job
             time.sleep(0.005)
         return job
+
+
+def states(table: JobTable, job_id: str) -> list[str]:
+    return [event.data["state"] for event in table.events(job_id) if event.name == "state"]
