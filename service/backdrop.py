@@ -21,6 +21,8 @@ F64 = NDArray[np.float64]
 CELL = 8  # px
 MARGIN = (1, 1)  # width in cells of what still belongs to the sheet, beyond the border
 RINGS = (2, 4, 8)  # and of what stands around it: 128 px to each side in all
+BEYOND = 4  # cells to each side, of whose sheet the farthest depth is that of a cell's second one
+DEEPER = 0.9  # of the sheet's own inverse depth: the second one stands where it has less
 PUSH_BACK = 0.93  # on inverse depth: 7 % farther, so that the sheet never hides the surface that it backs
 FAR_PREFERENCE = 12.0  # weight e^-12 of a pixel's colour at half the distance
 NEIGHBOUR = 0.7  # cells: standard deviation of the weight of the cells around, whose colours count as well
@@ -31,13 +33,15 @@ KEPT = 0.5  # share of a cell's pixels that a mask must keep
 
 
 def backdrop(views: Sequence[FittedView], depths: F64, coefficients: int) -> tuple[Gaussians, int]:
-    """Flat Gaussians behind and, from the returned index on, around the photographs; one for each cell.
+    """Flat Gaussians behind and, from the returned index on, around the photographs; one or two for each cell.
 
     `depths` (V, H, W) are z-depths in the cameras' units, H and W multiples of CELL; of the `coefficients` harmonics
     all but the first are 0. A cell stands behind the farthest depth of the 3 x 3 cells about it and has the mean colour
-    of what lies as far away there. Beyond the border a cell has the colour of the nearest one, and its depth; on a ring
-    it stands behind all cells that are as near to that one as the ring reaches out. Where a mask keeps less than KEPT
-    of the cell none stands, and about a masked photograph no ring: what its mask leaves out is not to be seen.
+    of what lies as far away there. Within the photograph, where that is something near that may leave a wider gap, a
+    second one stands behind the farthest of BEYOND cells more to each side, in the colour of what lies there. Beyond
+    the border a cell has the colour of the nearest one, and its depth; on a ring it stands behind all cells that are as
+    near to that one as the ring reaches out. Where a mask keeps less than KEPT of the cell none stands, and about a
+    masked photograph no ring: what its mask leaves out is not to be seen.
     """
     sets = [_of_view(view, 1 / depth, coefficients) for view, depth in zip(views, depths, strict=True)]
     behind, around = (joined(*parts) for parts in zip(*sets, strict=True))
@@ -60,7 +64,7 @@ def _of_view(view: FittedView, inverse: F64, coefficients: int) -> tuple[Gaussia
     for distance in np.unique(out[out > sum(MARGIN)]):
         least = np.where(out == distance, _least_within(cells, distance)[row, column], least)
 
-    def chosen(which: NDArray[np.bool_]) -> Gaussians:
+    def chosen(which: NDArray[np.bool_], least: F64, colours: F64) -> Gaussians:
         z = 1 / (PUSH_BACK * least[which])
         y, x = (CELL * axis[which] for axis in middles)
         high, wide = (SPREAD * CELL * axis[which] * z for axis in widths)
@@ -75,7 +79,10 @@ def _of_view(view: FittedView, inverse: F64, coefficients: int) -> tuple[Gaussia
             harmonics,
         )
 
-    return chosen(kept & (out <= sum(MARGIN))), chosen(kept & (out > sum(MARGIN)) & (view.mask is None))
+    second, shown = _second(far, colours)
+    deeper = kept & (out == 0) & (second < DEEPER * far)[row, column]
+    behind = chosen(kept & (out <= sum(MARGIN)), least, colours), chosen(deeper, second[row, column], shown)
+    return joined(*behind), chosen(kept & (out > sum(MARGIN)) & (view.mask is None), least, colours)
 
 
 def _grid(count: int) -> tuple[F64, F64, NDArray[np.intp], NDArray[np.intp]]:
@@ -106,6 +113,24 @@ def _colours(view: FittedView, inverse: F64, far: F64) -> F64:
             weighed += _blocks(edge[(slice(None), *window)] * weight).sum(axis=(-3, -1))
             weights += _blocks(weight).sum(axis=(-3, -1))
     return np.moveaxis(weighed / np.maximum(weights, np.finfo(np.float64).tiny), 0, -1)
+
+
+def _second(far: F64, colours: F64) -> tuple[F64, F64]:
+    """(rows, columns) inverse depth of the second sheet, and (rows, columns, 3) mean colour of what the first shows as
+    far away as that within BEYOND cells."""
+    least = _least_within(far, BEYOND)
+    here = np.where(np.isfinite(least), least, 1.0)
+    sides = (BEYOND, BEYOND)
+    depth, shown = np.pad(far, BEYOND, constant_values=np.inf), np.pad(colours, (sides, sides, (0, 0)))
+    weighed, weights = np.zeros(colours.shape), np.zeros(far.shape)
+    rows, columns = far.shape
+    for down in range(2 * BEYOND + 1):
+        for right in range(2 * BEYOND + 1):
+            window = np.s_[down : down + rows, right : right + columns]
+            weight = np.exp(-FAR_PREFERENCE * np.abs(depth[window] / here - 1))
+            weighed += weight[..., None] * shown[window]
+            weights += weight
+    return PUSH_BACK * least, weighed / np.maximum(weights, np.finfo(np.float64).tiny)[..., None]
 
 
 def _blocks(values: NDArray) -> NDArray:

@@ -73,6 +73,29 @@ def test_a_gap_shows_the_farther_surface(views: list[FittedView]) -> None:
     assert np.abs(views[0].camera.project(sheet.means)[1] - 4 / PUSH_BACK).max() < 1e-6
 
 
+def test_behind_something_wide_stands_what_lies_about_it(views: list[FittedView]) -> None:
+    """A near red box, six cells wide, before a far green wall: from the side the wall goes on behind it."""
+    box = np.zeros((SIDE, SIDE), bool)
+    box[CELL : 7 * CELL, CELL : 7 * CELL] = True
+    image = np.zeros((3, SIDE, SIDE), np.float32)
+    image[0, box], image[1, ~box] = 0.9, 0.7
+    depth = np.where(box, 1.0, 4.0)
+    sheet, around = backdrop([replace(views[0], image=image)], depth[None], 1)
+    pixels, z = views[0].camera.project(sheet.means)
+    second = np.abs(z - 4 / PUSH_BACK**2) < 1e-6
+    assert second[:around].sum() == second.sum() == 4 * 4  # the cells that have the box all about them
+    assert ((pixels[second] > 2 * CELL) & (pixels[second] < 6 * CELL)).all()
+    colours = 0.5 + C0 * sheet.harmonics[:, 0]
+    assert np.abs(colours[second] - (0, 0.7, 0)).max() < 1e-3
+    assert (np.abs(z[~second & ((pixels > 2 * CELL) & (pixels < 6 * CELL)).all(axis=1)] - 1 / PUSH_BACK) < 1e-6).all()
+
+    pose = views[0].camera.world_from_cam.copy()
+    pose[:3, 3] -= 0.6 * views[0].camera.rotation[:, 0]
+    aside = views[0].camera.posed(pose)
+    assert render(sheet, aside, outputs=("alpha",)).alpha.min() > 0.9  # found: 0.93
+    assert render(sheet[~second], aside, outputs=("alpha",)).alpha.min() < 0.01  # found: 0
+
+
 def test_a_ring_stands_behind_all_that_is_as_near_as_it_reaches(views: list[FittedView]) -> None:
     """Something near at the right border goes on beside it, not far out, where it would hide the wall."""
     depth = np.full((SIDE, SIDE), 4.0)
