@@ -15,7 +15,7 @@ from gapmes.export import deviations as judging
 from gapmes.export.cases import Case, sample_scene
 from gapmes.export.graph import evaluated
 from gapmes.export.report import CaseResult
-from gapmes.export.tolerance import CEILINGS, TOLERANCES, UNDETERMINED_CEILINGS, Tolerance
+from gapmes.export.tolerance import CEILINGS, CEILINGS_BELOW_TORCH, TOLERANCES, UNDETERMINED_CEILINGS, Tolerance
 from gapmes.export.verify import verify
 from gapmes.model.network import GaPMeS
 
@@ -114,12 +114,23 @@ def test_a_float64_that_tells_nothing_excuses_nothing(
 
 def test_rounding_has_a_ceiling() -> None:
     assert FP32.rounding_factor is not None
-    for limits, ceilings in ((FP32, CEILINGS), (FP32.for_undetermined_matching(), UNDETERMINED_CEILINGS)):
+    undetermined = FP32.for_undetermined_matching()
+    for limits, ceilings in ((FP32, CEILINGS), (undetermined, UNDETERMINED_CEILINGS)):
         for what, ceiling in ceilings.items():
             assert limits.of_rounding(what, 0.1 * ceiling) == pytest.approx(0.1 * FP32.rounding_factor * ceiling)
-            assert limits.of_rounding(what, np.inf) == ceiling
-    assert all(CEILINGS[what] <= 0.05 * wide for what, wide in UNDETERMINED_CEILINGS.items())
+            assert limits.of_rounding(what, 0.9 * ceiling) == ceiling
+    for what, ceiling in CEILINGS_BELOW_TORCH.items():
+        assert CEILINGS[what] < ceiling < UNDETERMINED_CEILINGS[what]
+        assert FP32.of_rounding(what, np.inf) == ceiling
+        assert undetermined.of_rounding(what, np.inf) == UNDETERMINED_CEILINGS[what]
     assert TOLERANCES["int8"].of_rounding("p99", 1.0) == 0
+
+
+def test_a_file_no_farther_from_float64_than_torch_is_not_refused() -> None:
+    """Above the ceiling of what is farther, it may be as far as torch and no farther."""
+    for what, ceiling in CEILINGS.items():
+        torchs = 1.5 * ceiling
+        assert FP32.of_rounding(what, torchs) == torchs
 
 
 def test_the_network_is_left_in_float32(
