@@ -1,0 +1,100 @@
+"""What each format of Gaussians costs: bytes, and pictures of what a file keeps beside those of what was written.
+
+`python -m benchmarks.scene.formats [SCENE_DIR...] [--fade 4]`: each scene is reconstructed from the two views that
+the service chooses, written in every format, read again, and drawn from all cameras of its folder, shrunk to sides of
+256 px or less; without SCENE_DIR the sample scene. A table for each scene, and one for all where there are more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gapmes.service.camera import Camera
+from gapmes.service.captures.capture import open_capture
+from gapmes.service.captures.select import Wish
+from gapmes.service.fade_passes import DEFAULT_PASSES
+from gapmes.service.formats.cost import picture_psnr
+from gapmes.service.formats.dialect import AUTO
+from gapmes.service.formats.registry import FORMATS
+from gapmes.service.images import EncodedPhoto
+from gapmes.service.reconstruct import Reconstructor
+from gapmes.service.scene_views import SceneViews
+from gapmes.service.shipped import sample_folder
+
+SIDE = 256  # px, the longest of a picture
+EQUAL = 100.0  # dB, as `picture_psnr` has it
+
+HEADER = """| format | bytes | share | PSNR, dB: lowest, mean |
+|---|---|---|---|
+"""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of one scene or several in one format."""
+
+    size: int  # bytes
+    psnr: list[float]  # dB, one per picture
+
+
+def costs(service: Reconstructor, folder: Path, fade: int) -> dict[str, Cost]:
+    """By the format's extension."""
+    capture = open_capture(folder)
+    found = capture.choose(Wish(None, 2, field="views"))
+    photos = [EncodedPhoto(found.read(place), lens=view.lens) for place, view in enumerate(found.file.views)]
+    scene = service.reconstruct(
+        photos, found.file.cameras, near=found.file.near, far=found.file.far, fade=fade, leave_one_out=0
+    )
+    cameras = [shrunk(camera) for camera in capture.cameras(range(len(capture.names))).cameras]
+    near_plane = SceneViews.of_document(scene.document).near_plane
+    result = {}
+    for name, entry in FORMATS.items():
+        data = entry.write(scene.gaussians).data
+        kept = entry.read(data, AUTO, False, None).gaussians
+        result[name] = Cost(len(data), picture_psnr(scene.gaussians, kept, cameras, near_plane))
+    return result
+
+
+def shrunk(camera: Camera) -> Camera:
+    scale = min(1.0, SIDE / max(camera.width, camera.height))
+    return camera.resized(round(camera.width * scale), round(camera.height * scale))
+
+
+def table(title: str, found: dict[str, Cost]) -> str:
+    """Markdown."""
+    lines = [f"\n{title}\n\n", HEADER]
+    for name, cost in found.items():
+        shown = "equal" if min(cost.psnr) == EQUAL else f"{min(cost.psnr):.1f}, {np.mean(cost.psnr):.1f}"
+        lines.append(f"| `{name}` | {cost.size:,} | {cost.size / found['ply'].size:.0%} | {shown} |\n")
+    return "".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="*", type=Path, default=[sample_folder()], metavar="SCENE_DIR")
+    parser.add_argument("--fade", type=int, default=DEFAULT_PASSES)
+    options = parser.parse_args()
+    service = Reconstructor()
+    by_format: dict[str, list[Cost]] = defaultdict(list)
+    for folder in options.scenes:
+        sys.stderr.write(f"{folder.name}\n")
+        found = costs(service, folder, options.fade)
+        sys.stdout.write(table(folder.name, found))
+        sys.stdout.flush()
+        for name, cost in found.items():
+            by_format[name].append(cost)
+    if len(options.scenes) > 1:
+        whole = {
+            name: Cost(sum(c.size for c in each), [x for c in each for x in c.psnr]) for name, each in by_format.items()
+        }
+        sys.stdout.write(table("all", whole))
+
+
+if __name__ == "__main__":
+    main()
