@@ -1,1 +1,1 @@
-"""Speed, measured side by side in one run; not part of the package and not of the tests."""
+"""Speed measured side by side in one run, and what settings cost; not part of the package and not of the tests."""

@@ -15,20 +15,20 @@ from pathlib import Path
 
 import numpy as np
 
-from gapmes.service.camera import Camera
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.select import Wish
 from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.formats.cost import picture_psnr
 from gapmes.service.formats.dialect import AUTO
 from gapmes.service.formats.registry import FORMATS
+from gapmes.service.framing import within
 from gapmes.service.images import EncodedPhoto
+from gapmes.service.picture_error import EQUAL_DB
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.scene_views import SceneViews
 from gapmes.service.shipped import sample_folder
 
 SIDE = 256  # px, the longest of a picture
-EQUAL = 100.0  # dB, as `picture_psnr` has it
 
 HEADER = """| format | bytes | share | PSNR, dB: lowest, mean |
 |---|---|---|---|
@@ -37,7 +37,7 @@ HEADER = """| format | bytes | share | PSNR, dB: lowest, mean |
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one scene or several in one format."""
+    """What one format costs of one scene, or of several together."""
 
     size: int  # bytes
     psnr: list[float]  # dB, one per picture
@@ -46,12 +46,12 @@ class Cost:
 def costs(service: Reconstructor, folder: Path, fade: int) -> dict[str, Cost]:
     """By the format's extension."""
     capture = open_capture(folder)
-    found = capture.choose(Wish(None, 2, field="views"))
+    found = capture.choose(Wish(context=2))
     photos = [EncodedPhoto(found.read(place), lens=view.lens) for place, view in enumerate(found.file.views)]
     scene = service.reconstruct(
         photos, found.file.cameras, near=found.file.near, far=found.file.far, fade=fade, leave_one_out=0
     )
-    cameras = [shrunk(camera) for camera in capture.cameras(range(len(capture.names))).cameras]
+    cameras = [within(camera, SIDE) for camera in capture.cameras(range(len(capture.names))).cameras]
     near_plane = SceneViews.of_document(scene.document).near_plane
     result = {}
     for name, entry in FORMATS.items():
@@ -61,16 +61,11 @@ def costs(service: Reconstructor, folder: Path, fade: int) -> dict[str, Cost]:
     return result
 
 
-def shrunk(camera: Camera) -> Camera:
-    scale = min(1.0, SIDE / max(camera.width, camera.height))
-    return camera.resized(round(camera.width * scale), round(camera.height * scale))
-
-
 def table(title: str, found: dict[str, Cost]) -> str:
-    """Markdown."""
+    """A line for each format, in Markdown."""
     lines = [f"\n{title}\n\n", HEADER]
     for name, cost in found.items():
-        shown = "equal" if min(cost.psnr) == EQUAL else f"{min(cost.psnr):.1f}, {np.mean(cost.psnr):.1f}"
+        shown = "equal" if min(cost.psnr) == EQUAL_DB else f"{min(cost.psnr):.1f}, {np.mean(cost.psnr):.1f}"
         lines.append(f"| `{name}` | {cost.size:,} | {cost.size / found['ply'].size:.0%} | {shown} |\n")
     return "".join(lines)
 

@@ -3,7 +3,7 @@
 `python -m benchmarks.scene.leaving_out SCENE_DIR... [--inputs 2] [--fade 4] [--rounds 5]`: folders whose cameras.json
 suggests inputs and held-out targets. Each row: the .ply and a picture of 512 px as shares of the whole scene's, the
 bound and the largest change found in 1/255, the change of PSNR on the targets, and the time of deciding as a share of
-the reconstruction. Times are medians over rounds in which both scenes take turns, after one that is not counted.
+the reconstruction. Times are medians over rounds, of pictures with both scenes in turn, after one that is not counted.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from gapmes.export.evaluation.case import Case, photograph_case
 from gapmes.service.budget import KEEP_ALL, Budget
 from gapmes.service.fade_passes import DEFAULT_PASSES
+from gapmes.service.framing import frame
 from gapmes.service.images import FittedView
 from gapmes.service.picture_error import psnr
 from gapmes.service.ply_write import ply_size
@@ -50,7 +51,7 @@ def picture_times(scenes: Sequence[Scene], rounds: int) -> list[float]:
     found: list[list[float]] = [[] for _ in scenes]
     for number in range(rounds + 1):
         for scene, seconds in zip(scenes, found, strict=True):
-            camera = scene.view_cameras[0].resized(PICTURE, PICTURE)
+            camera = frame(scene.view_cameras[0], width=PICTURE)
             start = time.perf_counter()
             scene.render(camera)
             if number:
@@ -77,7 +78,7 @@ def row(service: Reconstructor, folder: Path, inputs: int, fade: int, rounds: in
         f"{lean_time / whole_time:.2f}",
         f"{left_out['bound'] * 255:.2f}",
         f"{left_out['actual'] * 255:.2f}",
-        f"{round(change, 4) + 0.0:.4f}",
+        f"{round(change, 4) + 0.0:.4f}",  # -0 is 0
         f"{deciding:.1%}",
     ]
     return f"| {' | '.join(cells)} |\n"
@@ -86,7 +87,7 @@ def row(service: Reconstructor, folder: Path, inputs: int, fade: int, rounds: in
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="+", type=Path, metavar="SCENE_DIR")
-    parser.add_argument("--inputs", type=int, action="append", help="2 or 3; repeat for both [default: 2]")
+    parser.add_argument("--inputs", type=int, choices=(2, 3), action="append", help="repeat for both [default: 2]")
     parser.add_argument("--fade", type=int, default=DEFAULT_PASSES)
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
