@@ -11,7 +11,8 @@ Where planes tie, as many do where none fits, a rounding of 1e-6 in a score deci
 (`model/evidence.py`), then which of its neighbours' depths a pixel takes (`model/behind.py`). There torch in float32 is
 as far from the truth as the exported file, and being near to it means little. So what is beyond a limit in float32 is
 judged by torch in float64: the exported file may be `rounding_factor` times as far from that as torch in float32 is, up
-to a ceiling, and as far as torch itself up to a higher one.
+to a ceiling, and as far as torch itself up to a higher one. Where nothing determines the matching, torch's distance is
+the largest of several runs (`deviations.py`).
 """
 
 from __future__ import annotations

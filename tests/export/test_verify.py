@@ -127,6 +127,31 @@ def test_rounding_has_a_ceiling() -> None:
     assert TOLERANCES["int8"].of_rounding("p99", 1.0) == 0
 
 
+def test_where_matching_is_undetermined_torch_is_judged_by_inputs_nearby_too(
+    model: onnx.ModelProto, network: GaPMeS, sample: Case
+) -> None:
+    """The largest of every number is at least that of the inputs alone, and the exported file's is its own."""
+    alone = verified(model, network, sample, judged_by_rounding(1e9)).beside_float64
+    beside = verified(model, network, replace(sample, undetermined=True), judged_by_rounding(1e9)).beside_float64
+    assert set(alone) == set(beside)
+    assert any(beside[name].torch.p99 > alone[name].torch.p99 for name in alone)
+    for name, one in alone.items():
+        assert beside[name].torch.p99 >= one.torch.p99
+        assert beside[name].torch.p99 <= 10 * one.torch.p99  # found: 1.0 to 3
+        assert beside[name].exported == one.exported
+
+
+def test_neighbouring_inputs_differ_by_a_step_of_float32(sample: Case) -> None:
+    near = list(judging._neighbours(sample.inputs))
+    assert len(near) == judging.NEIGHBOURS
+    for inputs in near:
+        moved = (inputs.images - sample.inputs.images).abs()
+        assert 0.5 < (moved > 0).float().mean() < 0.7
+        assert moved.max() <= 2.0**-24
+        assert inputs.images.min() >= 0
+        assert inputs.images.max() <= 1
+
+
 @pytest.mark.parametrize("share", [0.99, 1.01])
 def test_above_the_ceiling_a_file_may_be_as_far_as_torch(
     model: onnx.ModelProto, network: GaPMeS, sample: Case, monkeypatch: pytest.MonkeyPatch, share: float
