@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -14,21 +14,17 @@ from gapmes.service.contract import GAUSSIAN_OUTPUTS, IMAGE_OUTPUTS
 
 from .cases import Case
 from .compare import Deviation, comparable, deviation
-from .graph import SceneInputs, evaluated
+from .graph import evaluated
 from .routes import flipped_patches, untouched
 
 Outputs = Mapping[str, NDArray]
 LEFT = 0.5  # of the elements of every kind: what a smaller part says, it does not say of all
-# Inputs beside those of an undetermined case. One run of float32 is a poor measure there: images moved by one step of
-# float32 take torch's own distance from float64 from 2.2e-4 to 9.5e-4 (p99 of means, 64 x 64 px, range of 1 to 1e6).
-NEIGHBOURS = 4
 UNKNOWN = Deviation(np.inf, np.inf, np.inf, 1.0, np.inf, finite=False)
 
 
 @dataclass(frozen=True)
 class BesideFloat64:
-    """One output of the exported file and of torch in float32, each against torch in float64; of several runs of torch
-    the largest of every number."""
+    """One output of the exported file and of torch in float32, each against torch in float64."""
 
     exported: Deviation
     torch: Deviation
@@ -54,32 +50,15 @@ def deviations(values: Outputs, reference: Outputs, flipped: NDArray[np.bool_], 
 
 def beside_float64(values: Outputs, reference: Outputs, network: Network, case: Case) -> dict[str, BesideFloat64]:
     """Both results of float32 against torch in float64, outside what a patch reaches that took another route in
-    any; infinitely far where float64 is not finite, or where less than LEFT is left to compare. Where matching is
-    undetermined torch runs on NEIGHBOURS of the inputs too. The network is in float32 again afterwards."""
+    either; infinitely far where float64 is not finite, or where less than LEFT is left to compare. The network is in
+    float32 again afterwards."""
     try:
         exact = evaluated(network, case.inputs, torch.float64)
     finally:
         network.float()
-    near = _neighbours(case.inputs) if case.undetermined else ()
-    singles = [reference, *(evaluated(network, inputs, torch.float32) for inputs in near)]
     kept = case.inputs.patch_mask.numpy()
-    flipped = np.logical_or.reduce([flipped_patches(result, exact, kept) for result in (values, *singles)])
-    exported, *others = (deviations(result, exact, flipped, case) for result in (values, *singles))
+    flipped = flipped_patches(values, exact, kept) | flipped_patches(reference, exact, kept)
+    exported, single = (deviations(result, exact, flipped, case) for result in (values, reference))
     if min(mask.mean() for mask in untouched_elements(flipped, exact).values()) < LEFT:
         return {name: BesideFloat64(UNKNOWN, UNKNOWN) for name in exported}
-    return {name: BesideFloat64(exported[name], _largest([other[name] for other in others])) for name in exported}
-
-
-def _neighbours(inputs: SceneInputs) -> Iterator[SceneInputs]:
-    """The inputs with every number of the images one step of float32 up, down or as it is, within [0, 1]."""
-    for seed in range(NEIGHBOURS):
-        steps = torch.randint(-1, 2, inputs.images.shape, generator=torch.Generator().manual_seed(seed))
-        moved = torch.nextafter(inputs.images, inputs.images + steps).clamp(0, 1)
-        yield replace(inputs, images=moved)
-
-
-def _largest(found: Sequence[Deviation]) -> Deviation:
-    """Of every number; finite where all are."""
-    first, *_ = found
-    most = {what: max(getattr(one, what) for one in found) for what in ("maximum", "p99", "mean", "jumps")}
-    return replace(first, **most, finite=all(one.finite for one in found))
+    return {name: BesideFloat64(exported[name], single[name]) for name in exported}
