@@ -39,9 +39,11 @@ def matching_evidence(images: Tensor, views: Views, planes: int, *, sparse: bool
     inverse = views.inverse_depth(bins)[:, :, 0, 0].reshape(-1, views.count, planes)
     inverse = repeat_for_pairs(inverse, others).reshape(-1, planes, 1)
     per_view = images.reshape(-1, views.count, 3, h, w)
+    # variances are differences of mean squares: about the scene's mean, less of them cancels
+    per_view = per_view - per_view.mean((1, 2, 3, 4), keepdim=True)
     reference = repeat_for_pairs(per_view, others).reshape(-1, 3, h, w)
     source = other_views(per_view).reshape(-1, 3, h, w)
-    guide = _Guide(images.mean(1, keepdim=True))
+    guide = _Guide(per_view.mean(2).reshape(n, 1, h, w))
     pieces = []
     step = -(-planes // SWEEP_PIECES)
     for start in range(0, planes, step):
@@ -59,8 +61,8 @@ def matching_evidence(images: Tensor, views: Views, planes: int, *, sparse: bool
         else:
             score = _compared(reference, source, grid)
         score = torch.where(seen, score, torch.full_like(score, UNSEEN))
-        pieces.append(guide.filter(score.reshape(n, others, count, h, w).mean(1)))
-    return torch.cat(pieces, dim=1)
+        pieces.append(guide.filter(score.reshape(n, others, count, h, w).mean(1) - 0.5))
+    return torch.cat(pieces, dim=1) + 0.5
 
 
 def _compared(reference: Tensor, source: Tensor, grid: Tensor) -> Tensor:

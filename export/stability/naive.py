@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gapmes.model.evidence import COLOUR_LIMIT, FLAT, GUIDE_EPSILON, GUIDE_RADIUS, WINDOW_RADIUS
 from gapmes.service.camera import Camera
 from gapmes.service.gaussians import Gaussians
 
@@ -100,3 +101,23 @@ def band_rotation_by_angles(rotation: Array) -> Array:
     c, s = np.cos(beta), np.sin(beta)
     about_y = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], F32)
     return about_z(alpha) @ about_y @ about_z(gamma)
+
+
+def evidence(first: Array, second: Array) -> Array:
+    """(h, w) how well two pictures (3, h, w) of the same cameras match, in their dtype: variances and covariances as
+    mean squares and products less those of the means (`model/evidence.py` has the definition)."""
+
+    def mean(values: Array, radius: int) -> Array:
+        padded = np.pad(values, radius, mode="edge")
+        return np.lib.stride_tricks.sliding_window_view(padded, (2 * radius + 1, 2 * radius + 1)).mean((2, 3))
+
+    def together(a: Array, b: Array, radius: int) -> Array:
+        return mean(a * b, radius) - mean(a, radius) * mean(b, radius)
+
+    a, b = first.mean(0), second.mean(0)
+    spread = np.sqrt(np.maximum(together(a, a, WINDOW_RADIUS), 0) * np.maximum(together(b, b, WINDOW_RADIUS), 0))
+    correlation = np.clip(together(a, b, WINDOW_RADIUS) / np.maximum(spread, FLAT), -1, 1)
+    difference = np.minimum(np.abs(second - first).mean(0), COLOUR_LIMIT) / COLOUR_LIMIT
+    score = (1 + correlation) / 4 + (1 - difference) / 2
+    slope = together(a, score, GUIDE_RADIUS) / (together(a, a, GUIDE_RADIUS) + GUIDE_EPSILON)
+    return mean(slope, GUIDE_RADIUS) * a + mean(mean(score, GUIDE_RADIUS) - slope * mean(a, GUIDE_RADIUS), GUIDE_RADIUS)

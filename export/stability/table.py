@@ -10,10 +10,10 @@ from pathlib import Path
 
 from gapmes.service.progress import Listener, Stages, silent
 
-from . import geometry, routing, splatter
+from . import geometry, matching, routing, splatter
 from .row import Row
 
-CASES = 25
+CASES = 26
 
 
 def stability_table(out: Path, listener: Listener = silent) -> list[Row]:
@@ -35,7 +35,7 @@ def stability_table(out: Path, listener: Listener = silent) -> list[Row]:
 
 def all_rows() -> Iterator[Row]:
     """Case by case, as they are computed."""
-    return chain(splatter.rows(), routing.rows(), geometry.rows())
+    return chain(splatter.rows(), routing.rows(), matching.rows(), geometry.rows())
 
 
 def markdown(rows: list[Row]) -> str:

@@ -73,6 +73,76 @@ def test_a_gap_shows_the_farther_surface(views: list[FittedView]) -> None:
     assert np.abs(views[0].camera.project(sheet.means)[1] - 4 / PUSH_BACK).max() < 1e-6
 
 
+def test_behind_something_wide_stands_what_lies_about_it(views: list[FittedView]) -> None:
+    """A near red box, six cells wide, before a far green wall: from the side the wall goes on behind it."""
+    box = np.zeros((SIDE, SIDE), bool)
+    box[CELL : 7 * CELL, CELL : 7 * CELL] = True
+    image = np.zeros((3, SIDE, SIDE), np.float32)
+    image[0, box], image[1, ~box] = 0.9, 0.7
+    depth = np.where(box, 1.0, 4.0)
+    sheet, around = backdrop([replace(views[0], image=image)], depth[None], 1)
+    pixels, z = views[0].camera.project(sheet.means)
+    second = np.abs(z - 4 / PUSH_BACK**2) < 1e-6
+    assert second[:around].sum() == second.sum() == 4 * 4  # the cells that have the box all about them
+    assert ((pixels[second] > 2 * CELL) & (pixels[second] < 6 * CELL)).all()
+    colours = 0.5 + C0 * sheet.harmonics[:, 0]
+    assert np.abs(colours[second] - (0, 0.7, 0)).max() < 1e-3
+    assert (np.abs(z[~second & ((pixels > 2 * CELL) & (pixels < 6 * CELL)).all(axis=1)] - 1 / PUSH_BACK) < 1e-6).all()
+
+    pose = views[0].camera.world_from_cam.copy()
+    pose[:3, 3] -= 0.6 * views[0].camera.rotation[:, 0]
+    aside = views[0].camera.posed(pose)
+    assert render(sheet, aside, outputs=("alpha",)).alpha.min() > 0.9  # found: 0.93
+    assert render(sheet[~second], aside, outputs=("alpha",)).alpha.min() < 0.01  # found: 0
+
+
+def test_how_far_behind_a_wide_thing_the_second_sheet_goes(views: list[FittedView]) -> None:
+    """Five cells inwards from the edge of a box of 14, and no farther; above them the wall, twice pushed back."""
+    side = 24 * CELL
+    camera = replace(views[0].camera, width=side, height=side)
+    image = np.ones((3, side, side), np.float32)
+    depth = np.full((side, side), 4.0)
+    depth[5 * CELL : 19 * CELL, 5 * CELL : 19 * CELL] = 1.0
+    sheet, around = backdrop([replace(views[0], image=image, camera=camera)], depth[None], 1)
+    pixels, z = camera.project(sheet.means[:around])
+    second = pixels[np.abs(z - 4 / PUSH_BACK**2) < 1e-6]
+    inwards = np.minimum(second - 5 * CELL, 19 * CELL - second).min(axis=1) / CELL
+    assert sorted(set(np.floor(inwards))) == [1, 2, 3, 4]  # the outermost cells have the wall behind them anyway
+    assert len(second) == 12**2 - 4**2
+
+
+def test_a_second_sheet_of_each_view_in_its_order(views: list[FittedView], depths: np.ndarray) -> None:
+    depths = depths.copy()
+    depths[:, CELL : 7 * CELL, CELL : 7 * CELL] /= 4
+    sheet, around = backdrop(views, depths, 1)
+    assert around == 3 * (SHEET + 16)
+    assert len(sheet) == around + 3 * AROUND
+    alone = [backdrop([view], depth[None], 1) for view, depth in zip(views, depths, strict=True)]
+    behind = np.concatenate([one.means[:count] for one, count in alone])
+    rings = np.concatenate([one.means[count:] for one, count in alone])
+    assert (sheet.means == np.concatenate([behind, rings])).all()
+
+
+@pytest.mark.parametrize("degrees", [20, 45])
+def test_a_slanted_wall_has_no_second_sheet(views: list[FittedView], degrees: float) -> None:
+    """Nothing opens behind it: from cell to cell it recedes too little. Cells as in 256 px at 53 degrees."""
+    camera = replace(views[0].camera, fx=256.0, fy=256.0)
+    slope = np.tan(np.deg2rad(degrees)) * (np.arange(SIDE) + 0.5 - SIDE / 2) / camera.fx
+    depth = 4.0 / (1 - slope)[None] * np.ones((SIDE, 1))
+    sheet, around = backdrop([replace(views[0], camera=camera)], depth[None], 1)
+    assert (around, len(sheet)) == (SHEET, SHEET + AROUND)
+
+
+def test_a_masked_photograph_has_no_second_sheet(views: list[FittedView]) -> None:
+    """It would stand beside the object, in what the mask left out."""
+    depth = np.full((SIDE, SIDE), 4.0)
+    depth[CELL : 7 * CELL, CELL : 7 * CELL] = 1.0
+    mask = np.ones((SIDE, SIDE), bool)
+    mask[0, 0] = False
+    sheet, around = backdrop([replace(views[0], mask=mask)], depth[None], 1)
+    assert around == len(sheet) == SHEET
+
+
 def test_a_ring_stands_behind_all_that_is_as_near_as_it_reaches(views: list[FittedView]) -> None:
     """Something near at the right border goes on beside it, not far out, where it would hide the wall."""
     depth = np.full((SIDE, SIDE), 4.0)
@@ -101,6 +171,8 @@ def test_a_hidden_depth_does_not_matter(views: list[FittedView], depths: np.ndar
 
 @pytest.mark.filterwarnings("error")
 def test_units_at_the_end_of_float32(views: list[FittedView], depths: np.ndarray) -> None:
+    depths = depths.copy()
+    depths[:, CELL : 7 * CELL, CELL : 7 * CELL] /= 4
     for unit in (1e-30, 1e30, 1e38):
         moved = in_another_world(views, np.eye(3), np.zeros(3), unit)
         sheet, _ = backdrop(moved, unit * depths, 1)
