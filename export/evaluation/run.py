@@ -15,14 +15,14 @@ from gapmes.service.progress import Listener, Stages, silent
 from ..size import Size
 from .case import Case, NoSuchViews, generated_cases, photograph_case, suggested_views
 from .lpips import Lpips
-from .measure import measure
+from .measure import Measured, measure
 from .models import Model, load_models
 from .report import Report
 from .routing import routing_statistics
 from .scores import Group
 from .sheets import scene_sheet
 
-GENERATED_SHEETS = 8  # pictures of the first generated scenes; every folder of photographs has one
+GENERATED_SHEETS = 8  # pictures of the generated scenes that are worst beside baselines; every folder has one
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,12 @@ def _group(
     """Raises `InputError` when no scene of the plan could be measured."""
     first = models[0].label
     scenes, routes, left_out = [], [], {}
+    worst: list[tuple[Case, Measured]] = []
+
+    def draw(case: Case, measured: Measured) -> None:
+        sheet = scene_sheet(case, measured, first)
+        sheet.save(out / f"{case.name.replace(' ', '_')}_{plan.inputs}views_{plan.size}px.png")
+
     for number, (name, case) in enumerate(_cases(plan), start=1):
         if isinstance(case, InputError):
             left_out[name] = str(case)
@@ -95,10 +101,14 @@ def _group(
             measured = measure(case, models, lpips=lpips, twice=twice, fade=fade, threads=threads)
             scenes.append(measured.score)
             routes.append(measured.routes)
-            if not plan.generated or number <= GENERATED_SHEETS:
-                sheet = scene_sheet(case, measured, first)
-                sheet.save(out / f"{name.replace(' ', '_')}_{plan.inputs}views_{plan.size}px.png")
+            if plan.generated:
+                worst = sorted([*worst, (case, measured)], key=lambda pair: pair[1].score.margin(first))
+                del worst[GENERATED_SHEETS:]
+            else:
+                draw(case, measured)
         done(number)
+    for case, measured in worst:
+        draw(case, measured)
     if not scenes:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
         raise InputError(f"no scene has {plan.inputs} inputs with targets ({reasons})", field="SCENE_DIR")

@@ -40,9 +40,13 @@ def run(*arguments: object) -> int:
 
 
 def test_two_models_on_generated_scenes(
-    small_graph: onnx.ModelProto, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    small_graph: onnx.ModelProto,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A 64 px network against a copy of it under another name: same cases, no difference."""
+    """A 64 px network against a copy of it under another name: same cases, no difference; the worse one is drawn."""
+    monkeypatch.setattr("gapmes.export.evaluation.run.GENERATED_SHEETS", 1)
     for name in ("one", "other"):
         (tmp_path / f"{name}.onnx").write_bytes(small_graph.SerializeToString())
     files = ("--model", tmp_path / "one.onnx", "--model", tmp_path / "other.onnx")
@@ -76,7 +80,10 @@ def test_two_models_on_generated_scenes(
     text = (out / "report.md").read_text()
     assert "Difference between the models" in text
     assert text.count("| mean | one |") == 1
-    with Image.open(out / "generated_000_2views_64px.png") as sheet:
+    worst = min(group["scenes"], key=lambda entry: entry["margin"]["one"])
+    (picture,) = out.glob("*.png")
+    assert picture.name == f"{worst['scene'].replace(' ', '_')}_2views_64px.png"
+    with Image.open(picture) as sheet:
         assert sheet.size[0] > 4 * 64
 
 
