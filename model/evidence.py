@@ -39,7 +39,7 @@ def matching_evidence(images: Tensor, views: Views, planes: int, *, sparse: bool
     inverse = views.inverse_depth(bins)[:, :, 0, 0].reshape(-1, views.count, planes)
     inverse = repeat_for_pairs(inverse, others).reshape(-1, planes, 1)
     per_view = images.reshape(-1, views.count, 3, h, w)
-    # variances are differences of mean squares: about the scene's mean, less of them cancels
+    # variances are differences of mean squares: about the scene's mean, and scores about 0.5, less of them cancels
     per_view = per_view - per_view.mean((1, 2, 3, 4), keepdim=True)
     reference = repeat_for_pairs(per_view, others).reshape(-1, 3, h, w)
     source = other_views(per_view).reshape(-1, 3, h, w)

@@ -22,7 +22,7 @@ from .routing import routing_statistics
 from .scores import Group
 from .sheets import scene_sheet
 
-GENERATED_SHEETS = 8  # pictures of the generated scenes that are worst beside baselines; every folder has one
+GENERATED_SHEETS = 8  # pictures: of the generated scenes the worst beside baselines, of photographs every one
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,15 @@ def _group(
     """Raises `InputError` when no scene of the plan could be measured."""
     first = models[0].label
     scenes, routes, left_out = [], [], {}
+    ending = f"_{plan.inputs}views_{plan.size}px.png"
+    if plan.generated:
+        for earlier in out.glob(f"generated_*{ending}"):  # which scenes are worst depends on the model
+            earlier.unlink()
     worst: list[tuple[Case, Measured]] = []
 
     def draw(case: Case, measured: Measured) -> None:
         sheet = scene_sheet(case, measured, first)
-        sheet.save(out / f"{case.name.replace(' ', '_')}_{plan.inputs}views_{plan.size}px.png")
+        sheet.save(out / f"{case.name.replace(' ', '_')}{ending}")
 
     for number, (name, case) in enumerate(_cases(plan), start=1):
         if isinstance(case, InputError):

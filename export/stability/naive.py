@@ -1,4 +1,4 @@
-"""How these things are usually computed in float32: the table's other column, and nothing that the product runs."""
+"""How these things are usually computed: in float32 the table's other column, and nothing that the product runs."""
 
 from __future__ import annotations
 
@@ -105,7 +105,8 @@ def band_rotation_by_angles(rotation: Array) -> Array:
 
 def evidence(first: Array, second: Array) -> Array:
     """(h, w) how well two pictures (3, h, w) of the same cameras match, in their dtype: variances and covariances as
-    mean squares and products less those of the means (`model/evidence.py` has the definition)."""
+    mean squares and products less those of the means (`model/evidence.py` has the definition). In float64 the table's
+    reference."""
 
     def mean(values: Array, radius: int) -> Array:
         padded = np.pad(values, radius, mode="edge")

@@ -42,7 +42,7 @@ CASES = {
     "P8": "plain and noisy pictures",
     "P9": "sizes, crops, pixels there and back",
     "P10": "depth candidates",
-    "P11": "cost volume",
+    "P11": "cost volume and evidence",
     "A1": "quaternions of any length",
     "A2": "scales of any logit",
     "A3": "turned harmonics",
