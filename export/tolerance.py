@@ -7,7 +7,7 @@ edge of the definition: a sample that falls exactly on an image border counts as
 reported and not limited, since a jump has no size limit of its own. For the same reason there are two pictures: one of
 everything, and one with torch's Gaussians in place of those that jumped, which has to agree more closely.
 
-Where planes tie, as many do where none fits, a rounding of 1e-6 in a score decides between them
+Where planes tie, as many do where none fits, a rounding of 1e-7 in a score decides between them
 (`model/evidence.py`), then which of its neighbours' depths a pixel takes (`model/behind.py`). There torch in float32 is
 as far from the truth as the exported file, and being near to it means little. So what is beyond a limit in float32 is
 judged by torch in float64: the exported file may be `rounding_factor` times as far from that as torch in float32 is, up
