@@ -55,10 +55,11 @@ class Budget:
                 raise ValueError(f"{name} is {value}, need at least 1")
 
     def recipe(self, seed: int) -> Recipe:
-        """One phase of two views at one size, nothing close; a sixth of the steps warms up, since they are few."""
+        """One phase of two views at one size, nothing close, targets on the way; a sixth of the few steps warms up."""
         phases = (Phase(1.0, (self.size,), self.training_scenes, (2,), (0.06, 0.6)),)
         warm_up = max(1, self.steps // 6)
-        return replace(Recipe(), steps=self.steps, seed=seed, warm_up=warm_up, close_share=0.0, phases=phases)
+        plain = replace(Recipe(), close_share=0.0, aside=0.0)
+        return replace(plain, steps=self.steps, seed=seed, warm_up=warm_up, phases=phases)
 
     def batches(self) -> list[TensorBatch]:
         """The validation scenes, one to a batch, the same for every variant and seed."""

@@ -17,17 +17,22 @@ STYLES = ("sideways", "forward", "orbit")
 STYLE_SHARES = (0.45, 0.25, 0.30)
 
 
-def camera_poses(rng: Rng, inputs: int, targets: int, baseline: float, depth: float, half_width: float) -> F64:
+def camera_poses(
+    rng: Rng, inputs: int, targets: int, baseline: float, depth: float, half_width: float, aside: float = 0.0
+) -> F64:
     """(inputs + targets, 4, 4) world_from_cam, inputs first, around the origin and looking along about +z.
 
     `baseline` is the length of the way between the first and the last input and `depth` that of the scene, in the same
-    unit; `half_width` = tan(horizontal fov / 2). Targets lie on the same way, up to 8 % beyond its ends.
+    unit; `half_width` = tan(horizontal fov / 2). Targets lie on the same way, up to 8 % beyond its ends, or off it by
+    a normal deviate of up to `aside` baselines in each direction: from there edges along the way show their depth too.
     """
     style = STYLES[rng.choice(3, p=STYLE_SHARES)]
     along = np.concatenate([np.linspace(0, 1, inputs), rng.uniform(-0.08, 1.08, targets)]) - 0.5
     if inputs > 2:
         along[1 : inputs - 1] += rng.normal(0, 0.1 / (inputs - 1), inputs - 2)
     jitter = rng.normal(0, 0.06, (inputs + targets, 3)) * baseline
+    if aside:
+        jitter[inputs:] += rng.uniform(0, aside, (targets, 1)) * rng.normal(0, 1, (targets, 3)) * baseline
     if style == "orbit":
         centres, aim = _orbit(rng, along, baseline, depth)
     else:

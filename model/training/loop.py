@@ -198,6 +198,7 @@ def _step(
         baseline=phase.baseline,
         field_of_view=phase.field_of_view,
         close_share=recipe.close_share,
+        aside=recipe.aside,
     )
     batch = to_tensors(drawn, zoomed=zoomed).to(trained[0].device)
     noisy = random.random() < 0.5

@@ -71,6 +71,7 @@ class SceneSampler:
         baseline: tuple[float, float] = (0.06, 0.8),
         field_of_view: tuple[float, float] = (38.0, 78.0),
         close_share: float = 0.0,
+        aside: float = 0.0,
         supersample: int = 2,
     ) -> SceneBatch:
         """The next `scenes` scenes at `size` px, or (height, width).
@@ -78,14 +79,16 @@ class SceneSampler:
         The way from the first to the last input is asked for log-uniform in `baseline`, in units of the median depth
         that the origin sees; positions then tremble by 6 % of it, and rooms draw cameras together until all are
         inside. The horizontal field of view is uniform in `field_of_view`, degrees. In a `close_share` of the scenes
-        something close stands at the edge of one input's picture, mostly out of the others'. Only input views carry the
+        something close stands at the edge of one input's picture, mostly out of the others'. Targets lie up to `aside`
+        (in units of the way between the inputs, as `camera_poses` has it) off that way. Only input views carry the
         small exposure and noise errors of a real camera.
         """
         height, width = (size, size) if isinstance(size, int) else size
         samples = []
         for _ in range(scenes):
             rng = np.random.default_rng((*self._key, self._next))
-            samples.append(self._draw(rng, inputs, targets, width / height, baseline, field_of_view, close_share))
+            drawn = self._draw(rng, inputs, targets, width / height, baseline, field_of_view, close_share, aside)
+            samples.append(drawn)
             self._next += 1
         worlds = pack([sample.world for sample in samples])
         cameras = np.stack([_camera_rows(sample.poses, sample.lens, height, width) for sample in samples])
@@ -113,6 +116,7 @@ class SceneSampler:
         baseline: tuple[float, float],
         field_of_view: tuple[float, float],
         close_share: float,
+        aside: float,
     ) -> _Sample:
         half_width = math.tan(math.radians(rng.uniform(*field_of_view)) / 2)
         fx = 0.5 / half_width
@@ -127,7 +131,7 @@ class SceneSampler:
                 continue
             middle = float(np.median(depth[np.isfinite(depth)]))
             length = middle * math.exp(rng.uniform(*np.log(baseline)))
-            poses = camera_poses(rng, inputs, targets, length, middle, half_width)
+            poses = camera_poses(rng, inputs, targets, length, middle, half_width, aside)
             world, poses = _cleared(world, poses, CLEARANCE * middle)
             if close_share and rng.random() < close_share:
                 near = close_thing(rng, paint, poses[rng.integers(inputs)], half_width, middle)

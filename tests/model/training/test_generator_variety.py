@@ -46,6 +46,21 @@ def test_all_three_motions_are_drawn_in_their_shares(monkeypatch: pytest.MonkeyP
     assert ahead / count == pytest.approx(shares["forward"], abs=0.06)
 
 
+@pytest.mark.parametrize(("aside", "median", "farthest"), [(0.0, 0.09, 0.6), (0.4, 0.22, 2.4)])
+def test_targets_lie_off_the_way_between_the_inputs_as_far_as_asked(
+    aside: float, median: float, farthest: float
+) -> None:
+    """Distance from the line through both inputs, in units of their distance."""
+    rng, off = np.random.default_rng(3), []
+    for _ in range(1500):
+        first, last, *targets = camera_poses(rng, 2, 2, 0.3, 1.0, 0.5, aside)[:, :3, 3]
+        way = (last - first) / np.linalg.norm(last - first)
+        off += [np.linalg.norm(np.cross(target - first, way)) / 0.3 for target in targets]
+    assert np.median(off) == pytest.approx(median, abs=0.03)  # measured 0.094 and 0.219
+    assert farthest / 3 < max(off) < farthest
+    assert np.quantile(off, 0.1) < 0.1  # many stay on it
+
+
 def test_worlds_have_what_is_promised() -> None:
     """Over 300 worlds, without tracing a ray."""
     rng, atlas = np.random.default_rng(2), load_atlas()

@@ -182,6 +182,19 @@ def test_something_close_stands_at_the_edge_of_one_input():
     assert np.mean(less) < 0.5 * np.mean(more)  # measured 0.07 and 0.20
 
 
+def test_targets_leave_the_way_between_the_inputs_where_that_is_asked_for():
+    """Distance of the target from the line through both inputs, in units of the way between these."""
+
+    def off(aside: float) -> float:
+        batch = SceneSampler(79, "train").batch(40, 2, 1, 8, aside=aside, supersample=1)
+        first, last, target = np.moveaxis(batch.world_from_cam[:, :, :3, 3], 1, 0)
+        way = last - first
+        return float(np.median(np.linalg.norm(np.cross(target - first, way), axis=1) / (way**2).sum(axis=1)))
+
+    assert off(0.0) < 0.15  # measured 0.09
+    assert off(0.6) > 2 * off(0.0)  # measured 0.22
+
+
 def test_splits_share_no_texture():
     atlas = load_atlas()
     train, validation = set(atlas.indices("train")), set(atlas.indices("validation"))
