@@ -36,11 +36,16 @@ class DepthEstimate:
 
 
 class DepthFromMatching(nn.Module):
-    """Fixed evidence gives the first depth; learned features, ZNCC and evidence vote in its refinements."""
+    """Fixed evidence gives the first depth; learned features, ZNCC and evidence vote in its refinements.
+
+    In a training step that is `withheld` there is no evidence: the network's own coarse depth comes first, and the
+    learned features and ZNCC vote everywhere, also where the views do not confirm it.
+    """
 
     def __init__(self, config: ModelConfig, mono_channels: int) -> None:
         super().__init__()
         self.sparse = True  # see `matching_evidence`
+        self.withheld = False  # a training step without evidence, in which the network must find the depths by itself
         self.planes, self.candidates = config.depth_planes, config.refine_candidates
         self.second_candidates = config.second_candidates
         c2, c4 = config.half_channels, config.quarter_channels
@@ -78,9 +83,9 @@ class DepthFromMatching(nn.Module):
         quarter = F.normalize(self.match_quarter(features.quarter), dim=1)
         zncc_quarter = self.descriptor(F.avg_pool2d(grey, 2))
         (learned, zncc), seen = sweep([quarter, zncc_quarter], views, self.planes)
-        with torch.no_grad():
-            evidence = matching_evidence(colours, views, self.planes, sparse=self.sparse)
-            pooled = F.avg_pool2d(evidence, 2)
+        alone = self.withheld and self.training
+        evidence = self._evidence(colours, views, nothing=alone)
+        pooled = F.avg_pool2d(evidence, 2)
         volume = self.volume_net(torch.cat([learned * 2, zncc, seen, features.quarter, mono, pooled], dim=1))
         logits = self.volume_logits(volume) + learned * self.learned_sharpness[0] + zncc * self.zncc_sharpness[0]
         probability = softmax_of_channels(logits + pooled * self.evidence_sharpness[0])
@@ -88,10 +93,10 @@ class DepthFromMatching(nn.Module):
         coarse = (probability * bins.reshape(1, -1, 1, 1)).sum(1, keepdim=True)
         confidence = probability.amax(1, keepdim=True)
 
-        start = softmax_mean(evidence * self.evidence_sharpness[1], bins)
+        start = resize_to(coarse, features.half) if alone else self._first_depth(evidence, bins)
         cues = agreement_cues(start, colours, views)
         sure = confirmation(cues)
-        filled = filled_from_behind(start, sure)
+        filled = start if alone else filled_from_behind(start, sure)
 
         context = resize_to(features.quarter[:, : features.quarter.shape[1] // 4], features.half)
         half = F.normalize(self.match_half(torch.cat([features.half, context], dim=1)), dim=1)
@@ -115,7 +120,7 @@ class DepthFromMatching(nn.Module):
             )
         )
         # what is hidden in the other views matches nothing in them: there only the network speaks
-        refined = _moved(filled, candidates, self.refine_logits(guide) + votes * sure)
+        refined = _moved(filled, candidates, self.refine_logits(guide) + (votes if alone else votes * sure))
 
         candidates = self._around(refined, self.second_candidates, SECOND_REACH)
         scores, votes = self._match(matched, evidence, candidates, views, 2)
@@ -123,6 +128,17 @@ class DepthFromMatching(nn.Module):
         guide = guide + self.second_net(torch.cat([guide, scores, cues], dim=1))
         second = _moved(refined, candidates, self.second_logits(guide) + votes)
         return DepthEstimate(coarse, refined, second, self._upsample(second, guide), confidence, volume, guide)
+
+    @torch.no_grad()
+    def _evidence(self, colours: Tensor, views: Views, *, nothing: bool) -> Tensor:
+        """(n, D, h, w) `matching_evidence` of pictures (n, 3, h, w), or as much of nothing."""
+        if nothing:
+            return colours.new_zeros(colours.shape[0], self.planes, *colours.shape[-2:])
+        return matching_evidence(colours, views, self.planes, sparse=self.sparse)
+
+    def _first_depth(self, evidence: Tensor, bins: Tensor) -> Tensor:
+        """(n, 1, h, w) inverse depth, as a share of the range, that evidence (n, D, h, w) is for."""
+        return softmax_mean(evidence * self.evidence_sharpness[1], bins)
 
     def _around(self, centre: Tensor, count: int, reach: float) -> Tensor:
         """(n, count, h, w) candidates up to `reach` planes to both sides of centre (n, 1, h, w); no gradient."""

@@ -55,10 +55,10 @@ class Budget:
                 raise ValueError(f"{name} is {value}, need at least 1")
 
     def recipe(self, seed: int) -> Recipe:
-        """One phase of two views at one size, nothing close, targets on the way; a sixth of the few steps warms up."""
+        """One phase of two views at one size, nothing close, targets on the way, evidence always; a sixth warms up."""
         phases = (Phase(1.0, (self.size,), self.training_scenes, (2,), (0.06, 0.6)),)
         warm_up = max(1, self.steps // 6)
-        plain = replace(Recipe(), close_share=0.0, aside=0.0)
+        plain = replace(Recipe(), close_share=0.0, aside=0.0, withheld_until=0.0)
         return replace(plain, steps=self.steps, seed=seed, warm_up=warm_up, phases=phases)
 
     def batches(self) -> list[TensorBatch]:

@@ -23,8 +23,9 @@ def camera_poses(
     """(inputs + targets, 4, 4) world_from_cam, inputs first, around the origin and looking along about +z.
 
     `baseline` is the length of the way between the first and the last input and `depth` that of the scene, in the same
-    unit; `half_width` = tan(horizontal fov / 2). Targets lie on the same way, up to 8 % beyond its ends, or off it by
-    a normal deviate of up to `aside` baselines in each direction: from there edges along the way show their depth too.
+    unit; `half_width` = tan(horizontal fov / 2). Targets lie on the same way, up to 8 % beyond its ends; with
+    `aside` each is then moved in all directions by a normal deviate, whose standard deviation is uniform between 0 and
+    `aside` baselines: from off the way edges along it show their depth too.
     """
     style = STYLES[rng.choice(3, p=STYLE_SHARES)]
     along = np.concatenate([np.linspace(0, 1, inputs), rng.uniform(-0.08, 1.08, targets)]) - 0.5

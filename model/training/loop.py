@@ -208,6 +208,7 @@ def _step(
         batch = add_noise(batch, recipe.input_noise, own)
     if model.mixture.gates is not None:
         model.mixture.gates.noise_scale = recipe.noise_scale_at(step)
+    model.depth.withheld = bool(own.random() < recipe.withheld_at(step))
     loss, parts = training_loss(model, batch, recipe, step)
     optimiser.zero_grad(set_to_none=True)
     loss.backward()

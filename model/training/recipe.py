@@ -33,7 +33,7 @@ class Phase:
 class Recipe:
     """What a run depends on besides code, data, precision and what it starts from."""
 
-    steps: int = 11_600
+    steps: int = 8_000
     seed: int = 1
     learning_rate: float = 1e-3
     warm_up: int = 200  # steps
@@ -44,17 +44,18 @@ class Recipe:
     targets: int = 2
     zoom_share: float = 0.2  # of steps whose targets have twice the input resolution: keeps scales from collapsing
     noise_until: float = 0.75  # share of the steps after which there is no Gumbel noise, as in inference
-    close_share: float = 0.25  # of scenes with something close at the edge of one input
-    aside: float = 0.3  # of the way between the inputs: how far targets lie off it, at most times a normal deviate
+    withheld_until: float = 0.75  # share of the steps up to which matching evidence is kept back, from all to none
+    close_share: float = 0.33  # of scenes with something close at the edge of one input
+    aside: float = 0.3  # baselines: largest standard deviation of targets from the way between the inputs
     input_noise: float = 0.01  # standard deviation, on every other step
     depth_weight: tuple[float, float] = (1.0, 0.3)  # from, to
     ssim_weight: float = 0.2
     balance_weight: float = 0.01
     phases: tuple[Phase, ...] = (
-        Phase(0.26, (64,), 4, (2, 2, 3), (0.06, 0.6)),
-        Phase(0.26, (96,), 2, (2, 3, 2, 4), (0.06, 0.8)),
-        Phase(0.336, (128,), 2, (2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
-        Phase(0.144, (256,), 2, (2, 2, 2, 3), (0.06, 0.7), (22.0, 80.0)),
+        Phase(0.10, (64,), 4, (2, 2, 3), (0.06, 0.6)),
+        Phase(0.36, (96,), 2, (2, 3, 2, 4), (0.06, 0.8), (22.0, 80.0)),
+        Phase(0.32, (128,), 2, (2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
+        Phase(0.22, (128, 128, 256), 2, (2, 2, 2, 3), (0.06, 0.8), (22.0, 80.0)),
     )
 
     def phase(self, step: int) -> Phase:
@@ -73,8 +74,15 @@ class Recipe:
         return self.learning_rate * warm * (0.01 + 0.99 * left)
 
     def noise_scale_at(self, step: int) -> float:
-        """Gumbel noise, from 1 in a line to 0; none in a recipe whose noise ends where it begins."""
-        return max(0.0, 1.0 - step / (self.noise_until * self.steps)) if self.noise_until else 0.0
+        """Factor of the Gumbel noise: from 1 in a line to 0; none in a recipe whose noise ends where it begins."""
+        return self._annealed(step, self.noise_until)
+
+    def withheld_at(self, step: int) -> float:
+        """Probability that a process has no evidence in a step: what it leaves to learn is what training is for."""
+        return self._annealed(step, self.withheld_until)
+
+    def _annealed(self, step: int, until: float) -> float:
+        return max(0.0, 1.0 - step / (until * self.steps)) if until else 0.0
 
     def depth_weight_at(self, step: int) -> float:
         start, end = self.depth_weight
@@ -88,6 +96,7 @@ FINISH = Recipe(
     warm_up=100,
     decay_from=0.2,
     noise_until=0.0,
+    withheld_until=0.0,
     close_share=0.5,
     depth_weight=(0.6, 0.3),
     phases=(

@@ -79,9 +79,9 @@ class SceneSampler:
         The way from the first to the last input is asked for log-uniform in `baseline`, in units of the median depth
         that the origin sees; positions then tremble by 6 % of it, and rooms draw cameras together until all are
         inside. The horizontal field of view is uniform in `field_of_view`, degrees. In a `close_share` of the scenes
-        something close stands at the edge of one input's picture, mostly out of the others'. Targets lie up to `aside`
-        (in units of the way between the inputs, as `camera_poses` has it) off that way. Only input views carry the
-        small exposure and noise errors of a real camera.
+        something close stands at the edge of one input's picture, mostly out of the others'. With `aside` targets
+        leave the way between the inputs, as `camera_poses` says. Only input views carry the small exposure and noise
+        errors of a real camera.
         """
         height, width = (size, size) if isinstance(size, int) else size
         samples = []

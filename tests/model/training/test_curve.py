@@ -64,7 +64,7 @@ def test_phases_follow_the_recipe_and_its_steps(run: Path) -> None:
     spans = curve.read_phases(run / "state.pt")
     recipe = Recipe(steps=1000)
     for span, phase in zip(spans, recipe.phases, strict=True):
-        assert span.label == f"{phase.sizes[0]} px"
+        assert span.label == phase.label
         for step in (int(span.start) + 1, int(span.end) - 1):
             assert recipe.phase(step) is phase
     assert curve.read_phases(run / "none.pt") == []

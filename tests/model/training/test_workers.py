@@ -26,6 +26,7 @@ SHARED = replace(
     zoom_share=0.0,
     input_noise=0.0,
     balance_weight=0.0,  # the balance of a process is that of its own scenes
+    withheld_until=0.0,  # each process draws anew whether it has evidence
     phases=(Phase(1.0, (32,), 2, (2,), (0.1, 0.4)),),
 )
 CONFIG = preset("tiny", without_experts=True, without_tasks=True)  # no Gumbel noise, which each process draws anew
@@ -69,7 +70,9 @@ def test_two_processes_train_as_one_does(tmp_path: Path) -> None:
     assert apart.detach().norm().item() < 0.1 * moved.detach().norm().item()
 
 
-WHOLE = replace(SHARED, steps=4, zoom_share=0.5, input_noise=0.01, balance_weight=0.01, noise_until=0.75)
+WHOLE = replace(
+    SHARED, steps=4, zoom_share=0.5, input_noise=0.01, balance_weight=0.01, noise_until=0.75, withheld_until=0.75
+)
 
 
 def _train_all_of_it(worker: Worker, folder: Path) -> None:
@@ -81,7 +84,7 @@ def _train_in_two(folder: Path) -> None:
 
 
 def test_two_processes_of_the_whole_method_resume_after_a_kill(tmp_path: Path) -> None:
-    """With experts, tasks, Gumbel noise and targets of twice the size; the process that started both is killed."""
+    """The whole recipe with all that it draws, at four steps; the process that started both is killed."""
     _train_in_two(tmp_path / "whole")
     killed_with_a_state(_train_in_two, tmp_path / "killed", daemon=False)
     until = time.monotonic() + 60
