@@ -75,7 +75,11 @@ def test_metadata_says_what_the_file_is(small_graph: onnx.ModelProto, network: G
 
 
 def test_no_path_of_the_exporting_machine_is_left_in_the_file(small_graph: onnx.ModelProto) -> None:
-    text = small_graph.SerializeToString()
+    graph = onnx.ModelProto()
+    graph.CopyFrom(small_graph)
+    for tensor in graph.graph.initializer:
+        tensor.ClearField("raw_data")  # numbers: every second file of 8.7 MB has these three characters by chance
+    text = graph.SerializeToString()
     assert b"site-packages" not in text
     assert b".py" not in text
 
