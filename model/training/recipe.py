@@ -104,6 +104,6 @@ FINISH = Recipe(
         Phase(0.55, (128, 128, 256), 2, (2, 2, 2, 3), (0.12, 0.9), (22.0, 80.0)),
     ),
 )
-"""`finish` goes on from trained weights, without noise, where they lose most: farther apart than the run before it, and
-with something close at the edge of an input in half of the scenes; the steps at 256 px come last."""
+"""`finish` goes on from trained weights, without noise, where they lose most: with inputs farther apart than in
+`whole`, and something close at the edge of one in half of the scenes; the steps at 256 px come last."""
 RECIPES = {"whole": Recipe(), "finish": FINISH}
