@@ -16,7 +16,8 @@ from onnxruntime.quantization import QuantType, quantize_dynamic
 TRANSPOSED = "_Transposed"  # the quantiser turns Gemm with a transposed weight into MatMul and renames the weight
 _LAST = "trunk.cross_view.1."  # of `tiny`: in 8 bits its attention sent a sixth of a grey image's patches elsewhere
 # Substrings of nodes and constants that keep float32: the gates, and what makes the features that are matched: the
-# whole transformer, of `tiny` the attention of its last block
+# whole transformer, of `tiny` the attention of its last block. All of it would serve better (no route of black and
+# grey images changes, pictures agree to 81 instead of 71 dB), for a file of 88 instead of 84 % of the float32 one
 _FLOAT32_PARTS = ("mixture.gates.", ".transformer.layers.", f"{_LAST}query_", f"{_LAST}key_value_", f"{_LAST}out_")
 
 
