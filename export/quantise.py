@@ -1,4 +1,4 @@
-"""int8: the linear layers of the transformers in 8 bits; gates, matching and convolutions in float32.
+"""int8: the linear layers of the transformers in 8 bits, but for what is matched; gates and all else in float32.
 
 Weights are quantised per output channel at export, activations per tensor at run time. The gates themselves lose
 nothing, but what they read comes from quantised layers: some routes change, and the report counts them.
@@ -7,6 +7,7 @@ nothing, but what they read comes from quantised layers: some routes change, and
 from __future__ import annotations
 
 import logging
+import re
 import tempfile
 from pathlib import Path
 
@@ -14,11 +15,13 @@ import onnx
 from onnxruntime.quantization import QuantType, quantize_dynamic
 
 TRANSPOSED = "_Transposed"  # the quantiser turns Gemm with a transposed weight into MatMul and renames the weight
-_LAST = "trunk.cross_view.1."  # of `tiny`: in 8 bits its attention sent a sixth of a grey image's patches elsewhere
-# Substrings of nodes and constants that keep float32: the gates, and what makes the features that are matched: the
-# whole transformer, of `tiny` the attention of its last block. All of it would serve better (no route of black and
-# grey images changes, pictures agree to 81 instead of 71 dB), for a file of 88 instead of 84 % of the float32 one
-_FLOAT32_PARTS = ("mixture.gates.", ".transformer.layers.", f"{_LAST}query_", f"{_LAST}key_value_", f"{_LAST}out_")
+# Substrings of nodes and constants that keep float32: the gates, and the whole transformer across views of the full
+# trunk and of DepthSplat. Of the light trunk's it is the attention of the last block, which sends a sixth of a grey
+# image's patches to other experts when it is in 8 bits. The whole transformer in float32 serves better (no route of
+# black and grey images changes, pictures agree to 81 instead of 71 dB) in a file of 88 instead of 84 % of its bytes.
+_FLOAT32_PARTS = ("mixture.gates.", ".transformer.layers.")
+_ATTENTION = ("query_", "key_value_", "out_")
+_CROSS_VIEW_BLOCK = re.compile(r"trunk\.cross_view\.(\d+)\.")
 
 
 def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
@@ -39,7 +42,8 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
     if not integer:
         raise ValueError("the graph has no linear layer with constant weights to quantise")
     kept = {i.name.removesuffix(TRANSPOSED) for i in result.graph.initializer}
-    lost = [i.name for i in model.graph.initializer if _is_float32_part(i.name) and i.name not in kept]
+    parts = _float32_parts(model)
+    lost = [i.name for i in model.graph.initializer if any(part in i.name for part in parts) and i.name not in kept]
     if lost:
         raise ValueError(f"constants that must stay float32 were quantised: {lost}")
     onnx.checker.check_model(result)
@@ -62,14 +66,18 @@ def _quantise(source: Path, target: Path, float32_nodes: list[str]) -> None:
 def _float32_nodes(model: onnx.ModelProto) -> list[str]:
     """Also products that no layer does, such as those with constants that are means: their modules hold others."""
     modules = {n.name.rpartition("/")[0] for n in model.graph.node}
+    parts = _float32_parts(model)
     holders = {module[:at] for module in modules for at, letter in enumerate(module) if letter == "."}
     names = [
         n.name
         for n in model.graph.node
-        if n.name.rpartition("/")[0] in holders or any(_is_float32_part(part) for part in (n.name, *n.input))
+        if n.name.rpartition("/")[0] in holders or any(part in name for part in parts for name in (n.name, *n.input))
     ]
     return names + [f"{name}_MatMul" for name in names]  # the names that the quantiser gives to what were Gemm nodes
 
 
-def _is_float32_part(name: str) -> bool:
-    return any(part in name for part in _FLOAT32_PARTS)
+def _float32_parts(model: onnx.ModelProto) -> tuple[str, ...]:
+    """Substrings of the names of nodes and constants that keep float32, by the blocks that this graph has."""
+    blocks = {int(found[1]) for i in model.graph.initializer if (found := _CROSS_VIEW_BLOCK.search(i.name))}
+    last = [f"trunk.cross_view.{max(blocks)}.{part}" for part in _ATTENTION] if blocks else []
+    return (*_FLOAT32_PARTS, *last)

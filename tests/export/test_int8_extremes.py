@@ -127,5 +127,8 @@ def test_only_layers_are_quantised(small_graph: onnx.ModelProto) -> None:
     layers = {"query_self", "key_value_self", "out_self", "query_cross", "key_value_cross", "out_cross", "0", "2"}
     layers |= {"q_proj", "k_proj", "v_proj", "o_proj", "fc1", "fc2"}
     assert {module.rpartition(".")[2] for module in modules} == layers
+    across = {module.partition("cross_view.")[2] for module in modules if "cross_view." in module}
+    assert {one.partition(".")[0] for one in across} == {"0", "1"}
+    assert not [one for one in across if one.startswith("1.") and not one.startswith("1.mlp")]
     floats = [node for node in model.graph.node if node.op_type == "MatMul" and node.name.startswith("network.depth/")]
     assert len(floats) > 20
