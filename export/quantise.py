@@ -1,4 +1,4 @@
-"""int8: the linear layers of the transformers in 8 bits, but for what is matched; gates and all else in float32.
+"""int8: the linear layers of the transformers in 8 bits; gates, all else and what matching needs most in float32.
 
 Weights are quantised per output channel at export, activations per tensor at run time. The gates themselves lose
 nothing, but what they read comes from quantised layers: some routes change, and the report counts them.
@@ -18,7 +18,7 @@ TRANSPOSED = "_Transposed"  # the quantiser turns Gemm with a transposed weight 
 # Substrings of nodes and constants that keep float32: the gates, and the whole transformer across views of the full
 # trunk and of DepthSplat. Of the light trunk's it is the attention of the last block, which sends a sixth of a grey
 # image's patches to other experts when it is in 8 bits. The whole transformer in float32 serves better (no route of
-# black and grey images changes, pictures agree to 81 instead of 71 dB) in a file of 88 instead of 84 % of its bytes.
+# black and grey images changes, pictures agree to 81 instead of 71 dB) in a file with 88 instead of 84 % of the bytes.
 _FLOAT32_PARTS = ("mixture.gates.", ".transformer.layers.")
 _ATTENTION = ("query_", "key_value_", "out_")
 _CROSS_VIEW_BLOCK = re.compile(r"trunk\.cross_view\.(\d+)\.")

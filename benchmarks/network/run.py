@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO
 
 from gapmes.service.terminal import ProgressBars
 
@@ -26,10 +27,11 @@ from .worker import RUNTIMES
 
 @dataclass
 class Timed:
-    """One process and what it answered."""
+    """One process, what it answered, and the file of what it complained of."""
 
     name: str
     process: subprocess.Popen[str]
+    errors: IO[str]
     rows: list[dict[str, float]] = field(default_factory=list)
 
     def run(self) -> None:
@@ -40,7 +42,9 @@ class Timed:
             self.process.stdin.flush()
         line = self.process.stdout.readline()
         if not line:
-            raise RuntimeError(f"{self.name} ended with {self.process.wait()}")
+            code = self.process.wait()
+            self.errors.seek(0)
+            raise RuntimeError(f"{self.name} ended with {code}: {self.errors.read().strip()[-1500:]}")
         self.rows.append(json.loads(line))
 
     def median(self, what: str = "cpu") -> float:
@@ -61,10 +65,10 @@ def worker(
         ) as process,
     ):
         try:
-            yield Timed(name, process)
-        except RuntimeError as error:
-            errors.seek(0)
-            raise RuntimeError(f"{error}: {errors.read().strip()[-1500:]}") from None
+            yield Timed(name, process, errors)
+        except BaseException:  # another one's error too: this one may be compiling for minutes
+            process.kill()
+            raise
         finally:
             assert process.stdin is not None
             with suppress(BrokenPipeError):

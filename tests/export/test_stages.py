@@ -50,15 +50,16 @@ class Stage:
     def limit_of(self, field: str | None, moved: float) -> float:
         """Of a tensor that float64 moves by `moved` when its arguments do."""
         if field in self.moving:
-            return min(MOVED_FACTOR * moved, CEILINGS["p99"])
+            return min(max(self.limit, MOVED_FACTOR * moved), CEILINGS["p99"])
         return self.others.get(field or "", self.limit)
 
 
-# The network's coarse depth and its confidence are no 1e-5: a camera's entries moved by 2^-24 of themselves shift every
-# sample of a pixel together, its 128 scores by 1e-6, and what the volume's layers and a softmax make of them by 1.4e-4
+# The coarse depth and its confidence cannot be held to 1e-5: a camera's entries moved by 2^-24 of themselves shift all
+# samples of a pixel together, its 128 scores by 1e-6, and what the volume's layers and a softmax make of them by 1.4e-4
 # (the images, moved alike, by 4e-7). A program that is backward stable is off by about that. These two may be so many
-# times as far from float64 as it moves then, but not farther than an exported file ever may. Measured on three scenes
-# each of two and four views, torch at most 2.6 times (1.7e-4), the graph on those below at most 1.4 times (5.0e-5).
+# times as far from float64 as it moves then, and at most 3e-4, as 99 of 100 values of a file may be where depths are
+# determined. Measured on three scenes each of two and four views, torch at most 2.6 times (1.7e-4), the graph on those
+# below at most 1.4 times (5.0e-5).
 MOVED_FACTOR = 4.0
 
 # Measured at most 6.3e-6, and 1.6e-5 in the depths that start from the fixed evidence.
@@ -217,9 +218,11 @@ def test_every_stage_is_near_to_float64_in_both_runtimes(exported: Exported, vie
         by_graph = dict(zip(wanted, session_of(part).run(wanted, {**feed, **given}), strict=True))
         assert len(places) >= asked.compared
         assert sum(bool(names_of(one, run)) for one in tensors(narrow[stage][0])) >= asked.cut
-        near = moved_a_little(cast(arguments, torch.float64), torch.Generator().manual_seed(0))
-        with torch.no_grad(), in_float64():
-            moved = tensors(wide.get_submodule(stage)(*near))
+        moved = truth
+        if asked.moving:
+            near = moved_a_little(cast(arguments, torch.float64), torch.Generator().manual_seed(0))
+            with torch.no_grad(), in_float64():
+                moved = tensors(wide.get_submodule(stage)(*near))
         names = [one.name for one in dataclasses.fields(result)] if dataclasses.is_dataclass(result) else []
         fields = dict(enumerate(names)) if len(names) == len(truth) else {}
         assert {*asked.others, *asked.moving} <= {fields.get(place) for place in places}
