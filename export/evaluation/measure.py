@@ -104,7 +104,7 @@ def measure(
             holes=float(open_pixels.mean()),
             holes_covisible=float(open_pixels[covered].mean()) if covered.any() else None,
             seconds=result.seconds,
-            twice=_at_twice(larger, result, pictures[name], score, threads) if larger else None,
+            twice=_at_twice(larger, result, pictures[name], case.targets, score, threads) if larger else None,
         )
     share = float(np.stack(masks).mean())
     routes = {name: result.routes for name, result in results.items()}
@@ -172,19 +172,37 @@ def _score(
 
 
 def _at_twice(
-    truth: LargerTargets, ours: _Reconstruction, pictures: Sequence[F32], score: MethodScore, threads: int | None
+    truth: LargerTargets,
+    ours: _Reconstruction,
+    pictures: Sequence[F32],
+    targets: Sequence[FittedView],
+    score: MethodScore,
+    threads: int | None,
 ) -> Twice:
-    """Drawn at twice the size and compared, beside the `pictures` of the size itself, enlarged (Lanczos)."""
+    """Drawn at twice the size and compared, beside the `pictures` of the `targets`' size, enlarged (Lanczos)."""
     drawn = [ours.draw(view.camera, threads) for view in truth.views]
     truths, once = [view.image for view in truth.views], number(score.all.psnr)
     psnr = _mean_psnr([_picture(one) for one in drawn], truths)
     alone = _mean_psnr([enlarged(picture) for picture in pictures], truths)
     holes = float(np.mean([(one.alpha < HOLE).mean() for one in drawn]))
-    return Twice(psnr, psnr - once, alone - once, holes, truth.side_px)
+    detail = lost_to_detail(pictures, [view.image for view in targets], truths)
+    return Twice(psnr, psnr - once, alone - once, detail, holes, truth.side_px)
 
 
 def _mean_psnr(pictures: Sequence[F32], truths: Sequence[F32]) -> float:
     return float(np.mean([picture_error.psnr(one, truth) for one, truth in zip(pictures, truths, strict=True)]))
+
+
+def lost_to_detail(pictures: Sequence[F32], targets: Sequence[F32], truths: Sequence[F32]) -> float:
+    """dB, never above 0: the change of PSNR from `targets` to `truths` of twice their size if `pictures` kept the
+    squared error that they have and gained only that of the targets themselves, enlarged. A mean over pictures.
+
+    What the inputs' size cannot show costs this much however good the depths are, and more, the better the pictures
+    are; errors of the picture that happen to make up for missing detail are not thought of.
+    """
+    own = [picture_error.psnr(*pair) for pair in zip(pictures, targets, strict=True)]
+    best = [picture_error.psnr(enlarged(target), truth) for target, truth in zip(targets, truths, strict=True)]
+    return float(np.mean([-10 * np.log10(1 + 10 ** ((o - b) / 10)) for o, b in zip(own, best, strict=True)]))
 
 
 def enlarged(picture: F32) -> F32:

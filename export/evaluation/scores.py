@@ -30,6 +30,7 @@ class Twice:
     psnr: float  # dB
     change: float  # dB, against the PSNR at the size of the inputs
     enlarged: float  # dB, the same change of the picture of the inputs' size, enlarged: the truth has finer detail
+    detail: float  # dB, the same change if the truth's finer detail were all that is lost
     holes: float  # share of pixels with opacity below 0.5
     side_px: int  # shorter side that the truth has: of the photograph's crop, or as drawn; below twice ours: enlarged
 

@@ -127,7 +127,8 @@ def _twice_table(group: Group) -> list[str]:
     found = [(scene, rows) for scene, rows in found if rows]
     if not found:
         return []
-    head = [f"at {group.size.twice} px", "model", "PSNR", "change in dB", "1x enlarged", "holes", "truth"]
+    changes = ["change in dB", "1x enlarged", "detail alone"]
+    head = [f"at {group.size.twice} px", "model", "PSNR", *changes, "holes", "truth"]
     means = [["mean", m, *_twice_cells([t for _, rows in found for n, t in rows if n == m]), ""] for m in models]
     lines = []
     if len(found) > SCENES_SHOWN:
@@ -150,8 +151,9 @@ def _twice_table(group: Group) -> list[str]:
 
 def _twice_cells(values: Sequence[Twice]) -> list[str]:
     psnr, change = mean_of([t.psnr for t in values]), mean_of([t.change for t in values])
-    enlarged, holes = mean_of([t.enlarged for t in values]), mean_of([t.holes for t in values])
-    return [f"{psnr:.2f}", f"{change:+.2f}", f"{enlarged:+.2f}", f"{holes:.3%}"]
+    enlarged, detail = mean_of([t.enlarged for t in values]), mean_of([t.detail for t in values])
+    holes = mean_of([t.holes for t in values])
+    return [f"{psnr:.2f}", f"{change:+.2f}", f"{enlarged:+.2f}", f"{detail:+.2f}", f"{holes:.3%}"]
 
 
 def _routing_table(group: Group) -> list[str]:

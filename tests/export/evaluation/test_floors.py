@@ -39,7 +39,7 @@ def group(kind: str, inputs: int, margins: tuple[float, ...], least_expert: floa
     share = [1 - 5 * least_expert, *[least_expert] * 5]
     routing = {"ours": RoutingStatistics(10, share, {"mean": 0.25}, {"mean": 0.1}, {"experts": 0.4})}
     scenes = [
-        scene(f"s{i}", 20.0 + i + m, 20.0 + i, Twice(19.0, -1.0, -0.5, 0.001, 300)) for i, m in enumerate(margins)
+        scene(f"s{i}", 20.0 + i + m, 20.0 + i, Twice(19.0, -1.0, -0.5, -0.4, 0.001, 300)) for i, m in enumerate(margins)
     ]
     return Group(kind, inputs, Size.square(side), "true depth", scenes, routing)
 
@@ -78,9 +78,9 @@ def with_scene(index: int, **changes: object) -> list[Group]:
         ([GOOD[0], group("photographs", 2, (4.5, 0.1)), GOOD[2]], "photographs, 2 views, 128 px: mean"),
         ([GOOD[0], group("photographs", 2, (6.0, -0.1)), GOOD[2]], "photographs, 2 views, 128 px: above"),
         ([*GOOD[:2], group("photographs", 3, (1.4, 1.5))], "photographs, 3 views, 128 px: mean"),
-        (with_scene(1, twice=Twice(18.0, -1.6, -0.5, 0.0, 300)), "twice the size: PSNR"),
-        (with_scene(1, twice=Twice(22.0, 1.6, -0.5, 0.0, 300)), "twice the size: PSNR"),
-        (with_scene(2, twice=Twice(18.0, -1.0, -0.5, 0.011, 300)), "twice the size: holes"),
+        (with_scene(1, twice=Twice(18.0, -1.6, -0.5, -0.4, 0.0, 300)), "twice the size: PSNR"),
+        (with_scene(1, twice=Twice(22.0, 1.6, -0.5, -0.4, 0.0, 300)), "twice the size: PSNR"),
+        (with_scene(2, twice=Twice(18.0, -1.0, -0.5, -0.4, 0.011, 300)), "twice the size: holes"),
         (with_scene(0, holes_covisible=1e-6), "holes in co-visible"),
         ([GOOD[0], GOOD[1], group("photographs", 3, (1.4, 1.7), least_expert=0.029)], "least used expert"),
         ([*GOOD, group("photographs", 2, (2.3, 2.3), side=256)], "photographs, 2 views, 256 px: mean"),
