@@ -24,6 +24,8 @@ from PIL import Image
 from gapmes.service.app import create_app
 from gapmes.service.settings import Settings
 
+RECONSTRUCTION_MS = 180_000  # patience, not a limit: three photographs take 15 s of one thread, more beside other work
+
 
 @contextmanager
 def serving(settings: Settings) -> Iterator[str]:
@@ -101,7 +103,8 @@ def rendered(address: str, **query: str) -> NDArray[np.uint8]:
 
 
 def made(page: Any, before: str) -> str:
-    """The id of the scene on show, once it is another one than at the address `before`."""
-    page.wait_for_url(lambda url: url != before and re.search(r"/\?scene=[0-9a-f]{32}$", url))
+    """The id of the scene on show, once it is another one than at the address `before`, however busy the machine is."""
+    another = re.compile(r"/\?scene=[0-9a-f]{32}$")
+    page.wait_for_url(lambda url: url != before and another.search(url), timeout=RECONSTRUCTION_MS)
     page.wait_for_selector("#picture[src^='blob:']")
     return page.url.rpartition("=")[2]
