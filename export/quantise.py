@@ -1,4 +1,4 @@
-"""int8: the linear layers of the transformers in 8 bits; gates, all else and what matching needs most in float32.
+"""int8: the linear layers of the transformers in 8 bits; gates, convolutions and what decides the matching in float32.
 
 Weights are quantised per output channel at export, activations per tensor at run time. The gates themselves lose
 nothing, but what they read comes from quantised layers: some routes change, and the report counts them.
