@@ -1,0 +1,76 @@
+"""The mean of several runs' weights: right to rounding, of runs of one network alone, and said in the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from small_networks import tiny
+
+from gapmes.model.checkpoint import load_checkpoint, read_metadata, save_checkpoint
+from gapmes.model.network import GaPMeS
+from gapmes.model.pretrained.backbones import RECORD
+from gapmes.model.training.average import MEAN_OF, averaged, main
+from gapmes.model.weights_file import CheckpointError, file_sha256
+
+
+def saved(path: Path, network: GaPMeS) -> Path:
+    save_checkpoint(path, network)
+    return path
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> list[Path]:
+    return [saved(tmp_path / f"{seed}.safetensors", tiny(seed)) for seed in range(3)]
+
+
+def test_every_parameter_is_the_mean_in_float64(runs: list[Path]) -> None:
+    networks = [dict(load_checkpoint(path).named_parameters()) for path in runs]
+    for name, value in averaged(runs).named_parameters():
+        exact = sum(network[name].double() for network in networks) / len(networks)
+        assert torch.equal(value, exact.float()), name
+
+
+def test_a_file_with_itself_stays_bit_for_bit(runs: list[Path]) -> None:
+    once, twice = load_checkpoint(runs[1]), averaged([runs[1], runs[1]])
+    assert all(torch.equal(a, b) for a, b in zip(once.parameters(), twice.parameters(), strict=True))
+
+
+def test_the_command_writes_a_checkpoint_that_says_what_went_in(
+    runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "mean.safetensors"
+    assert main([str(out), *map(str, runs)]) == 0
+    assert capsys.readouterr().out == f"{out}: mean of 3 files\n"
+    written, wanted = load_checkpoint(out), averaged(runs)
+    assert all(torch.equal(a, b) for a, b in zip(written.parameters(), wanted.parameters(), strict=True))
+    assert read_metadata(out)[MEAN_OF].split(",") == [file_sha256(path) for path in runs]
+
+
+def test_other_frozen_parts_are_refused(tmp_path: Path) -> None:
+    networks, paths = [tiny(0), tiny(1)], [tmp_path / "0.safetensors", tmp_path / "1.safetensors"]
+    for network, path in zip(networks, paths, strict=True):
+        network.provenance = {RECORD: "one"}
+        saved(path, network)
+    averaged(paths)
+    networks[1].provenance = {RECORD: "other"}
+    saved(paths[1], networks[1])
+    with pytest.raises(CheckpointError, match=r"1\.safetensors has other frozen parts \(other\) than .*0\.safetensors"):
+        averaged(paths)
+
+
+def test_another_network_and_too_few_files_are_refused(
+    runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = saved(tmp_path / "other.safetensors", tiny(0, without_tasks=True))
+    with pytest.raises(CheckpointError, match=r"other\.safetensors has another configuration .* than .*0\.safetensors"):
+        averaged([runs[0], other])
+    with pytest.raises(CheckpointError, match="1 given, need at least 2"):
+        averaged(runs[:1])
+    out = tmp_path / "out.safetensors"
+    with pytest.raises(SystemExit) as exit:
+        main([str(out), str(runs[0]), str(tmp_path / "missing.safetensors")])
+    assert exit.value.code == 2
+    assert "missing.safetensors: no such file" in capsys.readouterr().err
+    assert not out.exists()
