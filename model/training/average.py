@@ -13,36 +13,40 @@ from pathlib import Path
 
 import torch
 
-from ..checkpoint import load_checkpoint, read_config, read_metadata, save_checkpoint
+from ..checkpoint import load_checkpoint, read_config, save_checkpoint
 from ..network import GaPMeS
-from ..pretrained.backbones import RECORD
 from ..weights_file import CheckpointError, file_sha256
 
 MEAN_OF = "gapmes.mean_of"  # sha256 of every file that went in, in the checkpoint's metadata
 
 
 def averaged(paths: Sequence[Path]) -> GaPMeS:
-    """The network with the mean, in float64, of what was trained in every file, and with the frozen parts of the first.
+    """The network with the mean, in float64, of what was trained in every file, and with the frozen parts of all.
 
     Raises `CheckpointError` for fewer than two files, and for one that has another configuration or other frozen parts
     than the first.
     """
     if len(paths) < 2:
         raise CheckpointError(f"weights: {len(paths)} given, need at least 2 for a mean")
-    config, frozen = read_config(paths[0]), read_metadata(paths[0]).get(RECORD)
+    config = read_config(paths[0])
     for path in paths[1:]:
         if (found := read_config(path)) != config:
             raise CheckpointError(
                 f"{path} has another configuration ({found.to_json()}) than {paths[0]} ({config.to_json()}): "
                 "only runs of one network have a mean"
             )
-        if (theirs := read_metadata(path).get(RECORD)) != frozen:
-            raise CheckpointError(f"{path} has other frozen parts ({theirs}) than {paths[0]} ({frozen})")
     models = [load_checkpoint(path) for path in paths]
     with torch.no_grad():
-        for values in zip(*(model.parameters() for model in models), strict=True):
-            if values[0].requires_grad:
-                values[0].copy_(torch.stack([value.double() for value in values]).mean(0))
+        for (name, first), *others in zip(*(model.named_parameters() for model in models), strict=True):
+            if first.requires_grad:
+                first.copy_(torch.stack([first.double(), *(value.double() for _, value in others)]).mean(0))
+                continue
+            for path, (_, value) in zip(paths[1:], others, strict=True):
+                if not torch.equal(value, first):
+                    raise CheckpointError(
+                        f"{path} has other frozen parts than {paths[0]}: {name} differs; average runs that were begun "
+                        "with the same published weights"
+                    )
     return models[0]
 
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 import torch
+from full_networks import miniature
 from small_networks import tiny
 
 from gapmes.model.checkpoint import load_checkpoint, read_metadata, save_checkpoint
 from gapmes.model.network import GaPMeS
-from gapmes.model.pretrained.backbones import RECORD
 from gapmes.model.training.average import MEAN_OF, averaged, main
 from gapmes.model.weights_file import CheckpointError, file_sha256
 
@@ -48,16 +48,20 @@ def test_the_command_writes_a_checkpoint_that_says_what_went_in(
     assert read_metadata(out)[MEAN_OF].split(",") == [file_sha256(path) for path in runs]
 
 
-def test_other_frozen_parts_are_refused(tmp_path: Path) -> None:
-    networks, paths = [tiny(0), tiny(1)], [tmp_path / "0.safetensors", tmp_path / "1.safetensors"]
-    for network, path in zip(networks, paths, strict=True):
-        network.provenance = {RECORD: "one"}
-        saved(path, network)
-    averaged(paths)
-    networks[1].provenance = {RECORD: "other"}
-    saved(paths[1], networks[1])
-    with pytest.raises(CheckpointError, match=r"1\.safetensors has other frozen parts \(other\) than .*0\.safetensors"):
-        averaged(paths)
+def test_frozen_parts_stay_and_others_are_refused(tmp_path: Path) -> None:
+    networks = [miniature(0), miniature(1)]
+    frozen = {name: value for name, value in networks[0].named_parameters() if not value.requires_grad}
+    other = saved(tmp_path / "other.safetensors", networks[1])
+    networks[1].load_state_dict(frozen, strict=False)
+    paths = [saved(tmp_path / f"{number}.safetensors", network) for number, network in enumerate(networks)]
+    mean = dict(averaged(paths).named_parameters())
+    assert len(frozen) > 100
+    assert all(torch.equal(mean[name], value) for name, value in frozen.items())
+    assert not torch.equal(mean["heads.mu.out.weight"], dict(networks[0].named_parameters())["heads.mu.out.weight"])
+    with pytest.raises(
+        CheckpointError, match=r"other\.safetensors has other frozen parts than .*0\.safetensors: \S+ differs"
+    ):
+        averaged([*paths, other])
 
 
 def test_another_network_and_too_few_files_are_refused(
