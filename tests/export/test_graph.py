@@ -14,7 +14,7 @@ from few_pieces import few_pieces
 from gapmes.export.build import MAX_VIEWS, MIN_VIEWS, OPSET, export_graph
 from gapmes.export.cases import Case
 from gapmes.export.gate_settings import gate_values, with_gates
-from gapmes.export.graph import SceneGraph
+from gapmes.export.graph import SceneGraph, evaluated
 from gapmes.export.samples import FLAT, UNDETERMINED, hostile_scenes, random_scene
 from gapmes.export.tolerance import TOLERANCES
 from gapmes.export.verify import verify
@@ -132,21 +132,35 @@ def expert_rows(model: onnx.ModelProto, inputs) -> list[int]:
     return [value.shape[0] for value in session.run(names, feed(inputs))]
 
 
+def weights_missing_or_left(network: GaPMeS, inputs, weight: np.ndarray) -> tuple[int, int]:
+    """How many choices weigh nothing where float64 has a float32 for their weight, and how many weigh something where
+    it has none. Subnormal numbers may go either way, since an exponential may flush them; weights as small as these
+    differ by up to 5e-5 of themselves (measured)."""
+    exact = evaluated(network, inputs, torch.float64)["expert_weight"]
+    kinds, rounding = np.finfo(np.float32), 1e-3
+    missing = (weight == 0) & (exact > kinds.tiny * (1 + rounding))
+    left = (weight != 0) & (exact < kinds.smallest_subnormal / 2 * (1 - rounding))
+    return int(missing.sum()), int(left.sum())
+
+
 @pytest.mark.case("S2")
 @pytest.mark.parametrize("gates", ["as trained", "all tied", "one expert", "two experts"])
 def test_each_expert_runs_on_just_the_patches_that_chose_it(
     small_graph: onnx.ModelProto, network: GaPMeS, gates: str
 ) -> None:
-    model = with_gates(small_graph, gate_values(network, gates))
+    values = gate_values(network, gates)
+    model = with_gates(small_graph, values)
+    network.load_state_dict(values, strict=False)
     inputs = random_scene(3, SIZE, SIZE, seed=4)
     session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
     index, weight = session.run(["expert_index", "expert_weight"], feed(inputs))
     chosen = np.bincount(index[weight != 0], minlength=6)
-    pairs = 3 * PATCHES * (1 if gates == "one expert" else 2)
-    # a second choice whose weight underflows to 0 needs no run either: 1 of 96 with the shipped weights
-    assert pairs - (gates == "as trained") <= chosen.sum() <= pairs
+    # a second choice whose weight underflows to 0 needs no run either
+    assert weights_missing_or_left(network, inputs, weight) == (0, 0)
     assert (weight.max(axis=-1) > 0).all()
     assert expert_rows(model, inputs) == (3 * chosen).tolist()
+    if gates != "as trained":
+        assert chosen.sum() == 3 * PATCHES * (1 if gates == "one expert" else 2)
     if gates == "one expert":
         assert np.flatnonzero(chosen).tolist() == [5]
     if gates == "two experts":
@@ -154,14 +168,14 @@ def test_each_expert_runs_on_just_the_patches_that_chose_it(
 
 
 @pytest.mark.case("S2")
-def test_left_out_patches_run_through_no_expert(small_graph: onnx.ModelProto) -> None:
+def test_left_out_patches_run_through_no_expert(small_graph: onnx.ModelProto, network: GaPMeS) -> None:
     inputs = hostile_scenes(3, SIZE, SIZE)
     assert sum(expert_rows(small_graph, inputs["all masked"])) == 0
     session = onnxruntime.InferenceSession(small_graph.SerializeToString(), providers=["CPUExecutionProvider"])
     (weight,) = session.run(["expert_weight"], feed(inputs["half masked"]))
     assert sum(expert_rows(small_graph, inputs["half masked"])) == 3 * (weight != 0).sum()
     assert ((weight != 0).any(axis=-1).sum()) == 3 * PATCHES // 2  # the patches that are not masked
-    assert (weight != 0).sum() >= 2 * 3 * PATCHES // 2 - 1  # one second choice underflows
+    assert weights_missing_or_left(network, inputs["half masked"], weight) == (0, 0)
 
 
 @pytest.mark.case("P9")
