@@ -92,10 +92,10 @@ TOLERANCES: dict[Precision, Tolerance] = {
         smooth_picture_psnr=70.0,
         rounding_factor=3.0,
     ),
-    # Measured with the shipped weights at 256 px: p99 2.7e-2, of margins 1.9e-2, mean 2.6e-3, of margins 3.9e-3, 1.2 % of
-    # routes, picture 66 dB at least; on images of one colour, which normalisation divides by the root of nearly nothing,
-    # p99 2.1e-1, of margins 1.2e-1, mean 1.5e-2, of margins 8.8e-3, and 1.2 % of routes. Limits: room for other weights
-    # and processors.
+    # Measured with the shipped weights at 256 px: p99 2.7e-2, of margins 1.9e-2, mean 2.6e-3, of margins 3.9e-3, 1.2 %
+    # of routes, picture 66 dB at least; on images of one colour, which normalisation divides by the root of nearly
+    # nothing, p99 2.1e-1, of margins 1.2e-1, mean 1.5e-2, of margins 8.8e-3, and 1.2 % of routes. Limits: room for
+    # other weights and processors.
     "int8": Tolerance(
         p99=1e-1,
         mean=6e-3,
