@@ -9,6 +9,7 @@ from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, disable_created_metrics
 
+from .peers import is_alive
 from .progress import Stage
 
 FOLDER = "PROMETHEUS_MULTIPROC_DIR"  # read by the library when it is imported; `gapmes serve --workers` sets it
@@ -49,7 +50,5 @@ def reconstructed(document: Mapping[str, Any]) -> None:
 def forget_dead(folder: Path) -> None:
     """Remove the gauges that processes left in `folder` which are gone."""
     for file in folder.glob("gauge_live*.db"):
-        try:
-            os.kill(int(file.stem.rpartition("_")[2]), 0)
-        except OSError:
+        if not is_alive(int(file.stem.rpartition("_")[2])):
             file.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Probes: /healthz says that the process answers, /readyz that model and kernels are loaded, and which."""
+"""Probes: /healthz says that the process answers, /readyz that model and kernels are loaded everywhere, and which."""
 
 from __future__ import annotations
 
@@ -25,10 +25,14 @@ async def healthz() -> dict[str, str]:
 @router.head("/readyz", include_in_schema=False)
 @router.get("/readyz", response_model=Ready)
 async def readyz(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
-    """200 with what was loaded and how long it took; 503 before that, with the stage or the reason of a failure, and
-    507 while the store cannot be written."""
+    """200 with what was loaded and how long it took; 503 before all processes have, with the stage or the reason of a
+    failure, and 507 while the store cannot be written."""
     try:
         models: dict[str, Any] = runtime.models.document()
+        if not runtime.peers.complete:
+            raise ModelNotReady(
+                f"{len(runtime.peers.living())} of {runtime.peers.count} processes are loaded", cure="poll and retry"
+            )
     except ModelNotReady as error:
         state = "starting" if runtime.failure is None else "failed"
         error.extra |= {"state": state, "stage": runtime.stage, "timings": runtime.timings}

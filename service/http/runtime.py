@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import signal
 import threading
 import time
 from collections.abc import AsyncIterator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, asynccontextmanager, contextmanager, nullcontext
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -19,12 +21,14 @@ from fastapi import Request
 
 from ..errors import ModelNotReady
 from ..jobs.desk import Desk
+from ..metrics import FOLDER
 from ..model_names import DEFAULT
+from ..peers import Peers
 from ..priority import give_way
 from ..progress import Listener, Stages, silent
 from ..settings import Settings
 from ..store import SceneStore
-from .gate import Lane, Places
+from .gate import GLANCE_S, Lane, Places
 
 if TYPE_CHECKING:
     from ..models import Models
@@ -67,6 +71,7 @@ class Runtime:
         self.streams = Places("streams", settings.max_streams, "following jobs")
         self.scenes = Places("scenes", settings.concurrency + settings.max_waiting, "waiting for their scenes")
         self.uploads = Places("uploads", settings.max_uploads, "sending their photographs")
+        self.peers = Peers(settings.workers, Path(os.environ[FOLDER]) if FOLDER in os.environ else None)
         self.stage = "start"
         self._told: float | None = None  # when the process was told to end
         self._stages = Stages()
@@ -75,13 +80,18 @@ class Runtime:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Load in the background for as long as the block lasts; a failure is logged and kept for /readyz."""
+        """Load in the background for as long as the block lasts; a failure is logged and kept for /readyz.
+
+        The server listens once the block is entered: at once, or, in place of a process that died, when it is loaded.
+        """
         loader = ThreadPoolExecutor(1, "load", give_way)  # the network's threads have the priority of who makes them
         self._loading = asyncio.ensure_future(asyncio.get_running_loop().run_in_executor(loader, self._load))
         self._loading.add_done_callback(_log_failure)
         tidying = asyncio.create_task(self._tidy())
         try:
             with self._told_to_stop():
+                while self.peers.late and not (self._loading.done() or self.stopping):
+                    await asyncio.wait({self._loading}, timeout=GLANCE_S)
                 yield
         finally:
             self.stop()
@@ -151,6 +161,7 @@ class Runtime:
         self.desk.open(models)
         self.stage = "ready"
         self._models = models
+        self.peers.loaded()
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

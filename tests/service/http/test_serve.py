@@ -79,7 +79,42 @@ def test_names_that_nothing_reads_are_in_the_log_once(tmp_path: Path) -> None:
 def workers(process: subprocess.Popen[bytes]) -> list[int]:
     """Processes that answer, not the one that watches them nor the interpreter's own helper."""
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    return [int(pid) for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    return [int(pid) for pid in children if b"spawn_main" in known_of(int(pid), "cmdline")]
+
+
+def known_of(pid: int, name: str) -> bytes:
+    """A file of /proc, empty for a process that has gone meanwhile."""
+    try:
+        return Path(f"/proc/{pid}/{name}").read_bytes()
+    except OSError:
+        return b""
+
+
+def loaded_file(worker: int) -> Path:
+    """What this worker makes when it is loaded."""
+    names = known_of(worker, "environ").split(b"\0")
+    folder = next((name for name in names if name.startswith(b"PROMETHEUS_MULTIPROC_DIR=")), b"=gone")
+    return Path(folder.partition(b"=")[2].decode()) / f"loaded_{worker}"
+
+
+def test_who_is_told_that_it_is_ready_finds_no_worker_that_is_not(tmp_path: Path, standin_model: Path) -> None:
+    """Neither at first, nor while a worker that was killed is being replaced: each question may meet another worker."""
+    with serving(tmp_path / "scenes", standin_model, tmp_path / "log", "--workers", "2") as (client, process):
+        killed, other = workers(process)
+        os.kill(killed, signal.SIGKILL)
+        told: list[int] = []
+
+        def asked_until_replaced() -> bool:
+            try:
+                told.append(httpx.get(f"{client.base_url}/readyz", timeout=60).status_code)
+            except httpx.TransportError:  # it was the victim's to answer
+                told.append(0)
+            return any(loaded_file(worker).exists() for worker in workers(process) if worker not in (killed, other))
+
+        until(asked_until_replaced, 120, pause=0)
+        until(lambda: told.append(httpx.get(f"{client.base_url}/readyz").status_code) or len(told) > 20, pause=0)
+        assert set(told) <= {0, 200}
+        assert told.count(200) > 10
 
 
 def test_it_ends_in_order_with_what_it_has_begun(tmp_path: Path, standin_model: Path) -> None:

@@ -1,0 +1,54 @@
+"""The processes that share a port tell one another that they are loaded, by files in the folder of their numbers."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+COMPLETE = "complete"
+
+
+class Peers:
+    """`count` processes with one folder; a process without one is alone.
+
+    The port is theirs together: the system hands a connection to any of them that listens. So that a client which was
+    told that the service is ready finds nobody who is not, the service is ready when all are, the first time; who comes
+    after that, in place of one that died, listens only when it is loaded.
+    """
+
+    def __init__(self, count: int, folder: Path | None) -> None:
+        self.count = count
+        self._folder = folder if count > 1 else None
+
+    @property
+    def complete(self) -> bool:
+        """Whether all were loaded at one time."""
+        return self._folder is None or (self._folder / COMPLETE).exists()
+
+    @property
+    def late(self) -> bool:
+        """Whether this process comes in place of another."""
+        return self._folder is not None and self.complete
+
+    def loaded(self) -> None:
+        """This process is."""
+        if self._folder is not None:
+            (self._folder / f"loaded_{os.getpid()}").touch()
+            if len(self.living()) >= self.count:
+                (self._folder / COMPLETE).touch()
+
+    def living(self) -> list[int]:
+        """Which processes are loaded and alive."""
+        if self._folder is None:
+            return []
+        told = (int(file.name.rpartition("_")[2]) for file in self._folder.glob("loaded_*"))
+        return sorted(pid for pid in told if is_alive(pid))
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process of ours has this number."""
+    try:
+        os.kill(pid, 0)
+    except OSError:
+        return False
+    return True
