@@ -15,6 +15,7 @@ import signal
 import tempfile
 import threading
 import time
+from collections import Counter
 from pathlib import Path
 
 import httpx
@@ -32,7 +33,7 @@ class Promises:
         self.scenes: dict[str, str] = {}  # location: sha256 of the .ply
         self.jobs: list[str] = []
         self.broken = 0  # connections that ended without an answer
-        self.refused = 0
+        self.refused = Counter[str]()  # by the code of the problem
 
     def ask(self, service: Service, seed: int, until: float) -> None:
         """Alternate between a scene that is waited for and a job that is not."""
@@ -50,7 +51,7 @@ class Promises:
                     if answer.status_code == 202:
                         self.jobs.append(answer.headers["location"])
                         continue
-                self.refused += 1
+                self.refused[answer.json()["code"]] += 1
                 time.sleep(0.3)
             except httpx.TransportError:
                 self.broken += 1
@@ -117,9 +118,10 @@ def main() -> None:
         killed = kill_now_and_then(service, until, given.seed)
         for client in clients:
             client.join()
+        refused = ", ".join(f"{count} requests refused as {code}" for code, count in promises.refused.most_common())
         print(
             f"{killed} processes killed; {len(promises.scenes)} scenes and {len(promises.jobs)} jobs acknowledged, "
-            f"{promises.broken} connections broken, {promises.refused} requests refused",
+            f"{promises.broken} connections broken, {refused or 'no request refused'}",
             flush=True,
         )
         wrong = kept(service, promises)
