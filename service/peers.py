@@ -13,22 +13,25 @@ class Peers:
 
     The port is theirs together: the system hands a connection to any of them that listens. So that a client which was
     told that the service is ready finds nobody who is not, the service is ready when all are, the first time; who comes
-    after that, in place of one that died, listens only when it is loaded.
+    after that, in place of one that died, listens only when it is loaded, or when nobody else is.
     """
 
     def __init__(self, count: int, folder: Path | None) -> None:
         self.count = count
         self._folder = folder if count > 1 else None
+        self._complete = self._folder is None
 
     @property
     def complete(self) -> bool:
-        """Whether all were loaded at one time."""
-        return self._folder is None or (self._folder / COMPLETE).exists()
+        """Whether all were loaded at one time; once known it stays so, whoever tidies the folder."""
+        if self._folder is not None and not self._complete:
+            self._complete = (self._folder / COMPLETE).exists()
+        return self._complete
 
     @property
-    def late(self) -> bool:
-        """Whether this process comes in place of another."""
-        return self._folder is not None and self.complete
+    def wanted(self) -> bool:
+        """Whether one that is not loaded should answer, too: not all were loaded yet, or none is now."""
+        return not self.complete or not self.living()
 
     def loaded(self) -> None:
         """This process is."""

@@ -145,7 +145,7 @@ class SceneFiles:
         probe = self.root / f"{TEMPORARY}{uuid.uuid4().hex}"
         try:
             probe.write_bytes(bytes(4096))
-            probe.unlink()
+            probe.unlink(missing_ok=True)  # a process that starts meanwhile sweeps it away
         except OSError:
             with contextlib.suppress(OSError):
                 probe.unlink()

@@ -1,9 +1,13 @@
 """The application as a process of `gapmes serve` makes it: settings from the environment, memory that goes back to the
-system, the log set up, bars where somebody looks."""
+system, the log set up, bars where somebody looks, an end when the process that watches it has ended."""
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
 import sys
+import threading
 
 from fastapi import FastAPI
 
@@ -16,8 +20,23 @@ from .terminal import ProgressBars
 
 def app() -> FastAPI:
     """What the server is told to load."""
+    _end_with_the_watcher()
     give_back_freed()
     settings = Settings()
     configure(settings.log, quiet=settings.quiet)
     shown = sys.stderr.isatty() and settings.workers == 1 and settings.log == "text" and not settings.quiet
     return create_app(settings, ProgressBars() if shown else None)
+
+
+def _end_with_the_watcher() -> None:
+    """One of several workers ends in order when the process that started it is gone, killed perhaps: otherwise it would
+    hold the port, and nobody would replace it."""
+    watcher = multiprocessing.parent_process()
+    if watcher is None:
+        return
+
+    def wait() -> None:
+        watcher.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=wait, name="watcher", daemon=True).start()

@@ -85,11 +85,17 @@ class SceneStore:
         Raises `StorageFull` when the disk is, or when `max_bytes` is reached and all that is there is being read.
         """
         with self._alone():
-            if not self._files.folder(scene_id).is_dir():
+            new = not self._files.folder(scene_id).is_dir()
+            if new:
                 text = json.dumps(document, allow_nan=False).encode()
                 self._make_room(len(ply) + len(text) + sum(map(len, inputs)))
                 self._files.write(scene_id, ply, text, self._tick(), inputs)
-            self._list([scene_id])
+            try:
+                self._list([scene_id])
+            except BaseException:
+                if new:
+                    self._files.remove(scene_id)
+                raise
 
     def listed(self, scene_id: str) -> bool:
         """Whether the scene is there; then it is in the list too, whatever a crash has left out."""
@@ -104,10 +110,12 @@ class SceneStore:
 
     def document(self, scene_id: str) -> dict[str, Any]:
         """The scene's document. Raises `SceneNotFound`."""
+        self._index.used(scene_id)
         return self._files.document(scene_id)
 
     def input(self, scene_id: str, index: int) -> bytes:
         """A PNG of what the network saw of a photograph. Raises `SceneNotFound`, also where there is none."""
+        self._index.used(scene_id)
         return self._files.input(scene_id, index)
 
     def reading(self, scene_id: str) -> AbstractContextManager[Path]:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ..settings import Settings
 
 SHARED_MEMORY = "/dev/shm"
+STARTING_S = 60.0  # in which a process must answer the one that watches it, and one in place of another must be loaded
 _log = logging.getLogger("gapmes")
 
 
@@ -101,7 +102,8 @@ def serve(
     memory = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None  # a full disk would end who writes there
     with tempfile.TemporaryDirectory(prefix="gapmes-metrics-", dir=memory) as folder:
         os.environ["PROMETHEUS_MULTIPROC_DIR"] = folder
-        uvicorn.run("gapmes.service.serving:app", workers=settings.workers, **options)
+        options |= {"workers": settings.workers, "timeout_worker_healthcheck": round(STARTING_S)}
+        uvicorn.run("gapmes.service.serving:app", **options)
 
 
 def _prepare(settings: Settings, models: Models) -> None:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("gapmes")
 MODELS = ".models"  # beside the scenes: the one folder that is surely writable, and shared by all processes
+RETRY_S = 5.0  # before a process that failed makes room for another
 TIDY_S = 60.0  # between two looks for scenes that are too old, and for jobs to forget
 
 
@@ -82,22 +83,23 @@ class Runtime:
     async def running(self) -> AsyncIterator[None]:
         """Load in the background for as long as the block lasts; a failure is logged and kept for /readyz.
 
-        The server listens once the block is entered: at once, or, in place of a process that died, when it is loaded.
+        The server listens once the block is entered: at once, or, while other processes answer, when it is loaded.
         """
         loader = ThreadPoolExecutor(1, "load", give_way)  # the network's threads have the priority of who makes them
         self._loading = asyncio.ensure_future(asyncio.get_running_loop().run_in_executor(loader, self._load))
         self._loading.add_done_callback(_log_failure)
-        tidying = asyncio.create_task(self._tidy())
+        tasks = [asyncio.create_task(self._tidy()), asyncio.create_task(self._end_if_failed())]
         try:
             with self._told_to_stop():
-                while self.peers.late and not (self._loading.done() or self.stopping):
-                    await asyncio.wait({self._loading}, timeout=GLANCE_S)
+                while not (self._models or self.stopping or self.peers.wanted):
+                    await asyncio.sleep(GLANCE_S)
                 yield
         finally:
             self.stop()
             self._loading.cancel()
             loader.shutdown(wait=False, cancel_futures=True)
-            tidying.cancel()
+            for task in tasks:
+                task.cancel()
             passed = time.monotonic() - (self._told or 0.0)  # requests had their share of the patience
             patience = max(1.0, self.settings.drain_seconds - passed)
             await anyio.to_thread.run_sync(self.desk.close, patience)
@@ -144,6 +146,16 @@ class Runtime:
                 await anyio.to_thread.run_sync(self.desk.tidy)
             except Exception:
                 _log.exception("the store cannot be tidied")
+
+    async def _end_if_failed(self) -> None:
+        """Where others are loaded, a process that cannot be makes room for another try, which the server starts."""
+        assert self._loading is not None
+        await asyncio.wait({self._loading})
+        while self.failure is not None:
+            await asyncio.sleep(RETRY_S)
+            if self.peers.living():
+                _log.error("this process ends, another is tried in its place")
+                os._exit(1)  # in order it would listen for a moment
 
     def _load(self) -> None:
         """Import the heavy libraries, load the model, compile or load the kernels."""

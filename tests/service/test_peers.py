@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,12 +21,21 @@ def gone() -> int:
     return process.pid
 
 
+@pytest.fixture
+def living() -> Iterator[int]:
+    """The number of another process of ours."""
+    process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    yield process.pid
+    process.kill()
+    process.wait()
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_that_shares_no_folder_is_complete_by_itself(count: int) -> None:
     alone = Peers(count, None)
     alone.loaded()
     assert alone.complete
-    assert not alone.late
+    assert alone.wanted
 
 
 def test_a_single_process_leaves_the_folder_of_others_alone(tmp_path: Path) -> None:
@@ -35,18 +45,25 @@ def test_a_single_process_leaves_the_folder_of_others_alone(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
-def test_they_are_complete_when_the_last_is_loaded_and_stay_so(tmp_path: Path) -> None:
+def test_they_are_complete_when_the_last_is_loaded_and_stay_so(tmp_path: Path, living: int) -> None:
     peers = Peers(2, tmp_path)
     peers.loaded()
     peers.loaded()  # the same one
     assert not peers.complete
+    assert peers.wanted
     assert peers.living() == [os.getpid()]
-    (tmp_path / f"loaded_{os.getppid()}").touch()
+    (tmp_path / f"loaded_{living}").touch()
     peers.loaded()
-    assert peers.complete
-    (tmp_path / f"loaded_{os.getppid()}").unlink()
-    assert peers.complete
-    assert Peers(2, tmp_path).late
+    assert sorted(peers.living()) == sorted([os.getpid(), living])
+    late = Peers(2, tmp_path)
+    for each in (peers, late):
+        assert each.complete
+        assert not each.wanted
+    for file in tmp_path.iterdir():  # whoever tidies there
+        file.unlink()
+    for each in (peers, late):
+        assert each.complete
+        assert each.wanted  # nobody else answers, as far as one can tell
 
 
 def test_one_that_died_does_not_count(tmp_path: Path, gone: int) -> None:

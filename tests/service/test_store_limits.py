@@ -6,12 +6,13 @@ import fcntl
 import os
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from gapmes.service.errors import SceneNotFound, StorageFull
-from gapmes.service.scene_index import TOUCH_NS
+from gapmes.service.scene_index import TOUCH_NS, SceneIndex
 from gapmes.service.store import DAY_NS, SceneStore
 
 IDS = [f"{number:032x}" for number in range(9)]
@@ -135,6 +136,44 @@ def test_what_nobody_reads_for_days_goes(tmp_path: Path) -> None:
     assert listed(store) == {IDS[1], IDS[2]}
     assert store.evict_old() == 0  # reading it made it young
     assert filled(tmp_path, 3).evict_old() == 0  # without a limit
+
+
+@pytest.mark.parametrize("read", [SceneStore.document, lambda store, scene_id: store.input(scene_id, 0)])
+def test_who_reads_anything_of_a_scene_reads_it(tmp_path: Path, read: Callable[[SceneStore, str], object]) -> None:
+    store = SceneStore(tmp_path, max_days=1.0)
+    for scene_id in IDS[:2]:
+        store.put(scene_id, PLY, DOCUMENT, [b"a picture"])
+        aged(store, scene_id, 2)
+    read(store, IDS[0])
+    store.evict_old()
+    assert listed(store) == {IDS[0]}
+
+
+def test_a_scene_that_cannot_be_listed_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is refused leaves nothing behind; one that was there before stays."""
+    store = filled(tmp_path, 1)
+
+    def full(*_: object) -> None:
+        raise StorageFull("no space for the list")
+
+    monkeypatch.setattr(SceneIndex, "add", full)
+    for scene_id in IDS[:2]:
+        with pytest.raises(StorageFull, match="for the list"):
+            store.put(scene_id, PLY, DOCUMENT)
+    assert listed(store) == {IDS[0]}
+
+
+def test_a_store_can_be_written_while_a_process_that_starts_sweeps_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, write = SceneStore(tmp_path), Path.write_bytes
+
+    def swept(path: Path, content: bytes) -> None:
+        write(path, content)
+        SceneStore(tmp_path)
+
+    monkeypatch.setattr(Path, "write_bytes", swept)
+    assert store.writable()
 
 
 def test_reading_is_noted_to_a_minute(tmp_path: Path) -> None:

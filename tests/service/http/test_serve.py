@@ -117,6 +117,21 @@ def test_who_is_told_that_it_is_ready_finds_no_worker_that_is_not(tmp_path: Path
         assert told.count(200) > 10
 
 
+def test_workers_are_replaced_on_sighup_and_end_with_who_watches_them(tmp_path: Path, standin_model: Path) -> None:
+    """Also where that one is killed: a worker by itself would hold the port, and nobody would replace it."""
+    with serving(tmp_path / "scenes", standin_model, tmp_path / "log", "--workers", "2") as (client, process):
+        first = workers(process)
+        process.send_signal(signal.SIGHUP)
+        until(lambda: len(workers(process)) == 2 and not set(workers(process)) & set(first), 120)
+        last = workers(process)
+        assert httpx.get(f"{client.base_url}/readyz", timeout=60).status_code == 200
+        process.kill()
+        process.wait()
+        until(lambda: not any(known_of(pid, "cmdline") for pid in last), 60)
+        with pytest.raises(httpx.ConnectError):
+            httpx.get(f"{client.base_url}/healthz")
+
+
 def test_it_ends_in_order_with_what_it_has_begun(tmp_path: Path, standin_model: Path) -> None:
     """SIGTERM while a scene is being asked for and a stream is open: the scene is answered, the stream ends, exit 0."""
     with serving(tmp_path / "scenes", standin_model, tmp_path / "log", GAPMES_LOG="json") as (client, process):
