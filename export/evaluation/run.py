@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from gapmes.service.backends.choice import DEFAULT_ENGINE, EngineName
+from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.errors import InputError
 from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.progress import Listener, Stages, silent
@@ -33,6 +34,7 @@ class GroupPlan:
     size: Size
     folders: Sequence[Path] = ()
     generated: int = 0
+    left_out: Mapping[str, str] = field(default_factory=dict)  # folders that suggest no such views, with the reason
 
     @property
     def kind(self) -> str:
@@ -59,6 +61,7 @@ def evaluate(
 
     A folder that suggests no views for a plan is left out, with the reason in the report. Raises `GapmesError`.
     """
+    plans = [_looked_at(plan) for plan in plans]  # an export takes minutes
     out.mkdir(parents=True, exist_ok=True)
     weights = None if lpips is None else Lpips.load(lpips)
     stages = Stages(listener)
@@ -85,9 +88,8 @@ def _group(
     threads: int | None,
     done: Callable[[int], None],
 ) -> Group:
-    """Raises `InputError` when no scene of the plan could be measured."""
     first = models[0].label
-    scenes, routes, left_out = [], [], {}
+    scenes, routes = [], []
     ending = f"_{plan.inputs}views_{plan.size}px.png"
     if plan.generated:
         for earlier in out.glob(f"generated_*{ending}"):  # which scenes are worst depends on the model
@@ -98,24 +100,18 @@ def _group(
         sheet = scene_sheet(case, measured, first)
         sheet.save(out / f"{case.name.replace(' ', '_')}{ending}")
 
-    for number, (name, case) in enumerate(_cases(plan), start=1):
-        if isinstance(case, InputError):
-            left_out[name] = str(case)
+    for number, case in enumerate(_cases(plan), start=1):
+        measured = measure(case, models, lpips=lpips, twice=twice, fade=fade, threads=threads)
+        scenes.append(measured.score)
+        routes.append(measured.routes)
+        if plan.generated:
+            worst = sorted([*worst, (case, measured)], key=lambda pair: pair[1].score.margin(first))
+            del worst[GENERATED_SHEETS:]
         else:
-            measured = measure(case, models, lpips=lpips, twice=twice, fade=fade, threads=threads)
-            scenes.append(measured.score)
-            routes.append(measured.routes)
-            if plan.generated:
-                worst = sorted([*worst, (case, measured)], key=lambda pair: pair[1].score.margin(first))
-                del worst[GENERATED_SHEETS:]
-            else:
-                draw(case, measured)
+            draw(case, measured)
         done(number)
     for case, measured in worst:
         draw(case, measured)
-    if not scenes:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
-        raise InputError(f"no scene has {plan.inputs} inputs with targets ({reasons})", field="SCENE_DIR")
     statistics = {
         model.label: routing_statistics(
             [scene[model.label] for scene in routes], model.engine.info.config["experts"], model.lambdas
@@ -123,18 +119,28 @@ def _group(
         for model in models
     }
     source = "true depth" if plan.generated else f"rendered depth of {first}"
-    return Group(plan.kind, plan.inputs, plan.size, source, scenes, statistics, left_out)
+    return Group(plan.kind, plan.inputs, plan.size, source, scenes, statistics, plan.left_out)
 
 
-def _cases(plan: GroupPlan) -> Iterator[tuple[str, Case | InputError]]:
-    """Every scene by name; the refusal in place of a folder that suggests no views for this plan."""
-    if plan.generated:
-        for case in generated_cases(plan.generated, plan.inputs, *plan.size):
-            yield case.name, case
+def _looked_at(plan: GroupPlan) -> GroupPlan:
+    """With the folders that can be measured; raises `InputError` where one is no scene folder, or none of them can."""
+    folders, left_out = [], {}
     for folder in plan.folders:
         try:
             suggested_views(folder, plan.inputs)
         except NoSuchViews as refusal:
-            yield folder.name, refusal
+            left_out[folder.name] = str(refusal)
             continue
-        yield folder.name, photograph_case(folder, plan.inputs, *plan.size)
+        load_scene_folder(folder)
+        folders.append(folder)
+    if left_out and not folders:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
+        raise InputError(f"no scene has {plan.inputs} inputs with targets ({reasons})", field="SCENE_DIR")
+    return replace(plan, folders=folders, left_out=left_out)
+
+
+def _cases(plan: GroupPlan) -> Iterator[Case]:
+    if plan.generated:
+        yield from generated_cases(plan.generated, plan.inputs, *plan.size)
+    for folder in plan.folders:
+        yield photograph_case(folder, plan.inputs, *plan.size)

@@ -17,6 +17,7 @@ from PIL import Image
 from standin_model import METADATA, write_standin
 
 from gapmes.export.evaluation import command, models
+from gapmes.export.evaluation import run as measuring
 from gapmes.export.evaluation.case import GENERATED_SEED, generated_cases, photograph_case
 from gapmes.export.evaluation.models import load_models
 from gapmes.export.evaluation.plans import evaluation_plans
@@ -130,8 +131,11 @@ def test_refusals_are_one_line(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
-    assert run(tmp_path / "missing", "--out", out, "--size", 256) == 1
+    monkeypatch.setattr(measuring, "load_models", None)  # which may export, for minutes
+    assert run(tmp_path / "missing", "--out", out) == 1
     refused(capfd, "missing")
+    assert not out.exists()
+    monkeypatch.undo()
     assert run("--generated", 1, "--size", 96, "--model", shipped_model(), "--out", out) == 1
     refused(capfd, "(tiny.onnx: 256) than 96 px")
     assert run("--generated", 1, "--size", "64x", "--out", out) == 1
