@@ -18,7 +18,7 @@ demo: .venv/.runtime
 test: .venv/.dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 evaluate: .venv/.dev
 	$(BIN)/gapmes evaluate --twice --out evaluation $(ARGS)

@@ -52,7 +52,8 @@ def small_graph(checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> o
 
 def _small_graph(checkpoint: Path) -> onnx.ModelProto:
     network = load_checkpoint(checkpoint)
-    model = export_graph(network, SIZE, SIZE)
+    with few_pieces():
+        model = export_graph(network, SIZE, SIZE)
     metadata = contract_metadata(
         network,
         height=SIZE,

@@ -9,16 +9,14 @@ import onnx
 import onnxruntime
 import pytest
 import torch
-from few_pieces import few_pieces
 
 from gapmes.export.build import MAX_VIEWS, MIN_VIEWS, OPSET, export_graph
 from gapmes.export.cases import Case
 from gapmes.export.gate_settings import gate_values, with_gates
-from gapmes.export.graph import SceneGraph, evaluated
+from gapmes.export.graph import evaluated
 from gapmes.export.samples import FLAT, UNDETERMINED, hostile_scenes, random_scene
 from gapmes.export.tolerance import TOLERANCES
 from gapmes.export.verify import verify
-from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.weights_file import file_sha256
 from gapmes.service.contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
@@ -182,25 +180,3 @@ def test_left_out_patches_run_through_no_expert(small_graph: onnx.ModelProto, ne
 def test_a_size_that_does_not_fit_is_refused(network: GaPMeS) -> None:
     with pytest.raises(ValueError, match="height is 100 px, need a multiple of 16"):
         export_graph(network, 100, 64)
-
-
-@pytest.mark.parametrize(
-    ("changes", "height", "width"),
-    [
-        ({"without_depth": True, "sh_degree": 2}, 48, 80),
-        ({"without_experts": True}, 32, 32),
-        ({"without_tasks": True, "backing": False}, 32, 48),
-    ],
-)
-def test_ablations_other_shapes_and_harmonics_export_and_agree(changes: dict, height: int, width: int) -> None:
-    torch.manual_seed(0)
-    network = GaPMeS(preset("tiny", **changes)).eval()
-    with few_pieces():
-        model = export_graph(network, height, width)
-    names = SceneGraph(network).output_names
-    assert tuple(o.name for o in model.graph.output) == names
-    assert ("expert_index" in names) == ("without_experts" not in changes)
-    assert ("task_weight" in names) == ("without_tasks" not in changes)
-    cases = [Case("random", "as trained", random_scene(v, height, width, seed=v)) for v in (2, 4)]
-    for result in verify(model, network, cases, TOLERANCES["fp32"]):
-        assert result.failures == []
