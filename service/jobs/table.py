@@ -71,10 +71,17 @@ class JobTable(JobReader):
             return found_job(connection, job_id)
 
     def already_done(self, scene_id: str) -> Job:
-        """A job that ended when it was asked for, since its scene is stored."""
+        """A job of a stored scene that ended when it was asked for: one from before, while that is remembered for long
+        enough, so that asking again and again adds none."""
         now, job_id = time.time(), uuid.uuid4().hex
         with self._database.write() as connection:
             self._forget(connection)
+            last = connection.execute(
+                "SELECT id FROM jobs WHERE scene_id = ? AND state = 'done' AND started IS NULL AND ended > ?",
+                [scene_id, now - self._keep_s / 2],
+            ).fetchone()
+            if last is not None:
+                return found_job(connection, last["id"])
             connection.execute(
                 "INSERT INTO jobs (id, scene_id, state, kept, created, ended) VALUES (?, ?, 'done', 1, ?, ?)",
                 [job_id, scene_id, now, now],

@@ -190,6 +190,25 @@ def test_a_scene_that_is_stored_is_a_job_that_is_done(table: JobTable) -> None:
     assert states(table, job.id) == ["done"]
 
 
+def test_asking_for_a_stored_scene_again_adds_no_job(tmp_path: Path) -> None:
+    """Unless the job that tells of it will soon be forgotten."""
+    database = Database(tmp_path / "index.sqlite")
+    table = JobTable(database, most=5, keep_s=100.0)
+    first = table.already_done(A)
+    assert {table.already_done(A).id for _ in range(20)} == {first.id}
+    assert table.already_done(B).id != first.id
+    with database.write() as connection:
+        connection.execute("UPDATE jobs SET ended = ended - 60 WHERE id = ?", [first.id])
+    second = table.already_done(A)
+    assert second.id != first.id
+    assert table.already_done(A).id == second.id
+    assert len(database.rows("SELECT id FROM jobs")) == 3
+    table.submit("3", A)  # its scene was deleted, and is made again
+    table.claim("me")
+    table.end("3", "me", "done")
+    assert table.already_done(A).id == second.id
+
+
 def test_many_claim_and_each_job_is_had_once(tmp_path: Path) -> None:
     """From threads with connections of their own, as processes have them."""
     table = JobTable(Database(tmp_path / "index.sqlite"), most=100, keep_s=100.0)
