@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -14,6 +15,7 @@ from fastapi import FastAPI
 from .allocator import give_back_freed
 from .app import create_app
 from .logs import configure
+from .metrics import FOLDER, SHARED
 from .settings import Settings
 from .terminal import ProgressBars
 
@@ -30,13 +32,15 @@ def app() -> FastAPI:
 
 def _end_with_the_watcher() -> None:
     """One of several workers ends in order when the process that started it is gone, killed perhaps: otherwise it would
-    hold the port, and nobody would replace it."""
+    hold the port, and nobody would replace it. Nor would anybody tidy up what the workers share."""
     watcher = multiprocessing.parent_process()
     if watcher is None:
         return
 
     def wait() -> None:
         watcher.join()
+        if SHARED:
+            shutil.rmtree(os.environ[FOLDER], ignore_errors=True)
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=wait, name="watcher", daemon=True).start()

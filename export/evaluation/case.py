@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +104,7 @@ def suggested_views(folder: Path, inputs: int) -> tuple[list[int], list[int]]:
     path = folder / "cameras.json"
     if not path.is_file():
         raise InputError(f"{path} is not a file", field="SCENE_DIR", cure="name a folder with images/ and cameras.json")
-    suggested = json.loads(path.read_text(encoding="utf-8")).get("suggested", {})
+    suggested = _suggested(path)
     context, targets = suggested.get(f"context{inputs}"), suggested.get(f"target{inputs}")
     if not context or not targets:
         raise NoSuchViews(
@@ -118,6 +119,22 @@ def suggested_views(folder: Path, inputs: int) -> tuple[list[int], list[int]]:
             cure="a target is held out: name views that are no inputs",
         )
     return context, targets
+
+
+def _suggested(path: Path) -> dict[str, list[int]]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{path} is no JSON: {error}", field="SCENE_DIR") from error
+    suggested: Any = document.get("suggested", {}) if isinstance(document, dict) else None
+    lists = suggested.values() if isinstance(suggested, dict) else [None]
+    if not all(isinstance(views, list) and all(type(view) is int for view in views) for views in lists):
+        raise InputError(
+            f"{path}: need lists of view indices in an object, got {str(suggested)[:80]}",
+            field="suggested",
+            cure='for example {"context2": [1, 5], "target2": [2, 3, 4]}',
+        )
+    return suggested
 
 
 def generated_cases(count: int, inputs: int, height: int, width: int, seed: int = GENERATED_SEED) -> Iterator[Case]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..settings import Settings
 
 SHARED_MEMORY = "/dev/shm"
-STARTING_S = 60.0  # in which a process must answer the one that watches it, and one in place of another must be loaded
+ANSWER_S = 60.0  # in which a process must answer the one that watches it, and after SIGHUP its successor be loaded
 _log = logging.getLogger("gapmes")
 
 
@@ -57,6 +57,7 @@ def serve(
     import uvicorn
     from pydantic import ValidationError
 
+    from .. import watched_process
     from ..logs import configure
     from ..models import Models
     from ..settings import Settings, strange_variables
@@ -102,7 +103,8 @@ def serve(
     memory = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None  # a full disk would end who writes there
     with tempfile.TemporaryDirectory(prefix="gapmes-metrics-", dir=memory) as folder:
         os.environ["PROMETHEUS_MULTIPROC_DIR"] = folder
-        options |= {"workers": settings.workers, "timeout_worker_healthcheck": round(STARTING_S)}
+        watched_process.install()
+        options |= {"workers": settings.workers, "timeout_worker_healthcheck": round(ANSWER_S)}
         uvicorn.run("gapmes.service.serving:app", **options)
 
 

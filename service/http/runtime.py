@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("gapmes")
 MODELS = ".models"  # beside the scenes: the one folder that is surely writable, and shared by all processes
-RETRY_S = 5.0  # before a process that failed makes room for another
+RETRY_S = 30.0  # before a process that failed makes room for another
 TIDY_S = 60.0  # between two looks for scenes that are too old, and for jobs to forget
 
 
@@ -74,6 +74,7 @@ class Runtime:
         self.uploads = Places("uploads", settings.max_uploads, "sending their photographs")
         self.peers = Peers(settings.workers, Path(os.environ[FOLDER]) if FOLDER in os.environ else None)
         self.stage = "start"
+        self._listening = False
         self._told: float | None = None  # when the process was told to end
         self._stages = Stages()
         self._loading: asyncio.Future[None] | None = None
@@ -93,6 +94,7 @@ class Runtime:
             with self._told_to_stop():
                 while not (self._models or self.stopping or self.peers.wanted):
                     await asyncio.sleep(GLANCE_S)
+                self._listening = True
                 yield
         finally:
             self.stop()
@@ -153,9 +155,10 @@ class Runtime:
         await asyncio.wait({self._loading})
         while self.failure is not None:
             await asyncio.sleep(RETRY_S)
-            if self.peers.living():
+            if self.peers.living() and not self.stopping:
                 _log.error("this process ends, another is tried in its place")
-                os._exit(1)  # in order it would listen for a moment
+                (_terminate if self._listening else _quit)()
+                return
 
     def _load(self) -> None:
         """Import the heavy libraries, load the model, compile or load the kernels."""
@@ -171,9 +174,9 @@ class Runtime:
             with self._timed("kernels"):
                 warm_up()
         self.desk.open(models)
-        self.stage = "ready"
         self._models = models
         self.peers.loaded()
+        self.stage = "ready"
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
@@ -202,6 +205,16 @@ class Runtime:
                 f"loading failed in stage {self.stage!r}", cure="the service's log says why; is GAPMES_MODEL right?"
             )
         raise ModelNotReady(f"the service is starting, stage {self.stage!r}", cure="poll /readyz and retry")
+
+
+def _quit() -> None:
+    """At once: in order it would listen for a moment."""
+    os._exit(1)
+
+
+def _terminate() -> None:
+    """In order, with the answers that it has begun."""
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _log_failure(task: asyncio.Future[None]) -> None:

@@ -134,6 +134,17 @@ def test_refusals_are_one_line(
     monkeypatch.setattr(measuring, "load_models", None)  # which may export, for minutes
     assert run(tmp_path / "missing", "--out", out) == 1
     refused(capfd, "missing")
+    (tmp_path / "scene").mkdir()
+    for text, words in (
+        ("{bad", "is no JSON"),
+        ("[]", "lists of view indices"),
+        ('{"suggested": null}', "lists of view indices"),
+        ('{"suggested": {"context2": [0, "1"], "target2": [2]}}', "lists of view indices"),
+        ('{"suggested": {}}', "suggests no context"),
+    ):
+        (tmp_path / "scene" / "cameras.json").write_text(text)
+        assert run(tmp_path / "scene", "--out", out) == 1
+        refused(capfd, words)
     assert not out.exists()
     monkeypatch.undo()
     assert run("--generated", 1, "--size", 96, "--model", shipped_model(), "--out", out) == 1

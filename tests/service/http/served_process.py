@@ -33,8 +33,12 @@ def serving(store: Path, model: Path, log: Path, *more: str, **environment: str)
             until(lambda: answers(client), 120)
             yield client, process
     finally:
-        process.kill()
-        process.wait()
+        process.terminate()  # with its workers, and what they share
+        try:
+            process.wait(60)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 def answers(client: httpx.Client) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -11,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import uvicorn
 from http_requests import assert_problem
 from starlette.testclient import TestClient
 
@@ -18,6 +20,7 @@ from gapmes.service.app import create_app
 from gapmes.service.http import runtime
 from gapmes.service.metrics import FOLDER
 from gapmes.service.settings import Settings
+from gapmes.service.watched_process import WatchedProcess
 
 
 @pytest.fixture
@@ -89,20 +92,37 @@ def test_it_listens_at_once_where_nobody_else_does(tmp_path: Path, folder: Path)
 def test_one_that_cannot_be_loaded_ends_where_another_is(
     tmp_path: Path, folder: Path, other: subprocess.Popen[bytes], complete: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At first as later: the server starts a process in its place."""
+    """The server starts a process in its place. In order where it has begun to answer, else before it would."""
     if complete:
         (folder / "complete").touch()
     ended = threading.Event()
-    codes: list[int] = []
+    how: list[object] = []
 
-    def end(code: int) -> None:
-        codes.append(code)
+    def end(*told: object) -> None:
+        how.append(told)
         ended.set()
         other.kill()  # else this one, which cannot end here, would never listen
         other.wait()
 
     monkeypatch.setattr(runtime, "RETRY_S", 0.05)
-    monkeypatch.setattr(os, "_exit", end)
+    monkeypatch.setattr(runtime, "_quit", lambda: end("at once"))
+    monkeypatch.setattr(runtime, "_terminate", lambda: end("in order"))
     with one_of_two(Settings(model=tmp_path / "none.onnx"), tmp_path / "scenes"):
         assert ended.wait(60)
-    assert codes == [1]
+    assert how == [("at once" if complete else "in order",)]
+
+
+def test_the_end_of_a_worker_that_has_not_answered_is_heard_of() -> None:
+    """Not when the time to answer is over, which is long: until then nobody would hear a signal."""
+    worker = WatchedProcess(uvicorn.Config("gapmes.service.serving:app", factory=True, workers=2), [])
+    worker.start()
+    assert worker.pid is not None
+    os.kill(worker.pid, signal.SIGSTOP)
+    heard: list[bool] = []
+    asked = threading.Thread(target=lambda: heard.append(worker.ping(600)), daemon=True)
+    asked.start()
+    os.kill(worker.pid, signal.SIGKILL)
+    asked.join(60)
+    worker.join()
+    assert heard == [False]
+    worker.kill()  # as the watcher does then
