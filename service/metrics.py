@@ -9,10 +9,9 @@ from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, disable_created_metrics
 
-from .peers import is_alive
+from .peers import FOLDER, is_alive
 from .progress import Stage
 
-FOLDER = "PROMETHEUS_MULTIPROC_DIR"  # read by the library when it is imported; `gapmes serve --workers` sets it
 SHARED = FOLDER in os.environ
 BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 300.0)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+FOLDER = "PROMETHEUS_MULTIPROC_DIR"  # names it, read by the library of the numbers when it is imported
+OURS = "gapmes-metrics-"  # how the name of one begins that `gapmes serve` makes, and may remove
 COMPLETE = "complete"
 
 

@@ -9,13 +9,14 @@ import shutil
 import signal
 import sys
 import threading
+from pathlib import Path
 
 from fastapi import FastAPI
 
 from .allocator import give_back_freed
 from .app import create_app
 from .logs import configure
-from .metrics import FOLDER, SHARED
+from .peers import FOLDER, OURS
 from .settings import Settings
 from .terminal import ProgressBars
 
@@ -39,8 +40,9 @@ def _end_with_the_watcher() -> None:
 
     def wait() -> None:
         watcher.join()
-        if SHARED:
-            shutil.rmtree(os.environ[FOLDER], ignore_errors=True)
+        shared = Path(os.environ.get(FOLDER, ""))
+        if shared.name.startswith(OURS):
+            shutil.rmtree(shared, ignore_errors=True)
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=wait, name="watcher", daemon=True).start()

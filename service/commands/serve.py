@@ -60,6 +60,7 @@ def serve(
     from .. import watched_process
     from ..logs import configure
     from ..models import Models
+    from ..peers import FOLDER, OURS
     from ..settings import Settings, strange_variables
     from ..store import SceneStore
 
@@ -101,8 +102,8 @@ def serve(
         uvicorn.run("gapmes.service.serving:app", **options)
         return
     memory = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None  # a full disk would end who writes there
-    with tempfile.TemporaryDirectory(prefix="gapmes-metrics-", dir=memory) as folder:
-        os.environ["PROMETHEUS_MULTIPROC_DIR"] = folder
+    with tempfile.TemporaryDirectory(prefix=OURS, dir=memory) as folder:
+        os.environ[FOLDER] = folder
         watched_process.install()
         options |= {"workers": settings.workers, "timeout_worker_healthcheck": round(ANSWER_S)}
         uvicorn.run("gapmes.service.serving:app", **options)

@@ -13,7 +13,8 @@ from prometheus_client.metrics_core import GaugeMetricFamily, Metric
 from prometheus_client.multiprocess import MultiProcessCollector
 from prometheus_client.registry import Collector
 
-from ..metrics import FOLDER, OWN, SHARED, forget_dead
+from ..metrics import OWN, SHARED, forget_dead
+from ..peers import FOLDER
 from .runtime import Runtime, runtime_of
 
 if TYPE_CHECKING:

@@ -21,9 +21,8 @@ from fastapi import Request
 
 from ..errors import ModelNotReady
 from ..jobs.desk import Desk
-from ..metrics import FOLDER
 from ..model_names import DEFAULT
-from ..peers import Peers
+from ..peers import FOLDER, Peers
 from ..priority import give_way
 from ..progress import Listener, Stages, silent
 from ..settings import Settings

@@ -26,7 +26,8 @@ import os
 from pathlib import Path
 from prometheus_client import CollectorRegistry
 from prometheus_client.multiprocess import MultiProcessCollector
-from gapmes.service.metrics import FOLDER, forget_dead
+from gapmes.service.metrics import forget_dead
+from gapmes.service.peers import FOLDER
 forget_dead(Path(os.environ[FOLDER]))
 registry = CollectorRegistry()
 MultiProcessCollector(registry)

@@ -124,10 +124,13 @@ def test_workers_are_replaced_on_sighup_and_end_with_who_watches_them(tmp_path: 
         process.send_signal(signal.SIGHUP)
         until(lambda: len(workers(process)) == 2 and not set(workers(process)) & set(first), 120)
         last = workers(process)
+        shared = loaded_file(last[0]).parent
+        assert shared.is_dir()
         assert httpx.get(f"{client.base_url}/readyz", timeout=60).status_code == 200
         process.kill()
         process.wait()
         until(lambda: not any(known_of(pid, "cmdline") for pid in last), 60)
+        assert not shared.exists()
         with pytest.raises(httpx.ConnectError):
             httpx.get(f"{client.base_url}/healthz")
 

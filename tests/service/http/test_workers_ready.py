@@ -18,7 +18,7 @@ from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
 from gapmes.service.http import runtime
-from gapmes.service.metrics import FOLDER
+from gapmes.service.peers import FOLDER
 from gapmes.service.settings import Settings
 from gapmes.service.watched_process import WatchedProcess
 
