@@ -27,6 +27,7 @@ async def healthz() -> dict[str, str]:
 async def readyz(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
     """200 with what was loaded and how long it took; 503 before all processes have, with the stage or the reason of a
     failure, and 507 while the store cannot be written."""
+    stage = runtime.stage  # before the answer is decided: a "ready" of a moment later would accuse the other processes
     try:
         models: dict[str, Any] = runtime.models.document()
         if not runtime.peers.complete:
@@ -35,7 +36,7 @@ async def readyz(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
             )
     except ModelNotReady as error:
         state = "starting" if runtime.failure is None else "failed"
-        error.extra |= {"state": state, "stage": runtime.stage, "timings": runtime.timings}
+        error.extra |= {"state": state, "stage": stage, "timings": runtime.timings}
         raise
     if not await anyio.to_thread.run_sync(runtime.store.writable):
         raise StorageFull("the store cannot be written", field="store", cure="is its disk full, or read-only?")

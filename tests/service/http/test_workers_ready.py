@@ -18,7 +18,7 @@ from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
 from gapmes.service.http import runtime
-from gapmes.service.peers import FOLDER
+from gapmes.service.peers import FOLDER, Peers
 from gapmes.service.settings import Settings
 from gapmes.service.watched_process import WatchedProcess
 
@@ -68,6 +68,23 @@ def test_it_is_not_ready_before_the_other_is(settings: Settings, tmp_path: Path,
 def test_the_last_one_makes_them_ready(settings: Settings, tmp_path: Path) -> None:
     with one_of_two(settings, tmp_path / "scenes") as client:
         assert until_loaded(client)["status"] == "ready"
+
+
+def test_a_refusal_names_the_stage_that_it_was_decided_in(
+    settings: Settings, tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Were it the stage of a moment later, "ready", it would say that another process is missing, which none is."""
+    app = create_app(settings.model_copy(update={"store": tmp_path / "scenes", "workers": 2}))
+    with TestClient(app, raise_server_exceptions=False) as client:
+        until_loaded(client)
+        app.state.runtime.stage = "kernels"
+
+        def loaded_right_after(_: Peers) -> bool:
+            app.state.runtime.stage = "ready"
+            return False
+
+        monkeypatch.setattr(Peers, "complete", property(loaded_right_after))
+        assert client.get("/readyz").json()["stage"] == "kernels"
 
 
 @pytest.mark.usefixtures("other")
