@@ -105,7 +105,7 @@ def on_a_terminal(*arguments: object, until: str | Callable[[], bool], ending: i
     environment = os.environ | {"TERM": "xterm", "COLUMNS": "120"}
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=theirs, env=environment) as process:
         os.close(theirs)
-        text, deadline = "", time.monotonic() + 120
+        text, deadline = "", time.monotonic() + 300
         try:
             while time.monotonic() < deadline and not (until in text if isinstance(until, str) else until()):
                 if select.select([ours], [], [], 0.1)[0]:
@@ -116,7 +116,7 @@ def on_a_terminal(*arguments: object, until: str | Callable[[], bool], ending: i
             os.close(ours)
             if ending is not None:
                 process.send_signal(ending)
-            process.wait(30)
+            process.wait(120)
     return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text)
 
 

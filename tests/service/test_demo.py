@@ -89,7 +89,7 @@ def test_interruption_stops_the_service(tmp_path: Path, environment: dict[str, s
         wait_for(lambda: log.exists() and b"Started server process" in log.read_bytes())
         server = int(log.read_text().split("Started server process [")[1].split("]")[0])
         demo.send_signal(ending)
-        assert demo.wait(30) != 0
+        assert demo.wait(120) != 0
     wait_for(lambda: not alive(server))
 
 

@@ -47,7 +47,7 @@ class Loader:
         return thing
 
 
-def until(reached: Callable[[], bool], seconds: float = 20.0) -> None:
+def until(reached: Callable[[], bool], seconds: float = 120.0) -> None:
     deadline = time.monotonic() + seconds
     while not reached():
         assert time.monotonic() < deadline
@@ -95,11 +95,11 @@ def test_nothing_goes_while_it_is_used(budget: int, held: list[str], wanted: str
         fits = wanted in taken or sum(SIZES[other] for other in taken | {wanted}) <= budget
         waiter = threading.Thread(target=lambda: pool.using(wanted).__enter__(), daemon=True)
         waiter.start()
-        waiter.join(20.0 if fits else 0.02)
+        waiter.join(120.0 if fits else 0.02)
         assert waiter.is_alive() is not fits
         assert all(pool.loaded(name) for name in taken)
         assert loader.calls.count(held[0]) == 1 or held[0] not in taken
-    waiter.join(20.0)  # there is room once the others have left
+    waiter.join(120.0)  # there is room once the others have left
     assert not waiter.is_alive()
     assert pool.loaded(wanted)
 
@@ -123,7 +123,7 @@ def test_two_different_ones_are_loaded_side_by_side() -> None:
     inside = threading.Barrier(2)
 
     def load(name: str) -> str:
-        inside.wait(20)  # broken if the second waited for the first
+        inside.wait(120)  # broken if the second waited for the first
         return name
 
     pool = Pool(load, SIZES)
@@ -172,7 +172,7 @@ def test_who_waits_for_room_is_not_kept_out_by_those_who_come_later() -> None:
             until(lambda: len(pool._queue) == len(waiting))
         assert order == []
     for thread in waiting:
-        thread.join(20)
+        thread.join(120)
     assert order == ["rare", "busy", "busy"]
 
 

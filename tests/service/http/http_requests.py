@@ -72,7 +72,7 @@ def post(
 def stored(settings: Settings) -> dict[str, int]:
     """Every file and folder under the store but its index, with its size: what must not change when a request is
     refused. Inputs of jobs are gone a moment after their end."""
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 120
     while any((settings.store / ".jobs").iterdir()) and time.monotonic() < deadline:
         time.sleep(0.01)
     paths = (path for path in sorted(settings.store.rglob("*")) if not path.name.startswith("index.sqlite"))

@@ -29,13 +29,13 @@ def serving(store: Path, model: Path, log: Path, *more: str, **environment: str)
             env=os.environ | environment,
         )
     try:
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60) as client:
-            until(lambda: answers(client), 120)
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=120) as client:
+            until(lambda: answers(client), 300)
             yield client, process
     finally:
         process.terminate()  # with its workers, and what they share
         try:
-            process.wait(60)
+            process.wait(120)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
@@ -48,7 +48,7 @@ def answers(client: httpx.Client) -> bool:
         return False
 
 
-def until(reached: Any, seconds: float = 30.0, pause: float = 0.05) -> None:
+def until(reached: Any, seconds: float = 120.0, pause: float = 0.05) -> None:
     deadline = time.monotonic() + seconds
     while not reached():
         assert time.monotonic() < deadline

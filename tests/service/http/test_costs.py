@@ -92,7 +92,7 @@ def test_a_full_queue_answers_before_the_body_is_read(client: TestClient, monkey
 
 def test_stalled_uploads_expire_and_keep_nobody_from_the_cpu(settings: Settings, tmp_path: Path) -> None:
     """One sender stops after its headers: renders go on, a second upload is told to wait, the first gets 408."""
-    update = {"store": tmp_path, "max_uploads": 1, "max_waiting": 0, "upload_seconds": 1.0}
+    update = {"store": tmp_path, "max_uploads": 1, "max_waiting": 0, "upload_seconds": 4.0}
     with TestClient(create_app(settings.model_copy(update=update)), raise_server_exceptions=False) as client:
         wait_until_ready(client)
         assert post(client).status_code == 201
@@ -113,9 +113,9 @@ def test_stalled_uploads_expire_and_keep_nobody_from_the_cpu(settings: Settings,
         waiting = client.portal.start_task_soon(stalled)
         while client.app.state.runtime.uploads.taken == 0:
             time.sleep(0.01)
-        assert client.get("/render?view=0").status_code == 200
         assert_problem(post(client), 503, "service_busy")
-        waiting.result(timeout=30)
+        assert client.get("/render?view=0").status_code == 200
+        waiting.result(timeout=120)
         assert sent[0]["status"] == 408
         assert b"upload_timeout" in sent[1]["body"]
         assert post(client).status_code == 200

@@ -27,7 +27,7 @@ def held(
     going, original = threading.Event(), Reconstructor.reconstruct
 
     def slow(self: Reconstructor, *arguments: Any, **options: Any) -> Any:
-        going.wait(30)
+        going.wait(120)
         return original(self, *arguments, **options)
 
     monkeypatch.setattr(Reconstructor, "reconstruct", slow)
@@ -160,7 +160,7 @@ def test_a_client_that_goes_away_takes_its_work_along(held: tuple[TestClient, th
     while table.counts()["queued"] == 0:
         time.sleep(0.01)
     left.set()
-    task.result(timeout=10)
+    task.result(timeout=120)
     assert table.counts() == {"queued": 0, "running": 1}
     assert len(list((client.app.state.runtime.store.root / ".jobs").iterdir())) == 1
     going.set()
@@ -209,7 +209,7 @@ def test_a_quiet_stream_shows_signs_of_life(held: tuple[TestClient, threading.Ev
 
 
 def wait_for(client: TestClient, job: dict[str, Any], state: str) -> dict[str, Any]:
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 120
     while (found := client.get(job["links"]["self"]).json())["state"] != state:
         assert time.monotonic() < deadline, found
         time.sleep(0.01)

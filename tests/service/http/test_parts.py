@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 import time
 
 import numpy as np
@@ -58,13 +59,14 @@ def test_nothing_is_drawn_for_a_client_that_left_or_waited_too_long() -> None:
     drawn: list[str] = []
 
     async def scenario() -> None:
-        lane = Lane("pictures", 1, 5, 0.2, "drawing")
-        task = held(lane, 0.6)
+        lane, over = Lane("pictures", 1, 5, 0.2, "drawing"), threading.Event()
+        task = asyncio.create_task(lane.run(lambda: over.wait(120), here))
         await asyncio.sleep(0.01)
         with pytest.raises(ClientDisconnect):
             await lane.run(lambda: drawn.append("left"), gone)
         with pytest.raises(ServiceBusy, match=r"no turn within 0\.2 s"):
             await lane.run(lambda: drawn.append("late"), here)
+        over.set()
         await task
         await lane.run(lambda: drawn.append("next"), here)
 

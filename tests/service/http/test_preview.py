@@ -231,14 +231,15 @@ def test_others_come_between_two_steps() -> None:
             for number in range(3):
                 order.append(f"frame {number}")
                 first.set()
-                asked.wait(5)
+                asked.wait(120)
                 pause()
 
         running = asyncio.create_task(lane.run_in_steps(film_of_three, here))
         while not first.is_set():
             await asyncio.sleep(0.001)
         pictures = [asyncio.create_task(lane.run(lambda: order.append("picture"), here)) for _ in range(2)]
-        await asyncio.sleep(0.01)
+        while lane.places.taken < 3:
+            await asyncio.sleep(0.001)
         asked.set()
         await asyncio.gather(running, *pictures)
         assert await lane.run(lambda: 7, here) == 7
@@ -254,7 +255,7 @@ def test_a_lane_survives_steps_that_end_early(ending: type[Exception]) -> None:
     steps: list[int] = []
 
     async def scenario() -> None:
-        lane = Lane("pictures", 1, 5, 0.2, "drawing")
+        lane = Lane("pictures", 1, 5, 1.0, "drawing")
         release = threading.Event()
         begun = threading.Event()
 
@@ -278,7 +279,7 @@ def test_a_lane_survives_steps_that_end_early(ending: type[Exception]) -> None:
         if ending is ServiceBusy:
             while not begun.is_set():
                 await asyncio.sleep(0.001)
-            blocking = asyncio.create_task(lane.run(lambda: release.wait(5), here))
+            blocking = asyncio.create_task(lane.run(lambda: release.wait(120), here))
         with pytest.raises(ending):
             await running
         release.set()

@@ -106,13 +106,13 @@ def test_who_is_told_that_it_is_ready_finds_no_worker_that_is_not(tmp_path: Path
 
         def asked_until_replaced() -> bool:
             try:
-                told.append(httpx.get(f"{client.base_url}/readyz", timeout=60).status_code)
+                told.append(httpx.get(f"{client.base_url}/readyz", timeout=120).status_code)
             except httpx.TransportError:  # it was the victim's to answer
                 told.append(0)
             return any(loaded_file(worker).exists() for worker in workers(process) if worker not in (killed, other))
 
-        until(asked_until_replaced, 120, pause=0)
-        told += [httpx.get(f"{client.base_url}/readyz", timeout=60).status_code for _ in range(20)]
+        until(asked_until_replaced, 300, pause=0)
+        told += [httpx.get(f"{client.base_url}/readyz", timeout=120).status_code for _ in range(20)]
         assert set(told) <= {0, 200}
         assert told.count(200) > 10
 
@@ -122,14 +122,14 @@ def test_workers_are_replaced_on_sighup_and_end_with_who_watches_them(tmp_path: 
     with serving(tmp_path / "scenes", standin_model, tmp_path / "log", "--workers", "2") as (client, process):
         first = workers(process)
         process.send_signal(signal.SIGHUP)
-        until(lambda: len(workers(process)) == 2 and not set(workers(process)) & set(first), 120)
+        until(lambda: len(workers(process)) == 2 and not set(workers(process)) & set(first), 300)
         last = workers(process)
         shared = loaded_file(last[0]).parent
         assert shared.is_dir()
-        assert httpx.get(f"{client.base_url}/readyz", timeout=60).status_code == 200
+        assert httpx.get(f"{client.base_url}/readyz", timeout=120).status_code == 200
         process.kill()
         process.wait()
-        until(lambda: not any(known_of(pid, "cmdline") for pid in last), 60)
+        until(lambda: not any(known_of(pid, "cmdline") for pid in last))
         assert not shared.exists()
         with pytest.raises(httpx.ConnectError):
             httpx.get(f"{client.base_url}/healthz")
@@ -141,19 +141,19 @@ def test_it_ends_in_order_with_what_it_has_begun(tmp_path: Path, standin_model: 
         found: list[Any] = []
         job = post(client, prefer="respond-async").json()
         until(lambda: client.get(job["links"]["self"]).json()["state"] == "done")
-        streams = httpx.Client(base_url=client.base_url, timeout=60)
+        streams = httpx.Client(base_url=client.base_url, timeout=120)
         big = [photograph(k, 1600, 1200) for k in (1, 2, 3)]
         cameras = cameras_of(3, 1600, 1200)
         work = threading.Thread(target=lambda: found.append(post(client, big, cameras)))
         work.start()
         until(lambda: running(streams), pause=0)
         # the same scene as a job, whose stream is open while the process is told to end
-        job = post(httpx.Client(base_url=client.base_url, timeout=60), big, cameras, prefer="respond-async").json()
+        job = post(httpx.Client(base_url=client.base_url, timeout=120), big, cameras, prefer="respond-async").json()
         with streams.stream("GET", job["links"]["events"]) as stream:
             process.send_signal(signal.SIGTERM)
             told = "".join(stream.iter_text())
         assert told.startswith("retry: ")
-        assert process.wait(60) == 0
+        assert process.wait(120) == 0
         work.join()
         assert found[0].status_code in (200, 201)
     log = (tmp_path / "log").read_text()
@@ -193,7 +193,7 @@ def test_workers_share_a_store_and_one_that_is_killed_is_replaced(tmp_path: Path
                     time.sleep(0.1)
             assert answer.status_code in (200, 201), answer.text
             acknowledged[answer.headers["location"]] = answer.content
-        until(lambda: all(client.get(job["links"]["self"]).json()["state"] == "done" for job in jobs), 60)
+        until(lambda: all(client.get(job["links"]["self"]).json()["state"] == "done" for job in jobs))
         for location, body in acknowledged.items():
             assert client.get(location + ".ply").content == body
         until(lambda: len(workers(process)) == 2)
@@ -204,4 +204,4 @@ def test_workers_share_a_store_and_one_that_is_killed_is_replaced(tmp_path: Path
         )
         assert total == len(acknowledged) + len(jobs)
         process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0
+        assert process.wait(120) == 0

@@ -46,7 +46,7 @@ def test_model_that_cannot_be_loaded(tmp_path: Path, content: bytes | None, capl
         path.write_bytes(content)
     app = create_app(Settings(model=path, store=tmp_path / "scenes"))
     with TestClient(app, raise_server_exceptions=False) as client:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 300
         while (body := client.get("/readyz").json())["state"] == "starting":
             assert time.monotonic() < deadline
             time.sleep(0.05)

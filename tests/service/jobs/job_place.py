@@ -50,10 +50,10 @@ class Place:
         self.spool.put(job_id, work())
         return self.table.submit(job_id, scene_id, waits)
 
-    def ended(self, job_id: str = "1", seconds: float = 20.0) -> Job:
+    def ended(self, job_id: str = "1", seconds: float = 120.0) -> Job:
         return self.until(lambda job: job.over, job_id, seconds)
 
-    def until(self, reached: Callable[[Job], bool], job_id: str = "1", seconds: float = 20.0) -> Job:
+    def until(self, reached: Callable[[Job], bool], job_id: str = "1", seconds: float = 120.0) -> Job:
         deadline = time.monotonic() + seconds
         while not reached(job := self.table.get(job_id)):
             assert time.monotonic() < deadline, job
