@@ -71,6 +71,9 @@ def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int |
 
 def _json_object(obj: object) -> Mapping:
     """The decoded file, which must be a JSON object. Raises `CameraError`."""
+    if isinstance(obj, list) and obj and isinstance(obj[0], Mapping) and "img_name" in obj[0]:
+        message = "is the list of cameras that 3DGS training leaves beside its .ply, which lacks principal points"
+        raise CameraError(message, field="cameras", cure="give the COLMAP model or transforms.json it was trained from")
     if not isinstance(obj, Mapping):
         raise CameraError(f"is a {type(obj).__name__}, need a JSON object", field="cameras")
     return obj

@@ -67,7 +67,9 @@ def _fitted(
 
 
 def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> list[Notice]:
-    return _photo_notices(photo, camera, index) if lens is None else [_lens_notice(lens, index)]
+    if lens is None:
+        return _photo_notices(photo, camera.width, camera.height, index)
+    return [*_photo_notices(photo, lens.width, lens.height, index), _lens_notice(lens, index)]
 
 
 def _lens_notice(lens: Lens, index: int) -> Notice:
@@ -80,12 +82,9 @@ def _lens_notice(lens: Lens, index: int) -> Notice:
     return {"code": "undistorted", "field": "images", "index": index, "message": message}
 
 
-def _photo_notices(photo: Photo, camera: Camera, index: int) -> list[Notice]:
+def _photo_notices(photo: Photo, width: int, height: int, index: int) -> list[Notice]:
     """EXIF says turned, but the camera has the stored size: the pixels are left as stored, which is worth knowing."""
-    if photo.orientation == 1 or abs(photo.width / photo.height - camera.width / camera.height) > 0.01:
+    if photo.orientation == 1 or abs(photo.width / photo.height - width / height) > 0.01:
         return []
-    message = (
-        f"EXIF orientation {photo.orientation} is not applied: the camera has the stored size "
-        f"{camera.width} x {camera.height}"
-    )
+    message = f"EXIF orientation {photo.orientation} is not applied: the camera has the stored size {width} x {height}"
     return [{"code": "exif_orientation_ignored", "field": "images", "index": index, "message": message}]

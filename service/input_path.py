@@ -16,6 +16,7 @@ import numpy as np
 
 from .camera import Camera
 from .errors import ViewError
+from .framing import frame
 from .rotations import (
     F64,
     matrix_from_quaternion,
@@ -59,7 +60,7 @@ class Piece:
     def camera(self, u: float) -> Camera:
         """The camera at one parameter; at 0 and 1 it is the one that was given."""
         if u in (0.0, 1.0):
-            return (self.start, self.end)[int(u)].resized(self.start.width, self.start.height)
+            return frame((self.start, self.end)[int(u)], self.start.width, self.start.height)
         at = np.array([u])
         pose = np.eye(4)
         pose[:3, :3] = matrix_from_quaternion(self.rotations(at)[0])
@@ -87,10 +88,10 @@ class InputPath:
     @classmethod
     def through(cls, cameras: Sequence[Camera], pivot_depth: float) -> InputPath:
         """Raises `ViewError` where the cameras are not two at least, or all the same."""
-        kept = [camera.resized(cameras[0].width, cameras[0].height) for camera in cameras[:1]]
+        kept = list(cameras[:1])
         for camera in cameras[1:]:
             if distance(kept[-1], camera, pivot_depth) > LEAST_STEP * pivot_depth:
-                kept.append(camera.resized(kept[0].width, kept[0].height))
+                kept.append(frame(camera, kept[0].width, kept[0].height))
         if len(kept) < 2:
             raise ViewError(
                 f"{len(kept)} place of a camera is no path, need 2", field="path", cure="ask for turntable or orbit"

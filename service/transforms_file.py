@@ -23,14 +23,25 @@ from .errors import CameraError, IntrinsicsError
 # Pinholes, and what can be undistorted to one.
 _MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-_SIZES = ("w", "h", "fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy")
-_OF_A_FRAME = (*_SIZES, *COEFFICIENTS, "camera_model", "is_fisheye")  # what the top may say for all frames
+_LENGTHS, _ANGLES = ("fl_x", "fl_y"), ("camera_angle_x", "camera_angle_y")
+_OF_A_FRAME = (
+    "w",
+    "h",
+    *_LENGTHS,
+    *_ANGLES,
+    "cx",
+    "cy",
+    *COEFFICIENTS,
+    "camera_model",
+    "is_fisheye",
+)  # the top says it for all
 
 
 def parse_transforms(
     obj: Mapping, *, size_of: SizeOf | None = None, indices: Sequence[int] | None = None
 ) -> CameraFile:
-    """Views in the order of `frames`, or those of `indices`; a value of a frame wins over the same name at the top.
+    """Views in the order of `frames`, or those of `indices`; a value of a frame wins over the same name at the top,
+    and its own field of view over the focal lengths there.
 
     Focal lengths are `fl_x`, `fl_y` (the latter defaults to the former) or `camera_angle_x`, `camera_angle_y`; the
     principal point defaults to the image centre, the size to `size_of`. Distortion that moves no point of the picture
@@ -43,7 +54,7 @@ def parse_transforms(
     common = {name: value for name, value in obj.items() if name in _OF_A_FRAME}
     for index in range(len(frames)) if indices is None else indices:
         frame = frames[index]
-        values = {**common, **frame}
+        values = {**_of_the_top(common, frame), **frame}
         name = image_name(frame, "file_path", field="frames", index=index)
         _require_known_model(values, index)
         width, height = _size(values, name, size_of, index)
@@ -60,6 +71,14 @@ def parse_transforms(
         lens = _lens(values, (width, height), (fx, fy), (cx, cy), index)
         views.append(view_through(name, lens, pose, field="frames", index=index))
     return CameraFile(tuple(views), optional_number(obj, "near"), optional_number(obj, "far"))
+
+
+def _of_the_top(common: Mapping, frame: Mapping) -> dict[str, Any]:
+    """What the top says for this frame: no focal lengths where the frame has a field of view, and the reverse."""
+    dropped = (_LENGTHS if any(name in frame for name in _ANGLES) else ()) + (
+        _ANGLES if any(name in frame for name in _LENGTHS) else ()
+    )
+    return {name: value for name, value in common.items() if name not in dropped}
 
 
 def _require_known_model(values: Mapping, index: int) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from .camera import Camera
 from .errors import ViewError
+from .framing import frame
 from .rotations import F64, about_axis, mean_rotation, slerp
 
 _LENS = ("fx", "fy", "cx", "cy")
@@ -22,8 +23,9 @@ def resolve_view(spec: str, cameras: Sequence[Camera], *, pivot_depth: float) ->
     """The camera that `spec` names.
 
     "2" is input view 2; "1.5" lies half way between views 1 and 2 (rotation on the shortest arc, centre and lens on a
-    line, size of view 1); "orbit:30" is the mean camera turned by 30 degrees about the vertical through the point at
-    z-depth `pivot_depth` (caller's units) on its optical axis, to the right for positive angles. Raises `ViewError`.
+    line, size of view 1, to which the other is cropped where its shape differs); "orbit:30" is the mean camera turned
+    by 30 degrees about the vertical through the point at z-depth `pivot_depth` (caller's units) on its optical axis, to
+    the right for positive angles. Raises `ViewError`.
     """
     text = spec.strip()
     orbit = _ORBIT.fullmatch(text)
@@ -50,7 +52,7 @@ def resolve_view(spec: str, cameras: Sequence[Camera], *, pivot_depth: float) ->
 
 def between(start: Camera, end: Camera, fraction: float) -> Camera:
     """The camera at `fraction` of the way from `start` to `end`, with the picture size of `start`."""
-    end = end.resized(start.width, start.height)
+    end = frame(end, start.width, start.height)
     pose = np.eye(4)
     pose[:3, :3] = slerp(start.rotation, end.rotation, fraction)
     pose[:3, 3] = start.center + fraction * (end.center - start.center)
@@ -64,8 +66,8 @@ def mean_camera(cameras: Sequence[Camera]) -> Camera:
     pose = np.eye(4)
     pose[:3, :3] = mean_rotation(np.stack([camera.rotation for camera in cameras]))
     pose[:3, 3] = first.center + np.mean([camera.center - first.center for camera in cameras], axis=0)
-    resized = [camera.resized(first.width, first.height) for camera in cameras]
-    fx, fy, cx, cy = (float(np.mean([getattr(camera, name) for camera in resized])) for name in _LENS)
+    framed = [frame(camera, first.width, first.height) for camera in cameras]
+    fx, fy, cx, cy = (float(np.mean([getattr(camera, name) for camera in framed])) for name in _LENS)
     return replace(first, world_from_cam=pose, fx=fx, fy=fy, cx=cx, cy=cy)
 
 

@@ -93,9 +93,9 @@ class ZipFiles:
             raise CaptureError(message, field="capture", cure=_ALONE)
 
     def _add(self, info: zipfile.ZipInfo) -> None:
-        name = info.filename
+        name = info.filename.replace("\\", "/")  # as archivers of Windows write it, whatever the format says
         parts = name.rstrip("/").split("/")
-        if not name or name.startswith("/") or "\\" in name or ":" in parts[0] or {"", ".", ".."} & set(parts):
+        if not name or name.startswith("/") or ":" in parts[0] or {"", ".", ".."} & set(parts):
             message = f"has a file at {name!r}: paths must stay inside the zip"
             raise CaptureError(message, field="capture", cure=_ALONE)
         if any(is_clutter(part) for part in parts):
@@ -103,7 +103,7 @@ class ZipFiles:
         for depth in range(1, len(parts)):
             self._folders.setdefault("/".join(parts[: depth - 1]), set()).add(parts[depth - 1])
         folder = "/".join(parts[:-1])
-        if info.is_dir():
+        if name.endswith("/"):
             self._folders.setdefault(folder, set()).add(parts[-1])
             return
         refusal = _refusal(info)

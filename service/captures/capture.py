@@ -10,7 +10,7 @@ from typing import Any
 
 from ..camera_fields import CameraFile
 from ..distortion import MAX_SHIFT_PX
-from ..errors import CaptureError, ImageError, IntrinsicsError
+from ..errors import CaptureError, ImageError, IntrinsicsError, PoseError
 from ..image_files import MAX_PIXELS
 from ..view_checks import MAX_VIEWS, MIN_VIEWS, Notice
 from .archive import SIGNATURES, ZipFiles
@@ -49,7 +49,7 @@ class Capture:
         beside = table.source.rpartition("/")[0]
         self.files = files
         self.table = table
-        self._photographs = Photographs(files, base, beside, max_pixels)
+        self._photographs = Photographs(files, base, beside, table.names, max_pixels)
         self._paths: list[str] | None = None  # where the file names none
 
     @classmethod
@@ -81,8 +81,9 @@ class Capture:
     def choose(self, wish: Wish, near: float | None = None, far: float | None = None) -> ChosenViews:
         """The views that are wished for; `near` and `far` are the user's, which win over the file's.
 
-        Without a wish all of a capture of up to six. Of more, those that have a photograph are chosen from. Raises
-        `ViewError`, `ImageError`, `CameraError` and `CaptureError`.
+        Without a wish all of a capture of up to six. Of more, those are chosen from that have a photograph and a camera
+        that can be used; a warning tells of the others' cameras. Raises `ViewError`, `ImageError`, `CameraError` and
+        `CaptureError`.
         """
         count = len(self.table.names)
         said: dict[str, Any] = {"format": self.table.kind, "cameras": self.table.source, "of": count}
@@ -96,16 +97,43 @@ class Capture:
         said["without_photograph"] = count - len(there)
         if wish.context is None and len(there) <= MAX_VIEWS:
             return self._chosen(self.cameras(there), there, {"by": "photographs", **said})
-        file = self.cameras(there)
+        there, file, warnings = self._usable(there)
         near, far = (file.near if near is None else near), (file.far if far is None else far)
         choice = chosen_views(file.cameras, wish.context or DEFAULT_CONTEXT, near, far)
         indices = [there[place] for place in choice.places]
-        return self._chosen(file.chosen(choice.places), indices, {"by": "score", **said, **choice.said})
+        return self._chosen(file.chosen(choice.places), indices, {"by": "score", **said, **choice.said}, warnings)
 
-    def _chosen(self, file: CameraFile, indices: Sequence[int], said: dict[str, Any]) -> ChosenViews:
+    def _chosen(
+        self, file: CameraFile, indices: Sequence[int], said: dict[str, Any], warnings: tuple[Notice, ...] = ()
+    ) -> ChosenViews:
         paths = tuple(self.path_of(index) for index in indices)
+        for place, path in enumerate(paths):
+            if (first := paths.index(path)) < place:
+                message = f"{path} is the photograph of view {indices[first]} too"
+                cure = "name one photograph for each view, with its folder where names are the same"
+                raise ImageError(message, field="views.image", index=indices[place], cure=cure)
         said = {**said, "views": list(indices), "images": list(paths)}
-        return ChosenViews(file, paths, self._photographs, tuple(indices), said, self.table.warnings)
+        return ChosenViews(file, paths, self._photographs, tuple(indices), said, self.table.warnings + warnings)
+
+    def _usable(self, indices: Sequence[int]) -> tuple[list[int], CameraFile, tuple[Notice, ...]]:
+        """Those of the views whose lens can be made a pinhole and whose pose is one, and the warning that others are
+        not. Raises what the first of them raises where fewer than two are left."""
+        try:
+            return list(indices), self.cameras(indices), ()
+        except (IntrinsicsError, PoseError):
+            pass
+        usable, refused = [], []
+        for index in indices:
+            try:
+                self.cameras([index])
+                usable.append(index)
+            except (IntrinsicsError, PoseError) as error:
+                refused.append(error)
+        if len(usable) < MIN_VIEWS:
+            raise refused[0]
+        message = f"{len(refused)} of {len(indices)} views have no camera that can be used, the first: {refused[0]}"
+        warning: Notice = {"code": "views_refused", "field": "cameras", "message": message}
+        return usable, self.cameras(usable), (warning,)
 
     def _with_photograph(self) -> list[int]:
         there, first = [], None

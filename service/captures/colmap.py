@@ -54,7 +54,6 @@ def read_colmap(files: Files, folder: str, form: str) -> CameraTable:
     source = joined(folder, f"images.{form}")
     check_listed(len(model.images), source)
     ids = sorted(model.images, key=lambda image_id: (model.images[image_id].name, image_id))
-    poses = model.poses()
 
     def parse(indices: Sequence[int], size_of: SizeOf | None) -> CameraFile:
         views = []
@@ -64,7 +63,7 @@ def read_colmap(files: Files, folder: str, form: str) -> CameraTable:
             if camera is None:
                 message = f"{source}: {image.name!r} is of camera {image.camera_id}, which is missing"
                 raise CameraError(message, field="cameras", index=index, cure="are both files of one model?")
-            pose = inverted_pose(poses[ids[index]], field="cameras", index=index)
+            pose = inverted_pose(model.pose(ids[index]), field="cameras", index=index)
             lens = lens_of(camera, image.camera_id, index)
             views.append(view_through(image.name, lens, pose, field="cameras", index=index))
         return CameraFile(tuple(views))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,25 +80,32 @@ class ColmapModel:
     rigs: dict[int, dict[Sensor, tuple[float, ...] | None]] = field(default_factory=dict)
     frames: dict[int, ColmapFrame] = field(default_factory=dict)
 
-    def poses(self) -> dict[int, F64]:
-        """Image id -> (4, 4) camera from world: through the frame and its rig where they tell, as COLMAP does, else as
-        the image has it. Raises `PoseError` for quaternions that are none, `CameraError` for a rig that is not there.
+    def pose(self, image_id: int) -> F64:
+        """(4, 4) camera from world: through the frame and its rig where they tell, as COLMAP does, else as the image
+        has it. Raises `PoseError` for a quaternion that is none, `CameraError` for a rig that is not there.
         """
-        found = {}
-        for frame_id, frame in self.frames.items():
+        image = self.images[image_id]
+        if image_id in self._taken:
+            frame_id, sensor = self._taken[image_id]
+            frame = self.frames[frame_id]
             rig = self.rigs.get(frame.rig_id)
             if rig is None:
                 message = f"frame {frame_id} is of rig {frame.rig_id}, which is missing"
                 raise CameraError(message, field="cameras", cure="are both files of one model?")
-            for sensor, image_id in frame.images:
-                sensor_from_rig = rig.get(sensor)
-                if sensor[0] == CAMERA and image_id in self.images and sensor_from_rig is not None:
-                    name = self.images[image_id].name
-                    found[image_id] = rigid(sensor_from_rig, name) @ rigid(frame.rig_from_world, name)
-        for image_id, image in self.images.items():
-            if image_id not in found:
-                found[image_id] = rigid(image.cam_from_world, image.name)
-        return found
+            sensor_from_rig = rig.get(sensor)
+            if sensor_from_rig is not None:
+                return rigid(sensor_from_rig, image.name) @ rigid(frame.rig_from_world, image.name)
+        return rigid(image.cam_from_world, image.name)
+
+    @cached_property
+    def _taken(self) -> dict[int, tuple[int, Sensor]]:
+        """The frame and the camera that took an image, by its id."""
+        return {
+            image_id: (frame_id, sensor)
+            for frame_id, frame in self.frames.items()
+            for sensor, image_id in frame.images
+            if sensor[0] == CAMERA
+        }
 
 
 def rigid(numbers: tuple[float, ...], name: str) -> F64:

@@ -18,7 +18,7 @@ _HEAD = 4096  # bytes of images.txt in which its comments say how many images it
 
 def several_models(files: Files, base: str, chosen: str) -> tuple[Notice, ...]:
     """The notice `several_models` where the capture in `base` has other models than the chosen folder's; else none."""
-    others = [folder for folder in _models(files, base) if folder != chosen]
+    others = [folder for folder in models_below(files, base) if folder != chosen]
     if not others:
         return ()
     more = [f"{len(others) - _LISTED} more"] if len(others) > _LISTED else []
@@ -31,7 +31,7 @@ def several_models(files: Files, base: str, chosen: str) -> tuple[Notice, ...]:
     return ({"code": "several_models", "field": "capture", "message": message},)
 
 
-def _models(files: Files, base: str) -> list[str]:
+def models_below(files: Files, base: str) -> list[str]:
     """The folders that hold a model, numbered ones in the order of their numbers."""
     folders = [base]
     for place in (joined(base, name) for name in _PLACES):

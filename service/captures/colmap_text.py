@@ -13,6 +13,8 @@ _Entry = TypeVar("_Entry")
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _LONGEST_LINE = 2**20  # bytes, of a line that is looked at; those with points may be longer
+_MARK = "\ufeff"  # of the order of bytes, with which some editors begin a file
+_LONGEST_IMAGE = 2**13  # bytes, of the line of an image; a longer one has points
 _PARAMS = {name: count for name, count in MODELS.values()}
 
 
@@ -30,9 +32,12 @@ def read_cameras(stream: BinaryIO, source: str) -> dict[int, ColmapCamera]:
 
 
 def read_images(stream: BinaryIO, source: str) -> dict[int, ColmapImage]:
-    """images.txt: two lines each, of which the second, with the points, may be empty."""
+    """images.txt: two lines each, of which the second, with the points, may be empty, or missing as in a list that
+    was written by hand."""
 
     def image(words: list[str]) -> tuple[int, ColmapImage]:
+        if len(words) != 10:
+            raise ValueError(f"an image has {len(words)} columns, need 10")
         image_id, *pose, camera_id, name = words
         return int(image_id), ColmapImage(name, int(camera_id), tuple(map(float, pose)))
 
@@ -94,21 +99,37 @@ def _entries(
 
 
 def _lines(stream: BinaryIO, source: str, *, every_second: bool = False) -> Iterator[tuple[int, str]]:
-    """Number and text of the lines that hold something; with `every_second` the line below each is passed over."""
-    number = 0
-    while data := stream.readline(_LONGEST_LINE):
+    """Number and text of the lines that hold something; with `every_second` the line of points below each is passed
+    over."""
+    number, data = 0, b""
+    while data := data or stream.readline(_LONGEST_LINE):
         number += 1
         if len(data) == _LONGEST_LINE and not data.endswith(b"\n"):
             message = f"{source}, line {number} has more than {_LONGEST_LINE} bytes"
             raise CameraError(message, field="cameras", cure="is it a file of COLMAP?")
-        line = data.decode("utf-8", "replace").strip()
+        line, data = data.decode("utf-8", "replace").lstrip(_MARK).strip(), b""
         if not line or line.startswith("#"):
             continue
         yield number, line
         if every_second:
+            below = stream.readline(_LONGEST_LINE)
+            if not _has_points(below):
+                data = below
+                continue
             number += 1
-            while (data := stream.readline(_LONGEST_LINE)) and not data.endswith(b"\n"):
-                pass
+            while len(below) == _LONGEST_LINE and not below.endswith(b"\n"):
+                below = stream.readline(_LONGEST_LINE)
+
+
+def _has_points(line: bytes) -> bool:
+    """Whether a line is one of x, y and point for each of the points in an image, or of none; else it is another's."""
+    if len(line) > _LONGEST_IMAGE:
+        return True
+    words = line.split()
+    try:
+        return len(list(map(float, words))) % 3 == 0
+    except ValueError:
+        return False
 
 
 def _sensor(words: Iterator[str]) -> Sensor:

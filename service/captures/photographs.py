@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import posixpath
 from collections.abc import Sequence
+from functools import cached_property
 
 from ..errors import CaptureError, ImageError, ImageUnreadable
 from ..image_files import MAX_PIXELS, image_size
 from .files import Files, joined, read_bounded
+from .names import Endings, key
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG", ".WEBP")
 FOLDERS = ("images", "", "images_2", "images_4", "images_8", "input", "rgb")  # beside the cameras, in this order
@@ -16,31 +18,35 @@ _HEADER = 2**18  # bytes that nearly always hold the size of a photograph
 
 
 class Photographs:
-    """The photographs below `base`, the folder of the capture, and below `beside`, that of its camera file."""
+    """The photographs below `base`, the folder of the capture, and below `beside`, that of its camera file, which has
+    `names` for them."""
 
-    def __init__(self, files: Files, base: str, beside: str, max_pixels: int = MAX_PIXELS) -> None:
+    def __init__(
+        self, files: Files, base: str, beside: str, names: Sequence[str | None], max_pixels: int = MAX_PIXELS
+    ) -> None:
         self._files = files
+        self._names = names
         self._max_pixels = max_pixels
         places = [joined(beside, "."), *(joined(base, folder) for folder in FOLDERS)]
         self._places = list(dict.fromkeys(places))
         self._listed: dict[str, dict[str, list[str]]] = {}
 
     def find(self, name: str | None, index: int) -> str:
-        """Path of a photograph: at its name, else with a suffix that it lacks or in another case, else by the last part
-        of it alone. Raises `ImageError`.
+        """Path of a photograph: at its name, else with a suffix that it lacks or in another case, else at the end of
+        its name that no other name has: `right/0.png` is not the 0.png that may be `left/0.png`. Raises `ImageError`.
         """
         if name is None:
             message = "the camera file names no photograph for this view"
             raise ImageError(message, field="views.image", index=index, cure="name one for each view")
-        found = self._at(name) or self._at(posixpath.basename(joined(name)))
+        found = self._at(name) or next(filter(None, map(self._at, self._endings.of(name))), None)
         if found is None:
             looked = ", ".join(place or "." for place in self._places[:3])
-            raise ImageError(
-                f"{posixpath.join(self._files.label, name)} does not exist",
-                field="views.image",
-                index=index,
-                cure=f"photographs are looked for in {looked} and the like, under the names that the cameras have",
-            )
+            cure = f"photographs are looked for in {looked} and the like, under the names that the cameras have"
+            last = posixpath.basename(joined(name))
+            if (count := self._endings.count(last)) > 1 and self._at(last):
+                cure += f"; {last} alone may be any of {count}: keep their folders"
+            message = f"{posixpath.join(self._files.label, name)} does not exist"
+            raise ImageError(message, field="views.image", index=index, cure=cure)
         return found
 
     def in_order(self, count: int) -> list[str]:
@@ -74,6 +80,10 @@ class Photographs:
                 raise
         return image_size(self.read(path), index=index, max_pixels=self._max_pixels)
 
+    @cached_property
+    def _endings(self) -> Endings:
+        return Endings(self._names)
+
     def _at(self, name: str) -> str | None:
         suffixes = ("",) if name.endswith(SUFFIXES) else ("", *SUFFIXES)
         for place in self._places:
@@ -83,29 +93,18 @@ class Photographs:
                     return path + suffix
         for place in self._places:
             folder, last = posixpath.split(joined(place, name))
-            found = self._by_key(folder).get(last.lower(), [])
+            found = self._by_key(folder).get(key(last), [])
             if len(found) == 1:
                 return joined(folder, found[0])
         return None
 
     def _by_key(self, folder: str) -> dict[str, list[str]]:
-        """Photographs of a folder by their names in lower case, with and without suffix."""
+        """Photographs of a folder by their names as `key` has them, with and without suffix."""
         if folder not in self._listed:
             found: dict[str, list[str]] = {}
             for name in self._files.files(folder):
                 if name.endswith(SUFFIXES):
-                    for key in {name.lower(), posixpath.splitext(name)[0].lower()}:
-                        found.setdefault(key, []).append(name)
+                    for known in {key(name), posixpath.splitext(key(name))[0]}:
+                        found.setdefault(known, []).append(name)
             self._listed[folder] = found
         return self._listed[folder]
-
-
-def same_file(posted: str, wanted: str | None) -> bool:
-    """Whether the last parts of both paths agree but for case; a wanted name without a suffix matches any."""
-    have, want = (posixpath.basename((name or "").replace("\\", "/").lower()) for name in (posted, wanted))
-    return bool(want) and (have == want or ("." not in want.strip(".") and posixpath.splitext(have)[0] == want))
-
-
-def sorted_places(names: Sequence[str]) -> list[int]:
-    """Where the photographs lie that are sorted by name."""
-    return sorted(range(len(names)), key=lambda place: names[place])

@@ -13,14 +13,14 @@ from ..camera_fields import CameraFile, SizeOf
 from ..camera_file import parse_camera_file, view_names
 from ..errors import CameraError, CaptureError
 from .colmap import has_colmap, is_of_colmap, read_colmap
-from .colmap_models import several_models
+from .colmap_models import models_below, several_models
 from .files import Files, joined, read_bounded
 from .llff import SIGNATURE, read_llff
 from .realestate10k import looks_like_realestate10k, read_realestate10k
 from .table import CameraTable
 
 JSON_NAMES = ("cameras.json", "transforms.json", "transforms_train.json")
-COLMAP_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "")
+COLMAP_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "")  # before others that have a model
 LLFF_NAME = "poses_bounds.npy"
 MAX_CAMERA_BYTES = 64 * 2**20  # of a camera file that is read whole
 
@@ -92,13 +92,16 @@ def table_of_bytes(data: bytes, source: str, parse: Parse = json.loads) -> Camer
 
 
 def _reader_in(files: Files, base: str, max_bytes: int) -> Callable[[], CameraTable] | None:
-    for name in JSON_NAMES:
-        if files.has(joined(base, name)):
-            return partial(table_of_file, files, joined(base, name), max_bytes)
-    for folder in COLMAP_FOLDERS:
-        form = has_colmap(files, joined(base, folder))
+    lists = []
+    for path in (joined(base, name) for name in JSON_NAMES):
+        if files.has(path):
+            if not _is_list(files, path):
+                return partial(table_of_file, files, path, max_bytes)
+            lists.append(path)
+    for folder in (*(joined(base, folder) for folder in COLMAP_FOLDERS), *models_below(files, base)):
+        form = has_colmap(files, folder)
         if form is not None:
-            return partial(_colmap, files, base, joined(base, folder), form)
+            return partial(_colmap, files, base, folder, form)
     if files.has(joined(base, LLFF_NAME)):
         return partial(table_of_file, files, joined(base, LLFF_NAME), max_bytes)
     texts = [joined(base, name) for name in files.files(base) if name.endswith(".txt")]
@@ -106,11 +109,18 @@ def _reader_in(files: Files, base: str, max_bytes: int) -> Callable[[], CameraTa
     if len(texts) > 1:
         message = f"{files.label} holds {len(texts)} RealEstate10K files: {', '.join(texts[:5])}"
         raise CaptureError(message, field="capture", cure="keep one of them")
-    return partial(table_of_file, files, texts[0], max_bytes) if texts else None
+    last = (*texts, *lists)
+    return partial(table_of_file, files, last[0], max_bytes) if last else None
 
 
 def _colmap(files: Files, base: str, folder: str, form: str) -> CameraTable:
     return replace(read_colmap(files, folder, form), warnings=several_models(files, base, folder))
+
+
+def _is_list(files: Files, path: str) -> bool:
+    """Whether a JSON file is a list: the cameras.json of 3DGS training, which any other camera file is better than."""
+    with files.open(path) as stream:
+        return stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"["
 
 
 def _is_realestate10k(files: Files, path: str) -> bool:

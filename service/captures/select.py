@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..errors import InputError, ViewCountError, ViewError
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
-from .photographs import same_file
+from .names import same_path
 
 DEFAULT_CONTEXT = 3  # views of a capture that has more than six; each costs as much time again as the second
 
@@ -38,7 +38,7 @@ def checked_wish(wish: Wish) -> Wish:
 def named_views(text: str, names: Sequence[str | None], *, field: str) -> list[int]:
     """Indices of the views in `text`, such as `4,8` or `a.jpg,b.jpg`; a name wins over the same text as an index.
 
-    A name is the file's own, or its last part where only one view has it. Raises `ViewError` for anything else, for a
+    A name is the file's own, or as much of its end as only one view has. Raises `ViewError` for anything else, for a
     view that does not exist and for one that is given twice.
     """
     indices: list[int] = []
@@ -53,7 +53,7 @@ def named_views(text: str, names: Sequence[str | None], *, field: str) -> list[i
 def _index_of(part: str, names: Sequence[str | None], field: str) -> int:
     shown = part[:100]
     found = [index for index, name in enumerate(names) if part and name == part]
-    found = found or [index for index, name in enumerate(names) if part and same_file(part, name)]
+    found = found or [index for index, name in enumerate(names) if part and same_path(part, name)]
     if len(found) == 1:
         return found[0]
     if found:

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..camera import Camera
 from ..camera_fields import NamedView
-from ..captures.photographs import same_file, sorted_places
+from ..captures.names import same_file, sorted_places
 from ..errors import CameraError, ViewCountError
 from ..image_files import image_size
 

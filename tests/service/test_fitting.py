@@ -9,8 +9,10 @@ from PIL import Image
 
 from gapmes.service import images as images_module
 from gapmes.service.camera import Camera
+from gapmes.service.distortion import Lens
 from gapmes.service.errors import ImageError
-from gapmes.service.images import EncodedPhoto
+from gapmes.service.fitting import fit_notices
+from gapmes.service.images import EncodedPhoto, Photo
 from gapmes.service.reconstruct import Reconstructor
 
 
@@ -57,3 +59,16 @@ def test_encoded_photographs_are_decoded_one_at_a_time(reconstructor, plane_scen
     assert len(alive) == len(encoded)
     np.testing.assert_array_equal(result.gaussians.means, scene.gaussians.means)
     np.testing.assert_array_equal(result.gaussians.harmonics, scene.gaussians.harmonics)
+
+
+@pytest.mark.parametrize("bent", [False, True])
+@pytest.mark.parametrize(("orientation", "told"), [(1, False), (3, True), (6, True)])
+def test_what_exif_says_is_told_whether_the_lens_bends_or_not(engine, bent, orientation, told):
+    photo = Photo(np.zeros((480, 640, 3), np.uint8), orientation=orientation)
+    lens = Lens(640, 480, 500.0, 500.0, 320.0, 240.0, k1=0.05)
+    camera = Camera.make(640, 480, 500.0, 500.0, 320.0, 240.0, np.eye(4))
+    notices = fit_notices(photo, camera, lens if bent else None, 1, engine.info)
+    assert [notice["code"] for notice in notices] == ["exif_orientation_ignored"] * told + ["undistorted"] * bent
+    assert {notice["index"] for notice in notices} <= {1}
+    if told:
+        assert "the stored size 640 x 480" in notices[0]["message"]

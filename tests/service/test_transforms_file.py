@@ -41,6 +41,20 @@ def test_blender_field_of_view_and_defaults():
     assert math.acos(cosine) == pytest.approx(angle)
 
 
+def test_a_field_of_view_of_a_frame_wins_over_focal_lengths_of_the_top():
+    file = transforms(3)
+    file["frames"][1]["camera_angle_x"] = 0.5
+    file["frames"][2] |= {"fl_x": 700.0, "camera_angle_y": 0.5}
+    cameras = parse_camera_file(file).cameras
+    half = math.tan(0.25)
+    expected = [(500, 510), (320 / half, 320 / half), (700, 240 / half)]
+    np.testing.assert_allclose([(c.fx, c.fy) for c in cameras], expected, rtol=1e-14)
+    angles = {"camera_angle_x": 0.9, "camera_angle_y": 0.7, "w": 640, "h": 480}
+    frames = [frame | {"fl_x": 600.0} for frame in transforms(1)["frames"]]
+    (camera,) = parse_camera_file(angles | {"frames": frames}).cameras
+    assert (camera.fx, camera.fy) == (600, 600)
+
+
 @pytest.mark.parametrize("name", ["k1", "k2", "k3", "k4", "p1", "p2"])
 def test_a_lens_that_bends_is_given_with_the_pinhole_it_becomes(name):
     assert parse_camera_file(transforms(**{name: 0.0})).views[0].lens is None

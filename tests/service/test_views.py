@@ -46,6 +46,26 @@ def test_a_fraction_between_sizes_takes_the_first_and_its_rays(cameras):
     assert resolve_view("0.5", doubled, pivot_depth=3).width == 64
 
 
+def upright_and_wide() -> list[Camera]:
+    """Two lenses of the same focal length, one with the picture upright, principal points off the middle."""
+    poses = [np.eye(4), np.eye(4)]
+    poses[1][0, 3] = 1.0
+    return [
+        Camera.make(64, 48, 50.0, 50.0, 33.0, 23.0, poses[0]),
+        Camera.make(48, 64, 50.0, 50.0, 25.0, 30.0, poses[1]),
+    ]
+
+
+@pytest.mark.parametrize("spec", ["0.25", "0.5", "0.999", "orbit:0", "orbit:20"])
+def test_pixels_stay_square_between_pictures_of_other_shapes(spec):
+    for cameras in (upright_and_wide(), upright_and_wide()[::-1]):
+        found = resolve_view(spec, cameras, pivot_depth=3)
+        assert (found.width, found.height) == (cameras[0].width, cameras[0].height)
+        assert found.fx == pytest.approx(found.fy, rel=1e-14)
+    near_the_end = resolve_view("0.999", upright_and_wide(), pivot_depth=3)
+    assert near_the_end.fx == pytest.approx(50 * 64 / 48, rel=1e-3)  # its width fills the picture
+
+
 def test_an_orbit_keeps_the_pivot_in_its_place_and_distance(cameras):
     middle = mean_camera(cameras)
     np.testing.assert_allclose(resolve_view("orbit:0", cameras, pivot_depth=3).world_from_cam, middle.world_from_cam)

@@ -77,6 +77,18 @@ def test_the_first_of_several_camera_files_counts(tmp_path: Path) -> None:
     ]
 
 
+def test_cameras_that_3dgs_training_leaves_are_passed_over(tmp_path: Path) -> None:
+    """Alone they are refused by what they are."""
+    entry = {"id": 0, "img_name": "view 0000", "width": 96, "height": 72, "position": [0, 0, 0], "fx": 80, "fy": 80}
+    (tmp_path / "cameras.json").write_text(json.dumps([entry | {"rotation": np.eye(3).tolist()}]))
+    with pytest.raises(CameraError, match="is the list of cameras that 3DGS training leaves") as caught:
+        open_capture(tmp_path)
+    assert "COLMAP" in caught.value.cure
+    for write, kind in ((write_realestate10k, "realestate10k"), (write_colmap, "colmap")):
+        write(tmp_path, arc(3))
+        assert open_capture(tmp_path).table.kind == kind
+
+
 @pytest.mark.parametrize("form", ["cameras.json", "llff", "realestate10k", "colmap binary"])
 def test_a_camera_file_may_be_named_itself(tmp_path: Path, form: str) -> None:
     WRITERS[form](tmp_path, arc(3))

@@ -50,7 +50,21 @@ def opened(data: bytes, **options: int) -> ZipFiles:
 
 
 @pytest.mark.parametrize(
-    "name", ["../cameras.json", "/etc/passwd", "a/../../b", "a\\..\\b", "C:/x", "./a", "a//b", "a/./b", ".."]
+    "name",
+    [
+        "../cameras.json",
+        "/etc/passwd",
+        "a/../../b",
+        "a\\..\\b",
+        "C:/x",
+        "./a",
+        "a//b",
+        "a/./b",
+        "..",
+        "\\a",
+        "C:\\x",
+        "..\\x",
+    ],
 )
 def test_paths_that_leave_the_zip(name: str) -> None:
     with pytest.raises(CaptureError, match="paths must stay inside the zip"):

@@ -152,7 +152,7 @@ def test_a_viewer_that_fails_is_told_and_the_service_draws(tab: Tab, scene: str,
     page = tab.open(f"/?scene={scene}")
     page.route("**/viewer.ply", lambda route: route.fulfill(status=500, json={"title": "Broken", "detail": "no .ply"}))
     page.click("#mode-webgl")
-    page.wait_for_selector("#mode-server[aria-pressed=true]", timeout=60_000)
+    page.wait_for_selector("#mode-server[aria-pressed=true]", timeout=120_000)
     assert "Without WebGL" in page.inner_text("#mode-note")
     page.wait_for_selector("#picture[src^='blob:']")
     settled(page)

@@ -1,0 +1,56 @@
+"""When two names mean the same photograph: case, slashes and composed letters aside, by how much of their paths."""
+
+from __future__ import annotations
+
+import posixpath
+import unicodedata
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+
+from .files import joined
+
+MOST_PARTS = 4  # of a name, from its end, by which a photograph is looked for where the whole is not there
+
+
+def key(name: str) -> str:
+    """What two spellings of a path have in common: macOS stores letters decomposed, Windows writes backslashes."""
+    return unicodedata.normalize("NFC", joined(name)).lower()
+
+
+def same_file(posted: str, wanted: str | None) -> bool:
+    """Whether the last parts of both paths agree but for case; a wanted name without a suffix matches any."""
+    have, want = (posixpath.basename(key(name or "")) for name in (posted, wanted))
+    return bool(want) and (have == want or ("." not in want.strip(".") and posixpath.splitext(have)[0] == want))
+
+
+def same_path(typed: str, name: str | None) -> bool:
+    """As `same_file`, and the folders agree as far up as both name them."""
+    have, want = ([part for part in key(path or "").split("/")[:-1] if part] for path in (typed, name))
+    shared = min(len(have), len(want))
+    return same_file(typed, name) and have[len(have) - shared :] == want[len(want) - shared :]
+
+
+def sorted_places(names: Sequence[str]) -> list[int]:
+    """Where the photographs lie that are sorted by name."""
+    return sorted(range(len(names)), key=lambda place: names[place])
+
+
+class Endings:
+    """The ends of the paths of a camera file: which of them stand for one name alone."""
+
+    def __init__(self, names: Iterable[str | None]) -> None:
+        self._counts = Counter(end for name in {key(name) for name in names if name} for end in _ends(name))
+
+    def count(self, end: str) -> int:
+        """How many different names end so."""
+        return self._counts[key(end)]
+
+    def of(self, name: str) -> list[str]:
+        """Ends of `name` that no other name has, the longest first."""
+        return [end for end in _ends(joined(name)) if self.count(end) == 1]
+
+
+def _ends(name: str) -> Iterator[str]:
+    """The last 4, 3, 2 and 1 parts of a path as paths, as far as it has so many."""
+    parts = [part for part in name.rsplit("/", MOST_PARTS)[-MOST_PARTS:] if part]
+    return ("/".join(parts[place:]) for place in range(len(parts)))

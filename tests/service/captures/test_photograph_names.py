@@ -1,0 +1,105 @@
+"""Which photograph a name means: never that of another view, whatever folders and spellings it is kept under."""
+
+from __future__ import annotations
+
+import json
+import unicodedata
+from pathlib import Path
+
+import pytest
+from capture_scenes import arc, photograph, write_photographs, zipped
+
+from gapmes.service.camera_file import camera_document
+from gapmes.service.captures.capture import open_capture
+from gapmes.service.captures.names import MOST_PARTS, Endings, same_file, same_path
+from gapmes.service.captures.select import Wish, named_views
+from gapmes.service.errors import ImageError, ViewError
+
+RIG = [f"{camera}/{index:04d}.png" for camera in ("cam0", "cam1") for index in range(4)]
+
+
+def capture_of(root: Path, named: list[str], there: list[str]) -> Path:
+    """Cameras under some names, and photographs, of which the i-th shows the seed i, under others."""
+    write_photographs(root, there)
+    views = [camera_document(camera, name) for camera, name in zip(arc(len(named)), named, strict=True)]
+    (root / "cameras.json").write_text(json.dumps({"views": views}))
+    return root
+
+
+def test_photographs_of_one_camera_of_a_rig_are_not_those_of_the_other(tmp_path: Path) -> None:
+    """Without their folders they may be either's; with them, each is its own."""
+    flat = capture_of(tmp_path / "flat", RIG, [f"images/{index:04d}.png" for index in range(4)])
+    with pytest.raises(ImageError, match="does not exist") as caught:
+        open_capture(flat).choose(Wish())
+    assert "0000.png alone may be any of 2: keep their folders" in caught.value.cure
+    half = capture_of(tmp_path / "half", RIG, [f"images/cam1/{index:04d}.png" for index in range(4)])
+    chosen = open_capture(half).choose(Wish())
+    assert chosen.indices == (4, 5, 6, 7)
+    assert chosen.selection["without_photograph"] == 4
+    assert [chosen.read(place) for place in range(4)] == [photograph(seed) for seed in range(4)]
+
+
+@pytest.mark.parametrize("above", ["", "/home/me/scans/", "C:\\scans\\rig\\", "../rig/"])
+def test_as_much_of_a_name_counts_as_tells_it_from_the_others(tmp_path: Path, above: str) -> None:
+    named = [above + name for name in RIG]
+    capture = open_capture(capture_of(tmp_path, named, [f"images/{name}" for name in RIG]))
+    assert [capture.path_of(index) for index in range(8)] == [f"images/{name}" for name in RIG]
+
+
+def test_a_photograph_belongs_to_one_view(tmp_path: Path) -> None:
+    capture = open_capture(capture_of(tmp_path, ["a.png", "b.png", "a"], ["images/a.png", "images/b.png"]))
+    with pytest.raises(ImageError, match=r"images/a\.png is the photograph of view 0 too") as caught:
+        capture.choose(Wish())
+    assert (caught.value.field, caught.value.index) == ("views.image", 2)
+    assert capture.choose(Wish(select="0,1")).paths == ("images/a.png", "images/b.png")
+
+
+@pytest.mark.parametrize("forms", [("NFC", "NFD"), ("NFD", "NFC")])
+@pytest.mark.parametrize("packed", [False, True])
+def test_letters_may_be_composed_or_not(tmp_path: Path, forms: tuple[str, str], packed: bool) -> None:
+    plain = [f"Büro_{index}.png" for index in range(2)]
+    named, there = ([unicodedata.normalize(form, name) for name in plain] for form in forms)
+    root = capture_of(tmp_path / "scan", named, [f"images/{name}" for name in there])
+    path = root
+    if packed:
+        path = tmp_path / "scan.zip"
+        path.write_bytes(zipped(root))
+    assert open_capture(path).choose(Wish()).read(1) == photograph(1)
+    assert named_views(there[1], named, field="views") == [1]
+
+
+@pytest.mark.parametrize(
+    ("typed", "index"),
+    [
+        ("cam1/0002.png", 6),
+        ("CAM1\\0002.PNG", 6),
+        ("images/cam1/0002.png", 6),
+        ("rig/cam0/0002.png", None),
+        ("cam7/0002.png", None),
+        ("0002.png", None),
+    ],
+)
+def test_folders_that_are_typed_count(typed: str, index: int | None) -> None:
+    names = [f"images/{name}" for name in RIG]
+    if index is not None:
+        assert named_views(typed, names, field="views") == [index]
+        return
+    with pytest.raises(ViewError, match=r"is not a view index|2 views are named"):
+        named_views(typed, names, field="views")
+
+
+def test_a_folder_that_only_one_side_names_does_not_count() -> None:
+    assert same_path("a/b/x.png", "b/x.png")
+    assert same_path("x.png", "/b/x.png")
+    assert same_path("./b/x.png", "b//x")
+    assert not same_path("a/x.png", "b/x.png")
+    assert same_file("a/x.png", "b/x.png")
+    assert not same_file("x.png", None)
+
+
+def test_endings_are_counted_of_different_names() -> None:
+    endings = Endings(["a/x.png", "b/x.png", "b/x.png", "B\\y.png", None, "/".join("abcdefg")])
+    assert (endings.count("x.png"), endings.count("b/x.png"), endings.count("y.png")) == (2, 1, 1)
+    assert endings.of("a/x.png") == ["a/x.png"]
+    assert endings.of("b/y.png") == ["b/y.png", "y.png"]
+    assert endings.of("/".join("abcdefg"))[0] == "/".join("abcdefg"[-MOST_PARTS:])
