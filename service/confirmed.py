@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .correspondence import disagreement, pixels_per_inverse_depth, seen_by
+from .correspondence import disagreement, parallax, seen_by
 from .images import FittedView
 from .window_match import contrast, correlations
 
 F64 = NDArray[np.float64]
 
-PARALLAX_PX = 4.0  # by which a point at the depth must move at least between both, or any depth would agree
+PARALLAX_PX = 4.0  # from what is infinitely far, at least, or any depth would agree
 AGREEMENT_PX = 1.0  # of parallax between a pixel's depth and the other view's own at the place where it is seen
 SAME_COLOUR = 0.1  # of a channel, mean over the three; exposures and highlights differ as well
 GOOD_MATCH = 0.8  # correlation of the windows about both
@@ -44,7 +44,7 @@ def _agrees(view: FittedView, grey: F64, depth: F64, other: FittedView, other_de
     """(H, W) where the other view's depth, colour and window are those that the view expects there."""
     seen = seen_by(view, depth, other)
     colour = seen.value(other.image.transpose(1, 2, 0))
-    agreed = seen.where & (pixels_per_inverse_depth(view, other) / seen.z >= PARALLAX_PX)
+    agreed = seen.where & (parallax(view, seen, other) >= PARALLAX_PX)
     agreed &= disagreement(view, seen, other, other_depth) < AGREEMENT_PX
     agreed &= np.abs(colour - view.image.transpose(1, 2, 0)).mean(axis=2) < SAME_COLOUR
     warped = colour.mean(axis=2, dtype=np.float64)

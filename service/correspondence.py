@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .bilinear import bilinear
 from .coarse_views import pixel_grid
 from .images import FittedView
+from .rotations import turned
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -46,6 +47,21 @@ def disagreement(view: FittedView, seen: Seen, other: FittedView, other_depth: F
     """(H, W) px of parallax between the depth that a pixel has for the other view and that view's own (H, W) there."""
     theirs = seen.value(other_depth[..., None])[..., 0]
     return np.abs(1 / seen.z - 1 / theirs) * pixels_per_inverse_depth(view, other)
+
+
+def parallax(view: FittedView, seen: Seen, other: FittedView) -> F64:
+    """(H, W) px in the other view from where a pixel would be seen that is infinitely far to where it is seen.
+
+    None along the way from one view to the other, however long it is; infinite where the other view would have what is
+    infinitely far behind it. With t the centre of the view and r the pixel's ray, both in the axes of the other view,
+    (t + d r) / z - r / r_z is (t r_z - r t_z) / (r_z z), where z is (t + d r)_z.
+    """
+    ray = turned(other.camera.rotation.T, view.camera.rays(pixel_grid(seen.z.shape))).reshape(*seen.z.shape, 3)
+    t = other.camera.rotation.T @ (view.camera.center - other.camera.center)
+    ahead = ray[..., 2] > 0
+    across = t[:2] * ray[..., 2:] - t[2] * ray[..., :2]
+    way = np.hypot(other.camera.fx * across[..., 0], other.camera.fy * across[..., 1])
+    return np.where(ahead, way / (seen.z * np.where(ahead, ray[..., 2], 1.0)), np.inf)
 
 
 def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:

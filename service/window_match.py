@@ -10,11 +10,16 @@ F64 = NDArray[np.float64]
 RADIUS = 3  # windows of 7 x 7 px
 MIN_SEEN = 0.6  # share of a window that must be seen
 NOT_SEEN = -1.0  # the correlation of a window of which less is seen
+_ROUNDED = (1 / 255) ** 2 / 12  # variance of the rounding to 8 bits, which correlates with nothing
 _NOISE = 1e-8  # variance below which a window has no texture; (0.03 of an 8-bit level)^2
 
 
 def correlations(picture: F64, warped: F64, seen: NDArray[np.bool_]) -> F64:
-    """(D, h, w) in -1..1: windows of `picture` (h, w) against those of each `warped` picture (D, h, w), where seen."""
+    """(D, h, w) in -1..1: windows of `picture` (h, w) against those of each `warped` picture (D, h, w), where seen.
+
+    Brightness and contrast do not matter as long as the latter is above the rounding to 8 bits: a window of variance v
+    correlates with itself by v / (v + 1.3e-6).
+    """
     mask = seen.astype(np.float64)
     amount = window_mean(mask)
     safe = np.maximum(amount, 1e-9)
@@ -22,7 +27,7 @@ def correlations(picture: F64, warped: F64, seen: NDArray[np.bool_]) -> F64:
     var_a = window_mean(picture**2 * mask) / safe - mean_a**2
     var_b = window_mean(warped**2 * mask) / safe - mean_b**2
     covariance = window_mean(picture * warped * mask) / safe - mean_a * mean_b
-    correlation = covariance / np.sqrt(np.maximum(var_a * var_b, 0.0) + _NOISE)
+    correlation = covariance / np.sqrt((np.maximum(var_a, 0.0) + _ROUNDED) * (np.maximum(var_b, 0.0) + _ROUNDED))
     return np.where(amount >= MIN_SEEN, correlation, NOT_SEEN)
 
 

@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plane_scene import DEPTH, photograph
 from plane_views import SIDE, in_another_world, plane_depths, plane_views
 
+from gapmes.service.camera import Camera
 from gapmes.service.confirmed import AGREEMENT_PX, GOOD_MATCH, PARALLAX_PX, SAME_COLOUR, TEXTURE, confirmed
-from gapmes.service.images import FittedView
+from gapmes.service.correspondence import parallax, seen_by
+from gapmes.service.images import FittedView, Photo, fit_view
 from gapmes.service.rotations import about_axis
 
 
@@ -23,11 +26,13 @@ def reference(views: list[FittedView], depths: np.ndarray, index: int, x: int, y
     view, found, margin = views[index], False, np.inf
     window = [(j, i) for j in range(y - 3, y + 4) for i in range(x - 3, x + 4) if 0 <= i < SIDE and 0 <= j < SIDE]
 
-    def place(other: FittedView, i: int, j: int) -> tuple[float, float, float]:
+    def place(other: FittedView, i: int, j: int, depth: float | None = None) -> tuple[float, float, float]:
         ray = view.camera.rotation @ np.array(
             [(i + 0.5 - view.camera.cx) / view.camera.fx, (j + 0.5 - view.camera.cy) / view.camera.fy, 1.0]
         )
-        point = other.camera.rotation.T @ (view.camera.center + depths[index, j, i] * ray - other.camera.center)
+        point = other.camera.rotation.T @ (
+            view.camera.center + (depth or depths[index, j, i]) * ray - other.camera.center
+        )
         u, v = (other.camera.fx * point[0] / point[2], other.camera.fy * point[1] / point[2])
         return u + other.camera.cx, v + other.camera.cy, point[2]
 
@@ -41,24 +46,28 @@ def reference(views: list[FittedView], depths: np.ndarray, index: int, x: int, y
         )
 
     mine = np.array([view.image[:, j, i].mean() for j, i in window])
-    for other, seen_by in enumerate(views):
+    for other, second in enumerate(views):
         if other == index:
             continue
-        places = [place(seen_by, i, j) for j, i in window]
+        places = [place(second, i, j) for j, i in window]
         inside = np.array([0 < u < SIDE and 0 < v < SIDE and z > 0 for u, v, z in places])
-        u, v, z = place(seen_by, x, y)
+        u, v, z = place(second, x, y)
         if not (0 < u < SIDE and 0 < v < SIDE and z > 0) or inside.mean() < 0.6:
             continue
-        way = np.linalg.norm(view.camera.center - seen_by.camera.center) * seen_by.camera.fx
+        way = np.linalg.norm(view.camera.center - second.camera.center) * second.camera.fx
         parallax = abs(1 / z - 1 / at(depths[other], u, v)) * way
-        colour = np.abs(at(seen_by.image, u, v) - view.image[:, y, x]).mean()
-        theirs = np.array([at(seen_by.image, a, b).mean() for a, b, _ in places])[inside]
+        colour = np.abs(at(second.image, u, v) - view.image[:, y, x]).mean()
+        theirs = np.array([at(second.image, a, b).mean() for a, b, _ in places])[inside]
         ours = mine[inside]
-        match = np.mean((ours - ours.mean()) * (theirs - theirs.mean())) / np.sqrt(ours.var() * theirs.var() + 1e-8)
+        noise = (1 / 255) ** 2 / 12
+        spread = np.sqrt((ours.var() + noise) * (theirs.var() + noise))
+        match = np.mean((ours - ours.mean()) * (theirs - theirs.mean())) / spread
+        far = place(second, x, y, 1e9)
+        moved = np.hypot(u - far[0], v - far[1])
         limits = np.array(
             [
                 AGREEMENT_PX - parallax,
-                way / z - PARALLAX_PX,
+                moved - PARALLAX_PX,
                 SAME_COLOUR - colour,
                 match - GOOD_MATCH,
                 np.sqrt(mine.var()) - TEXTURE,
@@ -118,6 +127,39 @@ def test_a_twin_from_nearly_the_same_place_confirms_nothing(views: list[FittedVi
     depths = plane_depths(views)
     assert confirmed([views[0], twin, views[1]], np.stack([wrong, wrong, depths[1]]))[:2].mean() < 0.05
     assert confirmed([views[0], twin, views[1]], np.stack([depths[0], depths[0], depths[1]]))[:2].mean() > 0.5
+
+
+def test_ahead_of_a_camera_that_goes_forward_nothing_is_confirmed() -> None:
+    """There a point stays where it is in the picture, at whatever depth it lies; around it, it moves."""
+    rng = np.random.default_rng(3)
+    waves, phases = 4 * rng.normal(size=(3, 8, 2)), rng.uniform(0, 2 * np.pi, size=(3, 8))
+    views = []
+    for z in (0.0, 1.0):
+        pose = np.eye(4)
+        pose[2, 3] = z
+        camera = Camera.make(SIDE, SIDE, 70.0, 66.0, 30.0, 34.0, pose)
+        views.append(fit_view(Photo(photograph(camera, waves, phases)), camera, SIDE, SIDE))
+    depths = plane_depths(views)
+    moved = parallax(views[0], seen_by(views[0], depths[0], views[1]), views[1])
+    column, row = np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5)
+    seen = seen_by(views[0], depths[0], views[1]).where
+    np.testing.assert_allclose(moved[seen], (np.hypot(column - 30, row - 34) / (DEPTH - 1))[seen], rtol=1e-12)
+    found = confirmed(views, depths)[0]
+    assert (
+        found[seen & (moved > PARALLAX_PX)].mean() > 0.8
+    )  # found: 0.89; the rest is next to the border of what is seen
+    assert (seen & (moved < PARALLAX_PX)).sum() > 300
+    assert not found[moved < PARALLAX_PX].any()
+
+
+def test_what_is_infinitely_far_behind_the_other_view_moves_infinitely(views: list[FittedView]) -> None:
+    pose = views[0].camera.world_from_cam.copy()
+    pose[:3, :3] = pose[:3, :3] @ about_axis(np.array([0.0, 1.0, 0.0]), np.pi)
+    pose[:3, 3] += 2 * DEPTH * views[0].camera.rotation[:, 2]
+    facing = replace(views[0], camera=views[0].camera.posed(pose))  # it sees the same points from the other side
+    seen = seen_by(views[0], plane_depths(views)[0], facing)
+    assert seen.where.sum() > 1000
+    assert np.isposinf(parallax(views[0], seen, facing)).all()
 
 
 def test_masked_pixels_neither_confirm_nor_are_confirmed(views: list[FittedView]) -> None:

@@ -13,7 +13,7 @@ from gapmes.service.images import Photo, fit_view
 from gapmes.service.photo_checks import check_photos, consistency
 from gapmes.service.pose import rigid_inverse
 from gapmes.service.rotations import about_axis
-from gapmes.service.window_match import RADIUS, match_score, window_mean
+from gapmes.service.window_match import RADIUS, correlations, match_score, window_mean
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 DEPTHS = DepthRange(2.0, 8.0, "given")
@@ -129,6 +129,21 @@ def test_a_picture_matches_itself_whatever_the_exposure():
     score, _ = match_score(picture, 0.3 * picture[None] + 0.2, np.ones((1, 20, 20), bool))
     assert score == pytest.approx(1, abs=1e-4)
     assert match_score(picture, picture[None], np.zeros((1, 20, 20), bool)) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("spread", [0.2, 0.02, 0.004, 0.0011])
+def test_correlation_depends_on_no_contrast_above_the_rounding_to_8_bits(spread):
+    """Dark and hazy photographs are judged as others are: v / (v + 1.28e-6) with itself, whatever else is added."""
+    noise = np.random.default_rng(2).normal(size=(24, 24))
+    picture = 0.5 + spread * noise
+    found = correlations(picture, np.stack([picture, 0.3 + 0.5 * spread * noise]), np.ones((2, 24, 24), bool))
+    variance = window_mean(picture**2) - window_mean(picture) ** 2
+    rounded = (1 / 255) ** 2 / 12
+    np.testing.assert_allclose(found[0], variance / (variance + rounded), atol=1e-9)
+    half = 0.5 * variance / np.sqrt((variance + rounded) * (0.25 * variance + rounded))
+    np.testing.assert_allclose(found[1], half, atol=1e-9)
+    flat = np.full((24, 24), 0.5)
+    assert np.abs(correlations(flat, flat[None], np.ones((1, 24, 24), bool))).max() < 1e-6
 
 
 def test_one_photograph_for_two_poses_is_refused(plane_scene):
