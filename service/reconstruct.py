@@ -58,8 +58,11 @@ class Scene:
 
     def render(self, camera: Camera, **options: Any) -> Render:
         """The picture that `camera` has of the scene, drawn as the service does, from a tenth of its near depth on: in
-        the caller's units, and as the bound on what was left out has it. `options` as for the function."""
-        return render(self.gaussians, camera, **{**SceneViews.of_document(self.document).near_plane, **options})
+        the caller's units, and as the bound on what was left out has it. `options` as for the function; a `definition`
+        and a `compatibility` have near planes of their own."""
+        own = {"near", "definition", "compatibility"} & {name for name, value in options.items() if value is not None}
+        near = {} if own else SceneViews.of_document(self.document).near_plane
+        return render(self.gaussians, camera, **{**options, **near})
 
 
 class Reconstructor:

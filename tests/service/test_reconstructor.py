@@ -26,7 +26,7 @@ from gapmes.service.masks import FADED, REPLACED
 from gapmes.service.picture_error import psnr
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.rotations import about_axis, matrix_from_quaternion
-from gapmes.service.splat import render
+from gapmes.service.splat import Definition, render
 
 # The network's frame is float32 with near = 1: positions up to `far / near` units carry 24 bits.
 RTOL_F32 = 2e-6  # of the depth; worst 3e-7 over the cases below
@@ -319,3 +319,20 @@ def test_photographs_may_be_paths_or_bytes(reconstructor, plane_scene, tmp_path)
 def test_numbers_that_are_too_few_are_refused(reconstructor, plane_scene):
     with pytest.raises(InputError, match="1 numbers, need one per image"):
         reconstructor.reconstruct(plane_scene.images[:2], plane_scene.cameras[:2], numbers=[3])
+
+
+def test_a_definition_keeps_its_own_near_plane(reconstructor, plane_scene):
+    """Else it would be silently another one; without one the picture begins at a tenth of the scene's near depth."""
+    scene = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8)
+    camera = scene.view_cameras[0]
+    depths = camera.project(scene.gaussians.means)[1]
+    between = Definition(near=float(np.median(depths)))
+    for options in ({"definition": between}, {"compatibility": "inria"}, {"near": 3.0}):
+        drawn, expected = scene.render(camera, **options), render(scene.gaussians, camera, **options)
+        np.testing.assert_array_equal(drawn.rgb, expected.rgb)
+        assert drawn.stats["culled"] == expected.stats["culled"]
+    assert scene.render(camera, definition=between).stats["culled"]["near"] > 100
+    for nothing in ({}, {"definition": None, "near": None}):
+        drawn = scene.render(camera, **nothing)
+        np.testing.assert_array_equal(drawn.rgb, render(scene.gaussians, camera, near=0.2).rgb)
+        assert drawn.stats["culled"]["near"] == (depths <= 0.2).sum()
