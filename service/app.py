@@ -26,11 +26,13 @@ from .http import (
     scenes,
     viewer,
 )
-from .http.access import SCHEMES, KeyNeeded
+from .http.access import OPEN, SCHEMES, KeyNeeded
 from .http.limits import BodyLimit
 from .http.observe import Observed
+from .http.origins import KnownPages
 from .http.runtime import Runtime
 from .http.schemas import Problem
+from .http.unread import BodyLeft
 from .progress import Listener
 from .settings import Settings
 
@@ -60,6 +62,7 @@ def create_app(settings: Settings | None = None, bars: AbstractContextManager[Li
         lifespan=lifespan,
         docs_url=None,  # the stock pages load scripts from other hosts; /openapi.json has the same content
         redoc_url=None,
+        redirect_slashes=False,  # to an address that the request's Host would choose
         responses=problems.RESPONSES,
     )
     app.state.runtime = runtime
@@ -74,11 +77,13 @@ def create_app(settings: Settings | None = None, bars: AbstractContextManager[Li
     if key is not None:
         app.add_middleware(KeyNeeded, key=key)
     origins = [origin.strip() for origin in settings.cors_origins.split(",") if origin.strip()]
+    app.add_middleware(KnownPages, origins=origins)
     if origins:  # asked before the key: a browser's question brings none
         app.add_middleware(
             CORSMiddleware, allow_origins=origins, allow_methods=["*"], allow_headers=["*"], expose_headers=EXPOSED
         )
     app.add_middleware(Observed)
+    app.add_middleware(BodyLeft)
     return app
 
 
@@ -91,5 +96,8 @@ def _schema(app: FastAPI, *, locked: bool) -> dict[str, Any]:
         if locked:
             schema["components"]["securitySchemes"] = SCHEMES
             schema["security"] = [{name: []} for name in SCHEMES]  # any one of them
+            for path in OPEN:
+                for operation in schema["paths"].get(path, {}).values():
+                    operation["security"] = []
         app.openapi_schema = schema
     return app.openapi_schema

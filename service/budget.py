@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from .errors import InputError
+from .plain_number import plain_float
 from .stride import STRIDES
 
 DEFAULT_MAX_ERROR = 1 / 255  # one level of an 8-bit picture
@@ -57,8 +58,8 @@ def parse_max_error(text: str) -> float | None:
         return None
     try:
         above, slash, below = text.partition("/")
-        divisor = float(below) if slash else 1.0
-        value = float(above) / divisor if math.isfinite(divisor) else math.nan
+        divisor = plain_float(below) if slash else 1.0
+        value = plain_float(above) / divisor if math.isfinite(divisor) else math.nan
     except (ValueError, ZeroDivisionError) as error:
         raise InputError(
             f"{text[:50]!r} is not a budget", field="max_error", cure="give a change of colour such as 1/255, 0, or off"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import sys
@@ -10,13 +11,13 @@ from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from .allocator import give_back_freed
 from .commands import convert, demo, doctor, reconstruct, render, serve
 from .errors import CameraError, GapmesError, ImageError
 from .extra_commands import WithExtraCommands
 from .problem_document import of_error, problem
+from .streams import open_missing, write_to
 
 
 def _show_version(asked: bool) -> None:
@@ -54,8 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     With `--json` a refusal, of ours or of the system, is also printed to stdout, as {"error": {...}}.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
+    open_missing()
     give_back_freed()
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
     try:
         app(arguments)
     except GapmesError as error:
@@ -66,9 +67,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(130)
     else:
         return
-    console.print(f"error: {line}", markup=False)
-    if "--json" in arguments:
-        sys.stdout.write(json.dumps({"error": document}) + "\n")
+    with contextlib.suppress(OSError):  # stderr or stdout may be what was refused
+        write_to(sys.stderr, f"error: {line}\n")
+    with contextlib.suppress(OSError):
+        write_to(sys.stdout, json.dumps({"error": document}) + "\n" if "--json" in arguments else "")
     sys.exit(1)
 
 

@@ -20,7 +20,7 @@ from .contact_sheet import Cell, Row, contact_sheet
 from .local_server import checked, local_client, local_server, wait_until_ready
 from .picture_error import psnr
 from .progress import Stage, Stages
-from .settings import Settings
+from .settings import checked_settings
 from .shipped import sample_folder
 from .terminal import ProgressBars
 
@@ -54,7 +54,7 @@ def run_demo(output: Path, bars: ProgressBars, *, keep: bool = False) -> DemoRes
         if not keep:
             stack.callback(shutil.rmtree, store, ignore_errors=True)
         address, process = stack.enter_context(
-            local_server(log, store=store, keep=keep, port=Settings().port if keep else 0)
+            local_server(log, store=store, keep=keep, port=checked_settings().port if keep else 0)
         )
         bars.say(f"service: {address}/ (log in {log})")
         client = stack.enter_context(local_client(address, REQUEST_TIMEOUT_S))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import errno
 import os
 import secrets
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .errors import StorageFull
@@ -15,8 +16,8 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write a new file through to the disk."""
-    with path.open("xb") as file:
+    """Write a file through to the disk."""
+    with path.open("wb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
@@ -26,12 +27,18 @@ def write_file(path: Path, data: bytes) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """A path beside `path` for the block to write: what is there takes the place of `path`, or goes if the block fails.
 
-    Of a link it is the file behind it that is replaced.
+    Who may read and write `path` may do so after it. Of a link it is the file behind it that is replaced.
     """
     path = path.resolve()
     part = path.with_name(f".gapmes-{secrets.token_hex(8)}")
     try:
+        mode = stat.S_IMODE(path.stat().st_mode) & 0o777 if path.exists() else None
+        if mode is not None:
+            part.touch(0o600, exist_ok=False)  # while it is written, nobody reads what others may not read
         yield part
+        if mode is not None:
+            with suppress(PermissionError):  # of a file system that has no modes
+                part.chmod(mode)
         part.replace(path)
     except BaseException:
         part.unlink(missing_ok=True)

@@ -29,6 +29,7 @@ GapmesError                     500 internal_error
 ├── FormatUnknown               404 format_unknown
 ├── JobNotFound                 404 job_not_found
 ├── Unauthorized                401 unauthorized
+├── OriginRefused               403 origin_refused
 ├── ModelError                  500 model_invalid
 ├── ServiceBusy                 503 service_busy
 │   └── ModelNotReady           503 model_not_ready
@@ -188,6 +189,11 @@ class JobNotFound(GapmesError):
 class Unauthorized(GapmesError):
     status = 401
     code = "unauthorized"
+
+
+class OriginRefused(GapmesError):
+    status = 403
+    code = "origin_refused"
 
 
 class ModelError(GapmesError):

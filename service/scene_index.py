@@ -6,7 +6,7 @@ import contextlib
 import json
 import sqlite3
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from .database import Database
 from .errors import StorageFull
 
 TOUCH_NS = 60 * 10**9  # last use is known to a minute, so that reading a scene seldom writes
+UNSET_NS = 1_735_689_600 * 10**9  # 2025: a clock that is before it has not been set yet, and makes no other stamp wrong
 
 
 @dataclass(frozen=True)
@@ -41,20 +42,34 @@ class SceneIndex:
         with self._database.write() as connection:
             connection.executemany("INSERT OR IGNORE INTO scenes VALUES (?, ?, ?, ?, ?)", rows)
 
-    def remove(self, ids: Iterable[str]) -> None:
-        """Forget scenes."""
+    def remove(self, ids: Iterable[str]) -> int:
+        """Forget scenes; returns how many of them were listed."""
         rows = [(scene_id,) for scene_id in ids]
-        if rows:
-            with self._database.write() as connection:
-                connection.executemany("DELETE FROM scenes WHERE id = ?", rows)
+        if not rows:
+            return 0
+        with self._database.write() as connection:
+            return connection.executemany("DELETE FROM scenes WHERE id = ?", rows).rowcount
 
     def used(self, scene_id: str) -> None:
         """Note that a scene was read now; where that cannot be written, reading goes on all the same."""
+        self._correct("id = ? AND (used_ns < ? OR used_ns > ?)", lambda now: [scene_id, now - TOUCH_NS, now + TOUCH_NS])
+
+    def used_by_now(self) -> None:
+        """No last use lies ahead: what a clock that was fast has noted, which would outlast all others, becomes now."""
+        self._correct("used_ns > ?", lambda now: [now + TOUCH_NS])
+
+    def _correct(self, where: str, values: Callable[[int], Sequence[Any]]) -> None:
+        """Set the last use to now where it is wrong; the write is spared where nothing is."""
         now = time.time_ns()
-        stale = self._database.rows("SELECT 1 FROM scenes WHERE id = ? AND used_ns < ?", [scene_id, now - TOUCH_NS])
-        if stale:
-            with contextlib.suppress(StorageFull, sqlite3.OperationalError), self._database.write() as connection:
-                connection.execute("UPDATE scenes SET used_ns = ? WHERE id = ?", [now, scene_id])
+        if now < UNSET_NS or not self._database.rows(f"SELECT 1 FROM scenes WHERE {where} LIMIT 1", values(now)):
+            return
+        with contextlib.suppress(StorageFull, sqlite3.OperationalError), self._database.write() as connection:
+            connection.execute(f"UPDATE scenes SET used_ns = ? WHERE {where}", [now, *values(now)])
+
+    def next_ns(self) -> int:
+        """The instant of a scene that is made now, by the clock, but after all others though it was fast then."""
+        latest = self._database.rows("SELECT coalesce(max(created_ns), 0) AS latest FROM scenes")[0]["latest"]
+        return max(time.time_ns(), latest + 1)
 
     def ids(self) -> set[str]:
         """All of them."""

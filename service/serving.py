@@ -18,11 +18,13 @@ from .app import create_app
 from .logs import configure
 from .peers import FOLDER, OURS
 from .settings import Settings
+from .streams import open_missing
 from .terminal import ProgressBars
 
 
 def app() -> FastAPI:
     """What the server is told to load."""
+    open_missing()
     _end_with_the_watcher()
     give_back_freed()
     settings = Settings()

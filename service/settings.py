@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field, SecretStr
+from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from .backends.choice import DEFAULT_ENGINE, EngineName
@@ -21,7 +22,11 @@ ELSEWHERE = {
     f"{PREFIX}{name}"
     for name in ("IMAGE", "PUBLISH", "VIEWER", "DEPTHSPLAT_REPO", "DEPTH_ANYTHING_REPO", "DINOV2_REPO")
 }
+WEEK_S = 7 * 86_400.0  # longest time that a setting may name, but for what is kept
 NEAR = 0.8  # likeness of two names, of 1, from which one is taken for a slip of the pen of the other
+_ORIGIN = re.compile(  # scheme://host or scheme://host:port, where that is not the port of the scheme
+    r"(?!http://.*:80$|https://.*:443$)[a-z][a-z0-9+.-]*://([a-z0-9._~-]+|\[[0-9a-f:.]+\])(:[1-9][0-9]{0,4})?"
+)
 
 
 def default_store() -> Path:
@@ -33,7 +38,13 @@ def default_store() -> Path:
 class Settings(BaseSettings):
     """Every knob of the service; arguments override the environment, the environment overrides the defaults."""
 
-    model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, env_ignore_empty=True, protected_namespaces=())
+    model_config = SettingsConfigDict(
+        env_prefix=PREFIX,
+        frozen=True,
+        env_ignore_empty=True,
+        protected_namespaces=(),
+        allow_inf_nan=False,
+    )
 
     host: str = Field("127.0.0.1", description="address that `gapmes serve` listens on")
     port: int = Field(8000, ge=0, le=65535, description="port that `gapmes serve` listens on; 0 takes a free one")
@@ -66,24 +77,39 @@ class Settings(BaseSettings):
     reconstruct_seconds: float = Field(
         600.0,
         gt=0,
+        le=WEEK_S,
         description="time that a reconstruction may take once it runs, its wait for a model included, else 504",
     )
     wait_seconds: float = Field(
-        900.0, gt=0, description="time that `POST /reconstruct` waits for its scene, else 504; a job has no such limit"
+        900.0,
+        gt=0,
+        le=WEEK_S,
+        description="time that `POST /reconstruct` waits for its scene, else 504; a job has no such limit",
     )
-    job_keep_seconds: float = Field(86_400.0, ge=60, description="time after which a job that ended is forgotten")
+    job_keep_seconds: float = Field(
+        86_400.0, ge=60, le=520 * WEEK_S, description="time after which a job that ended is forgotten"
+    )
     max_streams: int = Field(
         64, ge=1, le=10_000, description="clients that follow jobs at the same time; one more gets 503"
     )
-    heartbeat_seconds: float = Field(15.0, gt=0, description="time between two signs of life on a stream of events")
+    heartbeat_seconds: float = Field(
+        15.0, gt=0, le=WEEK_S, description="time between two signs of life on a stream of events"
+    )
     render_concurrency: int = Field(1, ge=1, le=64, description="pictures that a process draws at the same time")
     render_waiting: int = Field(
         32, ge=0, le=10_000, description="pictures that may wait in a process; one more gets 503"
     )
-    render_seconds: float = Field(30.0, gt=0, description="time that a picture may wait for its turn, else 503")
-    picture_seconds: float = Field(60.0, gt=0, description="time that a picture may take to be drawn, else 504")
+    render_seconds: float = Field(
+        30.0, gt=0, le=WEEK_S, description="time that a picture may wait for its turn, else 503"
+    )
+    picture_seconds: float = Field(
+        60.0, gt=0, le=WEEK_S, description="time that a picture may take to be drawn, else 504"
+    )
     drain_seconds: float = Field(
-        20.0, ge=0, description="time that requests and jobs have to end after SIGTERM; longer ones are left to others"
+        20.0,
+        ge=0,
+        le=WEEK_S,
+        description="time that requests and jobs have to end after SIGTERM; longer ones are left to others",
     )
     api_key: SecretStr | None = Field(
         None,
@@ -97,13 +123,17 @@ class Settings(BaseSettings):
     log: Literal["text", "json"] = Field("text", description="form of the log on stderr, a line per event")
     quiet: bool = Field(False, description="log warnings and errors alone, and draw no bars when the service starts")
     store_bytes: int | None = Field(
-        None, ge=1, description="size of the store beyond which the scenes go that were read longest ago"
+        None,
+        ge=1,
+        description="size of the store beyond which the scenes go that were read longest ago; empty means no limit",
     )
-    store_days: float | None = Field(None, gt=0, description="days after which a scene goes that nobody has read")
+    store_days: float | None = Field(
+        None, gt=0, le=36_500, description="days after which a scene goes that nobody has read"
+    )
     max_uploads: int = Field(
         8, ge=1, le=10_000, description="request bodies that are received at the same time; one more gets 503"
     )
-    upload_seconds: float = Field(120.0, gt=0, description="time that a request body may take, else 408")
+    upload_seconds: float = Field(120.0, gt=0, le=WEEK_S, description="time that a request body may take, else 408")
     max_upload_bytes: int = Field(128 * 2**20, ge=2**10, description="largest request body, in bytes")
     max_uploads_bytes: int = Field(
         512 * 2**20,
@@ -122,6 +152,21 @@ class Settings(BaseSettings):
     )
     max_render_pixels: int = Field(8_000_000, ge=1, description="largest picture that `GET /render` draws, in pixels")
     cache_bytes: int = Field(512 * 2**20, ge=0, description="memory that keeps read scenes between renders, in bytes")
+
+    @field_validator("cors_origins")
+    @classmethod
+    def _origins(cls, origins: str) -> str:
+        """Raises `InputError` for what no browser sends as an origin, and what thus would allow nothing."""
+        for index, origin in enumerate(origins.split(",")):
+            if origin.strip() not in ("", "*", "null") and not _ORIGIN.fullmatch(origin.strip()):
+                raise InputError(
+                    f"{origin.strip()!r} is no origin as browsers send it: scheme, host in small letters, and a port"
+                    " that is not the scheme's own",
+                    field="GAPMES_CORS_ORIGINS",
+                    index=index,
+                    cure="write it like https://a.example or http://localhost:3000, with no / at its end",
+                )
+        return origins
 
     def model_paths(self) -> dict[str, Path]:
         """Name -> file of every model, the default one first. Raises `InputError` where GAPMES_MODELS is malformed."""
@@ -150,6 +195,16 @@ class Settings(BaseSettings):
         if not key:
             raise InputError("is empty", field="GAPMES_API_KEY", cure="leave it out where none is needed")
         return _sendable(key, "GAPMES_API_KEY")
+
+
+def checked_settings(**given: Any) -> Settings:
+    """The settings, with `given` in the place of the environment. Raises `InputError` for the first that is refused."""
+    try:
+        return Settings(**given)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = f"{PREFIX}{'_'.join(map(str, first['loc'])).upper()}"
+        raise InputError(f"{first['msg']}, got {first['input']!r}", field=name, cure="see docs/settings.md") from error
 
 
 def _sendable(key: str, field: str) -> str:

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
-import threading
+import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
+from . import scene_ids
 from .database import Database
-from .errors import GapmesError, SceneNotFound, StorageFull
+from .errors import FormatError, GapmesError, SceneNotFound, StorageFull
 from .file_lock import exclusive, exclusive_if_free, shared
 from .formats.dialect import STANDARD
 from .gaussians import Gaussians
 from .gaussians_cache import GaussiansCache
 from .ply import inspect_ply
-from .scene_files import SceneFiles, is_id
+from .scene_files import SceneFiles, is_id, unknown
 from .scene_index import Indexed, SceneIndex
 
 CACHE_BYTES = 512 * 2**20
 PAGE = 100
 DAY_NS = 86_400 * 10**9
+LATEST_NS = 2**62  # in the year 2116: what a file says beyond it is not when it was made
 _LOCK = ".lock"
 _WRITING = ".writing"
 _INDEX = "index.sqlite"
@@ -33,6 +34,8 @@ _log = logging.getLogger("gapmes")
 
 class SceneStore:
     """One folder per scene under `root`; safe for several threads and for several processes on one file system."""
+
+    scene_id = staticmethod(scene_ids.scene_id)
 
     def __init__(
         self,
@@ -51,8 +54,6 @@ class SceneStore:
         self.max_bytes, self.max_days = max_bytes, max_days
         self._files = SceneFiles(self.root)
         self._cache = GaussiansCache(cache_bytes)
-        self._clock = threading.Lock()
-        self._last = 0
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             self.database = Database(self.root / _INDEX)
@@ -61,6 +62,7 @@ class SceneStore:
                 if free:
                     self._files.sweep()
                     self._agree()
+            self._index.used_by_now()
         except OSError as error:
             raise GapmesError(
                 f"{self.root} cannot be used: {error.strerror}",
@@ -68,29 +70,22 @@ class SceneStore:
                 cure="let GAPMES_STORE or --store name a folder that this user may write",
             ) from error
 
-    @staticmethod
-    def scene_id(model_sha256: str, images: Sequence[bytes], cameras_json: object, options: Mapping[str, Any]) -> str:
-        """32 hex characters of the sha256 over all inputs, each with its length in front, so that none can run into
-        the next. Equal JSON gives equal ids whatever the order of keys, and 512 is 512.0."""
-        digest = hashlib.sha256()
-        parts = [model_sha256.encode(), _canonical(cameras_json), _canonical(options), *images]
-        for part in parts:
-            digest.update(len(part).to_bytes(8, "big"))
-            digest.update(part)
-        return digest.hexdigest()[:32]
-
     def put(self, scene_id: str, ply: bytes, document: Mapping[str, Any], inputs: Sequence[bytes] = ()) -> None:
-        """Store a scene, with PNGs of its inputs: whole or nothing. One that is already there stays as it is.
+        """Store a scene, with PNGs of its inputs: whole or nothing. What is already there stays as it is; what was
+        damaged gives way.
 
         Raises `StorageFull` when the disk is, or when `max_bytes` is reached and all that is there is being read.
         """
         with self._alone():
-            new = not self._files.folder(scene_id).is_dir()
+            new = not self._files.whole(scene_id)
             if new:
                 text = json.dumps(document, allow_nan=False).encode()
                 self._make_room(len(ply) + len(text) + sum(map(len, inputs)))
-                self._files.write(scene_id, ply, text, self._tick(), inputs)
+                self._files.write(scene_id, ply, text, self._index.next_ns(), inputs)
+                self._cache.drop(scene_id)
             try:
+                if new:  # what was known of a damaged one
+                    self._index.remove([scene_id])
                 self._list([scene_id])
             except BaseException:
                 if new:
@@ -98,18 +93,18 @@ class SceneStore:
                 raise
 
     def listed(self, scene_id: str) -> bool:
-        """Whether the scene is there; then it is in the list too, whatever a crash has left out."""
+        """Whether the scene is there, whole; then it is in the list too, whatever a crash has left out."""
         if self.exists(scene_id):
             with self._alone():
                 self._list([scene_id])
         return self.exists(scene_id)
 
     def exists(self, scene_id: str) -> bool:
-        """Whether the scene is there; False for what is no id at all."""
-        return is_id(scene_id) and (self.root / scene_id).is_dir()
+        """Whether the scene is there, whole: one that was damaged counts as none. False for what is no id at all."""
+        return is_id(scene_id) and self._files.whole(scene_id)
 
     def document(self, scene_id: str) -> dict[str, Any]:
-        """The scene's document. Raises `SceneNotFound`."""
+        """The scene's document. Raises `SceneNotFound`, and `FormatError` where it was damaged."""
         self._index.used(scene_id)
         return self._files.document(scene_id)
 
@@ -119,7 +114,8 @@ class SceneStore:
         return self._files.input(scene_id, index)
 
     def reading(self, scene_id: str) -> AbstractContextManager[Path]:
-        """The scene's .ply file, which is not evicted during the block. Raises `SceneNotFound`."""
+        """The scene's .ply file, which is not evicted during the block. Raises `SceneNotFound`, and `FormatError` for
+        an empty one."""
         self._index.used(scene_id)
         return self._files.reading(scene_id)
 
@@ -144,7 +140,7 @@ class SceneStore:
     def newest(self) -> str:
         """Id of the scene that was stored last. Raises `SceneNotFound` where there is none."""
         for row in self._index.page(PAGE):
-            if self.exists(row.id):  # a crash while it was removed may have left it listed
+            if self.exists(row.id):  # it may be damaged, or listed still after a crash while it was removed
                 return row.id
         raise SceneNotFound(
             "the store holds no scene", field="scene", cure="POST /reconstruct makes one, POST /scenes loads one"
@@ -155,17 +151,24 @@ class SceneStore:
         return self._files.writable()
 
     def delete(self, scene_id: str) -> None:
-        """Remove a scene. Raises `SceneNotFound`."""
+        """Remove a scene, also one that was damaged or of which nothing is left but its place in the list. Raises
+        `SceneNotFound`."""
+        folder = self._files.folder(scene_id)
         with self._alone():
-            self._files.remove(scene_id)
-            self._index.remove([scene_id])
+            there = os.path.lexists(folder)
+            if there:
+                self._files.remove(scene_id)
+            if not self._index.remove([scene_id]) and not there:
+                raise unknown(scene_id)
         self._cache.drop(scene_id)
 
     def evict_old(self) -> int:
-        """Remove what nobody has read for `max_days` and nobody is reading now; returns how many."""
+        """Remove what nobody has read for `max_days` and nobody is reading now; returns how many. Last uses that lie
+        ahead are set right first."""
+        self._index.used_by_now()
         if self.max_days is None:
             return 0
-        before = time.time_ns() - int(self.max_days * DAY_NS)
+        before = max(0, time.time_ns() - int(self.max_days * DAY_NS))
         with self._alone():
             return sum(self._evict(row) for row in self._index.longest_unused(before))
 
@@ -213,18 +216,13 @@ class SceneStore:
             try:
                 document = self._files.document(scene_id)
                 size, created_ns = self._files.size(scene_id)
-            except (SceneNotFound, OSError, ValueError) as error:
+            except (SceneNotFound, FormatError, OSError) as error:
                 _log.warning("scene %s cannot be read and is not listed: %s", scene_id, error)
                 continue
-            summary = _summary(scene_id, document)
-            rows.append(Indexed(scene_id, created_ns, max(created_ns, time.time_ns()), size, summary))
+            now = time.time_ns()
+            made = created_ns if created_ns < LATEST_NS else now
+            rows.append(Indexed(scene_id, made, now, size, _summary(scene_id, document)))
         self._index.add(rows)
-
-    def _tick(self) -> int:
-        """Nanoseconds since 1970, never twice the same in this process."""
-        with self._clock:
-            self._last = max(time.time_ns(), self._last + 1)
-            return self._last
 
 
 def _summary(scene_id: str, document: Mapping[str, Any]) -> dict[str, Any]:
@@ -235,18 +233,3 @@ def _summary(scene_id: str, document: Mapping[str, Any]) -> dict[str, Any]:
         "views": len(document.get("view_cameras", ())),
         "file": (document.get("file") or {}).get("format"),
     }
-
-
-def _canonical(value: object) -> bytes:
-    return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
-
-
-def _plain(value: object) -> object:
-    """Tuples as lists, whole numbers as floats: what JSON cannot tell apart must not tell ids apart."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, int) and not isinstance(value, bool) and abs(value) <= 2**53:
-        return float(value)
-    return value

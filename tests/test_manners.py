@@ -1,4 +1,5 @@
-"""The manners of every command: results as JSON on stdout, and a quiet mode that says nothing but errors."""
+"""The manners of every command: results as JSON on stdout, a quiet mode that says nothing but errors, and standard
+streams that may be closed or full."""
 
 from __future__ import annotations
 
@@ -96,6 +97,52 @@ def test_quiet_commands_say_nothing_and_still_refuse(tmp_path: Path) -> None:
     assert refused.returncode == 1
     assert len(refused.stderr.splitlines()) == 1
     assert refused.stderr.startswith("error: views: 99 is out of range")
+
+
+@pytest.fixture(scope="module")
+def ply(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("manners") / "scene.ply"
+    assert run("reconstruct", sample_folder(), "--views", "1,5", "-o", path, "-q").returncode == 0
+    return path
+
+
+def redirected(where: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """A command of `gapmes` with its streams as a shell leads them."""
+    words = ["sh", "-c", f'exec "$0" "$@" {where}', *COMMAND, *map(str, arguments)]
+    environment = os.environ | {"PYTHONUNBUFFERED": ""}
+    return subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
+
+
+@pytest.mark.parametrize("where", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_commands_work_where_streams_are_closed(ply: Path, tmp_path: Path, where: str) -> None:
+    """What they write goes into their files alone: no such file takes the number of a stream."""
+    sample, out = sample_folder(), tmp_path / "out.ply"
+    for command in (
+        ("convert", ply, out, "--measure", "off"),
+        ("render", ply, "--cameras", sample / "cameras.json", "-o", tmp_path / "views", "--views", "3"),
+        ("reconstruct", sample, "--views", "1,5", "-o", out),
+        ("doctor", "--store", tmp_path / "store"),
+    ):
+        done = redirected(where, *command, "--json", "-q")
+        assert (done.returncode, done.stderr) == (0, ""), command
+        assert bool(done.stdout) == (where == "2>&-")
+    assert out.read_bytes() == ply.read_bytes()
+    refused = redirected(where, "convert", tmp_path / "missing.ply", out, "--json")
+    assert refused.returncode == 1
+    assert len(refused.stderr.splitlines()) == (where == ">&-")
+
+
+def test_a_result_that_cannot_be_written_is_refused_in_one_line(ply: Path, tmp_path: Path) -> None:
+    convert = ("convert", ply, tmp_path / "out.spz", "--measure", "off", "-q", "--json")
+    done = redirected(">/dev/full", *convert)
+    cure = "is there room, and permission to read and write there?"
+    assert (done.returncode, done.stderr) == (1, f"error: stdout: No space left on device ({cure})\n")
+    assert (tmp_path / "out.spz").is_file()
+    refused = redirected(">/dev/full", "convert", tmp_path / "missing.ply", tmp_path / "out.ply", "--json")
+    assert refused.returncode == 1
+    assert refused.stderr.startswith("error: IN: ")
+    assert len(refused.stderr.splitlines()) == 1
+    assert redirected(">/dev/full 2>/dev/full", *convert).returncode == 1
 
 
 def on_a_terminal(*arguments: object, until: str | Callable[[], bool], ending: int | None = None) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..streams import write_result
 from ..terminal import ProgressBars, Quiet
 from .dialect_options import AxesOption, DropInvalidOption, OpacityOption, RotationOption, ScalesOption
 
@@ -92,7 +91,7 @@ def convert(
             "warnings": warnings,
             "timings": stages.timings,
         }
-        sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")
+        write_result(document)
 
 
 def _measured(gaussians: Gaussians, cameras: Sequence[Camera] | None) -> tuple[SceneViews, Sequence[Camera]]:

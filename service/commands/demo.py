@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
@@ -11,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from ..streams import write_result
 from ..terminal import ProgressBars, Quiet
 
 
@@ -45,4 +45,4 @@ def demo(
             "psnr_db": result.psnr,
             "files": [str(path) for path in result.files],
         }
-        sys.stdout.write(json.dumps(document) + "\n")
+        write_result(document)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..backends.choice import ENGINES, checked_engine
+from ..streams import write_result
 from ..terminal import ProgressBars, Quiet
 
 
@@ -27,7 +26,7 @@ def doctor(
     """Look at versions, extras, processor, threads, memory, model, kernels, store, caches; reconstruct the sample."""
     from ..doctor import Doctor, verdict
     from ..progress import Stages
-    from ..settings import Settings
+    from ..settings import checked_settings
 
     given: dict[str, Any] = {
         "model": model,
@@ -35,7 +34,7 @@ def doctor(
         "store": store,
         "threads": threads,
     }
-    settings = Settings(**{name: value for name, value in given.items() if value is not None})
+    settings = checked_settings(**{name: value for name, value in given.items() if value is not None})
     examination = Doctor(settings)
     findings = []
     with ProgressBars(quiet=quiet) as bars:
@@ -48,6 +47,6 @@ def doctor(
         bars.say(said)
     if as_json:
         document = {"verdict": said, "findings": [asdict(finding) for finding in findings]}
-        sys.stdout.write(json.dumps(document) + "\n")
+        write_result(document)
     if any(finding.state == "failure" for finding in findings):
         raise typer.Exit(1)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +11,7 @@ from ..backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from ..budget import DEFAULT_CERTIFY
 from ..fade_passes import DEFAULT_PASSES, checked_passes
 from ..foretold import DEFAULT_OTHERS, checked_others
+from ..streams import write_result
 from ..terminal import ProgressBars, Quiet
 from .summary import check_line, fading_line, left_out_lines, selection_line
 
@@ -132,4 +131,4 @@ def reconstruct(
             "selection": found.selection,
         }
         document = {**said, **scene.document, "warnings": warnings}
-        sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")
+        write_result(document)

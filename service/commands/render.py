@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +11,7 @@ import typer
 
 from ..camera_path import PathName
 from ..effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort
+from ..streams import write_result
 from ..terminal import ProgressBars, Quiet
 from .dialect_options import AxesOption, DropInvalidOption, OpacityOption, RotationOption, ScalesOption
 from .selection import view_specs
@@ -153,7 +152,7 @@ def render(
         bars.say(f"warning: {warning}")
     if as_json:
         document = {"gaussians": len(gaussians), **written, "warnings": warnings, "timings": stages.timings}
-        sys.stdout.write(json.dumps(document, allow_nan=False) + "\n")
+        write_result(document)
 
 
 def _precision(gaussians: Gaussians, shots: Sequence[Camera], near: float | None) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import signal
@@ -55,26 +56,21 @@ def serve(
     """Start the service; /readyz answers 200 once the model is loaded and the kernels are warm. With --prepare nothing
     starts: what the first start would do once is done."""
     import uvicorn
-    from pydantic import ValidationError
 
     from .. import watched_process
     from ..logs import configure
     from ..models import Models
     from ..peers import FOLDER, OURS
-    from ..settings import Settings, strange_variables
+    from ..settings import checked_settings, strange_variables
     from ..store import SceneStore
+    from .listening import check_address
 
     given: dict[str, Any] = {
         "host": host, "port": port, "model": model, "models": models, "engine": engine, "store": store,
         "threads": threads, "workers": workers, "quiet": quiet or None,
     }  # fmt: skip
     given = {name: value for name, value in given.items() if value is not None}
-    try:
-        settings = Settings(**given)
-    except ValidationError as error:
-        first = error.errors()[0]
-        name = f"GAPMES_{'_'.join(map(str, first['loc'])).upper()}"
-        raise InputError(f"{first['msg']}, got {first['input']!r}", field=name, cure="see docs/settings.md") from error
+    settings = checked_settings(**given)
     strange = strange_variables(os.environ)
     found = Models(settings)  # looks at the files; said before the work
     settings.key()
@@ -84,6 +80,7 @@ def serve(
         _prepare(settings, found)
         return
     SceneStore(settings.store)  # is refused here once, not by one worker after the other
+    check_address(settings.host, settings.port)
     configure(settings.log, quiet=settings.quiet)
     if strange:
         _log.warning("nothing reads %s: docs/settings.md has the names of the settings", ", ".join(strange))
@@ -99,6 +96,7 @@ def serve(
     }
     signal.signal(signal.SIGTERM, _ended)  # the server raises it once more when it has ended in order
     if settings.workers == 1:
+        _end_with_the_terminal()
         uvicorn.run("gapmes.service.serving:app", **options)
         return
     memory = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None  # a full disk would end who writes there
@@ -137,8 +135,15 @@ def _prepare(settings: Settings, models: Models) -> None:
             warm_up()
 
 
+def _end_with_the_terminal() -> None:
+    """SIGHUP, of a terminal that closes, is heard as SIGTERM; who has it ignored, such as nohup, keeps that."""
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+
+
 def _ended(*_: object) -> None:
     """Exit code 0, at once: a thread that is still inside the network must not be unwound."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):  # the terminal may be gone, the disk full
+            stream.flush()
     os._exit(0)

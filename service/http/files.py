@@ -22,10 +22,11 @@ from ..revision import DRAWING_REVISION
 from ..scene_files import unknown
 from ..store import SceneStore
 from . import problems
-from .responses import PLY
+from .responses import PLY, head_alone
 from .spilled import SpilledResponse
 
-_RANGE = re.compile(rb"bytes=(\d+-\d*|-\d+)(\s*,\s*(\d+-\d*|-\d+))*")
+ASKED_AGAIN = "private, no-cache"  # kept by a client, which asks with the tag whether it is still right
+_RANGE = re.compile(rb"bytes=((\d+-\d*|-\d+)(\s*,\s*(\d+-\d*|-\d+))*)")
 
 
 def etag_of(path: Path) -> str:
@@ -63,15 +64,13 @@ def converted_file(name: str, etag: str, made: Made | None) -> Response:
     """The answer with what was made for it; None is for HEAD, for which nothing is made."""
     headers = {
         "ETag": etag,
-        "Cache-Control": "private, no-cache",
+        "Cache-Control": ASKED_AGAIN,
         "Accept-Ranges": "none",
         "Content-Disposition": f'attachment; filename="{name}"',
     }
     if made is not None:
         return SpilledResponse(made.file, MEDIA_TYPE, {**headers, "X-Gapmes-Notes": json.dumps(made.notes)})
-    answer = Response(media_type=MEDIA_TYPE, headers=headers)
-    del answer.headers["content-length"]  # not known before it is made
-    return answer
+    return head_alone(MEDIA_TYPE, headers)
 
 
 class SceneFile(FileResponse):
@@ -82,13 +81,17 @@ class SceneFile(FileResponse):
             store.root / scene_id / "scene.ply",
             media_type=PLY,
             filename=f"{scene_id}.ply",
-            headers={"ETag": etag, "Cache-Control": "private, no-cache"},
+            headers={"ETag": etag, "Cache-Control": ASKED_AGAIN},
         )
         self._store, self._scene_id, self._size = store, scene_id, size
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """What is no range is passed over; one that the file does not have is answered by a problem document."""
-        headers = [(name, value) for name, value in scope["headers"] if name != b"range" or _RANGE.fullmatch(value)]
+        """What is no range is passed over, and of several ranges those that the file does not have; where it has none,
+        the answer is a problem document."""
+        headers = [(name, value) for name, value in scope["headers"] if name != b"range"]
+        asked = next((value for name, value in scope["headers"] if name == b"range"), b"")
+        if ranges := _there(asked, self._size):
+            headers.append((b"range", ranges))
         beyond = False
 
         async def watched(message: Message) -> None:
@@ -108,3 +111,27 @@ class SceneFile(FileResponse):
             document = problem(416, "range_not_satisfiable", f"the file has {self._size} bytes", field="Range")
             whole = {"Content-Range": f"bytes */{self._size}"}
             await problems.response(document, whole)(scope, receive, send)
+
+
+def _there(asked: bytes, size: int) -> bytes:
+    """What a `Range` header (RFC 9110 section 14.1.2) asks for that a file of `size` bytes has; all of it where it has
+    nothing of it, and nothing where it is no range at all."""
+    found = _RANGE.fullmatch(asked)
+    if found is None:
+        return b""
+    kept = []
+    for part in found[1].split(b","):
+        first, last = (_number(digits) for digits in part.strip().split(b"-"))
+        if first is None:  # the last so many bytes
+            kept += [b"-%d" % last] if last else []
+            continue
+        if last is not None and last < first:
+            return b""
+        if first < size:
+            kept.append(b"%d-%d" % (first, size - 1 if last is None else last))
+    return b"bytes=" + b",".join(kept) if kept else asked
+
+
+def _number(digits: bytes) -> int | None:
+    """None where there are none; as large as any file where there are too many to count."""
+    return (int(digits) if len(digits) < 19 else 10**18) if digits else None

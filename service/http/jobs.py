@@ -16,7 +16,7 @@ from fastapi.responses import StreamingResponse
 from ..errors import JobCancelled
 from ..jobs.rows import Event, Job
 from ..problem_document import of_error
-from .responses import json_response
+from .responses import head_alone, json_response
 from .runtime import Runtime, runtime_of
 from .schemas import Job as JobSchema
 
@@ -31,8 +31,8 @@ RETRY_MS = 2000  # after which a browser connects again
 
 def wanted_async(preferences: Sequence[str]) -> bool:
     """Whether a Prefer header (RFC 7240) asks for an answer before the work is done."""
-    tokens = [token.strip().lower() for header in preferences for token in header.split(",")]
-    return "respond-async" in tokens
+    tokens = [token for header in preferences for token in header.split(",")]
+    return "respond-async" in [token.partition(";")[0].strip().lower() for token in tokens]  # parameters are behind ;
 
 
 def accepted_job(runtime: Runtime, job: Job, selection: Mapping[str, Any]) -> Response:
@@ -48,6 +48,7 @@ def why_not(job: Job) -> dict[str, Any]:
     return of_error(JobCancelled("the job was cancelled", cure="ask for it again"))
 
 
+@router.head("/jobs/{job_id:path}/events", include_in_schema=False)
 @router.get("/jobs/{job_id:path}/events", response_class=StreamingResponse, responses={200: {"content": {EVENTS: {}}}})
 async def job_events(
     request: Request,
@@ -59,15 +60,17 @@ async def job_events(
     """Server-sent events: `state` and `stage`, numbered, from the beginning or behind the last one received; comments
     as signs of life; the stream ends with the job."""
     runtime.desk.table.get(job_id)
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    if request.method == "HEAD":
+        return head_alone(EVENTS, headers)
     if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
         after = int(last_event_id[:10])
     events = _events(request, runtime, job_id, after)
     first = await anext(events)  # takes the place, or refuses before the answer has begun
-    return StreamingResponse(
-        _from(first, events), media_type=EVENTS, headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    )
+    return StreamingResponse(_from(first, events), media_type=EVENTS, headers=headers)
 
 
+@router.head("/jobs/{job_id:path}", include_in_schema=False)
 @router.get("/jobs/{job_id:path}", response_model=JobSchema)
 def get_job(job_id: str, runtime: Held) -> Response:
     """State, how many are ahead, the stage that it is in, and the scene or the reason once it ended."""

@@ -33,7 +33,7 @@ class BodyLimit:
             return
         declared = Headers(scope=scope).get("content-length", "0")
         if declared.isascii() and declared.isdigit() and int(declared) > self.max_bytes:
-            answer = problems.response(of_error(self._error(int(declared))), {"Connection": "close"})
+            answer = problems.response(of_error(self._error(int(declared))))
             await answer(scope, receive, send)
             return
         received = held = 0

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import anyio.to_thread
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 from starlette.datastructures import FormData, UploadFile
 
 from ..camera_fields import CameraFile
@@ -20,6 +20,7 @@ from ..settings import Settings
 from ..view_checks import Notice
 from .form import CAMERAS
 from .inputs import camera_table
+from .parameters import Parameters
 from .posted import FORM, MAX_PARTS, in_time, media_type, posted_form, single, text
 from .responses import json_response, server_timing
 from .runtime import Runtime, runtime_of
@@ -32,10 +33,8 @@ MAX_LOADED_VIEWS = 100  # of a loaded scene: each is a link in every list
 EXAMPLE = "curl -F file=@scene.splat, or curl --data-binary @scene.ply -H 'Content-Type: application/octet-stream'"
 
 
-class LoadFields(BaseModel):
+class LoadFields(Parameters):
     """How a file is to be read: query parameters beside a raw body, fields of a form."""
-
-    model_config = ConfigDict(extra="forbid")
 
     format: FormatName | None = Field(None, description="of the file; without it its own bytes tell, then its name")
     opacity: Literal["auto", "logit", "linear"] = Field("auto", description="what a .ply holds: logits, or opacities")

@@ -40,6 +40,7 @@ class _Now(Collector):
         yield GaugeMetricFamily("gapmes_scenes_bytes", "Their size", value=size)
 
 
+@router.head("/metrics", include_in_schema=False)
 @router.get("/metrics", response_class=Response, responses={200: {"content": {CONTENT_TYPE_LATEST: {}}}})
 def metrics(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
     """In the text format of Prometheus."""

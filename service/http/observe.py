@@ -18,6 +18,7 @@ HEADER = "X-Request-ID"
 QUIET = ("/healthz", "/readyz", "/metrics")  # asked for every few seconds: counted, not logged
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
 _ID = re.compile(r"[\w.:-]{1,64}", re.ASCII)
+SHOWN = 200  # letters of a path that are told; none of a route that there is has more
 _log = logging.getLogger("gapmes.access")
 
 
@@ -59,7 +60,6 @@ class Observed:
         finally:
             seconds = time.perf_counter() - start
             method = scope["method"] if scope["method"] in METHODS else "other"
-            path = quote(scope["path"], safe="/:")  # a line break or a control character in it is no line of the log
             route = getattr(scope.get("route"), "path", "none")
             REQUESTS.labels(method, route, status).inc()
             SECONDS.labels(route).observe(seconds)
@@ -67,8 +67,13 @@ class Observed:
                 _log.info(
                     "%s %s %d",
                     method,
-                    path,
+                    shown(scope["path"]),
                     status,
                     extra={"seconds": round(seconds, 4), "bytes": sent, "route": route},
                 )
             REQUEST_ID.reset(token)
+
+
+def shown(path: str) -> str:
+    """The beginning of a path, in which a line break or a control character is no line of the log."""
+    return quote(path[:SHOWN], safe="/:")

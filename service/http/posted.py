@@ -8,15 +8,17 @@ from contextlib import asynccontextmanager, contextmanager
 import anyio
 from fastapi import Request
 from starlette.datastructures import FormData, UploadFile
-from starlette.exceptions import HTTPException
+from starlette.formparsers import MultiPartException, MultiPartParser
 
 from ..disk import full_is_refused
-from ..errors import InputError, MalformedRequest, UnsupportedMediaType, UploadTimeout
+from ..errors import InputError, MalformedRequest, UnsupportedMediaType, UploadTimeout, UploadTooLarge
 from ..settings import Settings
 
 FORM = "multipart/form-data"
 MAX_IMAGES = 60  # of a request, of which 6 at most are used; a capture may hold more
 MAX_PARTS = MAX_IMAGES + 4  # files, and as many fields; beyond it no more of a body is read
+MAX_TEXT = 16 * 2**10  # bytes of a text field: 64 views or 6 long names are far below; beyond it no more is read
+DOCUMENT = "cameras"  # the one text field that may be long, with a limit of its own
 _TOO_MANY_FILES = "Too many files"  # how the framework's parser begins to say so; it has no other sign
 
 
@@ -40,19 +42,51 @@ async def posted_form(
         )
     try:
         with in_time(settings), full_is_refused("the upload"):
-            form = await request.form(
-                max_files=MAX_PARTS, max_fields=MAX_PARTS, max_part_size=settings.max_upload_bytes
-            )
-    except HTTPException as error:
-        if error.detail.startswith(_TOO_MANY_FILES):
+            form = await _Parser(
+                request.headers,
+                request.stream(),
+                max_files=MAX_PARTS,
+                max_fields=MAX_PARTS,
+                max_part_size=settings.max_upload_bytes,
+            ).parse()
+    except MultiPartException as error:
+        if error.message.startswith(_TOO_MANY_FILES):
             raise too_many from error
-        raise MalformedRequest(f"the multipart body cannot be read: {error.detail}", field="body") from error
+        raise MalformedRequest(f"the multipart body cannot be read: {error.message}", field="body") from error
     except UnicodeError as error:
         raise MalformedRequest("names are not in the body's declared charset", field="body") from error
     try:
         yield form
     finally:
         await form.close()
+
+
+class _Parser(MultiPartParser):
+    """The framework's parser, which bounds text fields as they arrive and refuses a form without its end, whose last
+    field would be missing without a word."""
+
+    _whole = False
+
+    def on_part_data(self, data: bytes, start: int, end: int) -> None:
+        part = self._current_part
+        if part.file is None and part.field_name != DOCUMENT and len(part.data) + end - start > MAX_TEXT:
+            raise UploadTooLarge(
+                f"is a text field of more than {MAX_TEXT} bytes",
+                field=part.field_name[:100],
+                cure="send less; a file is a part with a file name",
+            )
+        super().on_part_data(data, start, end)
+
+    def on_end(self) -> None:
+        self._whole = True
+        super().on_end()
+
+    async def parse(self) -> FormData:
+        form = await super().parse()
+        if not self._whole:
+            await form.close()
+            raise MultiPartException("it ends before its closing boundary")
+        return form
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import anyio.to_thread
 from fastapi import APIRouter, Depends, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from ..camera import Camera
 from ..camera_path import PathName, loop
@@ -25,8 +25,9 @@ from ..scene_views import SceneViews
 from .drawing import Sitting, picture_tag
 from .files import matches, not_modified
 from .gate import Pause
+from .parameters import Parameters
 from .render import KEPT
-from .responses import server_timing
+from .responses import head_alone, server_timing
 from .runtime import Runtime, runtime_of
 
 router = APIRouter(tags=["views"])
@@ -38,11 +39,7 @@ SIDE = 256  # px, the longer side of a film that nobody asked to be larger
 MAX_FRAMES = 120
 
 
-class _SceneQuery(BaseModel):
-    """One parameter that is not among these is refused, so that a slip of the pen is noticed."""
-
-    model_config = ConfigDict(extra="forbid")
-
+class _SceneQuery(Parameters):
     background: str = Field(
         "black", max_length=50, description="rrggbb in hex, or a name", examples=["white", "204080"]
     )
@@ -68,6 +65,7 @@ class SheetQuery(_SceneQuery):
     format: Format = Field("png", description="of the picture")
 
 
+@router.head("/scenes/{scene_id:path}/preview", include_in_schema=False)
 @router.get(
     "/scenes/{scene_id:path}/preview",
     response_class=Response,
@@ -101,6 +99,7 @@ async def preview(request: Request, scene_id: str, query: Annotated[PreviewQuery
     return await _answer(request, runtime, etag, MEDIA_TYPES[shape.format], begin, work)
 
 
+@router.head("/scenes/{scene_id:path}/sheet", include_in_schema=False)
 @router.get(
     "/scenes/{scene_id:path}/sheet",
     response_class=Response,
@@ -145,10 +144,12 @@ async def _answer(
     begin: Callable[[Pause], Sitting],
     work: Callable[[Sitting], bytes],
 ) -> Response:
-    """What `work` draws in the lane of the pictures, or 304."""
+    """What `work` draws in the lane of the pictures, or 304; nothing is drawn for HEAD."""
     cache = {"ETag": etag, "Cache-Control": KEPT}
     if matches(request, etag):
         return not_modified(etag, cache)
+    if request.method == "HEAD":
+        return head_alone(media_type, cache)
 
     def timed(pause: Pause) -> tuple[bytes, dict[str, float]]:
         sitting, start = begin(pause), time.perf_counter()

@@ -12,9 +12,11 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from starlette.routing import Match
 
 from ..errors import GapmesError
 from ..problem_document import problem, public
+from .observe import METHODS, shown
 
 MEDIA_TYPE = "application/problem+json"
 RETRY_AFTER_S = 2  # a reconstruction with the small networks takes about this long
@@ -49,7 +51,7 @@ def install(app: FastAPI) -> None:
 
 async def _own(request: Request, error: GapmesError) -> Response:
     if error.status == 500:  # a fault of ours: what it says of paths and libraries is for the log
-        _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
+        _log.error("%s %s failed", request.method, shown(request.scope["path"]), exc_info=error)
     return of_document(public(error))
 
 
@@ -61,7 +63,9 @@ def of_document(document: Mapping[str, Any]) -> Response:
 async def _validation(request: Request, error: RequestValidationError) -> Response:
     """One document for the first wrong parameter; `errors` lists all of them."""
     found = error.errors()
-    errors = [{"field": ".".join(str(part) for part in item["loc"][1:]), "detail": _detail(item)} for item in found]
+    errors = [
+        {"field": ".".join(str(part) for part in item["loc"][1:])[:100], "detail": _detail(item)} for item in found
+    ]
     first = errors[0]
     cure = f"parameters: {', '.join(_parameters(request))}" if found[0]["type"] == "extra_forbidden" else None
     extra = {"errors": errors}
@@ -85,13 +89,28 @@ def _parameters(request: Request) -> list[str]:
 
 async def _framework(request: Request, error: HTTPException) -> Response:
     code = FRAMEWORK_CODES.get(error.status_code, f"http_{error.status_code}")
+    path, headers = request.scope["path"], dict(error.headers or {})
     if error.status_code == 404:
-        detail, cure = f"nothing is served at {request.url.path}", "GET /openapi.json lists the routes"
+        detail, cure = f"nothing is served at {shown(path)}", "GET /openapi.json lists the routes"
+        if path.endswith("/") and _offered(request, path.rstrip("/")):
+            cure = f"leave out the slash at the end: {shown(path.rstrip('/'))}"
     elif error.status_code == 405:
-        detail, cure = f"{request.method} is not offered at {request.url.path}", "the Allow header lists what is"
+        detail, cure = f"{request.method[:20]} is not offered at {shown(path)}", "the Allow header lists what is"
+        headers["Allow"] = ", ".join(_offered(request, path))
     else:
         detail, cure = str(error.detail) or HTTPStatus(error.status_code).phrase, None
-    return response(problem(error.status_code, code, detail, cure=cure), error.headers)
+    return response(problem(error.status_code, code, detail, cure=cure), headers)
+
+
+def _offered(request: Request, path: str) -> list[str]:
+    """Methods that some route answers at a path."""
+    base = {"type": "http", "path": path, "root_path": request.scope.get("root_path", ""), "headers": []}
+    routes = request.app.routes
+    return [
+        method
+        for method in METHODS
+        if any(route.matches({**base, "method": method})[0] is Match.FULL for route in routes)
+    ]
 
 
 async def _gone(_: Request, __: ClientDisconnect) -> Response:
@@ -102,5 +121,7 @@ async def _gone(_: Request, __: ClientDisconnect) -> Response:
 async def _unexpected(request: Request, error: Exception) -> Response:
     """A fault of ours: the log gets the traceback, the caller no internals."""
     request_id = getattr(request.state, "request_id", None)  # this is further out than what knows it otherwise
-    _log.error("%s %s failed", request.method, request.url.path, exc_info=error, extra={"request_id": request_id})
-    return response(public(error), {} if request_id is None else {"X-Request-ID": request_id})
+    path = shown(request.scope["path"])
+    _log.error("%s %s failed", request.method, path, exc_info=error, extra={"request_id": request_id})
+    headers = {"Connection": "close"}  # of its body something may be left, which nobody reads
+    return response(public(error), headers if request_id is None else headers | {"X-Request-ID": request_id})

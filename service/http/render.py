@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import anyio.to_thread
 from fastapi import APIRouter, Depends, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from ..camera import Camera
 from ..camera_json import camera_from_json
@@ -23,7 +23,8 @@ from ..scene_views import SceneViews
 from .drawing import check_size, draw, picture_tag
 from .files import matches, not_modified
 from .limits import parse_json
-from .responses import server_timing
+from .parameters import Parameters
+from .responses import head_alone, server_timing
 from .runtime import Runtime, runtime_of
 
 router = APIRouter(tags=["views"])
@@ -31,10 +32,8 @@ router = APIRouter(tags=["views"])
 KEPT = "private, max-age=3600"  # for a scene that is named; another release may draw it otherwise
 
 
-class RenderQuery(BaseModel):
-    """The query parameters; one that is not among them is refused, so that a slip of the pen is noticed."""
-
-    model_config = ConfigDict(extra="forbid")
+class RenderQuery(Parameters):
+    """A picture."""
 
     view: str | None = Field(
         None,
@@ -65,6 +64,7 @@ class RenderQuery(BaseModel):
     )
 
 
+@router.head("/render", include_in_schema=False)
 @router.get(
     "/render",
     response_class=Response,
@@ -85,6 +85,8 @@ async def render(
     if matches(request, asked.etag):
         return not_modified(asked.etag, cache)
     background = parse_background(query.background)
+    if request.method == "HEAD":
+        return head_alone(f"image/{query.format}", {"X-Gapmes-Scene": asked.scene_id, **cache})
     effort = Effort(query.alpha_min, query.stop, query.sh_degree, query.samples)
 
     def work() -> tuple[Picture, dict[str, Any], float]:

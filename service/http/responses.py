@@ -10,6 +10,7 @@ from fastapi import Response
 
 from ..errors import NotAcceptable
 from ..formats.registry import MEDIA_TYPE
+from ..plain_number import plain_float
 
 JSON = "application/json"
 PLY = MEDIA_TYPE
@@ -22,6 +23,13 @@ def json_response(content: Any, status: int = 200, headers: Mapping[str, str] | 
     return Response(body, status_code=status, media_type=JSON, headers=dict(headers or {}))
 
 
+def head_alone(media_type: str, headers: Mapping[str, str]) -> Response:
+    """To HEAD, where the body is not made for it: what is known without it, so no length."""
+    answer = Response(media_type=media_type, headers=dict(headers))
+    del answer.headers["content-length"]
+    return answer
+
+
 def server_timing(seconds: Mapping[str, float]) -> str:
     """The header of that name: stages with their milliseconds."""
     names = {name.replace(" ", "-"): 1000 * value for name, value in seconds.items()}
@@ -31,8 +39,8 @@ def server_timing(seconds: Mapping[str, float]) -> str:
 def accepted(header: str | None) -> str:
     """The offered media type that the Accept header weighs highest; the first offered one wins ties.
 
-    RFC 9110 section 12.5.1: a type's weight is that of the most specific range that covers it. Raises
-    `NotAcceptable` when all weigh zero.
+    RFC 9110 section 12.5.1: a type's weight is that of the most specific range that covers it; a weight that is no
+    number from 0 to 1 is passed over. Raises `NotAcceptable` when all weigh zero.
     """
     if not header or not header.strip():
         return JSON
@@ -59,7 +67,8 @@ def _weight(parameters: list[str]) -> float:
         name, _, value = parameter.partition("=")
         if name.strip() == "q":
             try:
-                return min(1.0, max(0.0, float(value)))
+                weight = plain_float(value)
             except ValueError:
-                return 0.0
+                return 1.0
+            return weight if 0 <= weight <= 1 else 1.0
     return 1.0

@@ -142,11 +142,11 @@ class Runtime:
         """Evict what nobody reads and forget what ended, now and then."""
         while True:
             await asyncio.sleep(TIDY_S)
-            try:
-                await anyio.to_thread.run_sync(self.store.evict_old)
-                await anyio.to_thread.run_sync(self.desk.tidy)
-            except Exception:
-                _log.exception("the store cannot be tidied")
+            for tidy in (self.store.evict_old, self.desk.tidy):  # each, whatever becomes of the other
+                try:
+                    await anyio.to_thread.run_sync(tidy)
+                except Exception:
+                    _log.exception("the store cannot be tidied")
 
     async def _end_if_failed(self) -> None:
         """Where others are loaded, a process that cannot be makes room for another try, which the server starts."""

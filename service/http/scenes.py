@@ -13,7 +13,7 @@ from ..errors import FormatUnknown, InputError
 from ..formats.registry import FORMATS, MEDIA_TYPE, NAMES
 from ..scene_files import is_id
 from ..view_checks import MAX_VIEWS
-from .files import Made, SceneFile, converted_file, etag_of, etag_of_converted, matches, not_modified
+from .files import ASKED_AGAIN, Made, SceneFile, converted_file, etag_of, etag_of_converted, matches, not_modified
 from .responses import json_response
 from .runtime import Runtime, runtime_of
 from .schemas import SceneDocument, SceneList
@@ -69,7 +69,7 @@ async def scene_file(
     if extension != "ply":
         etag = etag_of_converted(etag, extension)
     if matches(request, etag):
-        return not_modified(etag)
+        return not_modified(etag, {"Cache-Control": ASKED_AGAIN})
     if extension == "ply":
         return SceneFile(runtime.store, scene_id, etag, size)
 
@@ -81,6 +81,7 @@ async def scene_file(
     return converted_file(f"{scene_id}.{extension}", etag, made)
 
 
+@router.head("/scenes/{scene_id}/inputs/{index}", include_in_schema=False)
 @router.get(
     "/scenes/{scene_id}/inputs/{index}",
     response_class=Response,
@@ -92,6 +93,7 @@ def scene_input(scene_id: str, index: Annotated[int, Path(ge=0, le=MAX_VIEWS)], 
     return Response(runtime.store.input(scene_id, index), media_type="image/png", headers=headers)
 
 
+@router.head("/scenes/{scene_id:path}", include_in_schema=False)
 @router.get("/scenes/{scene_id:path}", response_model=SceneDocument)
 def scene_document(scene_id: str, runtime: Held) -> Response:
     """The scene document: model, cameras, depths, counts, warnings, timings, links."""

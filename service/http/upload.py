@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import anyio.to_thread
 from fastapi import Request
@@ -29,6 +28,7 @@ from ..scene_views import SceneViews
 from ..settings import Settings
 from ..stride import STRIDES
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
+from .fields import flag, number, whole
 from .inputs import Inputs, captured, posted
 from .pairing import NamedImage, Pairing
 from .posted import MAX_IMAGES, MAX_PARTS, posted_form
@@ -36,7 +36,6 @@ from .posted import single as _single
 from .posted import text as _text
 
 MAX_ASKED_VIEWS = 64  # in `views`: each is drawn, or a link
-_Otherwise = TypeVar("_Otherwise", int, None)
 FIELDS = (
     "images",
     "cameras",
@@ -111,8 +110,9 @@ async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> U
         if name not in FIELDS:
             raise InputError("is not a field of this route", field=name[:100], cure=f"fields: {', '.join(FIELDS)}")
     model = checked_name(_text(form, "model") or DEFAULT, models)
-    wish = checked_wish(Wish(_text(form, "select") or None, _whole(form, "context", None)))
-    near, far = _number(form, "near"), _number(form, "far")
+    wish = checked_wish(Wish(_text(form, "select") or None, whole(form, "context", None)))
+    views = _views(form)
+    near, far = number(form, "near", DepthRangeError), number(form, "far", DepthRangeError)
     inputs = await _inputs(form, settings, wish, near, far)
     pairing = inputs.pairing
     lenses = tuple(view.lens for view in pairing.views)
@@ -123,26 +123,26 @@ async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> U
         lenses=lenses if any(lens is not None for lens in lenses) else (),
         near=inputs.near,
         far=inputs.far,
-        trust_poses=_flag(form, "trust_poses"),
-        leave_one_out=checked_others(_whole(form, "leave_one_out", DEFAULT_OTHERS)),
-        fade=checked_passes(_whole(form, "fade", DEFAULT_PASSES)),
-        budget=_budget(form),
+        trust_poses=flag(form, "trust_poses"),
+        leave_one_out=checked_others(whole(form, "leave_one_out", DEFAULT_OTHERS)),
+        fade=checked_passes(whole(form, "fade", DEFAULT_PASSES)),
+        budget=_budget(form, views),
         model=model,
         numbers=numbers if numbers != tuple(range(len(numbers))) else (),
     )
-    return Upload(pairing, inputs.selection, work, _views(form))
+    return Upload(pairing, inputs.selection, work, views)
 
 
-def _budget(form: FormData) -> Budget:
+def _budget(form: FormData, views: tuple[str, ...]) -> Budget:
     max_error = _text(form, "max_error")
-    min_opacity, stride = _text(form, "min_opacity"), _text(form, "stride")
+    stride = _text(form, "stride")
     if stride not in ("", *map(str, STRIDES)):
         raise InputError(f"{stride[:50]!r} is none of {STRIDES}", field="stride", cure="leave it out for 1")
     return Budget(
         parse_max_error(max_error) if max_error else DEFAULT_MAX_ERROR,
-        _whole(form, "certify", DEFAULT_CERTIFY),
-        _views(form),
-        _finite(min_opacity, "min_opacity", InputError) if min_opacity else 0.0,
+        whole(form, "certify", DEFAULT_CERTIFY),
+        views,
+        number(form, "min_opacity") or 0.0,
         int(stride) if stride else 1,
     )
 
@@ -214,42 +214,10 @@ async def _cameras(form: FormData, max_bytes: int) -> str | bytes:
     return await part.read() if isinstance(part, UploadFile) else part
 
 
-def _number(form: FormData, name: str) -> float | None:
-    text = _text(form, name)
-    return _finite(text, name, DepthRangeError) if text else None
-
-
-def _whole(form: FormData, name: str, otherwise: _Otherwise) -> int | _Otherwise:
-    text = _text(form, name)
-    if text and not (text.isascii() and text.isdigit() and len(text) < 9):
-        cure = "send digits alone, such as 3, or leave it out"
-        raise InputError(f"{text[:50]!r} is not a whole number", field=name, cure=cure)
-    return int(text) if text else otherwise
-
-
-def _finite(text: str, name: str, refusal: type[InputError]) -> float:
-    cure = "send a number such as 0.5, or leave it out"
-    try:
-        value = float(text)
-    except ValueError as error:
-        raise refusal(f"{text[:100]!r} is not a number", field=name, cure=cure) from error
-    if not math.isfinite(value):
-        raise refusal(f"{value} is not finite", field=name, cure=cure)
-    return value
-
-
-def _flag(form: FormData, name: str) -> bool:
-    text = _text(form, name).lower()
-    if text not in ("", "false", "true"):
-        cure = "send true, or leave it out for false"
-        raise InputError(f"{text[:100]!r} is neither true nor false", field=name, cure=cure)
-    return text == "true"
-
-
 def _views(form: FormData) -> tuple[str, ...]:
     text = _text(form, "views")
-    views = tuple(view.strip() for view in text.split(",")) if text else ()
-    if len(views) > MAX_ASKED_VIEWS:
+    count = text.count(",") + 1
+    if count > MAX_ASKED_VIEWS:
         cure = "ask for the others by GET /render"
-        raise InputError(f"{len(views)} views, need at most {MAX_ASKED_VIEWS}", field="views", cure=cure)
-    return views
+        raise InputError(f"{count} views, need at most {MAX_ASKED_VIEWS}", field="views", cure=cure)
+    return tuple(view.strip() for view in text.split(",")) if text else ()

@@ -13,8 +13,8 @@ from ..camera import Camera
 from ..level_frame import LevelFrame
 from ..ply import ply_bytes
 from ..scene_views import SceneViews
-from .files import etag_of, matches, not_modified
-from .responses import PLY, json_response
+from .files import ASKED_AGAIN, etag_of, matches, not_modified
+from .responses import PLY, head_alone, json_response
 from .runtime import Runtime, runtime_of
 from .spilled import SpilledResponse, spilled
 
@@ -25,6 +25,7 @@ Held = Annotated[Runtime, Depends(runtime_of)]
 _TURNED = np.array([-1.0, -1.0, 1.0])  # the viewer turns a .ply by half a turn about z
 
 
+@router.head("/scenes/{scene_id}/viewer.ply")
 @router.get("/scenes/{scene_id}/viewer.ply")
 async def viewer_ply(request: Request, scene_id: str, runtime: Held) -> Response:
     """The scene's .ply in its level frame, float32 near the origin."""
@@ -38,12 +39,16 @@ async def viewer_ply(request: Request, scene_id: str, runtime: Held) -> Response
             return f"W/{etag_of(path)}"
 
     etag = await anyio.to_thread.run_sync(tag)
+    cache = {"ETag": etag, "Cache-Control": ASKED_AGAIN}
     if matches(request, etag):
-        return not_modified(etag)
+        return not_modified(etag, cache)
+    if request.method == "HEAD":
+        return head_alone(PLY, cache)
     body = await runtime.pictures.run(made, request.is_disconnected)
-    return SpilledResponse(body, PLY, {"ETag": etag, "Cache-Control": "private, no-cache"})
+    return SpilledResponse(body, PLY, cache)
 
 
+@router.head("/scenes/{scene_id}/viewer.json")
 @router.get("/scenes/{scene_id}/viewer.json")
 def viewer_json(scene_id: str, runtime: Held) -> Response:
     """The viewer's settings: where it begins, and that it adds nothing of its own to the picture."""

@@ -6,18 +6,21 @@ import errno
 import json
 import os
 import resource
+import stat
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from capture_scenes import arc, write_cameras_json
 from cli_runs import run
 from test_pruning import cloud
 
 from gapmes.service import write_gaussians, write_ply
-from gapmes.service.disk import replace_file, replacing
+from gapmes.service.disk import replace_file, replacing, write_file
+from gapmes.service.film import FilmShape, write_film
 
 LIMIT = 500  # bytes; below every file that is written here
 
@@ -38,8 +41,15 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+def write_gif(path: Path) -> None:
+    write_film(
+        path, FilmShape("gif", 64, 64, 2, 0.5), np.random.default_rng(0).integers(0, 256, (2, 64, 64, 3), np.uint8)
+    )
+
+
 WRITERS: dict[str, Callable[[Path], object]] = {
     "bytes": lambda path: replace_file(path, bytes(2000)),
+    "film": write_gif,
     "ply": lambda path: write_ply(path, cloud(60, 1, degree=0)),
     "splat": lambda path: write_gaussians(path, cloud(60, 1, degree=0), format="splat"),
 }
@@ -59,6 +69,28 @@ def test_a_write_that_fails_changes_nothing(
     write(tmp_path / "file")
     assert list(contents(tmp_path)) == ["file"]
     assert (tmp_path / "file").stat().st_size > LIMIT
+
+
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o444, 0o666])
+def test_a_file_that_is_replaced_keeps_its_permissions(
+    tmp_path: Path, write: Callable[[Path], object], mode: int
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "file").chmod(mode)
+    write(tmp_path / "file")
+    write(tmp_path / "new")
+    assert (tmp_path / "file").stat().st_size > 0
+    assert stat.S_IMODE((tmp_path / "file").stat().st_mode) == mode
+    (tmp_path / "plain").touch()
+    assert (tmp_path / "new").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_nobody_else_reads_what_becomes_a_private_file(tmp_path: Path) -> None:
+    (tmp_path / "file").touch(0o600)
+    with replacing(tmp_path / "file") as part:
+        write_file(part, b"private")
+        assert stat.S_IMODE(part.stat().st_mode) == 0o600
 
 
 def test_what_is_raised_inside_ends_it(tmp_path: Path) -> None:

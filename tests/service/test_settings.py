@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from gapmes.service.errors import InputError
-from gapmes.service.settings import Settings, default_store, strange_variables
+from gapmes.service.settings import Settings, checked_settings, default_store, strange_variables
 
 TABLE = Path(__file__).parents[2] / "docs" / "settings.md"
 
@@ -45,6 +45,59 @@ def test_nonsense_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, value: 
     monkeypatch.setenv(f"GAPMES_{name}", value)
     with pytest.raises(ValidationError):
         Settings()
+    with pytest.raises(InputError, match=f"got {value!r}") as caught:
+        checked_settings()
+    assert caught.value.field == f"GAPMES_{name}"
+
+
+FRACTIONS = [name for name, field in Settings.model_fields.items() if "float" in str(field.annotation)]
+
+
+@pytest.mark.parametrize("name", FRACTIONS)
+@pytest.mark.parametrize("value", ["inf", "nan", "1e12"])
+def test_times_are_finite_and_no_longer_than_anybody_means(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str
+) -> None:
+    """What waits, and what counts back from now, need not ask whether there is such a time."""
+    monkeypatch.setenv(f"GAPMES_{name.upper()}", value)
+    with pytest.raises(ValidationError):
+        Settings()
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "https://a.example",
+        "http://localhost:3000",
+        "http://[::1]:8080",
+        "app://local",
+        "null",
+        "*",
+        "https://a.example:80",
+    ],
+)
+def test_origins_as_browsers_send_them_are_taken(origin: str) -> None:
+    assert Settings(cors_origins=f"https://b.example, {origin}").cors_origins == f"https://b.example, {origin}"
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "https://a.example/",
+        "https://a.example/page",
+        "a.example",
+        "https://A.example",
+        "https://a.example:443",
+        "http://[::1]:80",
+        "https://*.a.example",
+        "https://ä.example",
+    ],
+)
+def test_origins_that_no_browser_sends_are_refused(origin: str) -> None:
+    """They would be allowed in vain."""
+    with pytest.raises(InputError, match="no origin as browsers send it") as caught:
+        Settings(cors_origins=f"https://b.example,{origin}")
+    assert (caught.value.field, caught.value.index) == ("GAPMES_CORS_ORIGINS", 1)
 
 
 def test_store_follows_the_user_data_folder(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -186,6 +186,68 @@ def test_reading_is_noted_to_a_minute(tmp_path: Path) -> None:
     assert store.page(1)[0].used_ns > before
 
 
+def test_a_last_use_that_lies_ahead_is_set_right(tmp_path: Path) -> None:
+    """A clock that was fast has noted it: by who reads, when the store is opened, and when it is tidied."""
+    store = filled(tmp_path, 2)
+    for set_right in (lambda: store.ply(IDS[0]), lambda: SceneStore(tmp_path), store.evict_old):
+        aged(store, IDS[0], -3)
+        set_right()
+        assert {row.used_ns <= time.time_ns() for row in store.page(9)} == {True}
+
+
+def test_what_a_fast_clock_has_stored_is_evicted_in_its_turn(tmp_path: Path) -> None:
+    store = filled(tmp_path, 2, max_bytes=2 * ONE)
+    aged(store, IDS[0], -3)
+    store.evict_old()
+    aged(store, IDS[1], -0.5 * TOUCH_NS / DAY_NS)  # read a moment later
+    store.put(IDS[2], PLY, DOCUMENT)
+    assert listed(store) == {IDS[1], IDS[2]}
+
+
+def test_a_clock_that_has_not_been_set_yet_makes_no_stamp_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Set right by it, all scenes would be too old once it is set."""
+    store = filled(tmp_path, 2, max_days=1.0)
+    monkeypatch.setattr(time, "time_ns", lambda: 10**15)  # 1970
+    SceneStore(tmp_path)
+    store.ply(IDS[0])
+    assert store.evict_old() == 0
+    monkeypatch.undo()
+    assert store.evict_old() == 0
+
+
+@pytest.mark.parametrize("days", [-3, 3])
+def test_the_newest_is_what_was_stored_last_whatever_the_clock_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, days: float
+) -> None:
+    """Also for another process, and after the list was lost."""
+    store, other = SceneStore(tmp_path), SceneStore(tmp_path)
+    true = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: true() + int(days * DAY_NS))
+    store.put(IDS[8], PLY, DOCUMENT)
+    monkeypatch.undo()
+    for scene_id in (IDS[5], IDS[3]):
+        other.put(scene_id, PLY, DOCUMENT)
+        assert store.newest() == scene_id
+    (tmp_path / "index.sqlite").unlink()
+    assert [row.id for row in SceneStore(tmp_path).page(9)] == [IDS[3], IDS[5], IDS[8]]
+
+
+def test_a_file_from_the_far_future_does_not_keep_the_store_from_opening(tmp_path: Path) -> None:
+    filled(tmp_path, 2)
+    os.utime(tmp_path / IDS[0] / "scene.json", (2**34, 2**34))  # the year 2514, beyond what 64 bits hold in nanoseconds
+    (tmp_path / "index.sqlite").unlink()
+    store = SceneStore(tmp_path)
+    assert store.newest() == IDS[0]
+    store.put(IDS[2], PLY, DOCUMENT)
+    assert store.newest() == IDS[2]
+
+
+def test_any_number_of_days_is_a_limit(tmp_path: Path) -> None:
+    store = filled(tmp_path, 2, max_days=1e9)  # before 1970
+    aged(store, IDS[0], 300)
+    assert store.evict_old() == 0
+
+
 def test_the_index_follows_the_folders(tmp_path: Path) -> None:
     store = filled(tmp_path, 3)
     store.put(IDS[8], PLY, {"created": "then", "gaussians": {"count": 7}, "view_cameras": [1, 2]})

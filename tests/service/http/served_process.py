@@ -16,11 +16,15 @@ import httpx
 
 
 @contextmanager
-def serving(store: Path, model: Path, log: Path, *more: str, **environment: str) -> Iterator[tuple[httpx.Client, Any]]:
+def serving(
+    store: Path, model: Path, log: Path, *more: str, shell: str = "", **environment: str
+) -> Iterator[tuple[httpx.Client, Any]]:
+    """`shell`: where it leads the streams, such as `>&-`."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
-    command = [sys.executable, "-m", "gapmes.service.cli", "serve", "--port", str(port), "--threads", "1", *more]
+    gapmes = [sys.executable, "-m", "gapmes.service.cli", "serve", "--port", str(port), "--threads", "1", *more]
+    command = ["sh", "-c", f'exec "$0" "$@" {shell}', *gapmes]
     with log.open("wb") as output:
         process = subprocess.Popen(
             [*command, "--store", str(store), "--model", str(model)],

@@ -94,6 +94,20 @@ def test_far_too_many_views(client: TestClient) -> None:
     assert body["detail"] == "65 views, need at most 64"
 
 
+@pytest.mark.parametrize("name", ["views", "near", "select", "max_error", "model", "unknown"])
+def test_text_that_is_too_long_is_read_no_further(client: TestClient, name: str) -> None:
+    """So that nothing is made of it: a name for each comma, say."""
+    body = assert_problem(post(client, **{name: "0," * 9000}), 413, "upload_too_large", name)
+    assert body["detail"] == "is a text field of more than 16384 bytes"
+    assert post(client, **{name: "0," * 5000}).json()["code"] != "upload_too_large"
+
+
+def test_cameras_in_a_text_field_may_be_longer(client: TestClient) -> None:
+    cameras = ("cameras", (None, json.dumps(camera_object(2) | {"note": "x" * 100_000})))
+    images = [("images", ("a.png", photograph(seed), "image/png")) for seed in (0, 1)]
+    assert client.post("/reconstruct", files=[*images, cameras]).status_code == 200
+
+
 def test_images_without_cameras(client: TestClient) -> None:
     body = assert_problem(post(client, cameras=""), 422, "invalid_input", "cameras")
     assert "cameras.json" in body["cure"]
@@ -187,8 +201,9 @@ def test_depth_range_that_is_none(client: TestClient, near: str, far: str) -> No
     assert_problem(post(client, near=near, far=far), 422, "depth_range_invalid")
 
 
-def test_depth_that_is_no_number(client: TestClient) -> None:
-    assert_problem(post(client, near="close"), 422, "depth_range_invalid", "near")
+@pytest.mark.parametrize("near", ["close", "1_0", "١", "１", "1,0"])
+def test_depth_that_is_no_number(client: TestClient, near: str) -> None:
+    assert_problem(post(client, near=near), 422, "depth_range_invalid", "near")
 
 
 def test_views_that_share_nothing(client: TestClient) -> None:
@@ -227,6 +242,10 @@ def test_odd_intrinsics(client: TestClient, name: str, value: Any) -> None:
         ("min_opacity", "low", "'low' is not a number"),
         ("min_opacity", "inf", "inf is not finite"),
         ("max_error", "2", "is 2, need 0 to 1"),
+        ("max_error", "1/25_5", "'1/25_5' is not a budget"),
+        ("min_opacity", "0_0.5", "'0_0.5' is not a number"),
+        ("min_opacity", "٠", "'٠' is not a number"),
+        ("certify", "١", "'١' is not a whole number"),
     ],
 )
 def test_fields_with_values_that_are_none(client: TestClient, name: str, value: str, detail: str) -> None:
@@ -298,10 +317,22 @@ def test_malformed_multipart(client: TestClient, kind: str, body: bytes) -> None
 def test_multipart_that_ends_early(client: TestClient) -> None:
     good = post(client).request
     headers = {"content-type": good.headers["content-type"]}
-    for length in (100, 1000, len(good.read()) - 60):
+    for length in (0, 100, 1000, len(good.read()) - 60, len(good.read()) - 4, len(good.read()) - 3):
         answer = client.post("/reconstruct", content=good.read()[:length], headers=headers)
-        assert answer.status_code in (400, 422), answer.text
-        assert_problem(answer, answer.status_code, answer.json()["code"])
+        body = assert_problem(answer, 400, "malformed_request", "body")
+        assert body["detail"] == "the multipart body cannot be read: it ends before its closing boundary"
+    whole = client.post("/reconstruct", content=good.read()[:-2], headers=headers)  # of the last line's end
+    assert whole.status_code == 200
+
+
+def test_a_form_that_ends_behind_a_field_is_not_taken_without_it(client: TestClient) -> None:
+    good = post(client).request
+    name = good.headers["content-type"].split("boundary=")[1]
+    for field in ("near", "max_eror"):
+        part = f'--{name}\r\nContent-Disposition: form-data; name="{field}"\r\n\r\n0.5'.encode()
+        cut = good.read().removesuffix(f"--{name}--\r\n".encode()) + part
+        answer = client.post("/reconstruct", content=cut, headers={"content-type": good.headers["content-type"]})
+        assert_problem(answer, 400, "malformed_request", "body")
 
 
 @pytest.mark.parametrize("kind", ["application/json", "text/plain", ""])

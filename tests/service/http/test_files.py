@@ -67,6 +67,46 @@ def test_ranges_are_of_the_ply_alone(client: TestClient) -> None:
         assert len(whole.content) > 4
 
 
+@pytest.mark.parametrize(
+    ("asked", "first", "last"),
+    [
+        ("bytes=0-0,99999999999-", 0, 0),
+        ("bytes=99999999999-99999999999, 10-19", 10, 19),
+        ("bytes=-0, 3-5", 3, 5),
+        ("bytes=7-" + "9" * 5000, 7, None),
+        ("bytes=" + "9" * 5000 + "-, -4", -4, None),
+        ("bytes=-" + "9" * 30, 0, None),
+    ],
+)
+def test_of_several_parts_those_that_there_are_are_sent(
+    client: TestClient, asked: str, first: int, last: int | None
+) -> None:
+    link = post(client).json()["links"]["ply"]
+    whole = client.get(link).content
+    answer = client.get(link, headers={"Range": asked})
+    begin, end = first % len(whole), len(whole) - 1 if last is None else last
+    assert (answer.status_code, answer.content) == (206, whole[begin : end + 1])
+    assert answer.headers["content-range"] == f"bytes {begin}-{end}/{len(whole)}"
+
+
+@pytest.mark.parametrize(
+    "asked", ["bytes=99999999999-", "bytes=-0", "bytes=99999999999-, -0", "bytes=" + "9" * 5000 + "-"]
+)
+def test_where_there_is_no_part_of_all_that_is_said(client: TestClient, asked: str) -> None:
+    link = post(client).json()["links"]["ply"]
+    assert_problem(client.get(link, headers={"Range": asked}), 416, "range_not_satisfiable", "Range")
+
+
+def test_several_parts_come_one_behind_the_other(client: TestClient) -> None:
+    link = post(client).json()["links"]["ply"]
+    whole = client.get(link).content
+    answer = client.get(link, headers={"Range": "bytes=0-3, 99999999999-, 10-13"})
+    assert answer.status_code == 206
+    assert answer.headers["content-type"].startswith("multipart/byteranges")
+    assert whole[:4] in answer.content
+    assert whole[10:14] in answer.content
+
+
 @pytest.mark.parametrize("extension", ["obj", "compressed", "PLY", "ply.gz", "sog", ".ply", "spz%20"])
 def test_another_extension_is_named_with_those_that_there_are(client: TestClient, extension: str) -> None:
     scene = post(client).json()

@@ -188,6 +188,7 @@ def test_a_stored_scene_is_not_guessed_at_again(client: TestClient) -> None:
         (bytes(64), {"opacity": "maybe"}, 422, "parameter_invalid", "opacity"),
         (bytes(64), {"colour": "red"}, 422, "parameter_invalid", "colour"),
         (bytes(64), {"near": "nan"}, 422, "parameter_invalid", "near"),
+        (bytes(64), {"near": "1_0"}, 422, "parameter_invalid", "near"),
         (file_of("ply"), {"near": "5", "far": "2"}, 422, "depth_range_invalid", "near"),
         (bytes(MAX_UPLOAD + 1), {}, 413, "upload_too_large", "body"),
     ],
@@ -214,6 +215,8 @@ def test_forms_that_are_none(client: TestClient) -> None:
     )
     assert_problem(load_form(client, data, axes="xyz"), 422, "parameter_invalid", "axes")
     assert_problem(load_form(client, data, colour="red"), 422, "parameter_invalid", "colour")
+    assert_problem(load_form(client, data, far="1_0"), 422, "parameter_invalid", "far")
+    assert_problem(load_form(client, data, far="9" * 20_000), 413, "upload_too_large", "far")
     assert_problem(load_form(client, data, cameras={"views": []}), 422, "camera_invalid")
     assert_problem(load_form(client, data, cameras=camera_object(101)), 422, "invalid_input", "cameras")
     beside = client.post("/scenes", params={"axes": "rdf"}, files=[("file", ("a.ply", data))])

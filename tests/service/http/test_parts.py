@@ -13,6 +13,7 @@ from starlette.requests import ClientDisconnect
 
 from gapmes.service.errors import InputError, MalformedRequest, NotAcceptable, ServiceBusy
 from gapmes.service.http.gate import Lane
+from gapmes.service.http.jobs import wanted_async
 from gapmes.service.http.limits import parse_json
 from gapmes.service.http.responses import JSON, PLY, ZIP, accepted
 from gapmes.service.problem_document import of_error
@@ -86,16 +87,37 @@ def test_nothing_is_drawn_for_a_client_that_left_or_waited_too_long() -> None:
         ("application/json;q=0, */*", PLY),
         ("application/zip;q=0.9, application/json;q=0.8", ZIP),
         ("text/html, */*;q=0.1", JSON),
+        ("application/json;q=nan", JSON),
+        ("application/zip;q=x, application/json;q=0.5", ZIP),
+        ("application/octet-stream;q=-1", PLY),
+        ("application/json;q=0_0", JSON),
+        ("application/json;q=0.2, application/zip;q=inf", ZIP),
     ],
 )
 def test_accepted(header: str | None, kind: str) -> None:
     assert accepted(header) == kind
 
 
-@pytest.mark.parametrize("header", ["text/html", "*/*;q=0", "application/json;q=nan", "application/json;q=x"])
+@pytest.mark.parametrize("header", ["text/html", "*/*;q=0", "application/json;q=0.000"])
 def test_not_accepted(header: str) -> None:
     with pytest.raises(NotAcceptable):
         accepted(header)
+
+
+@pytest.mark.parametrize(
+    ("preferences", "wanted"),
+    [
+        (["respond-async"], True),
+        (["respond-async; foo=1"], True),
+        (["wait=10, Respond-Async ;foo"], True),
+        (["wait=10", "respond-async"], True),
+        (["wait; respond-async"], False),
+        (["respond-asynchronously"], False),
+        ([], False),
+    ],
+)
+def test_preferences_have_parameters(preferences: list[str], wanted: bool) -> None:
+    assert wanted_async(preferences) == wanted
 
 
 def test_json_numbers_never_overflow_later() -> None:

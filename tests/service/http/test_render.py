@@ -190,6 +190,8 @@ def test_unknown_view(client: TestClient, scene: dict[str, Any], view: str) -> N
         ("width=0", "width"),
         ("width=-5", "width"),
         ("width=abc", "width"),
+        ("width=6_4", "width"),
+        ("stop=0.0_1", "stop"),
         ("height=99999999999999999999", "height"),
         ("channel=red", "channel"),
         ("format=gif", "format"),

@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -59,11 +62,29 @@ def test_a_name_that_is_nearly_a_setting_is_refused(
     assert one_line(capfd) == "error: GAPMES_WORKER: is no setting (set GAPMES_WORKERS if that is meant, or unset it)"
 
 
+@pytest.mark.usefixtures("refused")
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_address_that_cannot_be_listened_on_is_refused_once(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], workers: int
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        for host, field, why in (
+            ("127.0.0.1", "port", f"port {port} of 127.0.0.1: Address already in use"),
+            ("0.0.0.0", "port", f"port {port} of 0.0.0.0: Address already in use"),
+            ("localhost", "port", f"port {port} of localhost: Address already in use"),
+            ("192.0.2.1", "host", "'192.0.2.1': Cannot assign requested address"),
+            ("no..name", "host", "'no..name': "),
+        ):
+            assert run("serve", "--workers", workers, "--host", host, "--port", port, "--store", tmp_path) == 1
+            assert one_line(capfd).startswith(f"error: {field}: the service cannot listen on {why}")
+
+
 STARTS_NOTHING = """
 import sys, uvicorn
 from gapmes.service.cli import main
 uvicorn.run = lambda *_, **__: None
-main(["serve", "--workers", "2", "--store", sys.argv[1]])
+main(["serve", "--port", "0", "--workers", "2", "--store", sys.argv[1]])
 """
 
 
@@ -133,6 +154,50 @@ def test_workers_are_replaced_on_sighup_and_end_with_who_watches_them(tmp_path: 
         assert not shared.exists()
         with pytest.raises(httpx.ConnectError):
             httpx.get(f"{client.base_url}/healthz")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_it_serves_and_ends_where_all_streams_are_closed(tmp_path: Path, standin_model: Path, workers: int) -> None:
+    more = {"shell": "<&- >&- 2>&-", "GAPMES_WORKERS": str(workers)}
+    with serving(tmp_path / "scenes", standin_model, tmp_path / "log", **more) as (client, process):
+        assert post(client).status_code == 201
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(120) == 0
+
+
+def test_a_full_log_does_not_keep_it_from_ending(tmp_path: Path, standin_model: Path) -> None:
+    more = {"shell": ">/dev/full 2>&1", "PYTHONUNBUFFERED": ""}
+    with serving(tmp_path / "scenes", standin_model, tmp_path / "log", **more) as (_, process):
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(120) == 0
+
+
+@contextmanager
+def hangup(action: signal.Handlers) -> Iterator[None]:
+    """What processes that are started meanwhile do about SIGHUP unless they decide otherwise."""
+    before = signal.signal(signal.SIGHUP, action)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_it_ends_in_order_with_its_terminal(tmp_path: Path, standin_model: Path) -> None:
+    """One process, that is: several are replaced by that signal."""
+    with hangup(signal.SIG_DFL), serving(tmp_path / "scenes", standin_model, tmp_path / "log") as (_, process):
+        process.send_signal(signal.SIGHUP)
+        assert process.wait(120) == 0
+    assert "Application shutdown complete" in (tmp_path / "log").read_text()
+
+
+def test_it_outlives_its_terminal_where_that_is_asked_for(tmp_path: Path, standin_model: Path) -> None:
+    """As with nohup."""
+    with hangup(signal.SIG_IGN), serving(tmp_path / "scenes", standin_model, tmp_path / "log") as (client, process):
+        process.send_signal(signal.SIGHUP)
+        assert post(client).status_code == 201
+        assert httpx.get(f"{client.base_url}/healthz", timeout=120).status_code == 200  # over a connection of its own
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(120) == 0
 
 
 def test_it_ends_in_order_with_what_it_has_begun(tmp_path: Path, standin_model: Path) -> None:

@@ -1,0 +1,10 @@
+"""Numbers as people write them: ASCII digits, a point, a sign, an exponent; not all that Python's own `float` reads."""
+
+from __future__ import annotations
+
+
+def plain_float(text: str) -> float:
+    """The number, which may be infinite or NaN. Raises `ValueError` for anything else, also 1_0 and other digits."""
+    if not text.isascii() or "_" in text:
+        raise ValueError(f"{text[:50]!r} is not a number")
+    return float(text)

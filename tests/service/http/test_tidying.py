@@ -1,0 +1,39 @@
+"""What a running service tidies now and then: each part of it whatever becomes of the other."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from gapmes.service.http import runtime as runtime_module
+from gapmes.service.http.runtime import Runtime
+from gapmes.service.settings import Settings
+
+
+@pytest.mark.parametrize("broken", ["store", "desk"])
+def test_what_cannot_be_tidied_does_not_keep_the_rest_from_it(
+    settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, broken: str
+) -> None:
+    runtime = Runtime(settings.model_copy(update={"store": tmp_path}))
+    told: list[str] = []
+
+    def tidy(part: str) -> None:
+        told.append(part)
+        if part == broken:
+            raise OverflowError("a number that no clock shows")
+
+    monkeypatch.setattr(runtime_module, "TIDY_S", 0.001)
+    monkeypatch.setattr(runtime.store, "evict_old", lambda: tidy("store"))
+    monkeypatch.setattr(runtime.desk, "tidy", lambda: tidy("desk"))
+
+    async def for_two_rounds() -> None:
+        task = asyncio.create_task(runtime._tidy())
+        while len(told) < 4:
+            await asyncio.sleep(0.001)
+        task.cancel()
+
+    asyncio.run(asyncio.wait_for(for_two_rounds(), 120))
+    assert told[:4] == ["store", "desk", "store", "desk"]
+    assert "a number that no clock shows" in caplog.text
