@@ -20,6 +20,7 @@ from .fold import folded
 from .graph import SceneGraph, folded_position_embeddings
 from .linear_layers import deployed_linear_layers
 from .samples import random_scene
+from .size import Size
 
 OPSET = 20  # the newest that every backend named in the documentation reads
 MIN_VIEWS, MAX_VIEWS = 2, 6
@@ -33,10 +34,8 @@ def export_graph(network: Network, height: int, width: int) -> onnx.ModelProto:
     Raises `ValueError` for a size that is not a multiple of the network's step, `onnx.checker.ValidationError` for a
     broken graph.
     """
-    step = network.config.size_step
-    for name, size in (("height", height), ("width", width)):
-        if size < 32 or size % step:
-            raise ValueError(f"{name} is {size} px, need a multiple of {step} of at least 32")
+    if misfit := Size(height, width).misfit(network.config.size_step):
+        raise ValueError(misfit)
     graph = SceneGraph(network).eval()
     example = random_scene(TRACE_VIEWS, height, width, seed=0)
     views = Dim("V", min=MIN_VIEWS, max=MAX_VIEWS)

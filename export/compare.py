@@ -25,7 +25,8 @@ class Deviation:
 
 
 def deviation(value: NDArray, reference: NDArray, mask: NDArray[np.bool_] | None = None) -> Deviation:
-    """Errors over the rows that `mask` (of the leading axes) keeps; what is not finite is an infinite error.
+    """Errors over the rows that `mask` (of the leading axes) keeps; what is not finite, or not there, is an infinite
+    error.
 
     Raises `ValueError` when the shapes differ: a graph that baked in a view count must not pass by broadcasting.
     """
@@ -35,9 +36,7 @@ def deviation(value: NDArray, reference: NDArray, mask: NDArray[np.bool_] | None
     scale = float(np.abs(reference).max(initial=0.0)) if finite else np.inf
     if mask is not None:
         value, reference = value[mask], reference[mask]
-    if value.size == 0:
-        return Deviation(0.0, 0.0, 0.0, 0.0, scale, finite)
-    if not finite:
+    if not finite or value.size == 0:
         return Deviation(np.inf, np.inf, np.inf, 1.0, scale, finite)
     error = np.abs(value.astype(np.float64) - reference.astype(np.float64)).ravel() / (scale if scale > 0 else 1.0)
     return Deviation(

@@ -36,6 +36,11 @@ def untouched_elements(flipped: NDArray[np.bool_], reference: Outputs) -> dict[s
     return untouched(flipped, height, width, len(reference["means"]))
 
 
+def share_left(flipped: NDArray[np.bool_], reference: Outputs) -> float:
+    """The least share of untouched elements, over their kinds: below `LEFT` a comparison of them says too little."""
+    return float(min(mask.mean() for mask in untouched_elements(flipped, reference).values()))
+
+
 def deviations(values: Outputs, reference: Outputs, flipped: NDArray[np.bool_], case: Case) -> dict[str, Deviation]:
     """Of every output but the indices, in the units of a picture, outside what `flipped` (V, P) patches reach."""
     ours, theirs = comparable(values, reference, float(case.inputs.near_far[0]))
@@ -59,6 +64,6 @@ def beside_float64(values: Outputs, reference: Outputs, network: Network, case: 
     kept = case.inputs.patch_mask.numpy()
     flipped = flipped_patches(values, exact, kept) | flipped_patches(reference, exact, kept)
     exported, single = (deviations(result, exact, flipped, case) for result in (values, reference))
-    if min(mask.mean() for mask in untouched_elements(flipped, exact).values()) < LEFT:
+    if share_left(flipped, exact) < LEFT:
         return {name: BesideFloat64(UNKNOWN, UNKNOWN) for name in exported}
     return {name: BesideFloat64(exported[name], single[name]) for name in exported}

@@ -31,6 +31,13 @@ class Size(NamedTuple):
             raise InputError(f"is {size} px, need {LEAST} or more for each side", field="size")
         return size
 
+    def misfit(self, step: int) -> str | None:
+        """What is wrong with it for a network whose sides are multiples of `step` px, or nothing."""
+        for name, side in zip(self._fields, self, strict=True):
+            if side < LEAST or side % step:
+                return f"{name} is {side} px, need a multiple of {step} of at least {LEAST}"
+        return None
+
     def order(self) -> tuple[int, int, int]:
         """More pixels come later."""
         return (self.height * self.width, *self)

@@ -51,7 +51,6 @@ def load_variant(checkpoint: Path, variant: Variant) -> Loaded:
 
 def with_top_k(config: ModelConfig, top_k: int) -> ModelConfig:
     """The configuration with another number of experts per patch. Raises `ValueError`."""
-    most = 0 if config.without_experts else config.experts
-    if not 1 <= top_k <= most:
-        raise ValueError(f"top_k is {top_k}, need 1 to {most}: the network has so many experts")
+    if config.without_experts:
+        raise ValueError(f"top_k is {top_k}, but the network has no experts")
     return replace(config, top_k=top_k)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -52,6 +53,13 @@ class ModelConfig:
     without_depth: bool = False  # Table 5: no depth stream
     without_experts: bool = False  # Table 5: no feature-learning experts and no gate for them
     without_tasks: bool = False  # Table 5: no task gate, every head reads the full map
+
+    def __post_init__(self) -> None:
+        """Raises `ValueError` for routing that means nothing."""
+        if not self.without_experts and not 1 <= self.top_k <= self.experts:
+            raise ValueError(f"top_k is {self.top_k}, need 1 to {self.experts}: the network has so many experts")
+        if not 0 < self.temperature < math.inf:
+            raise ValueError(f"temperature is {self.temperature}, need a number above 0")
 
     @property
     def size_step(self) -> int:

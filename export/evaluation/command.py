@@ -25,6 +25,9 @@ def evaluate(
         typer.Argument(metavar="SCENE_DIR...", help="folders with images/ and cameras.json that has `suggested` views"),
     ] = None,
     generated: Annotated[int | None, typer.Option(min=0, help="number of generated scenes")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="of the generated scenes [default: that of the printed figures]")
+    ] = None,
     inputs: Annotated[list[int] | None, typer.Option(min=2, max=3, help="2 or 3; repeat for both")] = None,
     size: Annotated[list[str] | None, typer.Option(help="side in px, or HEIGHTxWIDTH; repeat for several")] = None,
     model: Annotated[
@@ -68,7 +71,7 @@ def evaluate(
         torch.set_num_threads(threads)
     engines = checked_engines(engine or (DEFAULT_ENGINE,))
     sizes = [Size.parse(text) for text in size or ()]
-    plans = evaluation_plans(scenes or (), generated, inputs or (), sizes, model or ())
+    plans = evaluation_plans(scenes or (), generated, inputs or (), sizes, model or (), seed)
     with ProgressBars(quiet=quiet) as bars:
         try:
             report = run(

@@ -9,16 +9,17 @@ from pathlib import Path
 import torch
 from safetensors import safe_open
 
-from gapmes.model.checkpoint import shipped_checkpoint
+from gapmes.model.checkpoint import read_config, shipped_checkpoint
 from gapmes.model.weights_file import file_sha256
 from gapmes.service.backends.choice import DEFAULT_ENGINE, EngineName, checked_engine, made_by
 from gapmes.service.engine import Arrays, Engine
-from gapmes.service.errors import ModelError
+from gapmes.service.errors import InputError, ModelError
 from gapmes.service.progress import Listener, silent
 from gapmes.service.shipped import shipped_model
 
 from ..pipeline import export_checkpoint
 from ..size import Size
+from .labels import given_twice, shortest_names
 
 CHECKPOINT = ".safetensors"
 _BALANCES = {"experts": "mixture.gates.expert_balance", "tasks": "mixture.gates.task_balance"}
@@ -95,6 +96,17 @@ def checked_engines(names: Sequence[str]) -> list[EngineName]:
     return engines
 
 
+def check_sizes(files: Sequence[Path], sizes: Sequence[Size]) -> None:
+    """Raises `InputError` for a size that a checkpoint among the files, or without files the shipped one, cannot be
+    exported for, and `CheckpointError` for a file that is none."""
+    sources = [path for path in files if path.suffix == CHECKPOINT] if files else [shipped_checkpoint("tiny")]
+    for source in sources:
+        step = read_config(source).size_step
+        for size in sizes:
+            if misfit := size.misfit(step):
+                raise InputError(f"{source.name} cannot be exported for {size} px: {misfit}", field="size")
+
+
 def model_sizes(files: Sequence[Path]) -> list[Size]:
     """Of the ONNX files, those with most pixels first."""
     infos = [Engine(path, threads=1).info for path in files if path.suffix != CHECKPOINT]
@@ -163,8 +175,8 @@ def gate_lambdas(checkpoint: Path) -> dict[str, float]:
 
 
 def _labels(files: Sequence[Path]) -> list[str]:
-    """The shortest of stem, name and path that tells the files apart. Raises `ModelError` for a file given twice."""
-    for labels in ([p.stem for p in files], [p.name for p in files], [str(p) for p in files]):
-        if len(set(labels)) == len(labels):
-            return labels
-    raise ModelError(f"{', '.join(labels)}: the same file twice", field="model")
+    """The stems of the files, or as much of their paths as tells them apart. Raises `ModelError` for a file twice."""
+    if (twice := given_twice(files)) is not None:
+        raise ModelError(f"{twice} is given twice", field="model")
+    stems = [path.stem for path in files]
+    return stems if len(set(stems)) == len(stems) else shortest_names(files)

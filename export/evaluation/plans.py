@@ -8,9 +8,11 @@ from pathlib import Path
 from gapmes.service.errors import InputError
 
 from ..size import Size
-from .case import NoSuchViews, suggested_views
+from .case import GENERATED_SEED
+from .labels import given_twice, shortest_names
 from .models import model_sizes
 from .run import GroupPlan
+from .suggested import NoSuchViews, suggested_views
 
 PHOTOGRAPH_SIZES = (Size.square(256), Size.square(128))
 PHOTOGRAPH_INPUTS, GENERATED_INPUTS = (2, 3), (2,)
@@ -24,31 +26,38 @@ def evaluation_plans(
     inputs: Sequence[int],
     sizes: Sequence[Size],
     files: Sequence[Path],
+    seed: int | None = None,
 ) -> list[GroupPlan]:
     """Photographs first, large sizes first. What is not given: see the constants.
 
     Without scenes and number of generated ones, the scenes beside the checkout and `GENERATED`. Without sizes, those of
-    the ONNX `files`, where there are any. Raises `InputError` when that leaves nothing.
+    the ONNX `files`, where there are any. Raises `InputError` when that leaves nothing, for a scene given twice, and
+    for a seed without generated scenes.
     """
     sizes = sizes or model_sizes(files)
     of_size = dict.fromkeys(sizes or (GENERATED_SIZE,), generated or 0)
     if not scenes and generated is None:
         scenes = neighbouring_scenes()
         of_size = {size: GENERATED.get(size, MOST_GENERATED) for size in sizes or GENERATED}
+    if (twice := given_twice(scenes)) is not None:
+        raise InputError(f"{twice} is given twice and would count so in the means", field="SCENE_DIR")
+    folders = dict(zip(shortest_names(scenes), scenes, strict=True))
     plans = [
-        GroupPlan(count, size, folders=tuple(scenes))
+        GroupPlan(count, size, folders=folders)
         for size in (sizes or PHOTOGRAPH_SIZES)
         for count in (inputs or PHOTOGRAPH_INPUTS)
         if scenes
     ]
     plans += [
-        GroupPlan(count, size, generated=scenes_of_size)
+        GroupPlan(count, size, generated=scenes_of_size, seed=GENERATED_SEED if seed is None else seed)
         for size, scenes_of_size in of_size.items()
         for count in (inputs or GENERATED_INPUTS)
         if scenes_of_size
     ]
     if not plans:
         raise InputError("0 scenes and 0 generated ones", field="SCENE_DIR", cure="name a folder or --generated 100")
+    if seed is not None and not any(plan.generated for plan in plans):
+        raise InputError(f"is {seed}, but no scene is generated", field="seed", cure="add --generated 100")
     return plans
 
 

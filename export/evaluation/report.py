@@ -117,6 +117,7 @@ def _group_entry(group: Group) -> dict[str, Any]:
         "inputs": group.inputs,
         "height": group.size.height,
         "width": group.size.width,
+        "seed": group.seed,
         "covisible_from": group.covisible_from,
         "left_out": dict(group.left_out),
         "mean": means,

@@ -8,20 +8,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from gapmes.service.backends.choice import DEFAULT_ENGINE, EngineName
-from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.errors import InputError
 from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.progress import Listener, Stages, silent
 
 from ..size import Size
-from .case import Case, NoSuchViews, generated_cases, photograph_case, suggested_views
+from .case import GENERATED_SEED, Case, generated_cases, photograph_case
+from .labels import file_stems
 from .lpips import Lpips
 from .measure import Measured, measure
-from .models import Model, load_models
+from .models import Model, check_sizes, load_models
 from .report import Report
 from .routing import routing_statistics
 from .scores import Group
 from .sheets import scene_sheet
+from .suggested import NoSuchViews, suggested_views
 
 GENERATED_SHEETS = 8  # pictures: of the generated scenes the worst beside baselines, of photographs every one
 
@@ -32,9 +33,10 @@ class GroupPlan:
 
     inputs: int
     size: Size
-    folders: Sequence[Path] = ()
+    folders: Mapping[str, Path] = field(default_factory=dict)  # by the names that the report gives them
     generated: int = 0
-    left_out: Mapping[str, str] = field(default_factory=dict)  # folders that suggest no such views, with the reason
+    seed: int = GENERATED_SEED  # of the generated ones
+    left_out: Mapping[str, str] = field(default_factory=dict)  # those that suggest no such views, with the reason
 
     @property
     def kind(self) -> str:
@@ -61,12 +63,13 @@ def evaluate(
 
     A folder that suggests no views for a plan is left out, with the reason in the report. Raises `GapmesError`.
     """
-    plans = [_looked_at(plan) for plan in plans]  # an export takes minutes
+    sizes = sorted({plan.size for plan in plans}, key=Size.order, reverse=True)
+    check_sizes(files, sizes)  # here and not one by one: an export takes minutes
+    plans = [_looked_at(plan) for plan in plans]
     out.mkdir(parents=True, exist_ok=True)
     weights = None if lpips is None else Lpips.load(lpips)
     stages = Stages(listener)
     with tempfile.TemporaryDirectory() as scratch:
-        sizes = sorted({plan.size for plan in plans}, key=Size.order, reverse=True)
         models = load_models(files, sizes, Path(scratch), engines=engines, threads=threads, listener=listener)
     report = Report(models, [], None if lpips is None else lpips.name, fade)
     for plan in plans:
@@ -95,10 +98,11 @@ def _group(
         for earlier in out.glob(f"generated_*{ending}"):  # which scenes are worst depends on the model
             earlier.unlink()
     worst: list[tuple[Case, Measured]] = []
+    stems = file_stems(plan.folders)
 
     def draw(case: Case, measured: Measured) -> None:
         sheet = scene_sheet(case, measured, first)
-        sheet.save(out / f"{case.name.replace(' ', '_')}{ending}")
+        sheet.save(out / f"{stems[case.name]}{ending}")
 
     for number, case in enumerate(_cases(plan), start=1):
         measured = measure(case, models, lpips=lpips, twice=twice, fade=fade, threads=threads)
@@ -110,6 +114,7 @@ def _group(
         else:
             draw(case, measured)
         done(number)
+    stems |= file_stems(case.name for case, _ in worst)
     for case, measured in worst:
         draw(case, measured)
     statistics = {
@@ -119,20 +124,19 @@ def _group(
         for model in models
     }
     source = "true depth" if plan.generated else f"rendered depth of {first}"
-    return Group(plan.kind, plan.inputs, plan.size, source, scenes, statistics, plan.left_out)
+    seed = plan.seed if plan.generated else None
+    return Group(plan.kind, plan.inputs, plan.size, source, scenes, statistics, plan.left_out, seed)
 
 
 def _looked_at(plan: GroupPlan) -> GroupPlan:
     """With the folders that can be measured; raises `InputError` where one is no scene folder, or none of them can."""
-    folders, left_out = [], {}
-    for folder in plan.folders:
+    folders, left_out = {}, {}
+    for name, folder in plan.folders.items():
         try:
             suggested_views(folder, plan.inputs)
+            folders[name] = folder
         except NoSuchViews as refusal:
-            left_out[folder.name] = str(refusal)
-            continue
-        load_scene_folder(folder)
-        folders.append(folder)
+            left_out[name] = str(refusal)
     if left_out and not folders:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
         raise InputError(f"no scene has {plan.inputs} inputs with targets ({reasons})", field="SCENE_DIR")
@@ -141,6 +145,6 @@ def _looked_at(plan: GroupPlan) -> GroupPlan:
 
 def _cases(plan: GroupPlan) -> Iterator[Case]:
     if plan.generated:
-        yield from generated_cases(plan.generated, plan.inputs, *plan.size)
-    for folder in plan.folders:
-        yield photograph_case(folder, plan.inputs, *plan.size)
+        yield from generated_cases(plan.generated, plan.inputs, *plan.size, seed=plan.seed)
+    for name, folder in plan.folders.items():
+        yield photograph_case(folder, plan.inputs, *plan.size, name=name)

@@ -76,10 +76,12 @@ class Group:
     scenes: Sequence[SceneScore]
     routing: Mapping[str, RoutingStatistics | None]  # per model
     left_out: Mapping[str, str] = field(default_factory=dict)  # scene -> reason
+    seed: int | None = None  # of generated scenes
 
     @property
     def title(self) -> str:
-        return f"{self.kind}, {self.inputs} views, {self.size} px"
+        kind = self.kind if self.seed is None else f"{self.kind} (seed {self.seed})"
+        return f"{kind}, {self.inputs} views, {self.size} px"
 
     @property
     def models(self) -> list[str]:

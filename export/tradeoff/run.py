@@ -22,6 +22,7 @@ from gapmes.service.progress import Listener, Stages, silent
 from gapmes.service.pruning import BAND_NORMS, colour_range
 from gapmes.service.scene_views import NEAR_PLANE_SHARE
 
+from ..evaluation.labels import given_twice, shortest_names
 from ..evaluation.lpips import Lpips
 from . import files, knobs
 from .child import Timed, timed
@@ -49,14 +50,15 @@ def report(
     """Measure on the scenes in `folders` and write report.json, its schema, report.md and pareto.png into `out`.
 
     Times are those of the first scene. `quick` leaves out the exports that take minutes, and all scenes but the first.
-    Raises `InputError` for a folder that is no scene, and for one that is given twice and would count so in the means.
+    Raises `InputError` for a folder that is no scene or suggests views that are not there, and for one that is given
+    twice and would count so in the means.
     """
     started, stages = time.perf_counter(), Stages(listener)
-    for number, folder in enumerate(folders):
-        if any(folder.resolve() == other.resolve() for other in folders[:number]):
-            raise InputError(f"{folder} is given twice, or is the sample scene", field="scene")
+    if (twice := given_twice(folders)) is not None:
+        raise InputError(f"{twice} is given twice, or is the sample scene", field="scene")
+    named = list(zip(folders, shortest_names(folders), strict=True))
+    scenes = [load_scene(*scene) for scene in (named[:1] if quick else named)]
     out.mkdir(parents=True, exist_ok=True)
-    scenes = [load_scene(folder) for folder in (folders[:1] if quick else folders)]
     weights = None if lpips is None else Lpips.load(lpips)
     with stages.stage("export files"):
         models = files.quick_files(out) if quick else files.all_files(out)

@@ -9,7 +9,8 @@ import numpy as np
 
 from gapmes.service.images import FittedView
 
-from ..evaluation.case import Case, photograph_case, suggested_views
+from ..evaluation.case import Case, photograph_case
+from ..evaluation.suggested import suggested_views
 from .child import Given
 
 SIZE = 256  # px of the targets
@@ -25,13 +26,14 @@ class Scene:
     more: dict[int, Given]
 
 
-def load_scene(folder: Path) -> Scene:
-    """The suggested two inputs and their targets; up to two further inputs where views are left over.
+def load_scene(folder: Path, name: str | None = None) -> Scene:
+    """The suggested two inputs and their targets; up to two further inputs where views are left over. The folder's own
+    name unless another is given.
 
-    Raises `InputError` for what is no scene folder.
+    Raises `InputError` for what is no scene folder and for views that are not there.
     """
-    case = photograph_case(folder, 2, SIZE, SIZE)
-    return Scene(folder.name, _given(case), case.targets, _more(folder, case))
+    case = photograph_case(folder, 2, SIZE, SIZE, name)
+    return Scene(case.name, _given(case), case.targets, _more(folder, case))
 
 
 def _given(case: Case) -> Given:
@@ -39,11 +41,10 @@ def _given(case: Case) -> Given:
 
 
 def _more(folder: Path, case: Case) -> dict[int, Given]:
-    from gapmes.service.captures.capture import load_scene_folder
     from gapmes.service.images import decode_image, match_photo
 
-    context, targets = suggested_views(folder, 2)
-    scene = load_scene_folder(folder)
+    suggested = suggested_views(folder, 2)
+    scene, context, targets = suggested.scene, suggested.inputs, suggested.targets
     spare = [i for i in range(len(scene.file.views)) if i not in (*context, *targets)]
     found = {}
     for count in (3, 4):

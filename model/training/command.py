@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--preset", choices=sorted(PRESETS), default="tiny")
     parser.add_argument("--recipe", choices=sorted(RECIPES), default="whole", help="finish: more steps after a run")
     parser.add_argument("--initial-weights", type=Path, metavar="FILE", help="start from this checkpoint of the preset")
-    parser.add_argument("--steps", type=_at_least(1), help="default: the recipe's")
+    parser.add_argument("--steps", type=_at_least(0), help="default: the recipe's; 0 trains nothing")
     parser.add_argument("--seed", type=int, help="default: the recipe's")
     parser.add_argument(
         "--processes", type=int, choices=(1, 2), default=1, help="share the scenes of each step (default 1)"
@@ -119,7 +119,9 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     if options.json:
         log = options.out / LOG
-        sys.stdout.write(json.dumps({"weights": str(options.out / WEIGHTS), "last": read_rows(log)[-1]}) + "\n")
+        rows = read_rows(log) if log.is_file() else []  # a run of no steps has none
+        last = rows[-1] if rows else None
+        sys.stdout.write(json.dumps({"weights": str(options.out / WEIGHTS), "last": last}) + "\n")
     return 0
 
 

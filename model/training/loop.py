@@ -60,8 +60,8 @@ def train(
     Every random number of a step comes from (seed, step, worker), so a resumed run sees what an unbroken one would
     have seen. `backbones` gives the frozen parts of a preset that has them; `initial` is a checkpoint of this
     configuration to start from instead of from random numbers, frozen parts and all; `listener` hears of every step.
-    Several workers divide each step's scenes between them: raises `Refused` when they cannot. Raises
-    `CheckpointError` for a checkpoint of another configuration.
+    Several workers divide each step's scenes between them: raises `Refused` when they cannot, and in a folder whose run
+    is another one or has another number of them. Raises `CheckpointError` for a checkpoint of another configuration.
     """
     if backbones is not None and initial is not None:
         raise ValueError("backbones: the weights to start from carry the frozen parts already; give one of both")
@@ -119,6 +119,7 @@ def _run(
         "initial": None if initial is None else file_sha256(initial),
         "precision": "bfloat16" if coarse else "float32",
         "revision": REVISION,
+        "process count": str(worker.count),  # each draws its own noise, and what is withheld
     }
     start, seconds, sums = restore_state(folder, identity, model, average, optimiser)
     held_out: dict[str, list[TensorBatch]] = {}
@@ -126,6 +127,7 @@ def _run(
         forget_rows_after(folder, start)
         for part, report in fits.items():
             report.write(folder / f"{part}.checkpoint.json")
+    if worker.leads and start < recipe.steps:
         held_out = {
             "wide": validation_batches(128, validation_scenes, (0.18, 0.5)),
             "narrow": validation_batches(128, max(1, validation_scenes // 2), (0.06, 0.15)),

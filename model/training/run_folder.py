@@ -22,7 +22,7 @@ LOG = "log.jsonl"
 LOCK = "lock"
 
 
-REVISION = "2"  # of what a state holds and of where random numbers come from: another one is another run
+REVISION = "3"  # of what a state holds and of where random numbers come from: another one is another run
 
 
 class Refused(ValueError):

@@ -14,12 +14,13 @@ import torch
 import torch.distributed as distributed
 import torch.multiprocessing as multiprocessing
 from torch import nn
-from torch.multiprocessing.spawn import ProcessRaisedException
+from torch.multiprocessing.spawn import ProcessException
 
 from ..weights_file import CheckpointError
 from .run_folder import Refused
 
 LONGEST_WAIT = timedelta(hours=1)  # one process validates and saves while the others wait
+REFUSAL = "refusal"  # a file beside the place where they meet
 
 
 @dataclass(frozen=True)
@@ -49,32 +50,36 @@ class Worker:
 def run_workers(count: int, threads: int, work: Callable[..., None], *arguments: object) -> None:
     """Call `work(worker, *arguments)` in `count` processes of `threads` threads; any failure ends them all.
 
-    A refusal in one of several is raised here as one, anything else as `ProcessException`.
+    A refusal in one of several is raised here as one, also where another, which lost it, is heard first; anything else
+    as `ProcessException`.
     """
     if count == 1:
         _limit_threads(threads)
         work(Worker(), *arguments)
         return
     with tempfile.TemporaryDirectory() as folder:
-        meeting_point = (Path(folder) / "rendezvous").as_uri()
+        refusal = Path(folder) / REFUSAL
         try:
-            multiprocessing.spawn(_start, (count, threads, meeting_point, work, arguments), nprocs=count)
-        except ProcessRaisedException as error:
-            kind, _, message = str(error).strip().rpartition("\n")[2].partition(": ")
-            if kind.rpartition(".")[2] in (Refused.__name__, CheckpointError.__name__):
-                raise Refused(message) from error
+            multiprocessing.spawn(_start, (count, threads, Path(folder), work, arguments), nprocs=count)
+        except ProcessException as error:
+            if refusal.is_file():
+                raise Refused(refusal.read_text(encoding="utf-8")) from error
             raise
 
 
 def _start(
-    rank: int, count: int, threads: int, meeting_point: str, work: Callable[..., None], arguments: tuple[object, ...]
+    rank: int, count: int, threads: int, folder: Path, work: Callable[..., None], arguments: tuple[object, ...]
 ) -> None:
     # the interrupt that comes when the starting process dies; a background shell has it ignored
     signal.signal(signal.SIGINT, signal.default_int_handler)
     _limit_threads(threads)
+    meeting_point = (folder / "rendezvous").as_uri()
     distributed.init_process_group("gloo", init_method=meeting_point, rank=rank, world_size=count, timeout=LONGEST_WAIT)
     try:
         work(Worker(rank, count), *arguments)
+    except (Refused, CheckpointError) as error:  # told before the others lose this process
+        (folder / REFUSAL).write_text(str(error), encoding="utf-8")
+        raise
     finally:
         distributed.destroy_process_group()
 

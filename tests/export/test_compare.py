@@ -46,6 +46,12 @@ def test_masked_rows_do_not_count() -> None:
     assert (found.maximum, found.p99, found.jumps) == (0, 0, 0)
 
 
+def test_what_is_not_compared_is_not_near() -> None:
+    found = deviation(np.ones((4, 3)), np.ones((4, 3)), np.zeros(4, dtype=bool))
+    assert found.finite
+    assert (found.maximum, found.p99, found.mean, found.jumps) == (np.inf, np.inf, np.inf, 1)
+
+
 def test_a_reference_that_is_not_finite_never_passes() -> None:
     found = deviation(np.zeros(10_000), np.where(np.arange(10_000) == 7, np.nan, 0.0))
     assert not found.finite

@@ -9,12 +9,15 @@ import onnx
 import pytest
 import torch
 from numpy.typing import NDArray
-from spoiled import spoil
+from spoiled import spoil, spoil_ties
 
 from gapmes.export import deviations as judging
+from gapmes.export import verify as verifying
 from gapmes.export.cases import Case, sample_scene
+from gapmes.export.gate_settings import GateSetting, gate_values, with_gates
 from gapmes.export.graph import evaluated
 from gapmes.export.report import CaseResult
+from gapmes.export.samples import random_scene
 from gapmes.export.tolerance import CEILINGS, TOLERANCES, UNDETERMINED_CEILINGS, Tolerance
 from gapmes.export.verify import verify
 from gapmes.model.network import GaPMeS
@@ -89,6 +92,38 @@ def test_a_small_error_is_no_rounding(
     assert any(failure.startswith("opacities: p99") and "beside float64" in failure for failure in result.failures)
     found = result.beside_float64["opacities"]
     assert found.exported.p99 > 10 * found.torch.p99
+
+
+@pytest.mark.parametrize("gates", ["all tied", "one expert", "two experts"])
+def test_ties_that_go_to_another_index_fail(model: onnx.ModelProto, network: GaPMeS, gates: GateSetting) -> None:
+    """Gates that were set leave nothing to rounding; as trained, where nothing ties, the file is as good as any."""
+    spoil_ties(model)
+    scene = random_scene(2, 64, 64, seed=12)
+    spoiled = verified(model, network, Case("random", gates, scene), TOLERANCES["int8"])
+    assert "routes: 32 of 32 differ, 0 allowed" in spoiled.failures
+    assert verified(model, network, Case("random", "as trained", scene), FP32).failures == []
+
+
+@pytest.mark.parametrize("left", [0.49, 0.5])
+def test_where_most_is_excused_nothing_passes(
+    model: onnx.ModelProto, network: GaPMeS, sample: Case, monkeypatch: pytest.MonkeyPatch, left: float
+) -> None:
+    monkeypatch.setattr(verifying, "share_left", lambda *_: left)
+    failures = verified(model, network, sample, FP32).failures
+    assert failures == (["routes: only 49% of the values are left to compare, need 50%"] if left < 0.5 else [])
+
+
+def test_routes_that_rounding_may_decide_excuse_no_empty_comparison(
+    model: onnx.ModelProto, network: GaPMeS, sample: Case
+) -> None:
+    """Every logit is within rounding of the next, and ties go to the highest index."""
+    values = gate_values(network, "all tied")
+    spoil_ties(model)
+    network.load_state_dict(values, strict=False)
+    result = verified(with_gates(model, values), network, sample, FP32)
+    assert result.routes is not None
+    assert (result.routes.flipped, result.routes.flipped_unambiguous) == (32, 0)
+    assert result.failures == ["routes: only 0% of the values are left to compare, need 50%"]
 
 
 @pytest.mark.parametrize("spoiled", ["depth", "all routes", "most routes"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from small_networks import scene, tiny
 
 from gapmes.model.checkpoint import load_checkpoint, save_checkpoint, shipped_checkpoint
-from gapmes.model.config import PRESETS
+from gapmes.model.config import PRESETS, preset
 from gapmes.model.weights_file import CheckpointError
 
 
@@ -111,6 +112,30 @@ def test_a_preset_is_known_by_its_tensors(tmp_path: Path) -> None:
     save_file(weights, path, metadata={"gapmes.config": other.to_json()})
     with pytest.raises(CheckpointError, match=r"its tensors are preset tiny's, its configuration has other experts$"):
         load_checkpoint(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"top_k": 7}, "top_k is 7, need 1 to 6"),
+        ({"top_k": 0}, "top_k is 0, need 1 to 6"),
+        ({"temperature": 0.0}, "temperature is 0.0, need a number above 0"),
+        ({"temperature": -1.0}, "temperature is -1.0, need"),
+        ({"temperature": float("nan")}, "temperature is nan, need"),
+    ],
+)
+def test_routing_that_means_nothing_is_refused(changes: dict[str, float], said: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=said):
+        preset("tiny", **changes)
+    config = json.loads(PRESETS["tiny"].to_json()) | changes
+    path = tmp_path / "wrong.safetensors"
+    save_file(load_file(shipped_checkpoint("tiny")), path, metadata={"gapmes.config": json.dumps(config)})
+    with pytest.raises(CheckpointError, match=said):
+        load_checkpoint(path)
+
+
+def test_without_experts_their_number_does_not_matter() -> None:
+    assert preset("tiny", without_experts=True, top_k=7).top_k == 7
 
 
 def test_why_a_file_cannot_be_read_is_said(tmp_path: Path) -> None:

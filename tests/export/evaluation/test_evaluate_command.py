@@ -18,7 +18,7 @@ from standin_model import METADATA, write_standin
 
 from gapmes.export.evaluation import command, models
 from gapmes.export.evaluation import run as measuring
-from gapmes.export.evaluation.case import GENERATED_SEED, generated_cases, photograph_case
+from gapmes.export.evaluation.case import GENERATED_SEED, generated_cases
 from gapmes.export.evaluation.models import load_models
 from gapmes.export.evaluation.plans import evaluation_plans
 from gapmes.export.evaluation.routing import routing_statistics
@@ -27,7 +27,7 @@ from gapmes.export.size import Size
 from gapmes.model.training.validation import VALIDATION_SEED
 from gapmes.service import cli, extra_commands
 from gapmes.service.backends import choice
-from gapmes.service.errors import InputError, ModelError
+from gapmes.service.errors import ModelError
 from gapmes.service.shipped import sample_folder, shipped_model
 
 
@@ -128,7 +128,7 @@ def refused(capfd: pytest.CaptureFixture[str], words: str) -> None:
 
 
 def test_refusals_are_one_line(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, checkpoint: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
     monkeypatch.setattr(measuring, "load_models", None)  # which may export, for minutes
@@ -153,6 +153,12 @@ def test_refusals_are_one_line(
     refused(capfd, "HEIGHTxWIDTH")
     assert run("--generated", 1, "--size", "64x31", "--out", out) == 1
     refused(capfd, "is 64x31 px, need 32 or more")
+    monkeypatch.setattr(measuring, "load_models", None)
+    for arguments in (("--size", 250), ("--size", 256, "--size", "64x250"), ("--size", 250, "--model", checkpoint)):
+        assert run("--generated", 1, *arguments, "--out", tmp_path / "none") == 1
+        refused(capfd, "is 250 px, need a multiple of 16 of at least 32")
+    assert not (tmp_path / "none").exists()
+    monkeypatch.undo()
     assert run("--generated", 0, "--out", out) == 1
     refused(capfd, "--generated 100")
     (tmp_path / "bad.safetensors").write_bytes(b"not weights")
@@ -213,6 +219,40 @@ def test_pictures_need_not_be_square(tmp_path: Path) -> None:
     assert (out / "sample_2views_48x64px.png").is_file()
 
 
+def test_generated_scenes_of_another_seed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Others than usual, and the report says whose seed they are."""
+    file = write_standin(tmp_path / "wide.onnx", {**METADATA, "config": json.dumps({"sh_degree": 1, "experts": 6})})
+    groups = []
+    for number, seed in enumerate(((), ("--seed", 7))):
+        out = tmp_path / str(number)
+        assert run("--generated", 1, "--model", file, "--fade", 0, *seed, "--out", out) == 0
+        (group,) = json.loads((out / "report.json").read_text())["groups"]
+        groups.append(group)
+        assert f"## generated (seed {group['seed']}), 2 views, 48x64 px" in (out / "report.md").read_text()
+    assert [group["seed"] for group in groups] == [GENERATED_SEED, 7]
+    usual, other = (group["mean"]["nearest input"]["all"]["psnr"] for group in groups)
+    assert usual != other
+    assert run(sample_folder(), "--seed", 7, "--size", 64, "--out", tmp_path / "none") == 1
+    refused(capfd, "seed: is 7, but no scene is generated")
+    assert run("--generated", 1, "--seed", -1, "--out", tmp_path / "none") == 2
+
+
+def test_scenes_of_the_same_last_name_stay_apart(tmp_path: Path) -> None:
+    """In tables, in pictures, and among those that are left out."""
+    for place in ("a", "b", "c"):
+        shutil.copytree(sample_folder(), tmp_path / place / "room")
+    lacking = tmp_path / "c" / "room" / "cameras.json"
+    lacking.write_text(json.dumps({**json.loads(lacking.read_text()), "suggested": {}}))
+    file = write_standin(tmp_path / "wide.onnx", {**METADATA, "config": json.dumps({"sh_degree": 1, "experts": 6})})
+    out = tmp_path / "report"
+    folders = [tmp_path / place / "room" for place in ("a", "b", "c")]
+    assert run(*folders, "--inputs", 2, "--model", file, "--fade", 0, "--out", out) == 0
+    (group,) = json.loads((out / "report.json").read_text())["groups"]
+    assert [entry["scene"] for entry in group["scenes"]] == ["a/room", "b/room"]
+    assert list(group["left_out"]) == ["c/room"]
+    assert sorted(path.name for path in out.glob("*.png")) == [f"{p}_room_2views_48x64px.png" for p in ("a", "b")]
+
+
 def test_plans() -> None:
     folder = sample_folder()
     plans = evaluation_plans([folder], None, [], [], [])
@@ -246,24 +286,6 @@ def test_generated_scenes_are_those_of_their_seed_and_not_of_the_validation() ->
         assert one.truth is not None
         assert one.truth.targets.shape == (2, 32, 48)
     assert not np.array_equal(first[0].targets[0].image, first[1].targets[0].image)
-
-
-def test_a_folder_without_suggested_views_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="context6"):
-        photograph_case(sample_folder(), 6, 64, 64)
-    with pytest.raises(InputError, match=r"cameras\.json is not a file"):
-        photograph_case(tmp_path, 2, 64, 64)
-
-
-def test_a_target_that_is_an_input_is_refused(tmp_path: Path) -> None:
-    folder = tmp_path / "scene"
-    shutil.copytree(sample_folder(), folder)
-    path = folder / "cameras.json"
-    document = json.loads(path.read_text())
-    document["suggested"] = {"context2": [1, 5], "target2": [3, 5, 1]}
-    path.write_text(json.dumps(document))
-    with pytest.raises(InputError, match=r"1, 5 both in context2 = \[1, 5\] and target2 = \[3, 5, 1\].*held out"):
-        photograph_case(folder, 2, 64, 64)
 
 
 @pytest.mark.skipif(find_spec("openvino") is None, reason="pip install 'gapmes[openvino]'")

@@ -21,6 +21,7 @@ from gapmes.model.training.recipe import FINISH, Phase, Recipe
 from gapmes.model.training.scenes import SceneSampler
 from gapmes.model.training.step import to_tensors
 from gapmes.model.training.validation import validate, validation_batches
+from gapmes.model.training.workers import Worker
 from gapmes.model.weights_file import CheckpointError
 
 SMALL = replace(
@@ -255,3 +256,11 @@ def test_a_run_of_another_recipe_is_not_continued(tmp_path: Path) -> None:
     run(replace(SMALL, steps=1), tmp_path)
     with pytest.raises(ValueError, match="another recipe"):
         run(SMALL, tmp_path)
+
+
+def test_a_run_of_another_number_of_processes_is_not_continued(tmp_path: Path) -> None:
+    """Each process draws noise of its own, so that two give other weights than one."""
+    two = replace(SMALL, steps=1, phases=(Phase(1.0, (32,), 2, (2,), (0.1, 0.4)),))
+    run(two, tmp_path)
+    with pytest.raises(run_folder.Refused, match="another process count: 1, asked for 2; use a new folder"):
+        loop.train(preset("tiny"), two, tmp_path, worker=Worker(0, 2))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -108,6 +109,18 @@ def _refuse(worker: Worker) -> None:
 def test_a_refusal_in_a_process_is_a_refusal() -> None:
     with pytest.raises(run_folder.Refused, match=r"^this is refused$"):
         run_workers(2, 1, _refuse)
+
+
+def _refuse_and_stay(worker: Worker) -> None:
+    if worker.leads:
+        threading.Timer(3.0, int).start()  # the process ends after it: the other's failure is heard before
+        raise run_folder.Refused("only one refuses")
+    torch.distributed.all_reduce(torch.zeros(1))
+
+
+def test_a_refusal_is_heard_where_another_process_fails_for_it() -> None:
+    with pytest.raises(run_folder.Refused, match=r"^only one refuses$"):
+        run_workers(2, 1, _refuse_and_stay)
 
 
 def test_a_failure_ends_all(tmp_path: Path) -> None:

@@ -1,0 +1,94 @@
+"""The views that a scene folder suggests: which are inputs, and which are held out to compare with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gapmes.service.captures.capture import SceneFolder, load_scene_folder
+from gapmes.service.errors import InputError
+
+
+class NoSuchViews(InputError):
+    """A scene folder suggests no inputs of this number, or no targets for them."""
+
+
+@dataclass(frozen=True)
+class SuggestedViews:
+    """A scene folder with the indices of its inputs and targets: all of views that there are, none of them twice."""
+
+    scene: SceneFolder
+    inputs: tuple[int, ...]
+    targets: tuple[int, ...]
+
+
+def suggested_views(folder: Path, inputs: int) -> SuggestedViews:
+    """What `cameras.json` suggests for so many inputs.
+
+    Raises `NoSuchViews` without it, and `InputError` for what is no scene folder, for another number of inputs, for a
+    view that the scene does not have or that is named twice, and for a target that is an input.
+    """
+    path = folder / "cameras.json"
+    if not path.is_file():
+        raise InputError(f"{path} is not a file", field="SCENE_DIR", cure="name a folder with images/ and cameras.json")
+    suggested = _suggested(path)
+    names = f"context{inputs}", f"target{inputs}"
+    context, targets = (suggested.get(name) for name in names)
+    if not context or not targets:
+        raise NoSuchViews(
+            f"{path} suggests no {names[0]} with {names[1]}",
+            field="suggested",
+            cure=f'add "suggested": {{"{names[0]}": [...], "{names[1]}": [...]}} with view indices',
+        )
+    if len(context) != inputs:
+        raise InputError(
+            f"{path}: {names[0]} = {context} names {len(context)} views, need {inputs}", field=f"suggested.{names[0]}"
+        )
+    scene = load_scene_folder(folder)
+    for name, views in zip(names, (context, targets), strict=True):
+        _check_indices(path, name, views, len(scene.file.views))
+    if shared := sorted(set(context) & set(targets)):
+        raise InputError(
+            f"{path}: {', '.join(map(str, shared))} both in {names[0]} = {context} and {names[1]} = {targets}",
+            field="suggested",
+            cure="a target is held out: name views that are no inputs",
+        )
+    return SuggestedViews(scene, tuple(context), tuple(targets))
+
+
+def _check_indices(path: Path, name: str, views: Sequence[int], count: int) -> None:
+    """Each view once, and one of the scene's `count`."""
+    for place, view in enumerate(views):
+        if not 0 <= view < count:
+            raise InputError(
+                f"{path}: is {view}, the scene has {count} views: need 0 to {count - 1}",
+                field=f"suggested.{name}[{place}]",
+                index=view,
+                cure="views are counted from 0, in the order of the file",
+            )
+        if (first := views.index(view)) < place:
+            raise InputError(
+                f"{path}: is {view}, as {name}[{first}] is",
+                field=f"suggested.{name}[{place}]",
+                index=view,
+                cure="name each view once",
+            )
+
+
+def _suggested(path: Path) -> dict[str, list[int]]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{path} is no JSON: {error}", field="SCENE_DIR") from error
+    suggested: Any = document.get("suggested", {}) if isinstance(document, dict) else None
+    lists = suggested.values() if isinstance(suggested, dict) else [None]
+    if not all(isinstance(views, list) and all(type(view) is int for view in views) for views in lists):
+        raise InputError(
+            f"{path}: need lists of view indices in an object, got {str(suggested)[:80]}",
+            field="suggested",
+            cure='for example {"context2": [1, 5], "target2": [2, 3, 4]}',
+        )
+    return suggested

@@ -1,0 +1,55 @@
+"""Scenes and models are told apart: by as little of their paths as does it, in tables and in names of pictures."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from gapmes.export.evaluation.labels import file_stems, given_twice, shortest_names
+from gapmes.export.evaluation.models import _labels
+from gapmes.export.evaluation.plans import evaluation_plans
+from gapmes.service.errors import InputError, ModelError
+
+
+def test_names_are_as_long_as_they_need_be() -> None:
+    assert shortest_names([]) == []
+    assert shortest_names([Path("a/room"), Path("b/hall")]) == ["room", "hall"]
+    assert shortest_names([Path("a/room"), Path("b/room"), Path("c/hall")]) == ["a/room", "b/room", "c/hall"]
+    assert shortest_names([Path("a/x/room"), Path("b/x/room")]) == ["a/x/room", "b/x/room"]
+    with pytest.raises(ValueError, match="the same path twice"):
+        shortest_names([Path("room"), Path("./room")])
+
+
+def test_the_folder_one_is_in_has_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "room").mkdir()
+    monkeypatch.chdir(tmp_path / "room")
+    assert shortest_names([Path()]) == ["room"]
+
+
+def test_a_path_given_twice_is_found_behind_a_link(tmp_path: Path) -> None:
+    (tmp_path / "room").mkdir()
+    os.symlink(tmp_path / "room", tmp_path / "link")
+    assert given_twice([tmp_path / "room", tmp_path / "hall"]) is None
+    assert given_twice([tmp_path / "room", tmp_path / "hall", tmp_path / "link"]) == tmp_path / "link"
+    with pytest.raises(InputError, match="room is given twice"):
+        evaluation_plans([tmp_path / "room", tmp_path / "hall" / ".." / "room"], None, [], [], [])
+    with pytest.raises(ModelError, match="link is given twice"):
+        _labels([tmp_path / "room", tmp_path / "link"])
+
+
+def test_models_are_named_by_their_stems_where_these_differ() -> None:
+    assert _labels([Path("a/one.onnx"), Path("a/two.onnx")]) == ["one", "two"]
+    assert _labels([Path("a/one.onnx"), Path("a/one.safetensors")]) == ["one.onnx", "one.safetensors"]
+    assert _labels([Path("a/one.onnx"), Path("b/one.onnx")]) == ["a/one.onnx", "b/one.onnx"]
+
+
+def test_plans_name_scenes_of_the_same_last_name_by_more() -> None:
+    plan = evaluation_plans([Path("a/room"), Path("b/room")], None, [2], [], [])[0]
+    assert plan.folders == {"a/room": Path("a/room"), "b/room": Path("b/room")}
+
+
+def test_no_two_pictures_have_one_name() -> None:
+    names = ["a/room", "a room", "b/room", "a_room"]
+    assert list(file_stems(names).values()) == ["a_room", "a_room_2", "b_room", "a_room_3"]

@@ -1,0 +1,88 @@
+"""The views that a scene folder suggests: which are taken and which refused, and that refusals come before any work."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from gapmes.export.cli import app as export_app
+from gapmes.export.evaluation import run as measuring
+from gapmes.export.evaluation.case import photograph_case
+from gapmes.export.evaluation.suggested import NoSuchViews, suggested_views
+from gapmes.export.tradeoff import files
+from gapmes.service import cli
+from gapmes.service.errors import InputError
+from gapmes.service.shipped import sample_folder
+
+GOOD = {"context2": [1, 5], "target2": [2, 3]}
+
+
+def scene(folder: Path, **suggested: list[int]) -> Path:
+    """The sample, of eight views, with other suggestions."""
+    shutil.copytree(sample_folder(), folder)
+    path = folder / "cameras.json"
+    document = json.loads(path.read_text())
+    document["suggested"] = {**GOOD, **suggested}
+    path.write_text(json.dumps(document))
+    return folder
+
+
+WRONG = [
+    ({"context2": [1, -3], "target2": [5]}, r"suggested\.context2\[1\]: .* is -3, the scene has 8 views: need 0 to 7"),
+    ({"target2": [2, 3, 8]}, r"suggested\.target2\[2\]: .* is 8, the scene has 8 views: need 0 to 7"),
+    ({"target2": [-1]}, r"suggested\.target2\[0\]: .* is -1, the scene has 8 views"),
+    ({"target2": [2, 3, 2]}, r"suggested\.target2\[2\]: .* is 2, as target2\[0\] is"),
+    ({"context2": [1, 1]}, r"suggested\.context2\[1\]: .* is 1, as context2\[0\] is"),
+    ({"context2": [1, 5, 6]}, r"suggested\.context2: .* = \[1, 5, 6\] names 3 views, need 2"),
+    ({"context2": [1]}, r"suggested\.context2: .* = \[1\] names 1 views, need 2"),
+    ({"target2": [3, 5, 1]}, r"1, 5 both in context2 = \[1, 5\] and target2 = \[3, 5, 1\].*held out"),
+]
+
+
+@pytest.mark.parametrize(("suggested", "words"), WRONG)
+def test_views_that_cannot_be_measured_are_refused(tmp_path: Path, suggested: dict[str, list[int]], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        photograph_case(scene(tmp_path / "scene", **suggested), 2, 64, 64)
+
+
+def test_what_is_suggested_is_taken(tmp_path: Path) -> None:
+    found = suggested_views(sample_folder(), 3)
+    assert (found.inputs, found.targets) == ((0, 3, 7), (1, 2, 5, 6))
+    edges = suggested_views(scene(tmp_path / "scene", context2=[0, 7]), 2)  # the first and the last there is
+    assert (edges.inputs, edges.targets) == ((0, 7), (2, 3))
+
+
+def test_a_folder_without_suggested_views_is_named(tmp_path: Path) -> None:
+    with pytest.raises(NoSuchViews, match="context6"):
+        photograph_case(sample_folder(), 6, 64, 64)
+    with pytest.raises(NoSuchViews, match="target2"):
+        suggested_views(scene(tmp_path / "scene", target2=[]), 2)
+    with pytest.raises(InputError, match=r"cameras\.json is not a file"):
+        photograph_case(tmp_path, 2, 64, 64)
+
+
+def test_evaluate_refuses_a_later_scene_before_it_loads_a_model(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measuring, "load_models", None)
+    late = scene(tmp_path / "late", target2=[8])
+    with pytest.raises(SystemExit) as end:
+        cli.main(["evaluate", str(sample_folder()), str(late), "--inputs", "2", "--out", str(tmp_path / "out")])
+    assert end.value.code == 1
+    (line,) = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error: ")]
+    assert "the scene has 8 views: need 0 to 7" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_report_refuses_a_later_scene_before_it_exports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "all_files", None)
+    late = scene(tmp_path / "late", target2=[8])
+    arguments = ["--report", str(tmp_path / "out"), "--scene", str(late)]
+    result = CliRunner().invoke(export_app, arguments, env={"COLUMNS": "200"})
+    assert result.exit_code == 1
+    assert "refused: suggested.target2[0]: " in result.output
+    assert not (tmp_path / "out").exists()
