@@ -32,13 +32,15 @@ def replacing(path: Path) -> Iterator[Path]:
     path = path.resolve()
     part = path.with_name(f".gapmes-{secrets.token_hex(8)}")
     try:
-        mode = stat.S_IMODE(path.stat().st_mode) & 0o777 if path.exists() else None
-        if mode is not None:
+        before = path.stat() if path.exists() else None
+        if before is not None:
             part.touch(0o600, exist_ok=False)  # while it is written, nobody reads what others may not read
         yield part
-        if mode is not None:
+        if before is not None:
+            with suppress(PermissionError):  # only root gives files away
+                os.chown(part, before.st_uid, before.st_gid)
             with suppress(PermissionError):  # of a file system that has no modes
-                part.chmod(mode)
+                part.chmod(stat.S_IMODE(before.st_mode) & 0o777)
         part.replace(path)
     except BaseException:
         part.unlink(missing_ok=True)

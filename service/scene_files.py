@@ -23,6 +23,7 @@ PLY = "scene.ply"
 DOCUMENT = "scene.json"
 TEMPORARY = ".incoming-"  # what is being written, and what is being removed
 _ID = re.compile(r"[0-9a-f]{32}")
+_KINDS = {"gaussians": dict, "view_cameras": list}  # what a list of scenes tells of a document
 _ANEW = "delete it, or ask for it again with the same photographs or file"
 
 
@@ -98,10 +99,13 @@ class SceneFiles:
             raise self._missing(scene_id) from error
         except (IsADirectoryError, PermissionError) as error:
             raise _damaged(scene_id, f"{DOCUMENT} cannot be read: {error.strerror}") from error
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise _damaged(scene_id, f"{DOCUMENT} is no JSON: {error}") from error
         if not isinstance(document, dict):
             raise _damaged(scene_id, f"{DOCUMENT} holds no object")
+        for name, kind in _KINDS.items():
+            if not isinstance(document.get(name, kind()), kind):
+                raise _damaged(scene_id, f"{name} in {DOCUMENT} is no {kind.__name__}")
         return document
 
     def size(self, scene_id: str) -> tuple[int, int]:

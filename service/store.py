@@ -226,10 +226,11 @@ class SceneStore:
 
 
 def _summary(scene_id: str, document: Mapping[str, Any]) -> dict[str, Any]:
+    file = document.get("file")
     return {
         "id": scene_id,
         "created": document.get("created"),
         "gaussians": document.get("gaussians", {}).get("count"),
         "views": len(document.get("view_cameras", ())),
-        "file": (document.get("file") or {}).get("format"),
+        "file": file.get("format") if isinstance(file, Mapping) else None,
     }

@@ -88,7 +88,7 @@ class Capture:
         count = len(self.table.names)
         said: dict[str, Any] = {"format": self.table.kind, "cameras": self.table.source, "of": count}
         if wish.select is not None:
-            indices = named_views(wish.select, self.names, field=wish.field)
+            indices = named_views(wish.select, self.names, field=wish.field, path_of=self._found)
             return self._chosen(self.cameras(indices), indices, {"by": "select", **said})
         if wish.context is None and count <= MAX_VIEWS:
             indices = list(range(count))
@@ -102,6 +102,12 @@ class Capture:
         choice = chosen_views(file.cameras, wish.context or DEFAULT_CONTEXT, near, far)
         indices = [there[place] for place in choice.places]
         return self._chosen(file.chosen(choice.places), indices, {"by": "score", **said, **choice.said}, warnings)
+
+    def _found(self, index: int) -> str | None:
+        try:
+            return self.path_of(index)
+        except ImageError:
+            return None
 
     def _chosen(
         self, file: CameraFile, indices: Sequence[int], said: dict[str, Any], warnings: tuple[Notice, ...] = ()

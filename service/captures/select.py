@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ..errors import InputError, ViewCountError, ViewError
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
-from .names import same_path
+from .names import same_file, same_path
 
 DEFAULT_CONTEXT = 3  # views of a capture that has more than six; each costs as much time again as the second
 
@@ -35,25 +35,29 @@ def checked_wish(wish: Wish) -> Wish:
     return wish
 
 
-def named_views(text: str, names: Sequence[str | None], *, field: str) -> list[int]:
+def named_views(
+    text: str, names: Sequence[str | None], *, field: str, path_of: Callable[[int], str | None] = lambda _: None
+) -> list[int]:
     """Indices of the views in `text`, such as `4,8` or `a.jpg,b.jpg`; a name wins over the same text as an index.
 
-    A name is the file's own, or as much of its end as only one view has. Raises `ViewError` for anything else, for a
+    A name is the file's own, or as much of its end as only one view has; or else the path at which the photograph was
+    found, which `path_of` tells. Raises `ViewError` for anything else, for a
     view that does not exist and for one that is given twice.
     """
     indices: list[int] = []
     for part in text.split(","):
-        index = _index_of(part.strip(), names, field)
+        index = _index_of(part.strip(), names, field, path_of)
         if index in indices:
             raise ViewError(f"view {part.strip()} is given twice", field=field, cure="name each view once")
         indices.append(index)
     return indices
 
 
-def _index_of(part: str, names: Sequence[str | None], field: str) -> int:
+def _index_of(part: str, names: Sequence[str | None], field: str, path_of: Callable[[int], str | None]) -> int:
     shown = part[:100]
     found = [index for index, name in enumerate(names) if part and name == part]
     found = found or [index for index, name in enumerate(names) if part and same_path(part, name)]
+    found = found or [index for index, name in enumerate(names) if same_file(part, name) and path_of(index) == part]
     if len(found) == 1:
         return found[0]
     if found:

@@ -8,17 +8,17 @@ from typing import Any
 
 from ..errors import InputError
 
-_NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
+_NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT, errno.EINVAL)
 
 
-def check_address(host: str, port: int) -> None:
+def check_address(host: str, port: int, workers: int) -> None:
     """Raises `InputError` where the service could not listen there: `host` names no address of this machine, or the
     port is taken or forbidden."""
     try:
         found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except (socket.gaierror, UnicodeError) as error:
         raise _not_here(host, getattr(error, "strerror", None) or str(error)) from error
-    failures = [failure for failure in (_failure(*info) for info in found) if failure is not None]
+    failures = [failure for failure in (_failure(*info, workers=workers) for info in found) if failure is not None]
     for failure in failures:
         if failure.errno not in _NOT_HERE:
             forbidden = failure.errno == errno.EACCES
@@ -31,12 +31,13 @@ def check_address(host: str, port: int) -> None:
         raise _not_here(host, str(failures[0].strerror)) from failures[0]
 
 
-def _failure(family: int, kind: int, protocol: int, _: str, address: Any) -> OSError | None:
-    """Why nothing can be bound to the address, which is left again at once."""
+def _failure(family: int, kind: int, protocol: int, _: str, address: Any, *, workers: int) -> OSError | None:
+    """Why nothing can be bound to the address, which is left again at once. As the server does: what several share is
+    bound to IPv4 too where it is to all of IPv6, what one has is not."""
     try:
         with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server does: one just left is free
-            if family == socket.AF_INET6:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # one just left is free
+            if family == socket.AF_INET6 and workers == 1:
                 probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
             probe.bind(address)
     except OSError as error:

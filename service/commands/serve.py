@@ -80,7 +80,7 @@ def serve(
         _prepare(settings, found)
         return
     SceneStore(settings.store)  # is refused here once, not by one worker after the other
-    check_address(settings.host, settings.port)
+    check_address(settings.host, settings.port, settings.workers)
     configure(settings.log, quiet=settings.quiet)
     if strange:
         _log.warning("nothing reads %s: docs/settings.md has the names of the settings", ", ".join(strange))

@@ -82,7 +82,12 @@ class _Parser(MultiPartParser):
         super().on_end()
 
     async def parse(self) -> FormData:
-        form = await super().parse()
+        try:
+            form = await super().parse()
+        except UploadTooLarge:  # the framework closes the files for errors of its own alone
+            for file in self._files_to_close_on_error:
+                file.close()
+            raise
         if not self._whole:
             await form.close()
             raise MultiPartException("it ends before its closing boundary")

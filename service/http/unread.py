@@ -7,7 +7,7 @@ import anyio
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-SMALL, SMALL_S = 64 * 2**10, 1.0  # a body of so many declared bytes is read before the answer, in that time
+SMALL, SMALL_S = 64 * 2**10, 5.0  # a body of so many declared bytes is read before the answer, in that time
 # Behind the answer: two photographs of a telephone, over a line that takes them in that time.
 MOST, MOST_S = 16 * 2**20, 10.0
 

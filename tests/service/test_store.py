@@ -124,6 +124,9 @@ DAMAGES = {
     "half a document": lambda folder: (folder / "scene.json").write_bytes(b'{"id": "'),
     "a document that is no text": lambda folder: (folder / "scene.json").write_bytes(b'{"id": "\xff"}'),
     "a document that is a list": lambda folder: (folder / "scene.json").write_bytes(b"[]"),
+    "a document too deep to read": lambda folder: (folder / "scene.json").write_bytes(b"[" * 100_000),
+    "Gaussians that are a list": lambda folder: (folder / "scene.json").write_bytes(b'{"gaussians": []}'),
+    "views that are a number": lambda folder: (folder / "scene.json").write_bytes(b'{"view_cameras": 5}'),
     "no document": lambda folder: (folder / "scene.json").unlink(),
     "a folder for a document": lambda folder: ((folder / "scene.json").unlink(), (folder / "scene.json").mkdir()),
     "empty Gaussians": lambda folder: (folder / "scene.ply").write_bytes(b""),
@@ -151,6 +154,14 @@ def test_what_was_damaged_is_refused_by_name_and_counts_as_none(damaged):
     assert not damaged.exists(A)
     assert not damaged.listed(A)
     assert damaged.newest() == B
+
+
+def test_a_store_with_a_damaged_scene_opens_without_its_index(damaged):
+    for path in damaged.root.glob("index.sqlite*"):
+        path.unlink()
+    opened = SceneStore(damaged.root)
+    assert opened.newest() == B
+    assert not opened.exists(A)
 
 
 def test_what_was_damaged_gives_way_to_the_whole_scene(damaged):

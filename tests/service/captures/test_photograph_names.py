@@ -88,6 +88,19 @@ def test_folders_that_are_typed_count(typed: str, index: int | None) -> None:
         named_views(typed, names, field="views")
 
 
+@pytest.mark.parametrize("folder", ["images_4", "input"])
+def test_a_view_may_be_named_by_the_path_that_was_told(tmp_path: Path, folder: str) -> None:
+    """Where the photographs lie elsewhere than the cameras say, the answer has their paths."""
+    named = [f"images/{index:03d}.png" for index in range(3)]
+    there = [f"{folder}/{index:03d}.png" for index in range(3)]
+    capture = open_capture(capture_of(tmp_path, named, there))
+    told = capture.choose(Wish(select="0,2")).selection["images"]
+    assert told == [there[0], there[2]]
+    assert capture.choose(Wish(select=",".join(told))).indices == (0, 2)
+    with pytest.raises(ViewError, match="is not a view index"):
+        capture.choose(Wish(select="rgb/000.png,1"))
+
+
 def test_a_folder_that_only_one_side_names_does_not_count() -> None:
     assert same_path("a/b/x.png", "b/x.png")
     assert same_path("x.png", "/b/x.png")

@@ -22,7 +22,9 @@ from cli_runs import run
 from http_requests import photograph, post
 from served_process import serving, until
 
+from gapmes.service.commands.listening import check_address
 from gapmes.service.database import Database
+from gapmes.service.errors import InputError
 
 
 @pytest.fixture
@@ -78,6 +80,18 @@ def test_an_address_that_cannot_be_listened_on_is_refused_once(
         ):
             assert run("serve", "--workers", workers, "--host", host, "--port", port, "--store", tmp_path) == 1
             assert one_line(capfd).startswith(f"error: {field}: the service cannot listen on {why}")
+
+
+@pytest.mark.skipif(not socket.has_dualstack_ipv6(), reason="no IPv6 here")
+def test_all_of_ipv6_is_all_of_ipv4_too_for_several_workers() -> None:
+    """As the server binds it; for one process it is not."""
+    with socket.create_server(("0.0.0.0", 0)) as taken:
+        port = taken.getsockname()[1]
+        check_address("::", port, 1)
+        with pytest.raises(InputError, match=f"cannot listen on port {port} of ::: Address already in use") as caught:
+            check_address("::", port, 2)
+    assert caught.value.field == "port"
+    check_address("::", port, 2)
 
 
 STARTS_NOTHING = """
