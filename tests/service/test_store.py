@@ -1,18 +1,16 @@
-"""The store: whole or nothing, first put wins, what was damaged is replaced or removed, no path from outside, and a
-bounded cache."""
+"""The store: whole or nothing, first put wins, no path from outside, and a bounded cache."""
 
 import errno
 import fcntl
 import os
-import shutil
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
+from store_folder import names
 
 from gapmes.service import store as store_module
-from gapmes.service.errors import FormatError, GapmesError, SceneNotFound, StorageFull
+from gapmes.service.errors import GapmesError, SceneNotFound, StorageFull
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.gaussians_cache import GaussiansCache, size_of
 from gapmes.service.ply import ply_bytes
@@ -38,10 +36,6 @@ PLY = ply_bytes(gaussians())
 @pytest.fixture
 def store(tmp_path):
     return SceneStore(tmp_path / "scenes")
-
-
-def names(root: Path) -> set[str]:
-    return {path.name for path in root.iterdir() if not path.name.startswith(("index.sqlite", ".lock", ".writing"))}
 
 
 def test_what_is_put_can_be_read(store):
@@ -117,84 +111,6 @@ def test_other_failures_leave_nothing_behind_either(store):
     with pytest.raises(ValueError, match="JSON compliant"):
         store.put(A, PLY, {"x": float("nan")})
     assert names(store.root) == set()
-
-
-DAMAGES = {
-    "an empty document": lambda folder: (folder / "scene.json").write_bytes(b""),
-    "half a document": lambda folder: (folder / "scene.json").write_bytes(b'{"id": "'),
-    "a document that is no text": lambda folder: (folder / "scene.json").write_bytes(b'{"id": "\xff"}'),
-    "a document that is a list": lambda folder: (folder / "scene.json").write_bytes(b"[]"),
-    "a document too deep to read": lambda folder: (folder / "scene.json").write_bytes(b"[" * 100_000),
-    "Gaussians that are a list": lambda folder: (folder / "scene.json").write_bytes(b'{"gaussians": []}'),
-    "views that are a number": lambda folder: (folder / "scene.json").write_bytes(b'{"view_cameras": 5}'),
-    "no document": lambda folder: (folder / "scene.json").unlink(),
-    "a folder for a document": lambda folder: ((folder / "scene.json").unlink(), (folder / "scene.json").mkdir()),
-    "empty Gaussians": lambda folder: (folder / "scene.ply").write_bytes(b""),
-    "no Gaussians": lambda folder: (folder / "scene.ply").unlink(),
-    "nothing in it": lambda folder: (shutil.rmtree(folder), folder.mkdir()),
-    "a file in its place": lambda folder: (shutil.rmtree(folder), folder.write_bytes(b"no folder")),
-    "nothing left": shutil.rmtree,
-}
-
-
-@pytest.fixture(params=DAMAGES.values(), ids=DAMAGES)
-def damaged(store, request):
-    """Scene A is damaged from outside, B is older and whole."""
-    store.put(B, PLY, {"id": B})
-    store.put(A, PLY, {"id": A}, [b"a picture"])
-    request.param(store.root / A)
-    return store
-
-
-def test_what_was_damaged_is_refused_by_name_and_counts_as_none(damaged):
-    with pytest.raises((SceneNotFound, FormatError), match=A) as caught:
-        damaged.document(A)
-    assert caught.value.status in (404, 422)
-    assert (caught.value.status == 422) == ((damaged.root / A / "scene.ply").is_file())
-    assert not damaged.exists(A)
-    assert not damaged.listed(A)
-    assert damaged.newest() == B
-
-
-def test_a_store_with_a_damaged_scene_opens_without_its_index(damaged):
-    for path in damaged.root.glob("index.sqlite*"):
-        path.unlink()
-    opened = SceneStore(damaged.root)
-    assert opened.newest() == B
-    assert not opened.exists(A)
-
-
-def test_what_was_damaged_gives_way_to_the_whole_scene(damaged):
-    damaged.put(A, PLY, {"id": A, "again": True})
-    assert damaged.document(A) == {"id": A, "again": True}
-    assert damaged.ply(A) == PLY
-    assert damaged.newest() == A
-    assert names(damaged.root) == {A, B}
-    whole = sum(path.stat().st_size for name in (A, B) for path in (damaged.root / name).iterdir())
-    assert damaged.totals() == (2, whole)
-
-
-def test_what_was_damaged_can_be_deleted(damaged):
-    damaged.delete(A)
-    assert [row.id for row in damaged.page(9)] == [B]
-    assert names(damaged.root) == {B}
-    with pytest.raises(SceneNotFound):
-        damaged.delete(A)
-
-
-def test_what_was_damaged_is_evicted_like_others(damaged):
-    damaged.max_bytes = 2 * damaged.totals()[1]
-    with damaged.reading(B):
-        damaged.put(C, PLY, {"text": "x" * (damaged.max_bytes - damaged.totals()[1])})
-    assert names(damaged.root) == {B, C}
-
-
-def test_empty_gaussians_are_said_to_be_empty(store):
-    store.put(A, PLY, {})
-    (store.root / A / "scene.ply").write_bytes(b"")
-    for call in (store.ply, store.gaussians):
-        with pytest.raises(FormatError, match=r"scene\.ply holds nothing"):
-            call(A)
 
 
 def test_leftovers_of_a_crash_are_removed_at_start(store):
