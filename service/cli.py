@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -14,10 +15,11 @@ import typer
 
 from .allocator import give_back_freed
 from .commands import convert, demo, doctor, reconstruct, render, serve
+from .ending import unwound
 from .errors import CameraError, GapmesError, ImageError
 from .extra_commands import WithExtraCommands
 from .problem_document import of_error, problem
-from .streams import open_missing, write_to
+from .streams import open_missing, visible, write_to
 
 
 def _show_version(asked: bool) -> None:
@@ -38,11 +40,13 @@ app = typer.Typer(
 
 @app.callback()
 def _options(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="print the version and end")
     ] = False,
 ) -> None:
-    pass
+    if context.invoked_subcommand != "serve":  # which ends in an order of its own
+        context.with_resource(unwound())
 
 
 for module in (serve, reconstruct, render, convert, demo, doctor):
@@ -50,7 +54,8 @@ for module in (serve, reconstruct, render, convert, demo, doctor):
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command. Exit codes: 0 done, 1 refused (with the reason and its cure), 2 wrong usage, 130 interrupted.
+    """Run one command. Exit codes: 0 done, 1 refused (with the reason and its cure), 2 wrong usage, 130 interrupted,
+    143 and 129 ended by SIGTERM and by a terminal that closes.
 
     With `--json` a refusal, of ours or of the system, is also printed to stdout, as {"error": {...}}.
     """
@@ -68,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     else:
         return
     with contextlib.suppress(OSError):  # stderr or stdout may be what was refused
-        write_to(sys.stderr, f"error: {line}\n")
+        write_to(sys.stderr, f"error: {visible(line)}\n")
     with contextlib.suppress(OSError):
         write_to(sys.stdout, json.dumps({"error": document}) + "\n" if "--json" in arguments else "")
     sys.exit(1)
@@ -77,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _one_line(error: GapmesError) -> str:
     of_a_view = isinstance(error, CameraError | ImageError) and error.index is not None
     where = f"view {error.index}: " if of_a_view else ""
-    return f"{where}{error}".replace("\n", " ")
+    return f"{where}{error}"
 
 
 def _of_system(error: OSError) -> tuple[str, dict[str, Any]]:
@@ -86,7 +91,8 @@ def _of_system(error: OSError) -> tuple[str, dict[str, Any]]:
     detail = str(error) if error.strerror is None else f"{where}{error.strerror}"
     if error.filename is None and error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return detail, problem(500, "system_error", detail)
-    cure = "is there room, and permission to read and write there?"
+    who = f" as uid {os.getuid()}" if isinstance(error, PermissionError) else ""
+    cure = f"is there room, and permission to read and write there{who}?"
     return f"{detail} ({cure})", problem(500, "storage_error", detail, cure=cure)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,11 @@ from PIL import Image, ImageDraw, ImageFont
 CELL = 256  # px, the longer side of a picture
 GAP = 12  # px
 TITLE, LABEL = 30, 22  # px, heights of a row's title and of a picture's label
+COLUMNS = 6
 INK, PAPER = (30, 30, 30), (255, 255, 255)
+
+T = TypeVar("T")
+Size = tuple[int, int]  # width and height in px
 
 
 @dataclass(frozen=True)
@@ -29,29 +34,41 @@ class Row:
     cells: Sequence[Cell]
 
 
-def rows_of(title: str, cells: Sequence[Cell], columns: int = 6) -> list[Row]:
+def in_rows(things: Sequence[T], columns: int = COLUMNS) -> list[Sequence[T]]:
+    """The things in their order, in as many rows as they need."""
+    return [things[start : start + columns] for start in range(0, len(things), columns)]
+
+
+def rows_of(title: str, cells: Sequence[Cell], columns: int = COLUMNS) -> list[Row]:
     """As many rows as the cells need, the title over the first."""
-    starts = range(0, len(cells), columns)
-    return [Row(title if start == 0 else "", cells[start : start + columns]) for start in starts]
+    return [Row(title if number == 0 else "", row) for number, row in enumerate(in_rows(cells, columns))]
+
+
+def sheet_size(rows: Sequence[Sequence[Size]]) -> Size:
+    """Of the sheet of rows of pictures of these sizes, none above `CELL`."""
+    return max(map(len, rows)) * (CELL + GAP) + GAP, sum(map(_height, rows)) + GAP
 
 
 def contact_sheet(rows: Sequence[Row]) -> Image.Image:
     """Draw the rows below each other; pictures keep their aspect and are scaled to `CELL` where they are larger."""
     pictures = [[_scaled(cell.pixels) for cell in row.cells] for row in rows]
-    columns = max(len(row.cells) for row in rows)
-    heights = [TITLE + max(picture.height for picture in row) + LABEL + GAP for row in pictures]
-    sheet = Image.new("RGB", (columns * (CELL + GAP) + GAP, sum(heights) + GAP), PAPER)
+    sizes = [[picture.size for picture in row] for row in pictures]
+    sheet = Image.new("RGB", sheet_size(sizes), PAPER)
     draw = ImageDraw.Draw(sheet)
     title_font, label_font = ImageFont.load_default(18), ImageFont.load_default(14)
     top = GAP
-    for row, scaled, height in zip(rows, pictures, heights, strict=True):
+    for row, scaled, sides in zip(rows, pictures, sizes, strict=True):
         draw.text((GAP, top), row.title, INK, title_font)
         for column, (cell, picture) in enumerate(zip(row.cells, scaled, strict=True)):
             left = GAP + column * (CELL + GAP)
             sheet.paste(picture, (left, top + TITLE))
             draw.text((left, top + TITLE + picture.height + 3), cell.label, INK, label_font)
-        top += height
+        top += _height(sides)
     return sheet
+
+
+def _height(row: Sequence[Size]) -> int:
+    return TITLE + max(height for _, height in row) + LABEL + GAP
 
 
 def _scaled(pixels: NDArray[np.uint8]) -> Image.Image:

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
+from .errors import GaussiansError
 from .gaussians import Gaussians
+from .pose import MAX_OFFSET
 from .scene_views import SceneViews
 
 F64 = NDArray[np.float64]
@@ -25,15 +27,27 @@ def default_views(gaussians: Gaussians) -> SceneViews:
     80 % of the opacity. The camera looks along +z, as the first one of most reconstructions does, from as far away as
     lets a field of view of 50 degrees hold the sphere. `far` is the sphere's end and `near` such that an orbit turns
     about the centre. Without an extent the largest Gaussian, three standard deviations of it, stands in for the radius.
+    Raises `GaussiansError` where that is too far away for a camera.
     """
     weights = gaussians.opacities.astype(np.float64)
     if not weights.any():
         weights = np.ones(len(gaussians))
     centre = np.array([_quantile(gaussians.means[:, axis], weights, 0.5) for axis in range(3)])
-    radius = _quantile(np.linalg.norm(gaussians.means - centre, axis=1), weights, SHARE)
-    if radius <= 0:
-        radius = 3 * float(gaussians.scales.max()) or 1.0
-    distance = radius / math.sin(FIELD_OF_VIEW / 2)
+    with np.errstate(over="ignore"):  # what is too far is refused below
+        radius = _quantile(np.linalg.norm(gaussians.means - centre, axis=1), weights, SHARE)
+        if radius <= 0:
+            radius = 3 * float(gaussians.scales.max()) or 1.0
+        distance = radius / math.sin(FIELD_OF_VIEW / 2)
+        away = float(np.linalg.norm(centre - [0, 0, distance]))
+    if away > MAX_OFFSET:
+        index = int(np.abs(gaussians.means).max(axis=1).argmax())
+        raise GaussiansError(
+            f"a camera that holds {SHARE:.0%} of them would be {away:.3g} units away, need at most {MAX_OFFSET:g}; the "
+            f"farthest is at index {index}: {gaussians.means[index].tolist()}",
+            field="means",
+            index=index,
+            cure="are all positions right? leave out the Gaussians that are not, or scale the scene",
+        )
     focal = SIDE / 2 / math.tan(FIELD_OF_VIEW / 2)
     pose = np.eye(4)
     pose[:3, 3] = centre - [0, 0, distance]

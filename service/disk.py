@@ -5,10 +5,12 @@ from __future__ import annotations
 import errno
 import os
 import secrets
+import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from .errors import StorageFull
 
@@ -27,8 +29,15 @@ def write_file(path: Path, data: bytes) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """A path beside `path` for the block to write: what is there takes the place of `path`, or goes if the block fails.
 
-    Who may read and write `path` may do so after it. Of a link it is the file behind it that is replaced.
+    Who may read and write `path` may do so after it. Of a link it is the file behind it that is replaced. A pipe or
+    device stays what it is: once the file is whole it is written to.
     """
+    if _takes_bytes(path):
+        with TemporaryDirectory(prefix="gapmes-") as folder:
+            yield Path(folder) / "part"
+            with (Path(folder) / "part").open("rb") as made, path.open("wb") as taken:
+                shutil.copyfileobj(made, taken)
+        return
     path = path.resolve()
     part = path.with_name(f".gapmes-{secrets.token_hex(8)}")
     try:
@@ -49,11 +58,16 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def replace_file(path: Path, data: bytes) -> None:
     """Write a file, new or in the place of another, which stays whole until then; a pipe or device is written to."""
-    if path.exists() and not path.is_file():
+    if _takes_bytes(path):
         path.write_bytes(data)
         return
     with replacing(path) as part:
         write_file(part, data)
+
+
+def _takes_bytes(path: Path) -> bool:
+    """Whether it is a pipe or device, and no file whose place another could take."""
+    return path.exists() and not path.is_file()
 
 
 def sync(path: Path) -> None:

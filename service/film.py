@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -15,6 +16,7 @@ from PIL import GifImagePlugin, Image
 
 from .disk import replacing
 from .errors import InputError
+from .film_webp import keep_moving
 
 FilmFormat = Literal["webp", "gif", "mp4"]
 FILM_FORMATS: tuple[FilmFormat, ...] = get_args(FilmFormat)
@@ -50,7 +52,7 @@ def check_film(shape: FilmShape) -> None:
         raise InputError("MP4 needs PyAV here", field="format", cure="pip install 'gapmes[video]', or ask for webp")
     if shape.frames < 2:
         raise InputError(f"{shape.frames} is no film, need 2 or more", field="frames", cure="ask for more seconds")
-    if not 0 < shape.fps <= MAX_FPS:
+    if not 0 < shape.frames <= most_frames(shape.seconds):
         raise InputError(
             f"{shape.frames} frames in {shape.seconds:g} s are {shape.fps:.4g} per second, the limit is {MAX_FPS:g}",
             field="seconds",
@@ -61,6 +63,11 @@ def check_film(shape: FilmShape) -> None:
             raise InputError(f"{side} px, the limit of {shape.format} is {MAX_SIDE[shape.format]}", field=field)
         if shape.format == "mp4" and side % 2:
             raise InputError(f"{side} px, MP4 needs an even number", field=field, cure=f"ask for {side + 1}")
+
+
+def most_frames(seconds: float) -> int:
+    """As many as `MAX_FPS` allows; a product that is a whole number but for float64's rounding is that number."""
+    return math.floor(MAX_FPS * seconds * (1 + 1e-12))
 
 
 def write_film(path: Path, shape: FilmShape, frames: Iterable[Pixels]) -> None:
@@ -115,6 +122,7 @@ class _Reel(Image.Image):
 def _write_webp(path: Path, shape: FilmShape, frames: Iterator[Pixels]) -> None:
     times = times_ms(shape, UNIT_MS["webp"])
     _Reel(shape, frames).save(path, "WEBP", save_all=True, duration=times, loop=0, **_WEBP)
+    keep_moving(path, shape.width, shape.height, sum(times))
 
 
 def _write_gif(path: Path, shape: FilmShape, frames: Iterator[Pixels]) -> None:

@@ -110,8 +110,7 @@ def framed(
     What is not given of near and far is what the given cameras see of the Gaussians, or the default framing's.
     """
     try:
-        with np.errstate(over="ignore"):  # what is too large for a camera is refused as such
-            framing = default_views(gaussians)
+        framing = default_views(gaussians)
     except InputError as error:
         extent = float(np.abs(gaussians.means).max())
         raise _too_far(f"its positions reach {extent:.3g}") from error

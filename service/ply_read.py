@@ -14,8 +14,17 @@ from numpy.typing import NDArray
 
 from .errors import PlyError
 from .formats.compressed_ply import is_compressed
-from .formats.dialect import AUTO, ROTATION_NAMES, SCALE_NAMES, Dialect, Taken, taken_as
-from .formats.reading import DROP_CURE, LARGEST, Reading, Source, bytes_of, check_count
+from .formats.dialect import (
+    AUTO,
+    ROTATION_NAMES,
+    SCALE_NAMES,
+    Dialect,
+    OpacityForm,
+    ScaleForm,
+    Taken,
+    taken_as,
+)
+from .formats.reading import DROP_CURE, LARGEST, Reading, Source, bytes_of, check_count, passed_over
 from .gaussians import Gaussians
 from .harmonics import C0
 from .ply_format import Header, parse_header, vertex_columns
@@ -27,6 +36,7 @@ REQUIRED = ("x", "y", "z", *CONSTANT, "opacity", *SCALE_NAMES, *ROTATION_NAMES)
 REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1) for degrees 0 to 3
 COLOURS = ("red", "green", "blue")  # of point clouds, in place of f_dc
 NORMALS = ("nx", "ny", "nz")  # zero or meaningless in the files of all writers
+FORMS: tuple[tuple[OpacityForm, ScaleForm], ...] = (("logit", "log"), ("linear", "linear"))
 _log = logging.getLogger("gapmes")
 
 
@@ -58,11 +68,12 @@ def inspect_ply(
     remarks = _passed_over(header, rest, coloured)
     if coloured:
         remarks.append(_colours(columns, header))
-    taken = taken_as(columns, dialect)
+    names = (*REQUIRED, *(f"f_rest_{i}" for i in range(rest)))
+    taken = taken_as(_readable(columns, names, dialect), dialect)
     remarks += taken.remarks
     rows = header.vertex.count
     keep, invalid = np.ones(rows, np.bool_), {}
-    for name in (*REQUIRED, *(f"f_rest_{i}" for i in range(rest))):
+    for name in names:
         column = columns[name]
         ok, need = _valid(name, column, taken)
         if not drop_invalid:
@@ -78,6 +89,24 @@ def inspect_ply(
     gaussians = _gaussians(columns, rest, taken)
     zero = ~np.stack([columns[name] for name in ROTATION_NAMES], axis=1).astype(np.float32).any(axis=1)
     return Reading(gaussians, rows, invalid, int(zero.sum()), tuple(remarks))
+
+
+def _readable(columns: dict[str, F64], names: tuple[str, ...], dialect: Dialect) -> dict[str, F64]:
+    """The rows of which some dialect takes every number; the others have no say in which one the file is of."""
+    usual, other = (
+        Taken(
+            opacity if dialect.opacity == "auto" else dialect.opacity,
+            scales if dialect.scales == "auto" else dialect.scales,
+            "wxyz",
+            (),
+        )
+        for opacity, scales in FORMS
+    )
+    ok = np.ones(len(columns["x"]), np.bool_)
+    for name in names:
+        found, _ = _valid(name, columns[name], usual)
+        ok &= found if found.all() else found | _valid(name, columns[name], other)[0]
+    return columns if ok.all() else {name: columns[name][ok] for name in REQUIRED}
 
 
 def _gaussians(columns: dict[str, F64], rest: int, taken: Taken) -> Gaussians:
@@ -107,12 +136,7 @@ def _passed_over(header: Header, rest: int, coloured: bool) -> list[str]:
     known = {*REQUIRED, *NORMALS, *(f"f_rest_{i}" for i in range(rest)), *(COLOURS if coloured else ())}
     more = [prop.name for prop in header.vertex.properties if prop.name not in known]
     others = [element.name for element in header.elements if element.name != "vertex"]
-    remarks = []
-    for what, names in (("properties", more), ("elements", others)):
-        if names:
-            listed = ", ".join(name[:40] for name in names[:8]) + (" and more" if len(names) > 8 else "")
-            remarks.append(f"{what} passed over: {listed}")
-    return remarks
+    return passed_over(properties=more, elements=others)
 
 
 def _colours(columns: dict[str, F64], header: Header) -> str:

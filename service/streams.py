@@ -1,11 +1,21 @@
-"""The standard streams, also where the caller has closed one, or where what it leads to takes no more."""
+"""The standard streams, also where the caller has closed one, or where what it leads to takes no more; and how text
+from files of others is shown on them."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from typing import Any, TextIO
+
+# Control characters, line ends, and what turns the direction of writing (Unicode, UAX #9): a terminal obeys them.
+_UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+
+
+def visible(text: str) -> str:
+    """The text in one line, with what a terminal would obey rather than show written as in a Python string."""
+    return _UNSEEN.sub(lambda found: repr(found[0])[1:-1], text.replace("\n", " "))
 
 
 def open_missing() -> None:

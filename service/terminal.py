@@ -11,9 +11,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.text import Text
 
 from .progress import Stage
+from .streams import visible
 
 QUIET_HELP = "write nothing to stderr but errors"
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help=QUIET_HELP)]  # of every command
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help=QUIET_HELP)]  # of all but `serve`
 
 NAME_WIDTH = 14  # the longest stage name, so that all bars begin in one column
 
@@ -69,5 +70,5 @@ class ProgressBars:
         self._progress.update(self._tasks[event.name], completed=event.done, total=event.total, seconds=event.seconds)
 
     def say(self, text: str) -> None:
-        """One line; above the bars while they are drawn."""
-        self.console.print(text, markup=False)
+        """One line, of what `visible` makes of the text; above the bars while they are drawn."""
+        self.console.print(visible(text), markup=False)

@@ -10,7 +10,14 @@ import typer
 
 from ..streams import write_result
 from ..terminal import ProgressBars, Quiet
-from .dialect_options import AxesOption, DropInvalidOption, OpacityOption, RotationOption, ScalesOption
+from .dialect_options import (
+    AxesOption,
+    DropInvalidOption,
+    OpacityOption,
+    RotationOption,
+    ScalesOption,
+    SourceFormatOption,
+)
 
 if TYPE_CHECKING:
     from ..camera import Camera
@@ -24,9 +31,7 @@ def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help=".ply, .compressed.ply, .splat or .spz")],
     output: Annotated[Path, typer.Argument(metavar="OUT", help="the file to write, of a format by its extension")],
     to: Annotated[str | None, typer.Option(help="its format, where the extension does not tell")] = None,
-    source_format: Annotated[
-        str | None, typer.Option("--from", help="the format of IN, where neither its bytes nor its extension tell")
-    ] = None,
+    source_format: SourceFormatOption = None,
     opacity: OpacityOption = "auto",
     scales: ScalesOption = "auto",
     rotation: RotationOption = "auto",
@@ -55,6 +60,7 @@ def convert(
     if not source.is_file():
         raise InputError(f"{source} is not a file", field="IN", cure="give a .ply, .compressed.ply, .splat or .spz")
     check_output_file(output)
+    before = source.stat().st_size  # IN may be OUT
     dialect = Dialect(opacity, scales, rotation, axes)
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
@@ -64,16 +70,19 @@ def convert(
         with stages.stage("convert"):
             encoded = target.write(gaussians)
         values: list[float] = []
+        unmeasured: list[str] = []
         if measure != "off" and len(gaussians):
-            views, shots = _measured(gaussians, cameras)
-            with stages.stage("measure", len(shots)) as step:
-                kept = target.read(encoded.data, STANDARD, False, None).gaussians
-                values = picture_psnr(gaussians, kept, shots, views.near_plane, threads=threads, step=step)
+            kept = target.read(encoded.data, STANDARD, False, None).gaussians
+            try:
+                views, shots = _measured(gaussians, cameras)
+                with stages.stage("measure", len(shots)) as step:
+                    values = picture_psnr(gaussians, kept, shots, views.near_plane, threads=threads, step=step)
+            except InputError as error:  # what no picture shows is written all the same
+                unmeasured = [f"pictures could not be compared: {error}"]
         with named(output):
             replace_file(output, encoded.data)
     passed_over = [] if capture is None else [notice["message"] for notice in capture.table.warnings]
-    warnings = [*passed_over, *reading.notes(), *encoded.notes]
-    before = source.stat().st_size
+    warnings = [*passed_over, *reading.notes(), *encoded.notes, *unmeasured]
     bars.say(
         f"{len(gaussians)} Gaussians in {output}: {len(encoded.data):,} bytes, "
         f"{len(encoded.data) / max(before, 1):.1%} of {before:,}"

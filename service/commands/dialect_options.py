@@ -1,4 +1,4 @@
-"""The options of commands that read files of Gaussians: what their dialect is, and what becomes of invalid rows."""
+"""The options of commands that read files of Gaussians: format and dialect, and what becomes of invalid rows."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from typing import Annotated, Literal
 
 import typer
 
+SourceFormatOption = Annotated[
+    str | None,
+    typer.Option("--from", help="the format of the file, where neither its bytes nor its extension tell"),
+]
 OpacityOption = Annotated[
     Literal["auto", "logit", "linear"], typer.Option("--opacity", help="what a .ply holds: logits, or opacities")
 ]

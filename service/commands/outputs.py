@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,9 +12,9 @@ from ..camera_path import PathName, loop
 from ..disk import replace_file
 from ..effort import Effort, draw
 from ..errors import InputError
-from ..film import FILM_FORMATS, FilmFormat, FilmShape, check_film, write_film
+from ..film import FILM_FORMATS, FilmFormat, FilmShape, check_film, most_frames, write_film
 from ..framing import even, within
-from ..picture import Channel, Format, encode, encode_image
+from ..picture import MAX_SIDE, Channel, Format, encode, encode_image
 from ..problem_document import plain
 from ..progress import Stages
 from ..scene_views import SceneViews
@@ -70,7 +71,7 @@ class FilmPlan:
     format: FilmFormat
     path: PathName = "turntable"
     seconds: float = SECONDS
-    fps: float = FPS
+    fps: float | None = None  # as asked for; `FPS` where it is not
     swing: float | None = None
     even: bool = False  # whether the size may be cropped to what the format needs
 
@@ -97,9 +98,16 @@ class FilmPlan:
 
     def shape(self, camera: Camera) -> FilmShape:
         """Of the film whose frames are those of `camera`. Raises `InputError` for what cannot be written."""
-        shape = FilmShape(self.format, camera.width, camera.height, round(self.seconds * self.fps), self.seconds)
+        frames = min(round(self.seconds * (self.fps or FPS)), most_frames(self.seconds))
+        shape = FilmShape(self.format, camera.width, camera.height, frames, self.seconds)
         check_film(shape)
         return shape
+
+    def notes(self, shape: FilmShape) -> list[str]:
+        """A sentence where whole frames do not come at the rate that was asked for."""
+        if self.fps is None or math.isclose(shape.fps, self.fps):
+            return []
+        return [f"{shape.frames} frames in {shape.seconds:g} s are {shape.fps:.4g} per second, not {self.fps:g}"]
 
 
 def empty_pictures(drawing: Drawing) -> list[str]:
@@ -163,6 +171,22 @@ def write_moving(drawing: Drawing, output: Path, plan: FilmPlan, stages: Stages)
         write_film(output, shape, frames(step))
     said = {"file": str(output), "path": plan.path, "fps": shape.fps, **vars(shape)}
     return said | {"projected": (min(projected), max(projected))}
+
+
+def check_sheet(output: Path, shots: Sequence[Camera]) -> None:
+    """Raises `InputError` where a sheet of these views does not fit the format of the file."""
+    from ..contact_sheet import CELL, in_rows, sheet_size
+
+    cells = [within(camera, CELL) for camera in shots]
+    size = sheet_size(in_rows([(cell.width, cell.height) for cell in cells]))
+    format = SHEET_FORMATS[output.suffix.lower()]
+    for name, side in zip(("width", "height"), size, strict=True):
+        if side > MAX_SIDE[format]:
+            raise InputError(
+                f"{name} of {len(shots)} views is {side} px, the limit of {format} is {MAX_SIDE[format]}",
+                field="sheet",
+                cure="write .png, or fewer --views",
+            )
 
 
 def write_sheet(drawing: Drawing, output: Path, stages: Stages) -> dict[str, Any]:

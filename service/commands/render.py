@@ -13,7 +13,14 @@ from ..camera_path import PathName
 from ..effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort
 from ..streams import write_result
 from ..terminal import ProgressBars, Quiet
-from .dialect_options import AxesOption, DropInvalidOption, OpacityOption, RotationOption, ScalesOption
+from .dialect_options import (
+    AxesOption,
+    DropInvalidOption,
+    OpacityOption,
+    RotationOption,
+    ScalesOption,
+    SourceFormatOption,
+)
 from .selection import view_specs
 
 if TYPE_CHECKING:
@@ -54,6 +61,7 @@ def render(
         int | None, typer.Option(min=0, max=3, help="highest band of harmonics [default: all]")
     ] = None,
     samples: Annotated[int, typer.Option(min=1, max=MAX_SAMPLES, help="per side of a pixel")] = 1,
+    source_format: SourceFormatOption = None,
     opacity: OpacityOption = "auto",
     scales: ScalesOption = "auto",
     rotation: RotationOption = "auto",
@@ -83,6 +91,7 @@ def render(
         SHEET_FORMATS,
         Drawing,
         FilmPlan,
+        check_sheet,
         empty_pictures,
         write_moving,
         write_pictures,
@@ -109,12 +118,15 @@ def render(
         cropped = square(camera) if crop == "square" else camera
         return cropped if sides is None else frame(cropped, *sides)
 
-    for spec in specs:  # what cannot be drawn or written is said before the work
-        shot = fit(scene.resolve(spec, field="views"))
+    passed_over = [notice["message"] for notice in capture.table.warnings]
+    shots = [fit(scene.resolve(spec, field="views")) for spec in specs]
+    for shot in shots:  # what cannot be drawn or written is said before the work
         check_format(shot.width, shot.height, channel, "png", depth_scale)
+    if sheet:
+        check_sheet(output, shots)
     if plan is not None:
         replace(scene, cameras=[scene.resolve(spec, field="views") for spec in specs]).path(plan.path, plan.swing)
-        plan.shape(plan.fit(fit(scene.resolve(specs[0], field="views"))))
+        passed_over += plan.notes(plan.shape(plan.fit(shots[0])))
     if plan is None and not sheet and not output.is_dir() and output.suffix.lower() in NO_FOLDER:
         raise InputError(
             f"{output.name!r} names a file, and pictures go into a folder",
@@ -132,7 +144,7 @@ def render(
         stages = Stages(bars)
         with stages.stage("read"):
             dialect = Dialect(opacity, scales, rotation, axes)
-            reading, _ = inspect_gaussians(ply, dialect=dialect, drop_invalid=drop_invalid)
+            reading, _ = inspect_gaussians(ply, format=source_format, dialect=dialect, drop_invalid=drop_invalid)
             gaussians = reading.gaussians
         if not in_file:
             scene = SceneViews(file.cameras, *(seen_depths(gaussians, file.cameras) or (None, None)))
@@ -144,7 +156,6 @@ def render(
             written = {"sheet": write_sheet(drawing, output, stages)}
         else:
             written = {"views": write_pictures(drawing, output, depth_scale, stages)}
-    passed_over = [notice["message"] for notice in capture.table.warnings]
     precision = _precision(gaussians, drawing.shots, scene.near)
     warnings = [*passed_over, *reading.notes(), *precision, *empty_pictures(drawing)]
     bars.say(f"{len(written['views'])} pictures in {output}" if "views" in written else f"wrote {output}")

@@ -14,9 +14,9 @@ from ..errors import PlyError
 from ..gaussians import Gaussians
 from ..harmonics import C0
 from ..ply_format import Element, Header, binary_rows, parse_header
-from .encoded import Encoded, clamped_note, position_note, quantized
+from .encoded import Encoded, clamped_note, position_note, quantized, require_float32
 from .morton import morton_order
-from .reading import LARGEST, Reading, check_count, gaussians_of
+from .reading import LARGEST, Reading, check_count, gaussians_of, passed_over
 from .smallest_three import BOUND, join, split
 
 F64 = NDArray[np.float64]
@@ -39,12 +39,16 @@ def is_compressed(header: Header) -> bool:
 
 
 def read_compressed_ply(data: bytes, *, drop_invalid: bool = False, max_count: int | None = None) -> Reading:
-    """Decode a file; without colour bounds colours lie between 0 and 1. Raises `PlyError` naming element and row."""
+    """Decode a binary file; without colour bounds colours lie between 0 and 1.
+
+    Raises `PlyError` naming element and row.
+    """
     header = parse_header(data)
     chunk, sh = header.element("chunk"), header.element("sh")
-    if chunk is None or header.byte_order is None:
-        message = "is no binary compressed .ply: it has no element chunk"
-        raise PlyError(message, field="header", cure="read it as a .ply")
+    if chunk is None:
+        raise PlyError("is of no compressed .ply: no element chunk", field="header", cure="read it as a .ply")
+    if header.byte_order is None:
+        raise PlyError("is ASCII, need binary", field="header", cure="save it as binary")
     count = header.vertex.count
     check_count(count, max_count, "vertex")
     groups = [group for group in GROUPS if any(prop.name == f"min_{group[0]}" for prop in chunk.properties)]
@@ -60,22 +64,24 @@ def read_compressed_ply(data: bytes, *, drop_invalid: bool = False, max_count: i
     position, rotation, scale, colour = (rows[name].astype(np.int64) for name in PACKED)
     parts = np.stack([colour >> 24, colour >> 16, colour >> 8, colour], axis=1) & 255
     unit = parts / COLOUR_LEVELS
-    if COLOURS in groups:
-        unit[:, :3] = _between(bounds, COLOURS, place, unit[:, :3])
     others = np.stack([rotation >> 20, rotation >> 10, rotation], axis=1) & ROTATION_LEVELS
     with np.errstate(over="ignore", invalid="ignore"):  # bounds of a damaged file; the rows are checked
+        if COLOURS in groups:
+            unit[:, :3] = _between(bounds, COLOURS, place, unit[:, :3])
+        constant = ((unit[:, :3] - 0.5) / C0)[:, None, :].astype(np.float32)
         scales = np.exp(_between(bounds, SCALES, place, _unpacked(scale)))
         scales[~(scales <= LARGEST)] = np.inf
+        means = _between(bounds, AXES, place, _unpacked(position))
     higher = _higher(data, header, sh, count)
-    constant = ((unit[:, :3] - 0.5) / C0)[:, None, :].astype(np.float32)
     fields = {
-        "means": _between(bounds, AXES, place, _unpacked(position)),
+        "means": means,
         "scales": scales,
         "rotations_wxyz": join(rotation >> 30, (others / ROTATION_LEVELS - 0.5) * (2 * BOUND)),
         "opacities": unit[:, 3],
         "harmonics": np.concatenate([constant, higher], axis=1),
     }
-    return gaussians_of(fields, "compressed_ply", drop_invalid=drop_invalid)
+    remarks = tuple(_passed_over(header, chunk))
+    return gaussians_of(fields, "compressed_ply", drop_invalid=drop_invalid, remarks=remarks)
 
 
 def compressed_ply_bytes(gaussians: Gaussians) -> Encoded:
@@ -83,13 +89,8 @@ def compressed_ply_bytes(gaussians: Gaussians) -> Encoded:
 
     Raises `PlyError` where a position does not fit float32.
     """
+    require_float32(gaussians, PlyError)
     ordered = gaussians[morton_order(gaussians.means)]
-    if (np.abs(ordered.means) > LARGEST).any():
-        raise PlyError(
-            f"the farthest position is {np.abs(ordered.means).max():g}, beyond float32",
-            field="means",
-            cure="move the world's origin into the scene, or write .ply",
-        )
     count, rest = len(ordered), ordered.harmonics.shape[1] - 1
     with np.errstate(divide="ignore"):  # a scale of 0 goes to the limit
         logs = np.log(ordered.scales.astype(np.float64))
@@ -144,8 +145,7 @@ def _between(bounds: NDArray, group: tuple[str, ...], place: NDArray[np.int64], 
     """(N, 3) values at `shares` of the way between the bounds of each row's chunk."""
     ends = [np.stack([bounds[f"{end}_{name}"].astype(np.float64) for name in group], axis=1) for end in ("min", "max")]
     low, high = (end[place] for end in ends)
-    with np.errstate(invalid="ignore"):  # infinite bounds of a damaged file; the rows are checked
-        return low * (1 - shares) + high * shares
+    return low * (1 - shares) + high * shares
 
 
 def _packed(shares: F64) -> NDArray[np.int64]:
@@ -175,6 +175,14 @@ def _higher(data: bytes, header: Header, sh: Element | None, count: int) -> NDAr
     values = (levels.astype(np.float32) + np.float32(0.5)) * np.float32(BAND_STEP) + np.float32(BAND_LOW)
     values[levels == 0], values[levels == 255] = BAND_LOW, -BAND_LOW
     return values.reshape(count, 3, numbers // 3).transpose(0, 2, 1)
+
+
+def _passed_over(header: Header, chunk: Element) -> list[str]:
+    """A remark for properties that nobody reads, of Gaussians or chunks, and one for other elements."""
+    known = {*PACKED, *(f"{end}_{name}" for group in GROUPS for end in ("min", "max") for name in group)}
+    more = [prop.name for element in (chunk, header.vertex) for prop in element.properties if prop.name not in known]
+    others = [element.name for element in header.elements if element.name not in ("chunk", "vertex", "sh")]
+    return passed_over(properties=more, elements=others)
 
 
 def _require_properties(element: Element, names: tuple[str, ...] | list[str], kind: str | None = None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import FormatError, TooManyGaussians
 from ..gaussians import Gaussians
+from ..streams import visible
 
 Source = str | PathLike[str] | bytes | bytearray | memoryview | BinaryIO
 
@@ -59,6 +60,16 @@ def check_count(count: int, max_count: int | None, field: str) -> None:
         raise TooManyGaussians(
             f"the file has {count} Gaussians, the limit is {max_count}", field=field, cure="thin it out first"
         )
+
+
+def passed_over(**named: Sequence[str]) -> list[str]:
+    """A remark for each kind of thing in a file that nobody reads, with the first names."""
+    remarks = []
+    for what, names in named.items():
+        if names:
+            listed = ", ".join(visible(name[:40]) for name in names[:8]) + (" and more" if len(names) > 8 else "")
+            remarks.append(f"{what} passed over: {listed}")
+    return remarks
 
 
 def gaussians_of(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from os import PathLike
 from pathlib import Path
 
@@ -17,8 +17,8 @@ from .compressed_ply import compressed_ply_bytes, is_compressed, read_compressed
 from .dialect import AUTO, Dialect
 from .encoded import Encoded
 from .reading import Reading, Source, bytes_of
-from .splat import read_splat, splat_bytes
-from .spz import read_spz, spz_bytes
+from .splat import ROW, read_splat, splat_bytes
+from .spz import holds_spz, is_gzip, read_spz, spz_bytes
 
 MEDIA_TYPE = "application/octet-stream"  # of all of them: none has a registered one
 Reader = Callable[[bytes, Dialect, bool, int | None], Reading]
@@ -26,12 +26,27 @@ Reader = Callable[[bytes, Dialect, bool, int | None], Reading]
 
 @dataclass(frozen=True)
 class Format:
-    """A format; `read` takes the file, its dialect, whether invalid rows are dropped, and the most rows."""
+    """A format, and what of a dialect there is in it."""
 
     extension: str  # without the dot in front
     keeps: str
-    read: Reader
+    decode: Reader
     write: Callable[[Gaussians], Encoded]
+    choices: tuple[str, ...] = ()  # fields of `Dialect`
+
+    def read(self, data: bytes, dialect: Dialect, drop_invalid: bool, max_count: int | None) -> Reading:
+        """What a file holds, with a remark where its dialect was told and there is none in the format.
+
+        Raises `FormatError`, and `TooManyGaussians` beyond `max_count`.
+        """
+        reading = self.decode(data, dialect, drop_invalid, max_count)
+        told = [field.name for field in fields(Dialect) if getattr(dialect, field.name) != getattr(AUTO, field.name)]
+        idle = [
+            f"--{name} {getattr(dialect, name)} changes nothing: a .{self.extension} has no such choice"
+            for name in told
+            if name not in self.choices
+        ]
+        return replace(reading, remarks=(*idle, *reading.remarks)) if idle else reading
 
 
 def _ply(data: bytes, dialect: Dialect, drop: bool, most: int | None) -> Reading:
@@ -51,10 +66,16 @@ def _spz(data: bytes, dialect: Dialect, drop: bool, most: int | None) -> Reading
 
 
 _ALL = (
-    Format("ply", "everything, as float32", _ply, lambda gaussians: Encoded(ply_bytes(gaussians))),
+    Format(
+        "ply",
+        "everything, as float32",
+        _ply,
+        lambda gaussians: Encoded(ply_bytes(gaussians)),
+        ("opacity", "scales", "rotation"),
+    ),
     Format("compressed.ply", "everything, in 8 to 11 bits; the order changes", _compressed, compressed_ply_bytes),
     Format("splat", "position and size as float32, one colour in 8 bits, no harmonics", _splat, splat_bytes),
-    Format("spz", "everything, in 8 to 24 bits, compressed", _spz, spz_bytes),
+    Format("spz", "everything, in 8 to 24 bits, compressed", _spz, spz_bytes, ("axes",)),
 )
 FORMATS = {entry.extension: entry for entry in _ALL}
 NAMES = ", ".join(FORMATS)
@@ -80,11 +101,13 @@ def format_of_path(path: str | PathLike[str], field: str = "format") -> Format:
 def format_of_bytes(data: bytes, name: str | None = None) -> Format:
     """The format that a file is by its own first bytes, else by its name: a .splat has nothing that tells.
 
-    Raises `InputError` where neither tells, `PlyError` where a .ply's header is damaged.
+    What is named a .splat and consists of whole rows may begin with any bytes; it is another format only where more
+    than the first three say so. Raises `InputError` where neither tells, `PlyError` where a .ply's header is damaged.
     """
-    if data[:3] == b"ply":
+    rows = name is not None and name.lower().endswith(".splat") and len(data) % ROW.itemsize == 0
+    if data[:3] == b"ply" and (data[3:4].isspace() or not rows):
         return FORMATS["compressed.ply" if is_compressed(parse_header(data)) else "ply"]
-    if data[:2] == b"\x1f\x8b" or data[:4] == b"NGSP":
+    if data[:4] == b"NGSP" or (is_gzip(data) and (holds_spz(data) or not rows)):
         return FORMATS["spz"]
     if name:
         return format_of_path(name, field="format")

@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import FormatError
 from ..gaussians import Gaussians
 from ..harmonics import C0
-from .encoded import Encoded, bands_note, clamped_note, position_note, quantized
-from .reading import LARGEST, Reading, check_count, gaussians_of
+from .encoded import Encoded, bands_note, clamped_note, position_note, quantized, require_float32
+from .reading import Reading, check_count, gaussians_of
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 COLOUR_LEVELS = 255
@@ -44,15 +44,7 @@ def read_splat(data: bytes, *, drop_invalid: bool = False, max_count: int | None
 
 def splat_bytes(gaussians: Gaussians) -> Encoded:
     """Encode in the order given. Raises `FormatError` where a position does not fit float32."""
-    large = (np.abs(gaussians.means) > LARGEST).any(axis=1)
-    if large.any():
-        index = int(np.flatnonzero(large)[0])
-        raise FormatError(
-            f"position {gaussians.means[index].tolist()} does not fit float32",
-            field="means",
-            index=index,
-            cure="move the world's origin into the scene, or write .ply",
-        )
+    require_float32(gaussians, FormatError)
     rows = np.zeros(len(gaussians), ROW)
     rows["means"], rows["scales"] = gaussians.means, gaussians.scales
     colours, outside = quantized(

@@ -44,6 +44,19 @@ COMPRESSION = 6
 TURN = np.diag([1.0, -1.0, -1.0])  # half a turn about x
 
 
+def is_gzip(data: bytes) -> bool:
+    """Whether a file begins as a gzip does (RFC 1952): the mark, deflate, and no flag without a meaning."""
+    return data[:3] == b"\x1f\x8b\x08" and len(data) > 3 and not data[3] & 0xE0
+
+
+def holds_spz(data: bytes) -> bool:
+    """Whether a gzip holds the magic number of a .spz."""
+    try:
+        return zlib.decompressobj(31).decompress(data, 4) == MAGIC.to_bytes(4, "little")
+    except zlib.error:
+        return False
+
+
 def read_spz(data: bytes, *, axes: Axes = "rub", drop_invalid: bool = False, max_count: int | None = None) -> Reading:
     """Decode a file, of which no more is decompressed than its header says. Raises `FormatError`."""
     columns, degree, fraction, version, remarks = _unpacked(data, max_count)
@@ -207,7 +220,7 @@ def _turned(fields: dict[str, NDArray]) -> dict[str, NDArray]:
 
 def _fraction(means: NDArray[np.float64], size: float) -> int:
     """As many fractional bits as Gaussians of a typical size ask for and the farthest coordinate leaves room for."""
-    farthest = np.abs(means).max(initial=0.0)
+    farthest = float(np.abs(means).max(initial=0.0))
     wanted = np.ceil(np.log2(SHARE_OF_SIZE / size)) if size > 0 else MAX_FRACTION
     for fraction in range(int(np.clip(wanted, 1, MAX_FRACTION)), 0, -1):
         if farthest * 2.0**fraction <= TOP:

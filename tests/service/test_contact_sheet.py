@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gapmes.service.contact_sheet import CELL, GAP, LABEL, TITLE, Cell, Row, contact_sheet, rows_of
+from gapmes.service.contact_sheet import CELL, GAP, LABEL, TITLE, Cell, Row, contact_sheet, in_rows, rows_of, sheet_size
 
 
 def test_comparison_holds_every_picture() -> None:
@@ -13,6 +13,14 @@ def test_comparison_holds_every_picture() -> None:
     sheet = np.asarray(contact_sheet([Row("One", cells[:1]), Row("Two", cells[1:])]))
     for colour in colours:
         assert (sheet == colour).all(axis=2).sum() == 256 * 256
+
+
+def test_the_size_of_a_sheet_is_known_before_it_is_drawn() -> None:
+    sides = [(160, 90), (90, 160), (256, 256), (1, 256), (7, 3)]
+    cells = [Cell(np.zeros((height, width, 3), np.uint8), "") for width, height in sides]
+    for columns in (1, 2, 3, 6):
+        sheet = contact_sheet(rows_of("Views", cells, columns))
+        assert sheet_size(in_rows(sides, columns)) == sheet.size
 
 
 def test_many_cells_go_into_several_rows_as_high_as_their_pictures() -> None:

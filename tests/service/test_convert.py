@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,68 @@ def test_the_format_may_be_named(ply: Path, capfd: pytest.CaptureFixture[str]) -
     converted(capfd, unnamed, back, "--from", "splat", "--measure", "off")
     assert_same(read_gaussians(unnamed, format="splat"), read_gaussians(unnamed, format=".splat"))
     assert len(read_gaussians(back)) == 3000
+
+
+def test_render_takes_the_format_by_name_too(ply: Path, cameras: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    unnamed = ply.with_name("scene.bin")
+    converted(capfd, ply, unnamed, "--to", "splat", "--measure", "off")
+    arguments = ("render", unnamed, "--cameras", cameras, "-o", ply.parent / "v", "--json")
+    assert run(*arguments) == 1
+    assert "'scene.bin' ends in none of" in capfd.readouterr().err
+    assert run(*arguments, "--from", "splat") == 0
+    assert json.loads(capfd.readouterr().out)["gaussians"] == 3000
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "value"),
+    [
+        ("spz", "--opacity", "linear"),
+        ("spz", "--rotation", "wxyz"),
+        ("ply", "--axes", "rdf"),
+        ("compressed.ply", "--scales", "log"),
+        ("splat", "--axes", "rdf"),
+    ],
+)
+def test_an_option_that_the_format_has_no_use_for_is_told(
+    ply: Path, cameras: Path, name: str, option: str, value: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    source, output = ply.with_name(f"it.{name}"), ply.with_name("out.ply")
+    source.write_bytes(FORMATS[name].write(scene(100)).data)
+    told = f"{option} {value} changes nothing: a .{name} has no such choice"
+    plain = converted(capfd, source, output, "--measure", "off")["warnings"]
+    assert converted(capfd, source, output, "--measure", "off", option, value)["warnings"] == [told, *plain]
+    assert run("render", source, "--cameras", cameras, "-o", ply.parent / "v", "--json", option, value) == 0
+    assert json.loads(capfd.readouterr().out)["warnings"] == [told, *plain]
+
+
+def test_in_may_be_out(ply: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The bytes that are told are those of before."""
+    write_ply(ply, scene(3000), positions="float64")
+    before = ply.stat().st_size
+    document = converted(capfd, ply, ply, "--measure", "off")
+    assert document["from"]["bytes"] == before
+    assert document["to"]["bytes"] == ply.stat().st_size < before
+
+
+@pytest.mark.parametrize(
+    ("reach", "words"),
+    [
+        (1e38, r"definition\.near: is 3\.\d+e\+37, need 0 to 1e\+37"),
+        (1e101, r"means: .* would be 4\.\d+e\+101 units away, need at most 1e\+100; .* at index 0: \[1e\+101, "),
+        (1.5e308, r"means: .* would be inf units away"),
+    ],
+)
+def test_what_no_camera_can_hold_is_written_and_not_compared(
+    ply: Path, reach: float, words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    source = scene(50)
+    source.means[::2, 0], source.means[1::2, 0] = reach, -reach
+    write_ply(ply, source)
+    output = ply.with_name("out.ply")
+    document = converted(capfd, ply, output)
+    assert document["psnr"] == []
+    assert re.match(f"pictures could not be compared: {words}", document["warnings"][-1])
+    assert np.array_equal(read_gaussians(output).means, read_gaussians(ply).means)
 
 
 def test_a_dialect_is_said_and_may_be_told(tmp_path: Path, cameras: Path, capfd: pytest.CaptureFixture[str]) -> None:

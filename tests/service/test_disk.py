@@ -6,8 +6,12 @@ import errno
 import json
 import os
 import resource
+import signal
 import stat
+import subprocess
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -115,15 +119,47 @@ def test_a_link_stays_one_and_a_long_name_is_no_trouble(tmp_path: Path) -> None:
     assert file.read_bytes() == b"new"
 
 
-def test_a_pipe_is_written_to(tmp_path: Path) -> None:
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+def test_a_pipe_is_written_to_and_stays_one_also_behind_a_link(tmp_path: Path, write: Callable[[Path], object]) -> None:
     os.mkfifo(tmp_path / "pipe")
-    found: list[bytes] = []
-    reader = threading.Thread(target=lambda: found.append((tmp_path / "pipe").read_bytes()))
-    reader.start()
-    replace_file(tmp_path / "pipe", b"through")
-    reader.join(10)
-    assert found == [b"through"]
+    (tmp_path / "link").symlink_to(tmp_path / "pipe")
+    write(tmp_path / "file")
+    for name in ("pipe", "link"):
+        found: list[bytes] = []
+        reader = threading.Thread(target=lambda out=found: out.append((tmp_path / "pipe").read_bytes()), daemon=True)
+        reader.start()
+        write(tmp_path / name)
+        reader.join(120)
+        assert found == [(tmp_path / "file").read_bytes()]
+        assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "link").is_symlink()
+    assert sorted(os.listdir(tmp_path)) == ["file", "link", "pipe"]
+
+
+def test_a_pipe_hears_nothing_of_what_fails(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ValueError, match="1 frames, the film has 2"):  # opening the pipe would wait for a reader
+        write_film(tmp_path / "pipe", FilmShape("gif", 8, 8, 2, 0.5), np.zeros((1, 8, 8, 3), np.uint8))
     assert (tmp_path / "pipe").is_fifo()
+
+
+@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGHUP])
+def test_a_command_that_is_told_to_end_leaves_no_half_of_a_file(folder: Path, ending: signal.Signals) -> None:
+    words = [sys.executable, "-c", "from gapmes.service.cli import main; main()", *RENDER]
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it would be ignored, there and here
+    try:
+        there = contents(folder)
+        process = subprocess.Popen([*words, "film.gif", "--seconds", "600", "-q"], cwd=folder)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    with process:
+        deadline = time.monotonic() + 120
+        while not list(folder.glob(".gapmes-*")):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        process.send_signal(ending)
+        assert process.wait(120) == 128 + ending
+    assert contents(folder) == there
 
 
 @pytest.fixture

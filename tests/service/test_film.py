@@ -16,7 +16,7 @@ from PIL import Image, ImageSequence
 
 from gapmes.service import film
 from gapmes.service.errors import InputError
-from gapmes.service.film import FILM_FORMATS, FilmShape, check_film, times_ms, write_film
+from gapmes.service.film import FILM_FORMATS, FilmShape, check_film, most_frames, times_ms, write_film
 from gapmes.service.picture_error import psnr
 
 WIDTH, HEIGHT, FRAMES, SECONDS = 96, 64, 12, 1.0
@@ -83,6 +83,27 @@ def test_pictures_that_move_say_how_long_and_begin_anew(format: Any, tmp_path: P
             times.append(frame.info["duration"])
     assert sum(times) == 700
     assert max(times) - min(times) <= film.UNIT_MS[format]
+
+
+@pytest.mark.parametrize("level", [None, 77], ids=["picture", "grey"])
+@pytest.mark.parametrize("format", ["webp", "gif"])
+def test_a_film_in_which_nothing_moves_is_one(format: Any, level: int | None, tmp_path: Path) -> None:
+    """Encoders keep equal neighbours as one, and would make a still of it, which has no time."""
+    picture = drawn(3) if level is None else np.full((HEIGHT, WIDTH, 3), level, np.uint8)
+    path = tmp_path / f"film.{format}"
+    write_film(path, shape(format, seconds=0.71), [picture] * FRAMES)
+    found = decoded(path)
+    assert len(found) >= 2
+    for pixels in found:
+        assert pixels.shape == (HEIGHT, WIDTH, 3)
+        assert psnr(planes(pixels), planes(picture)) >= LEAST_PSNR[format]
+    with Image.open(path) as image:
+        assert image.info["loop"] == 0
+        times = []
+        for frame in ImageSequence.Iterator(image):
+            frame.load()
+            times.append(frame.info["duration"])
+    assert sum(times) == 710
 
 
 @needs_av
@@ -153,6 +174,14 @@ def test_times_add_up(frames: int, fps: float, unit: int) -> None:
     assert abs(sum(times) - 1000 * frames / fps) <= unit / 2 + 1e-6
     assert min(times) >= 1000 / fps - unit
     assert max(times) <= 1000 / fps + unit
+
+
+def test_as_many_frames_fit_as_the_rate_allows() -> None:
+    """Also where 50 times the seconds is just below a whole number of float64."""
+    for frames in range(2, 30_001):
+        assert most_frames(frames / 50) == frames
+        assert most_frames((frames + 0.5) / 50) == frames
+        check_film(shape("gif", frames=frames, seconds=frames / 50))
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from pathlib import Path
 
@@ -28,6 +29,13 @@ from gapmes.service.splat import render
 COARSE = [name for name in FORMATS if name != "ply"]
 STEP_10 = np.sqrt(2) / 1023  # of a smallest-three component in 10 bits
 STEP_9 = np.sqrt(0.5) / 511  # and in a sign and 9 bits
+# Of any component of a rotation. The one that is left out is off by up to three times the others, to first order; half
+# a step in each of four, a whole one at +1, moves a unit quaternion by no more than their norm.
+ROTATION = {
+    "compressed.ply": 3.1 * STEP_10 / 2,
+    "splat": np.sqrt(3 * (1 / 256) ** 2 + (1 / 128) ** 2),
+    "spz": 3.1 * STEP_9 / 2,
+}
 ROUNDING = 1e-6  # of the float32 numbers that `Gaussians` holds
 
 
@@ -61,28 +69,36 @@ def test_every_number_is_within_half_a_step(name: str, count: int, degree: int) 
     levels = np.array([2047, 1023, 2047])
     if name == "compressed.ply":
         position, log_scale = chunk_extents(before.means) / levels / 2, chunk_extents(logs) / levels / 2
-        colour, band, three = chunk_extents(before.harmonics[:, 0]) / 255 / 2, 1 / 64, STEP_10 / 2
+        colour, band = chunk_extents(before.harmonics[:, 0]) / 255 / 2, 1 / 64
     elif name == "splat":
         position, log_scale = np.zeros(3), np.zeros(3)
-        colour, band, three = 1 / 255 / C0 / 2, None, None
+        colour, band = 1 / 255 / C0 / 2, None
     else:
         position, log_scale = typical_size(before) / 64, 1 / 32
-        colour, band, three = 1 / 255 / 0.15 / 2, 1 / 256, STEP_9 / 2
+        colour, band = 1 / 255 / 0.15 / 2, 1 / 256
     inside = np.abs(0.5 + C0 * before.harmonics[:, 0]) <= 1  # the .splat holds colours from 0 to 1 alone
     assert (np.abs(after.means - before.means) <= position + ROUNDING).all()
     assert (np.abs(np.log(after.scales.astype(float)) - logs) <= log_scale + ROUNDING).all()
     assert (np.abs(after.opacities - before.opacities) <= 1 / 255 / 2 + ROUNDING).all()
     assert (np.abs(after.harmonics[:, 0] - before.harmonics[:, 0]) <= colour + ROUNDING)[inside].all()
     apart = rotation_distance(after.rotations_wxyz, before.rotations_wxyz)
-    if band is None or three is None:
+    assert apart.max() <= ROTATION[name] + ROUNDING
+    if band is None:
         assert after.sh_degree == 0
-        # Half a step in each of four components, a whole one at +1, moves a unit quaternion by no more than their norm.
-        assert apart.max() <= np.sqrt(3 * (1 / 256) ** 2 + (1 / 128) ** 2) + ROUNDING
     else:
         assert after.sh_degree == degree
         higher = np.abs(after.harmonics[:, 1:] - before.harmonics[:, 1:])
         assert higher.max(initial=0) <= band + ROUNDING
-        assert apart.max() <= 3.1 * three  # the component that is left out is off by up to three times the others
+
+
+def test_the_page_has_the_bounds_of_rotations() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    names = re.search(r"^\| field \|(.*)\|$", page, re.MULTILINE)
+    bounds = re.search(r"^\| rotation \|(.*)\|$", page, re.MULTILINE)
+    assert names
+    assert bounds
+    told = dict(zip(re.findall(r"`(.+?)`", names[1]), re.findall(r"\d\.\d+", bounds[1]), strict=True))
+    assert told == {name: f"{np.ceil(1e4 * bound) / 1e4:.4f}" for name, bound in ROTATION.items()}
 
 
 @pytest.mark.parametrize("name", COARSE)

@@ -11,6 +11,7 @@ import pytest
 from format_cases import moderate, spz_file
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ply_cases import assert_same
 
 from gapmes.service.errors import FormatError, InputError, PlyError, TooManyGaussians
 from gapmes.service.formats.registry import FORMATS, format_of_bytes, format_of_path, inspect_gaussians, read_gaussians
@@ -124,7 +125,7 @@ def test_a_limit_on_the_count_holds_for_every_format(name: str) -> None:
         (b"element sh 300", b"element sh 299", "sh", "9 properties and 299 rows, need 9, 24 or 45 and 300"),
         (b"property uchar f_rest_8\n", b"", "sh", "8 properties"),
         (b"uchar f_rest_8", b"char f_rest_8", "sh", "f_rest_8"),
-        (b"binary_little_endian", b"ascii", "header", "no binary compressed"),
+        (b"binary_little_endian", b"ascii", "header", r"is ASCII, need binary \(save it as binary\)"),
     ],
 )
 def test_a_compressed_ply_of_another_layout_is_refused(old: bytes, new: bytes, field: str, message: str) -> None:
@@ -149,6 +150,52 @@ def test_bounds_that_are_no_numbers_are_refused_or_their_chunk_dropped(column: i
     reading, _ = inspect_gaussians(bytes(data), drop_invalid=True)
     assert 256 <= len(reading.gaussians) < 300
     assert sum(reading.invalid.values()) >= 300 - len(reading.gaussians)
+
+
+@pytest.mark.parametrize("bits", [0x7F800001, 0xFFBFFFFF, 0x7F7FFFFF, 0xFF7FFFFF, 0x7F800000], ids=hex)
+@pytest.mark.parametrize("column", range(18))
+def test_bounds_of_any_bits_are_read_or_refused_and_nothing_else_is_said(column: int, bits: int) -> None:
+    """Signalling NaNs, the largest float32, infinity: numpy's own warnings are errors in these tests."""
+    data = bytearray(COMPRESSED)
+    at = BODY + 4 * column
+    data[at : at + 4] = bits.to_bytes(4, "little")
+    reading, _ = inspect_gaussians(bytes(data), drop_invalid=True)
+    assert len(reading.gaussians) == 300 - max(reading.invalid.values(), default=0)
+
+
+def test_what_nobody_reads_of_a_compressed_ply_is_told() -> None:
+    """Further properties of Gaussians and chunks, and further elements, as of any other .ply."""
+    chunks, vertices = BODY + 2 * FLOATS, BODY + 2 * FLOATS + 300 * 16
+    header = COMPRESSED[:BODY].replace(b"element vertex", b"property float weight\nelement vertex")
+    header = header.replace(b"packed_color\n", b"packed_color\nproperty uchar label\x1b[2J\n")
+    header = header.replace(b"end_header", b"element camera 2\nproperty int id\nend_header")
+    tables = b"".join(COMPRESSED[BODY + FLOATS * i : BODY + FLOATS * (i + 1)] + bytes(4) for i in range(2))
+    tables += b"".join(COMPRESSED[chunks + 16 * i : chunks + 16 * (i + 1)] + b"7" for i in range(300))
+    reading, found = inspect_gaussians(header + tables + COMPRESSED[vertices:] + bytes(8))
+    assert found.extension == "compressed.ply"
+    assert reading.notes() == ["properties passed over: weight, label\\x1b[2J", "elements passed over: camera"]
+    assert_same(reading.gaussians, read_gaussians(COMPRESSED))
+    assert inspect_gaussians(COMPRESSED)[0].notes() == []
+
+
+@pytest.mark.parametrize("name", ["compressed.ply", "splat"])
+def test_a_position_beyond_float32_is_named(name: str) -> None:
+    source = moderate(300, 1, 0)
+    source.means[[123, 200], 1] = 1e39
+    said = r"2 of 300 positions do not fit float32, which ends at 3\.403e\+38, first at index 123: \[.*1e\+39"
+    with pytest.raises(FormatError, match=said) as refusal:
+        FORMATS[name].write(source)
+    assert (refusal.value.field, refusal.value.index) == ("means", 123)
+    assert refusal.value.cure
+
+
+@pytest.mark.parametrize("far", [1e39, 1.7e308])
+def test_a_position_that_is_too_far_for_a_spz_is_named(far: float) -> None:
+    source = moderate(300, 1, 0)
+    source.means[123, 1] = far
+    with pytest.raises(FormatError, match=r"is farther from the origin than the 4\.1943e") as refusal:
+        FORMATS["spz"].write(source)
+    assert (refusal.value.field, refusal.value.index) == ("means", 123)
 
 
 def test_a_compressed_ply_without_colour_bounds_has_colours_from_0_to_1() -> None:
@@ -181,6 +228,25 @@ def test_the_bytes_say_more_than_the_name_and_what_nothing_says_is_asked_for() -
         read_gaussians(SPLAT, format="obj")
     with pytest.raises(PlyError, match="read_gaussians reads"):
         FORMATS["ply"].read(COMPRESSED, None, False, None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("mark", [b"\x1f\x8b\x08\x00", b"\x1f\x8b\x08\xe0", b"\x1f\x8b\x12?", b"ply?"])
+def test_a_splat_may_begin_with_any_number(mark: bytes) -> None:
+    """Three bytes of its first position may look like the mark of another format."""
+    data = mark + SPLAT[4:]
+    assert format_of_bytes(data, "x.SPLAT").extension == "splat"
+    assert len(read_gaussians(data, format=format_of_bytes(data, "x.splat").extension)) == 40
+
+
+def test_what_is_named_a_splat_and_is_none_is_what_it_is() -> None:
+    for data in (SPZ, COMPRESSED, FORMATS["ply"].write(moderate(3, 0, 0)).data):
+        rows = data + bytes(-len(data) % 32)
+        assert format_of_bytes(rows, "x.splat").extension == format_of_bytes(data).extension != "splat"
+    assert format_of_bytes(b"\x1f\x8b\x08\x00" + bytes(28), "x.spz").extension == "spz"
+    assert format_of_bytes(b"\x1f\x8b\x08\x00" + bytes(29), "x.splat").extension == "spz"  # no whole row
+    for other in (b"\x1f\x8b\x07\x00", b"\x1f\x8b\x08\x20", b"\x1f\x8b\x08"):  # no gzip
+        with pytest.raises(InputError, match=r"those of no \.ply or \.spz"):
+            format_of_bytes(other)
 
 
 @settings(deadline=None, max_examples=250)

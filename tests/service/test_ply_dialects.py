@@ -226,6 +226,44 @@ def test_colours_beyond_their_range_and_half_a_constant_band_are_refused() -> No
         inspect_ply(foreign(source, f_dc_1=None, **levels))
 
 
+def test_rows_that_are_dropped_have_no_say_in_the_dialect() -> None:
+    """Each of them alone would show that opacities are logits and sizes logarithms."""
+    source = scene()
+    table = columns(foreign(source, **linear_opacity(source), **linear_scales(source)))
+    spoilt = {name: column.copy() for name, column in table.items()}
+    spoilt["opacity"][7] = np.nan
+    spoilt["scale_1"][8] = np.nan
+    spoilt["x"][9], spoilt["opacity"][9], spoilt["scale_0"][9] = np.nan, -3.0, -4.0
+    spoilt["f_dc_1"][10], spoilt["opacity"][10], spoilt["scale_2"][10] = np.inf, 5.0, -5.0
+    bad = [7, 8, 9, 10]
+    reading = inspect_ply(binary_file(spoilt), drop_invalid=True)
+    assert_same(reading.gaussians, inspect_ply(binary_file({n: np.delete(c, bad) for n, c in table.items()})).gaussians)
+    close(reading.gaussians, source[[row for row in range(COUNT) if row not in bad]])
+    assert reading.notes()[0].startswith("opacities were taken as they are")
+    assert reading.notes()[-1].startswith(f"4 of {COUNT} Gaussians dropped")
+
+
+def test_rows_that_an_option_makes_invalid_have_no_say_in_the_rest() -> None:
+    source = scene()
+    opacity, sizes = linear_opacity(source)["opacity"].copy(), linear_scales(source)
+    opacity[7], sizes["scale_0"][7] = -3.0, -4.0
+    data = foreign(source, opacity=opacity, **sizes)
+    reading = inspect_ply(data, dialect=Dialect(opacity="linear"), drop_invalid=True)
+    close(reading.gaussians, source[[row for row in range(COUNT) if row != 7]])
+    assert reading.invalid == {"opacity": 1, "scale_0": 1}
+
+
+def test_a_row_that_one_dialect_alone_takes_decides() -> None:
+    """A logit of -3 is no opacity, and 100 no logarithm of a size."""
+    source = scene()
+    opacity, sizes = linear_opacity(source)["opacity"].copy(), linear_scales(source)
+    opacity[7], sizes["scale_0"][8] = -3.0, 100.0
+    reading = inspect_ply(foreign(source, opacity=opacity, **sizes), drop_invalid=True)
+    assert reading.gaussians.opacities.min() == pytest.approx(1 / (1 + np.exp(3.0)))
+    assert "opacities" not in " ".join(reading.notes())
+    assert (reading.invalid, reading.rows - len(reading.gaussians)) == ({}, 0)
+
+
 def test_other_elements_and_properties_and_infinite_logits_are_said() -> None:
     """As a writer has it that appends its camera to the file and does not clamp."""
     source = scene(20)

@@ -93,6 +93,25 @@ def test_a_turntable_is_what_a_film_shows_unasked(folder: Path, capfd: pytest.Ca
     assert [frame.shape for frame in shown(folder / "film.webp", 4, 0.4)] == [(30, 40, 3)] * 4
 
 
+@pytest.mark.parametrize(
+    ("seconds", "fps", "frames", "told"),
+    [
+        (0.15, 50, 7, "7 frames in 0.15 s are 46.67 per second, not 50"),  # 8 would be more than 50
+        (0.5, 7.3, 4, "4 frames in 0.5 s are 8 per second, not 7.3"),
+        (0.4, 10, 4, None),
+        (0.14, None, 3, None),  # no rate was asked for
+    ],
+)
+def test_whole_frames_at_another_rate_than_was_asked_for_are_told(
+    folder: Path, seconds: float, fps: float | None, frames: int, told: str | None, capfd: pytest.CaptureFixture[str]
+) -> None:
+    rate = () if fps is None else ("--fps", fps)
+    assert render(folder, "film.gif", "--seconds", seconds, *rate, "--size", "24x16", "--json") == 0
+    document = json.loads(capfd.readouterr().out)
+    assert (document["film"]["frames"], document["film"]["fps"]) == (frames, pytest.approx(frames / seconds))
+    assert document["warnings"] == ([] if told is None else [told])
+
+
 @pytest.mark.parametrize("name", ["sheet.png", "sheet.jpg", "sheet.webp"])
 def test_a_sheet_has_every_view(folder: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert render(folder, name, "--sheet", "--views", "0,1.5,orbit:5", "--json") == 0
@@ -146,6 +165,9 @@ def test_depth_is_read_as_the_page_says(folder: Path, monkeypatch: pytest.Monkey
     assert np.abs(names["depth"] - drawn.depth)[there].max() <= 0.5001 * span / 65534
 
 
+MANY = ",".join(f"orbit:{number}" for number in range(307))
+
+
 @pytest.mark.parametrize(
     ("output", "options", "words"),
     [
@@ -162,6 +184,16 @@ def test_depth_is_read_as_the_page_says(folder: Path, monkeypatch: pytest.Monkey
         ("sheet.gif", ("--sheet",), "sheet: is rgb in 'sheet.gif', need rgb in one of .png, .jpg"),
         ("sheet.webp", ("--sheet", "--fps", 20), "fps: goes with a film, and 'sheet.webp' is a sheet"),
         ("sheet.png", ("--sheet", "--channel", "alpha"), "sheet: is alpha in 'sheet.png'"),
+        (
+            "sheet.webp",
+            ("--sheet", "--size", "400x400", "--views", MANY),
+            "sheet: height of 307 views is 16652 px, the limit of webp is 16383 (write .png, or fewer --views)",
+        ),
+        (
+            "sheet.jpg",
+            ("--sheet", "--size", "256x256", "--views", ",".join(f"orbit:{n / 10}" for n in range(1225))),
+            "sheet: height of 1225 views is 65612 px, the limit of jpeg is 65500",
+        ),
         ("views", ("--depth-scale", 0.1), "depth_scale: goes with channel depth, not with rgb"),
     ],
 )
