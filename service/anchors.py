@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
-from .certified import certified_views
+from .certified import views_between
 from .gaussians import Gaussians
 from .images import FittedView
+from .shortest_ways import shortest_ways
 from .splat import render
 
-BETWEEN = 2  # cameras between each input and the next
+BETWEEN = 2  # cameras between two inputs that are neighbours
 COVERED = 0.9  # opacity from which a pixel's colour is taken for what should be seen there
 
 
@@ -39,13 +40,14 @@ def anchors(
     near: float | None = None,
     threads: int | None = None,
 ) -> Anchors:
-    """Draw the `sure` (N,) Gaussians alone from BETWEEN cameras at equal steps between each of `cameras` and the next.
+    """Draw the `sure` (N,) Gaussians alone from BETWEEN cameras at equal steps on each of the shortest ways that join
+    all `cameras`, so that in whatever order the inputs come the pictures are from the same places.
 
     Pictures in which nothing is covered are left out; `near` and `threads` are those of `render`.
     """
     subset = gaussians[np.flatnonzero(sure)]
     pictures = []
-    for camera in certified_views(cameras, BETWEEN)[len(cameras) :] if sure.any() and may_fade.any() else ():
+    for camera in views_between(shortest_ways(cameras), BETWEEN) if sure.any() and may_fade.any() else ():
         image = render(subset, camera, outputs=("alpha",), near=near, threads=threads)
         covered = image.alpha > COVERED
         if covered.any():

@@ -65,5 +65,15 @@ def parallax(view: FittedView, seen: Seen, other: FittedView) -> F64:
 
 
 def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:
-    """By how far the other view sees a point move where the way between the two lies across, per unit of 1/z."""
-    return other.camera.fx * float(np.linalg.norm(view.camera.center - other.camera.center))
+    """By how far the other view sees a point move where the way between the two lies across, per unit of 1/z.
+
+    With t the way in the axes of the other view this is sqrt((fx t_x)^2 + (fy t_y)^2 + fx fy t_z^2): what leads forward
+    counts as if it lay across. It is written as fx |t| times a root that is exactly 1 where pixels are square.
+    """
+    lens, way = other.camera, view.camera.center - other.camera.center
+    length = float(np.linalg.norm(way))
+    if length == 0:
+        return 0.0
+    _, down, forward = lens.rotation.T @ (way / length)
+    tall = lens.fy / lens.fx
+    return lens.fx * length * float(np.sqrt(1 + (tall - 1) * ((tall + 1) * down**2 + forward**2)))

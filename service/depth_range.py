@@ -22,11 +22,12 @@ NEAR_ACROSS = 2.0  # near over baseline for cameras side by side; stereo rigs an
 NEAR_ALONG = 0.4  # near over baseline for cameras one behind the other; nothing in view is passed on the way
 NEAR_TURNED = 0.4  # near over baseline for axes that miss each other: cameras around a thing are at most 2 depths apart
 FAR = 50.0  # far over baseline
-MIN_CONVERGENCE = math.radians(2.0)  # below this angle between optical axes, where they meet is chance
+MIN_CONVERGENCE = math.radians(2.0)  # below this angle between optical axes, as lines, where they meet is chance
+MIN_REACH = 0.1  # of the largest baseline; axes that meet closer to a camera than this meet at the camera itself
 MAX_PARALLEL = math.radians(5.0)  # the widest angle between the axes of cameras that count as side by side
 MAX_MISS = 0.1  # of the depth: axes that pass each other farther off than this do not meet
 MIN_SHARE = 0.1  # of a view; what fewer than this share sees in two views cannot be matched
-MAX_DEPTH = 1e150  # caller's units: its square and its inverse are finite numbers
+MAX_DEPTH = 1e32  # caller's units, and at least its inverse: float32 scales of what lies there keep all their digits
 MAX_RATIO = 1e30  # near is the network's unit, and it reckons in float32
 _SCAN = 24  # depths at which the overlap is looked at
 
@@ -43,12 +44,13 @@ class DepthRange:
 def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float | None = None) -> DepthRange:
     """Check the given range, or estimate one where both are None.
 
-    Estimate: let D_v be the z-depth in view v of the point closest to all optical axes (least squares). If the axes
-    really meet in front of the cameras (widest angle at least 2 degrees, every axis within D_v / 10 of the point), then
+    Estimate: let D_v be the z-depth in view v of the point closest to all optical axes (least squares), and B the
+    largest distance between two cameras. If the axes really meet in front of the cameras (as lines at least 2 degrees
+    apart at the widest, every D_v at least B / 10, every axis within D_v / 10 of the point), then
 
         near = min D_v / 8,   far = 8 max D_v.
 
-    Else, with B the largest distance between two cameras and its parts across and along their mean axis,
+    Else, with the parts of B across and along the cameras' mean axis,
 
         near = 2 B_across + 0.4 B_along   where all axes are within 5 degrees of parallel: a rig, a pan, a walk,
         near = 0.4 B                      otherwise: cameras held by hand around something, which miss it a little,
@@ -58,7 +60,8 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
     be matched. Of 4000 simulated pairs around a thing (10 to 90 degrees apart, aim off by up to 8 degrees standard
     deviation) 18 had the thing outside the range, nearly all of them with narrow lenses that hardly share it.
 
-    Raises `DepthRangeError` for a range that is none and `BaselineError` where all cameras stand in one place.
+    Raises `DepthRangeError` for a range that is none, given or estimated, or that leaves 1e-32 to 1e32 units, and
+    `BaselineError` where all cameras stand in one place.
     """
     if near is None and far is None:
         return _estimated(cameras)
@@ -94,7 +97,8 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
 
 
 def depth_range_of_reading(cameras: Sequence[Camera], depths: DepthRange) -> DepthRange | None:
-    """The range for another reading of the poses; None where that reading puts all cameras in one place.
+    """The range for another reading of the poses; None where that reading puts all cameras in one place, or at a
+    distance from which no range can be estimated.
 
     A given range holds for any reading; an estimate was made from the poses and is made again.
     """
@@ -102,7 +106,7 @@ def depth_range_of_reading(cameras: Sequence[Camera], depths: DepthRange) -> Dep
         return depths
     try:
         return depth_range(cameras)
-    except BaselineError:
+    except (BaselineError, DepthRangeError):
         return None
 
 
@@ -117,6 +121,13 @@ def _estimated(cameras: Sequence[Camera]) -> DepthRange:
     shared = np.flatnonzero(best_partner_shares(cameras, scan).max(axis=0) >= MIN_SHARE)
     if len(shared) >= 2:
         low, high = float(scan[shared[0]]), float(scan[shared[-1]])
+    if low < 1 / MAX_DEPTH or high > MAX_DEPTH:
+        raise DepthRangeError(
+            f"the cameras stand {float(np.linalg.norm(baseline)):.3g} apart: near = {low:.3g} and far = {high:.3g} as "
+            f"estimated, need {1 / MAX_DEPTH:g} to {MAX_DEPTH:g}",
+            field="cameras",
+            cure="give the poses in one unit, such as metres",
+        )
     return DepthRange(low, high, "estimated")
 
 
@@ -124,23 +135,32 @@ def convergence_depths(cameras: Sequence[Camera]) -> F64 | None:
     """(V,) z-depths of the point where the optical axes meet, None where they do not meet in front of all cameras.
 
     The point p solves sum_v (I - a_v a_v^T)(p - c_v) = 0 with centres c_v and unit axes a_v: the least sum of squared
-    distances to the axes. Centres are taken relative to the first, so that a far-off origin costs no digits.
+    distances to the axes. Centres are taken relative to the first, so that a far-off origin costs no digits. Parallel
+    axes, the same way or opposite ways, have no such point. Where a camera stands on the axis of another, as after
+    a step forward and a turn, the point is that camera, and its depth is rounding; hence MIN_REACH.
     """
     axes = np.stack([camera.rotation[:, 2] for camera in cameras])
     centers = np.stack([camera.center for camera in cameras]) - cameras[0].center
-    if widest_angle(axes) < MIN_CONVERGENCE:
+    if _widest_between_lines(axes) < MIN_CONVERGENCE:
         return None
     projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     point = np.linalg.solve(projectors.sum(axis=0), np.einsum("vij,vj->i", projectors, centers))
     to_point = point - centers
     depths = np.einsum("vi,vi->v", to_point, axes)
     misses = np.linalg.norm(np.cross(to_point, axes), axis=1)
-    return depths if (depths > 0).all() and (misses <= MAX_MISS * depths).all() else None
+    least = MIN_REACH * float(np.linalg.norm(largest_baseline(cameras)))
+    return depths if (depths >= least).all() and (misses <= MAX_MISS * depths).all() else None
 
 
 def widest_angle(axes: F64) -> float:
     """The largest angle in radians between two of the unit vectors (V, 3)."""
     return max((angle_between(axes[i], axes[j]) for i in range(len(axes)) for j in range(i)), default=0.0)
+
+
+def _widest_between_lines(axes: F64) -> float:
+    """The largest angle in radians, a right one at most, between the lines along two of the unit vectors (V, 3)."""
+    angles = (angle_between(axes[i], axes[j]) for i in range(len(axes)) for j in range(i))
+    return max((min(angle, math.pi - angle) for angle in angles), default=0.0)
 
 
 def angle_between(one: F64, other: F64) -> float:

@@ -83,7 +83,8 @@ def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Ph
     """Decode JPEG, PNG or WEBP bytes; the size is read and bounded before any pixel is decoded.
 
     Greyscale, palette, CMYK and 16-bit images become 8-bit RGB; an alpha channel or the transparent level, colour or
-    palette entry of a PNG becomes the mask.
+    palette entry of a PNG becomes the mask. 16-bit grey is rounded to eight; of colours, and of grey with an alpha
+    channel, Pillow keeps the upper eight bits, one level off at most.
     Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (below 32 x 32, animated, a
     JPEG of hundreds of scans).
     """

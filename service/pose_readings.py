@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .camera import Camera
 from .camera_fields import OPENCV_FROM_OPENGL
 from .pose import rigid_inverse
+
+CLEARLY = 10.0  # times the distance as read; with less the cameras would hardly have a baseline either
 
 
 @dataclass(frozen=True)
@@ -48,9 +51,18 @@ def other_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
 
 
 def apart_when_inverted(cameras: Sequence[Camera]) -> str:
-    """Part of a cure where cameras stand in one place: world-to-camera matrices of a ring about the origin do that."""
+    """Part of a cure where cameras stand in one place: world-to-camera matrices of a ring about the origin do that.
+
+    Empty where inverted poses are not CLEARLY farther apart than these are.
+    """
     centers = np.stack([rigid_inverse(camera.world_from_cam)[:3, 3] for camera in cameras])
-    apart = max(float(np.linalg.norm(a - b)) for a in centers for b in centers)
-    if apart <= 1e-6 * float(np.abs(centers).max()):
+    apart = _largest_distance(centers)
+    as_read = _largest_distance(np.stack([camera.center for camera in cameras]))
+    if apart <= max(CLEARLY * as_read, 1e-6 * float(np.abs(centers).max())):
         return ""
     return f'; if these are world-to-camera matrices ("pose": "w2c"), the cameras stand {apart:.4g} apart'
+
+
+def _largest_distance(centers: NDArray[np.float64]) -> float:
+    """Between two of the points (V, 3)."""
+    return max(float(np.linalg.norm(one - other)) for one in centers for other in centers)

@@ -21,6 +21,7 @@ LARGE_ANGLE = np.radians(25.0)  # above it views look different, and see past ea
 NEAR_ANGLE = np.radians(10.0)  # up to which what one view shows is still good from another
 MIN_TURN = np.radians(2.0)  # between axes; below it, where they meet is chance
 MAX_MISS = 0.1  # of the depth: axes that pass each other farther off than this do not look at one thing
+MIN_REACH = 0.1  # of the way between two cameras: axes that meet closer to one of them meet at that camera itself
 BEFORE = 0.7  # of the depth where axes meet: the scene begins before the thing that is looked at
 PARALLEL_DEPTH = 4.0  # baselines, where no axes meet: the middle, in inverse depth, of what two views side by side see
 
@@ -74,8 +75,9 @@ def scene_depths(cameras: Sequence[Camera]) -> F64:
     """(V,) how deep in each view the others look, in the cameras' units.
 
     The median over the other views, of the z-depth at which its axis comes closest to theirs; those count whose axes
-    are turned by 2 degrees or more, meet in front of both and miss each other by less than a tenth of the depth. A view
-    without such others gets the median of those that have them; where none has, four times the largest baseline.
+    are turned by 2 degrees or more, meet in front of both, a tenth of the way between the two cameras or more from
+    each, and miss each other by less than a tenth of the depth. A view without such others gets the median of those
+    that have them; where none has, four times the largest baseline.
     """
     axes = np.stack([camera.rotation[:, 2] for camera in cameras])
     centers = np.stack([camera.center for camera in cameras]) - cameras[0].center
@@ -87,10 +89,11 @@ def scene_depths(cameras: Sequence[Camera]) -> F64:
     depth, depth_there = (own - cosine * other) / below, (cosine * own - other) / below
     apart = between + depth_there[:, :, None] * axes[None] - depth[:, :, None] * axes[:, None]
     miss = np.linalg.norm(apart, axis=2)
-    meets = turned & (depth > 0) & (depth_there > 0) & (miss <= MAX_MISS * np.minimum(depth, depth_there))
+    nearer, way = np.minimum(depth, depth_there), np.linalg.norm(between, axis=2)
+    meets = turned & (nearer > 0) & (nearer >= MIN_REACH * way) & (miss <= MAX_MISS * nearer)
     found = np.array([np.median(row[kept]) if kept.any() else np.nan for row, kept in zip(depth, meets, strict=True)])
     if np.isnan(found).all():
-        largest = float(np.linalg.norm(between, axis=2).max())
+        largest = float(way.max())
         return np.full(len(cameras), PARALLEL_DEPTH * largest if largest > 0 else 1.0)
     return np.where(np.isnan(found), np.nanmedian(found), found)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -57,6 +58,20 @@ def test_without_anything_sure_or_anything_to_fade_there_are_none(views: list[Fi
     one = np.arange(len(spoiled)) == len(spoiled) - 1  # a speck covers nothing in full
     assert anchors(spoiled, one, ~one, cameras).pictures == ()
     assert faded(spoiled, views[:2], anchors=Anchors((), none)).document() == faded(spoiled, views[:2]).document()
+
+
+def test_pictures_are_from_the_same_places_in_whatever_order_the_inputs_come(spoiled: Gaussians) -> None:
+    """Along the path of the cameras: as the ways from each to the next, to the bit."""
+    cameras = [view.camera for view in plane_views()]
+    sure = np.arange(len(spoiled)) < len(spoiled) - SPECKS
+    path = certified_views(cameras, BETWEEN)[3:]
+    for order in permutations(range(3)):
+        taken = [p.camera for p in anchors(spoiled, sure, ~sure, [cameras[place] for place in order]).pictures]
+        assert len(taken) == len(path) == 2 * BETWEEN
+        for camera in path:
+            assert min(np.abs(camera.world_from_cam - one.world_from_cam).max() for one in taken) < 1e-12
+        if order == (0, 1, 2):
+            assert all((a.world_from_cam == b.world_from_cam).all() for a, b in zip(taken, path, strict=True))
 
 
 def test_what_hides_the_sure_fades_more_and_the_rest_as_before(

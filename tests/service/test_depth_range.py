@@ -144,6 +144,57 @@ def test_axes_that_meet_behind_do_not_count(flip):
     assert convergence_depths([camera.posed(camera.world_from_cam @ flip) for camera in arc([-0.2, 0.2])]) is None
 
 
+def test_a_step_forward_and_a_turn_is_no_convergence_in_any_world():
+    """The axes meet where the second camera stands, at a depth of plus or minus rounding as the world is turned."""
+    rng, (camera,) = np.random.default_rng(0), side_by_side(1)
+    for degrees in np.repeat([5, 10, 20, 45], 50):
+        step = np.eye(4)
+        step[:3, :3], step[2, 3] = about_axis(np.array([0.0, 1.0, 0.0]), math.radians(degrees)), 1.0
+        axis, world = rng.normal(size=3), np.eye(4)
+        world[:3, :3] = about_axis(axis / np.linalg.norm(axis), rng.uniform(0, 3))
+        cameras = [camera.posed(world), camera.posed(world @ step)]
+        assert convergence_depths(cameras) is None
+        assert depth_range(cameras).near >= 0.4 * (1 - 1e-9)
+
+
+def facing_pair(center, tilt=0.0):
+    """A camera at the origin that looks along z, and one at `center` that looks the other way, but for `tilt` rad."""
+    pose = np.eye(4)
+    pose[:3, :3] = np.diag([-1.0, 1.0, -1.0]) @ about_axis(np.array([1.0, 0.0, 0.0]), tilt)
+    pose[:3, 3] = center
+    (first,) = side_by_side(1)
+    return [first, first.posed(pose)]
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-12, 1e-3])
+@pytest.mark.parametrize("center", [(0, 0, 4), (0, 0, -4), (0.5, 0, 4), (1, 0, 0), (0, 0.3, 4)])
+def test_axes_that_point_opposite_ways_meet_nowhere(center, tilt):
+    """They lie along parallel lines: no point is closest to both."""
+    cameras = facing_pair(center, tilt)
+    assert convergence_depths(cameras) is None
+    size = np.linalg.norm(center)
+    estimate = depth_range(cameras)
+    assert 0.4 * size * (1 - 1e-9) <= estimate.near < estimate.far <= 50 * size * (1 + 1e-9)
+
+
+def test_cameras_that_face_each_other_across_a_thing_meet_in_it():
+    np.testing.assert_allclose(convergence_depths(arc([0.0, math.pi - 0.1])), 6.0, rtol=1e-12)
+
+
+def test_another_reading_may_point_opposite_ways():
+    """Good poses whose inverses have antiparallel axes."""
+    first, second = np.eye(4), np.eye(4)
+    first[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    second[:3, :3], second[:3, 3] = [[0, 1, 0], [0, 0, 1], [1, 0, 0]], [2, -2, 0.1]
+    (camera,) = side_by_side(1)
+    cameras = [camera.posed(first), camera.posed(second)]
+    inverted = [one.posed(rigid_inverse(one.world_from_cam)) for one in cameras]
+    assert inverted[0].rotation[:, 2] @ inverted[1].rotation[:, 2] == -1
+    reading = depth_range_of_reading(inverted, depth_range(cameras))
+    assert reading is not None
+    assert 0 < reading.near < reading.far
+
+
 @pytest.mark.case("E19")
 def test_the_estimate_moves_with_the_world_and_its_unit():
     rotation = about_axis(np.array([0.6, 0.8, 0.0]), 1.0)
@@ -179,11 +230,31 @@ def test_a_given_range_is_taken_as_it_is():
         (math.nan, 1.0, "near = nan"),
         (None, 1.0, "near is missing"),
         (1.0, None, "far is missing"),
+        (1e-33, 1e-10, r"near = 1e-33, need 1e-32 to 1e\+32.*one unit, such as metres"),
+        (1e20, 1e33, r"far = 1e\+33, need 1e-32 to 1e\+32.*one unit, such as metres"),
     ],
 )
 def test_what_is_no_range_is_refused(near, far, match):
     with pytest.raises(DepthRangeError, match=match):
         depth_range(side_by_side(), near, far)
+
+
+@pytest.mark.case("P3")
+@pytest.mark.parametrize("step", [1e-34, 1e32, 1e38, 1e60])
+def test_an_estimate_that_float32_scales_cannot_hold_is_refused(step):
+    cameras = side_by_side(step=step)
+    with pytest.raises(DepthRangeError, match=r"stand \S+ apart: near = .* need 1e-32 to 1e\+32") as caught:
+        depth_range(cameras)
+    assert caught.value.field == "cameras"
+    assert "one unit, such as metres" in caught.value.cure
+    assert depth_range_of_reading(cameras, DepthRange(1.0, 9.0, "estimated")) is None
+    assert depth_range_of_reading(cameras, DepthRange(1.0, 9.0, "given")) is not None
+
+
+@pytest.mark.parametrize("step", [1e-31, 1e29])
+def test_an_estimate_in_any_other_unit_is_the_same(step):
+    estimate, plain = depth_range(side_by_side(step=step)), depth_range(side_by_side(step=1.0))
+    assert (estimate.near, estimate.far) == (pytest.approx(step * plain.near), pytest.approx(step * plain.far))
 
 
 @pytest.mark.case("P2")

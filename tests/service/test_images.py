@@ -139,6 +139,17 @@ def of_one_row(bits: int, colour_type: int, row: bytes, transparent: tuple[int, 
     )
 
 
+def test_colours_of_sixteen_bits_keep_their_upper_eight():
+    """A level off at most from the rounded ones; grey with an alpha channel likewise."""
+    values = np.linspace(0, 65535, 40 * 3).astype(">u2")
+    rgb = decode_image(png(40, 36, 16, 2, (b"IDAT", zlib.compress((b"\0" + values.tobytes()) * 36))), index=0).rgb
+    np.testing.assert_array_equal(rgb, np.tile((values >> 8).reshape(40, 3), (36, 1, 1)))
+    assert np.abs(rgb.reshape(36, -1) - np.rint(values / 257.0)).max() == 1
+    both = np.column_stack([values[:40], np.full(40, 65535, ">u2")]).astype(">u2")
+    grey = decode_image(png(40, 36, 16, 4, (b"IDAT", zlib.compress((b"\0" + both.tobytes()) * 36))), index=0)
+    np.testing.assert_array_equal(grey.rgb, np.tile((values[:40] >> 8)[:, None], (36, 1, 3)))
+
+
 def test_a_transparent_level_of_sixteen_bits_is_a_mask():
     """The level as it is in the file: its neighbours become the same 8 bits, and stay."""
     levels = np.repeat(np.array([999, 1000, 1001, 50000]), 10)

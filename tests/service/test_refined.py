@@ -104,6 +104,38 @@ def test_a_pixel_is_one_of_the_other_view(views: list[FittedView]) -> None:
     assert moved == pytest.approx(OFFSETS_PX[-1])
 
 
+@pytest.mark.parametrize("way", [(0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.2, -0.1, 0.0)])
+def test_pixels_that_are_not_square_are_measured_each_way(
+    way: tuple[float, float, float], views: list[FittedView]
+) -> None:
+    """The place where a point on the axis is seen moves by so much per unit of 1/z."""
+    here = views[0].camera.posed(np.eye(4))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = about_axis(np.array([0.0, 0.0, 1.0]), 0.7), way
+    there = replace(here, fx=250.0, fy=80.0).posed(pose)
+    points = np.array([[0.0, 0.0, 2.0], [0.0, 0.0, 5.0]])
+    (one, other), _ = there.project(points)
+    measured = pixels_per_inverse_depth(replace(views[0], camera=here), replace(views[0], camera=there))
+    assert measured == pytest.approx(np.linalg.norm(one - other) / (1 / 2 - 1 / 5))
+
+
+def test_pixels_that_are_square_have_the_same_measure_however_the_camera_is_turned(views: list[FittedView]) -> None:
+    """To the bit; a way forward counts as if it lay across, by the mean focal length where there are two."""
+    here, rng = views[0].camera, np.random.default_rng(1)
+    for _ in range(20):
+        pose = np.eye(4)
+        pose[:3, :3] = about_axis(np.array([0.48, -0.6, 0.64]), rng.uniform(0, 3))
+        pose[:3, 3] = here.center + rng.normal(size=3)
+        there = replace(here, fx=77.7, fy=77.7).posed(pose)
+        measured = pixels_per_inverse_depth(views[0], replace(views[0], camera=there))
+        assert measured == 77.7 * float(np.linalg.norm(here.center - there.center))
+    pose = here.world_from_cam.copy()
+    pose[:3, 3] += 0.5 * pose[:3, 2]
+    ahead = replace(views[0], camera=replace(here, fx=250.0, fy=90.0).posed(pose))
+    assert pixels_per_inverse_depth(views[0], ahead) == pytest.approx(0.5 * 150.0)
+    assert pixels_per_inverse_depth(ahead, ahead) == 0
+
+
 def test_a_twin_from_the_same_place_changes_nothing(views: list[FittedView]) -> None:
     depths = off_by(views, plane_depths(views), 0.7)
     with_twin = refined([views[0], views[1], views[0]], depths[[0, 1, 0]])

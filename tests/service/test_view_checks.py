@@ -128,6 +128,17 @@ def test_world_to_camera_is_recognised():
     assert "look like world-to-camera matrices" in caught.value.cure
 
 
+def test_inverting_is_no_cure_where_it_brings_cameras_hardly_farther_apart():
+    """Side by side at a hair's breadth: the inverse poses stand as close."""
+    pose = np.eye(4)
+    pose[0, 3] = 1e-4
+    (camera,) = ring((0,))
+    cameras = [camera.posed(np.eye(4)), camera.posed(pose)]
+    with pytest.raises(BaselineError, match="no pair of views has parallax") as caught:
+        check_views(cameras, given())
+    assert "world-to-camera" not in caught.value.cure
+
+
 def test_views_that_never_meet_are_refused_without_a_false_hint():
     """Back to back: no reading of these poses overlaps."""
     cameras = ring((0,))

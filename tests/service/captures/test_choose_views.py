@@ -156,6 +156,19 @@ def test_depths_are_where_axes_meet() -> None:
     np.testing.assert_allclose(scene_depths([*cameras, cameras[1].posed(back)]), 7.0)
 
 
+@pytest.mark.parametrize("degrees", [3.0, 5.0, 90.0])
+def test_axes_that_meet_at_one_of_the_cameras_do_not_count(degrees: float) -> None:
+    """A step forward and a turn: the depth there is plus or minus rounding as the world is turned."""
+    first = around([0.0])[0]
+    step = np.eye(4)
+    step[:3, :3], step[2, 3] = about_axis(np.array([0.0, 1.0, 0.0]), np.radians(degrees)), 1.0
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        axis, world = rng.normal(size=3), np.eye(4)
+        world[:3, :3] = about_axis(axis / np.linalg.norm(axis), rng.uniform(0, 3))
+        np.testing.assert_allclose(scene_depths([first.posed(world), first.posed(world @ step)]), 4.0)
+
+
 NAMES = ("a/1.png", "a/2.png", "b/2.png", "7", "2020 trip.jpg")
 
 
