@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
-from .distortion import Lens, pinhole_window
+from .distortion import Lens, PinholeWindow, pinhole_window
 from .errors import ImageError
 from .images import EncodedPhoto, FittedView, Photo, fit_view, match_photo
 from .masks import check_kept
@@ -20,8 +20,11 @@ from .view_checks import Notice
 Picture = NDArray[np.uint8] | Photo | EncodedPhoto | str | PathLike[str] | bytes  # what is taken for a photograph
 
 
-def fitted(image: Picture, camera: Camera, index: int, info: ModelInfo) -> tuple[FittedView, list[Notice]]:
-    """The photograph of view `index` as the network of `info` sees it, and the warnings that belong to it.
+def fitted(
+    image: Picture, camera: Camera, index: int, info: ModelInfo, detail: int = 1
+) -> tuple[FittedView, FittedView, list[Notice]]:
+    """The photograph of view `index` as the network of `info` sees it, the same crop with `detail` times the pixels
+    each way, and the warnings that belong to it.
 
     A path is read, bytes are those of a file. At full size it lives in here only. Raises `ImageError` where it is none,
     too small, of another shape than its camera, or its mask keeps nothing of the crop.
@@ -31,9 +34,9 @@ def fitted(image: Picture, camera: Camera, index: int, info: ModelInfo) -> tuple
     if isinstance(image, bytes):
         image = EncodedPhoto(image)
     if isinstance(image, EncodedPhoto):
-        return _fitted(image.decode(index=index), camera, image.lens, index, info)
+        return _fitted(image.decode(index=index), camera, image.lens, index, info, detail)
     photo = image if isinstance(image, Photo) else Photo.from_array(image, index=index)
-    return _fitted(photo, camera, None, index, info)
+    return _fitted(photo, camera, None, index, info, detail)
 
 
 def _read(path: str | PathLike[str], index: int) -> bytes:
@@ -44,32 +47,50 @@ def _read(path: str | PathLike[str], index: int) -> bytes:
         raise ImageError(message, field="images", index=index) from error
 
 
-def fit_notices(photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo) -> list[Notice]:
+def fit_notices(
+    photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo, detail: int = 1
+) -> list[Notice]:
     """The warnings and refusals of `fitted`, without the resampling of a photograph that has no mask."""
     if photo.mask is not None:
-        return _fitted(photo, camera, lens, index, info)[1]
+        return _fitted(photo, camera, lens, index, info, detail)[2]
     if lens is None:
-        match_photo(photo, camera, index=index)
+        size: Photo | PinholeWindow = match_photo(photo, camera, index=index)[0]
     else:
         match_lens(photo, lens, index=index)
-    return _notices(photo, camera, lens, index)
+        size = pinhole_window(lens)
+    return _notices(photo, camera, lens, index) + _too_small(size.width, size.height, info, detail, index)
 
 
 def _fitted(
-    photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo
-) -> tuple[FittedView, list[Notice]]:
+    photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo, detail: int
+) -> tuple[FittedView, FittedView, list[Notice]]:
     notices = _notices(photo, camera, lens, index)
     if lens is not None:
         photo = undistorted(photo, lens, index=index)
-    view = fit_view(*match_photo(photo, camera, index=index), info.height, info.width)
+    photo, camera = match_photo(photo, camera, index=index)
+    view = fit_view(photo, camera, info.height, info.width)
     check_kept(view, index)
-    return view, notices
+    notices += _too_small(photo.width, photo.height, info, detail, index)
+    fine = view if detail == 1 else fit_view(photo, camera, detail * info.height, detail * info.width)
+    return view, fine, notices
 
 
 def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> list[Notice]:
     if lens is None:
         return _photo_notices(photo, camera.width, camera.height, index)
     return [*_photo_notices(photo, lens.width, lens.height, index), _lens_notice(lens, index)]
+
+
+def _too_small(width: int, height: int, info: ModelInfo, detail: int, index: int) -> list[Notice]:
+    """A photograph of this size has fewer pixels in its crop than the scene shows of it."""
+    crop, shown = min(width, height * info.width / info.height), detail * info.width
+    if detail == 1 or crop >= shown:
+        return []
+    message = (
+        f"the crop of the photograph is {crop:.0f} px wide, and {shown} px of a scene with detail {detail}: that is as "
+        "sharp as the photograph, not more"
+    )
+    return [{"code": "detail_beyond_photograph", "field": "images", "index": index, "message": message}]
 
 
 def _lens_notice(lens: Lens, index: int) -> Notice:

@@ -64,9 +64,18 @@ def at_mended_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedV
 
 
 @freed_blocks_reused()
-def placed(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], *, stride: int = 1, moved: bool) -> Placed:
+def placed(
+    outputs: Arrays,
+    frame: WorldFrame,
+    views: Sequence[FittedView],
+    *,
+    stride: int = 1,
+    moved: bool,
+    coarse: tuple[Sequence[FittedView], NDArray[np.float64]] | None = None,
+) -> Placed:
     """The network's Gaussians that belong into the scene, one for a square of `stride` px; where depths have `moved`, a
-    backdrop of these depths instead of the network's own."""
+    backdrop of these depths instead of the network's own. `coarse` are views and depths (V, h, w) that it is of where
+    `outputs` have finer ones: its cells and what it goes by are as wide as so many of the network's pixels."""
     rows, dropped = kept_rows(outputs, views, frame)
     depths = frame.depths(outputs)
     thin, rows = thinned(outputs, rows, depths.shape, stride)
@@ -76,7 +85,7 @@ def placed(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], *, s
     if len(own) < len(rows):
         dropped = {**dropped, REPLACED: len(rows) - len(own)}
     gaussians = _smoothed(frame.to_world(thin, own), (stride * depths).ravel()[own], own // depths[0].size, views)
-    sheet, around = backdrop(views, depths, gaussians.harmonics.shape[1])
+    sheet, around = backdrop(*(coarse or (views, depths)), gaussians.harmonics.shape[1])
     rows = np.concatenate([own, depths.size + np.arange(len(sheet))])
     return Placed(as_stored(joined(gaussians, sheet)), rows, depths.size + around, depths, dropped, len(sheet))
 

@@ -16,6 +16,8 @@ from .budget import Budget
 from .camera import Camera
 from .depth_range import DepthRange, depth_range
 from .depth_sweep import narrowed
+from .detail import finer
+from .detail_level import checked_detail
 from .document import scene_document
 from .engine import Arrays, Engine
 from .errors import CameraError, InputError, ViewCountError
@@ -47,7 +49,7 @@ class Scene:
 
     gaussians: Gaussians
     cameras: tuple[Camera, ...]  # as given
-    view_cameras: tuple[Camera, ...]  # of the crops that the network saw
+    view_cameras: tuple[Camera, ...]  # of the crops that the network saw, with `detail` times their pixels each way
     inputs: tuple[NDArray[np.uint8], ...]  # those crops, (H, W, 3) or, where a mask leaves pixels out, (H, W, 4)
     document: dict[str, Any]  # plain JSON values, see document.py
 
@@ -93,6 +95,7 @@ class Reconstructor:
         budget: Budget = DEFAULT_BUDGET,
         leave_one_out: int = DEFAULT_OTHERS,
         fade: int = DEFAULT_PASSES,
+        detail: int = 1,
         numbers: Sequence[int] | None = None,
         listener: Listener = silent,
     ) -> Scene:
@@ -108,11 +111,12 @@ class Reconstructor:
         that are nearest to it (2 or more; all others where there are fewer; 0: not done). `fade` is how
         often opacities are lowered and colours corrected where the photographs contradict them (`fading.py`), after
         depths have moved to where the photographs match best and a backdrop stands behind them (`mending.py`); with 0
-        all stays as the network gave it.
+        all stays as the network gave it. With `detail` 2 four Gaussians take the place of each pixel's one, in the
+        colours of photographs of twice the network's size (`detail.py`): a scene for larger pictures.
         `numbers` are what errors and warnings call the views, one for each, where these were chosen from more; else
         they are counted from 0.
-        `listener` hears the stages cameras, images, network, kernels (the first time), refine, gaussians, fade, leave
-        out, check, leave one out.
+        `listener` hears the stages cameras, images, network, kernels (the first time), refine, detail, gaussians,
+        fade, leave out, check, leave one out.
         Raises `InputError` and `ModelError`.
         """
         stages = Stages(listener)
@@ -120,6 +124,7 @@ class Reconstructor:
         warnings: list[Notice] = []
         checked_others(leave_one_out)
         checked_passes(fade)
+        checked_detail(detail, budget.stride)
         with stages.stage("cameras"):
             numbers = range(len(images)) if numbers is None else numbers
             cameras = _as_cameras(cameras, numbers, len(images))
@@ -128,25 +133,33 @@ class Reconstructor:
             warnings += check_views(cameras, depths, trust_poses=trust_poses, numbers=numbers, planes=planes)
             warnings += pose_notices(cameras, depths.near, numbers)
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
+            seen: list[FittedView] = []  # by the network
             views: list[FittedView] = []
             for number, image, camera in zip(numbers, images, cameras, strict=True):
-                view, notices = fitted(image, camera, number, info)
-                views.append(view)
+                view, fine, notices = fitted(image, camera, number, info, detail)
+                seen.append(view)
+                views.append(fine)
                 warnings += notices
-                done(len(views))
-            warnings += check_photos(views, depths, trust_poses=trust_poses, numbers=numbers)
-            depths = narrowed(depths, views)
-        masks = patch_mask(views, info.patch)
+                done(len(seen))
+            warnings += check_photos(seen, depths, trust_poses=trust_poses, numbers=numbers)
+            depths = narrowed(depths, seen)
+        masks = patch_mask(seen, info.patch)
         with stages.stage("network"):
-            outputs, frame = self._run(views, depths)
+            outputs, frame = self._run(seen, depths)
         if not is_warm():  # not before the network: they would be in memory beside it
             with stages.stage("kernels"):  # compiled the first time, then loaded
                 warm_up()
         if fade:
             with stages.stage("refine"):
-                outputs = at_mended_depths(outputs, frame, views)
+                outputs = at_mended_depths(outputs, frame, seen)
+        coarse = seen, frame.depths(outputs)
+        if detail > 1:
+            with stages.stage("detail"):
+                outputs = finer(outputs, frame, seen, views)
+                if fade:
+                    outputs = at_mended_depths(outputs, frame, views)
         with stages.stage("gaussians"):
-            found = placed(outputs, frame, views, stride=budget.stride, moved=fade > 0)
+            found = placed(outputs, frame, views, stride=budget.stride, moved=fade > 0, coarse=coarse)
             outputs = {name: value for name, value in outputs.items() if name not in MOVED}
         view_cameras = tuple(view.camera for view in views)
         scene = SceneViews(view_cameras, depths.near, depths.far)
@@ -159,7 +172,7 @@ class Reconstructor:
             lean, drawn, pruned = leave_out(gaussians, may_go, scene, budget, self.engine.threads)
         with stages.stage("check"), freed_blocks_reused():
             check = {
-                **self_check(views, depths, info, drawn),
+                **self_check(seen, depths, info, drawn, views),
                 "from_others": from_others(
                     found.gaussians, found.owner, views, threads=self.engine.threads, **scene.near_plane
                 ),
@@ -168,12 +181,13 @@ class Reconstructor:
             }
         if leave_one_out and len(views) > MIN_VIEWS:
             with stages.stage("leave one out", len(views)) as done:
-                check["leave_one_out"] = self._foretold(views, depths, scene, leave_one_out, fade, done)
+                check["leave_one_out"] = self._foretold(seen, depths, scene, leave_one_out, fade, done)
         document = scene_document(
             info=info,
             made_by=self.engine.made_by,
             threads=self.engine.threads,
             cameras=cameras,
+            detail=detail,
             views=views,
             depths=depths,
             outputs=outputs,

@@ -13,6 +13,7 @@ from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from .backends.choice import DEFAULT_ENGINE, EngineName
+from .detail_level import DETAILS
 from .errors import InputError
 from .model_names import model_paths
 
@@ -143,7 +144,13 @@ class Settings(BaseSettings):
     max_camera_bytes: int = Field(
         2**20, ge=2**10, description="largest `cameras` document, in bytes; in a zip four times as much"
     )
-    max_gaussians: int = Field(1_000_000, ge=1, description="Gaussians of a file that `POST /scenes` loads, at most")
+    max_gaussians: int = Field(2_000_000, ge=1, description="Gaussians of a file that `POST /scenes` loads, at most")
+    max_detail: int = Field(
+        max(DETAILS),
+        ge=1,
+        le=max(DETAILS),
+        description="`detail` that a request may ask for, at most; six photographs with 2 take 1.9 GB",
+    )
     max_image_pixels: int = Field(64_000_000, ge=32 * 32, description="largest photograph, in pixels before decoding")
     max_request_pixels: int = Field(
         192_000_000,

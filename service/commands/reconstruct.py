@@ -9,6 +9,7 @@ import typer
 
 from ..backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from ..budget import DEFAULT_CERTIFY
+from ..detail_level import checked_detail
 from ..fade_passes import DEFAULT_PASSES, checked_passes
 from ..foretold import DEFAULT_OTHERS, checked_others
 from ..streams import write_result
@@ -52,10 +53,11 @@ def reconstruct(
         int,
         typer.Option(help="passes that fade and recolour what the photographs contradict; 0: none, no depth refined"),
     ] = DEFAULT_PASSES,
+    detail: Annotated[
+        int, typer.Option(help="1, or 2: four Gaussians per pixel, with the colours of the photographs' own pixels")
+    ] = 1,
     model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
-    engine: Annotated[
-        str, typer.Option(help=f"what computes the network: {', '.join(ENGINES)} [default: onnxruntime]")
-    ] = DEFAULT_ENGINE,
+    engine: Annotated[str, typer.Option(help=f"what computes the network: {', '.join(ENGINES)}")] = DEFAULT_ENGINE,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
     quiet: Quiet = False,
@@ -80,6 +82,7 @@ def reconstruct(
     checked_passes(fade)
     chosen = checked_engine(engine)
     budget = Budget(parse_max_error(max_error), certify, min_opacity=min_opacity, stride=stride)
+    checked_detail(detail, stride)
     wish = checked_wish(Wish(views, context, field="views"))
     found = open_capture(capture).choose(wish, near, far)
     with ProgressBars(quiet=quiet) as bars:
@@ -102,6 +105,7 @@ def reconstruct(
             budget=budget,
             leave_one_out=leave_one_out,
             fade=fade,
+            detail=detail,
             numbers=found.indices,
             listener=bars,
         )

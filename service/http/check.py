@@ -60,7 +60,7 @@ def _understood(upload: Upload, settings: Settings, info: ModelInfo) -> dict[str
     images = []
     for number, image, view in zip(numbers, pairing.images, pairing.views, strict=True):
         photo = decode_image(image.data, index=number, max_pixels=settings.max_image_pixels)
-        warnings += fit_notices(photo, view.camera, view.lens, number, info)
+        warnings += fit_notices(photo, view.camera, view.lens, number, info, work.detail)
         if view.lens is None:  # upright, where EXIF says so and the camera too
             photo, _ = match_photo(photo, view.camera, index=number)
         else:

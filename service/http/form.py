@@ -6,6 +6,7 @@ from typing import Any
 
 from ..budget import DEFAULT_CERTIFY, MAX_CERTIFY
 from ..captures.select import DEFAULT_CONTEXT
+from ..detail_level import DETAILS
 from ..fade_passes import DEFAULT_PASSES, MAX_PASSES
 from ..foretold import DEFAULT_OTHERS
 from ..model_names import DEFAULT
@@ -90,6 +91,12 @@ FORM: dict[str, Any] = {
             "maximum": MAX_PASSES,
             "default": DEFAULT_PASSES,
             "description": "passes that fade and recolour what the photographs contradict; 0: as the network gave it",
+        },
+        "detail": {
+            "type": "integer",
+            "enum": list(DETAILS),
+            "default": 1,
+            "description": "Gaussians per pixel of the network, each way, with the colours of the photographs' own",
         },
         "model": {
             "type": "string",

@@ -13,6 +13,7 @@ from starlette.datastructures import FormData, UploadFile
 from ..budget import DEFAULT_CERTIFY, DEFAULT_MAX_ERROR, Budget, parse_max_error
 from ..captures.archive import SIGNATURES
 from ..captures.select import Wish, checked_wish
+from ..detail_level import checked_detail
 from ..errors import (
     DepthRangeError,
     InputError,
@@ -52,6 +53,7 @@ FIELDS = (
     "stride",
     "leave_one_out",
     "fade",
+    "detail",
     "model",
 )
 
@@ -117,6 +119,7 @@ async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> U
     pairing = inputs.pairing
     lenses = tuple(view.lens for view in pairing.views)
     numbers = tuple(inputs.selection["views"])  # as whoever sent them counts them
+    budget = _budget(form, views)
     work = Work(
         images=tuple(image.data for image in pairing.images),
         cameras=pairing.cameras,
@@ -126,7 +129,8 @@ async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> U
         trust_poses=flag(form, "trust_poses"),
         leave_one_out=checked_others(whole(form, "leave_one_out", DEFAULT_OTHERS)),
         fade=checked_passes(whole(form, "fade", DEFAULT_PASSES)),
-        budget=_budget(form, views),
+        detail=checked_detail(whole(form, "detail", 1), budget.stride, settings.max_detail),
+        budget=budget,
         model=model,
         numbers=numbers if numbers != tuple(range(len(numbers))) else (),
     )

@@ -43,6 +43,7 @@ class Work:
     budget: Budget
     model: str = DEFAULT  # the name that the service has for it
     fade: int = DEFAULT_PASSES
+    detail: int = 1
     lenses: tuple[Lens | None, ...] = ()  # what the photographs are resampled from; empty where none is
     numbers: tuple[int, ...] = ()  # what errors and warnings call the views; empty where they are counted from 0
 
@@ -62,6 +63,7 @@ class Work:
             "stride": budget.stride,
             "leave_one_out": min(self.leave_one_out, len(self.images) - 1) if len(self.images) > MIN_VIEWS else 0,
             "fade": self.fade,
+            "detail": self.detail,
             "algorithm_revision": ALGORITHM_REVISION,
         }
         if self.lenses:
@@ -77,7 +79,7 @@ class Work:
 
     def document(self) -> dict[str, Any]:
         """All but the images as plain JSON; `of_document` reads it back to the bit."""
-        names = ("near", "far", "trust_poses", "leave_one_out", "fade", "model")
+        names = ("near", "far", "trust_poses", "leave_one_out", "fade", "detail", "model")
         rest: dict[str, Any] = {name: getattr(self, name) for name in names}
         cameras, lenses = (
             [_camera_entry(camera) for camera in self.cameras],
@@ -116,6 +118,7 @@ def compute(
         budget=work.budget,
         leave_one_out=work.leave_one_out,
         fade=work.fade,
+        detail=work.detail,
         numbers=work.numbers or None,
         listener=listener,
     )

@@ -65,6 +65,17 @@ def test_fading_is_as_asked_for(scene_dir: Path, standin_model: Path, capfd: pyt
     assert "fade: is 9, need a whole number from 0 to 8" in capfd.readouterr().err
 
 
+def test_detail_is_as_asked_for(scene_dir: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert reconstruct(scene_dir, standin_model, "--views", "0,1", "--detail", 2, "--json") == 0
+    out, err = capfd.readouterr()
+    document = json.loads(out)
+    assert document["detail"] == 2
+    assert [(view["width"], view["height"]) for view in document["view_cameras"]] == [(128, 96)] * 2
+    assert "warning: the crop of the photograph is 64 px wide" in err
+    assert reconstruct(scene_dir, standin_model, "--views", "0,1", "--detail", 2, "--stride", 2) == 1
+    assert "detail: is 2 beside stride 2" in capfd.readouterr().err
+
+
 def test_reconstruction_is_the_same_twice(scene_dir: Path, standin_model: Path) -> None:
     assert reconstruct(scene_dir, standin_model, "--views", "0,1") == 0
     first = (scene_dir / "out.ply").read_bytes()

@@ -16,9 +16,10 @@ from gapmes.service.ply import read_ply
 from gapmes.service.settings import Settings
 
 
-def checked(client: TestClient, images: list[bytes], cameras: object) -> object:
+def checked(client: TestClient, images: list[bytes], cameras: object, **fields: str) -> object:
     parts = [("images", (f"{index}.png", data, "image/png")) for index, data in enumerate(images)]
-    return client.post("/check", files=[*parts, ("cameras", ("cameras.json", json.dumps(cameras).encode()))])
+    files = [*parts, ("cameras", ("cameras.json", json.dumps(cameras).encode()))]
+    return client.post("/check", files=files, data=fields)
 
 
 def test_it_tells_what_was_understood_and_keeps_nothing(client: TestClient, settings: Settings) -> None:
@@ -52,6 +53,18 @@ def test_it_refuses_what_a_reconstruction_would(client: TestClient, change: obje
     cameras = camera_object(2)
     change(cameras)
     assert_problem(checked(client, [photograph(5), photograph(6)], cameras), 422, code)
+
+
+@pytest.mark.parametrize("detail", ["1", "2"])
+def test_it_tells_as_a_reconstruction_does_where_photographs_lack_detail(client: TestClient, detail: str) -> None:
+    images = [photograph(5), photograph(6)]
+    answers = checked(client, images, camera_object(2), detail=detail), post(client, images, detail=detail)
+    told = [
+        [warning for warning in answer.json()["warnings"] if warning["code"] == "detail_beyond_photograph"]
+        for answer in answers
+    ]
+    assert told[0] == told[1]
+    assert len(told[0]) == (2 if detail == "2" else 0)
 
 
 def test_a_photograph_that_cannot_be_decoded_is_named(client: TestClient) -> None:

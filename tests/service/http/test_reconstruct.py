@@ -6,14 +6,16 @@ import io
 import json
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
-from http_requests import assert_problem, camera_object, photograph, post, stored
+from http_requests import assert_problem, camera_object, photograph, post, stored, wait_until_ready
 from PIL import Image
 from starlette.testclient import TestClient
 
 from gapmes.service import read_ply
+from gapmes.service.app import create_app
 from gapmes.service.jobs import work
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.settings import Settings
@@ -224,6 +226,26 @@ def test_a_budget_belongs_to_the_scene(client: TestClient) -> None:
     assert swapped[0] == swapped[1]
 
 
+def test_detail_belongs_to_the_scene_and_to_its_pictures(client: TestClient) -> None:
+    """Pictures of a finer scene have its size, unless another is asked for."""
+    plain, fine = (post(client, **fields).json() for fields in ({}, {"detail": "2"}))
+    assert post(client, detail="1").json()["id"] == plain["id"] != fine["id"]
+    assert [plain["detail"], fine["detail"]] == [1, 2]
+    width, height = (2 * plain["view_cameras"][0][name] for name in ("width", "height"))
+    assert (fine["view_cameras"][0]["width"], fine["view_cameras"][0]["height"]) == (width, height)
+    answer = client.get("/render", params={"scene": fine["id"], "view": "0.5"})
+    assert Image.open(io.BytesIO(answer.content)).size == (width, height)
+
+
+def test_a_service_may_allow_no_more_detail(standin_model: Path, tmp_path: Path) -> None:
+    limited = Settings(model=standin_model, store=tmp_path / "scenes", threads=1, max_detail=1)
+    with TestClient(create_app(limited)) as other:
+        wait_until_ready(other)
+        body = assert_problem(post(other, detail="2"), 422, "invalid_input", "detail")
+        assert body["detail"] == "is 2, the limit is 1"
+        assert post(other, detail="1").status_code == 201
+
+
 def test_how_many_foretell_belongs_to_the_scene_where_it_changes_it(client: TestClient) -> None:
     """Two photographs foretell none, and of three no more than two can foretell the third."""
     two, three = [photograph(k) for k in (80, 81)], [photograph(k) for k in (80, 81, 82)]
@@ -258,6 +280,10 @@ def test_how_many_foretell_belongs_to_the_scene_where_it_changes_it(client: Test
         ({"fade": "1.5"}, "fade"),
         ({"certify": "1.5"}, "certify"),
         ({"stride": "3"}, "stride"),
+        ({"detail": "3"}, "detail"),
+        ({"detail": "0"}, "detail"),
+        ({"detail": "2.0"}, "detail"),
+        ({"detail": "2", "stride": "2"}, "detail"),
         ({"min_opacity": "-1"}, "min_opacity"),
         ({"min_opacity": "nan"}, "min_opacity"),
     ],

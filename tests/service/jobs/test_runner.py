@@ -39,10 +39,12 @@ def test_work_comes_back_from_disk_to_the_bit(tmp_path: Path) -> None:
 
 
 def test_work_of_a_release_with_one_model_is_for_the_default_one() -> None:
-    document = replace(work(), fade=5).document()
-    assert Work.of_document(document, [b"one", b"two"]).fade == 5
-    assert document.pop("fade") == 5
-    assert Work.of_document(document, [b"one", b"two"]).fade == DEFAULT_PASSES
+    document = replace(work(), fade=5, detail=2).document()
+    found = Work.of_document(document, [b"one", b"two"])
+    assert (found.fade, found.detail) == (5, 2)
+    assert (document.pop("fade"), document.pop("detail")) == (5, 2)
+    found = Work.of_document(document, [b"one", b"two"])
+    assert (found.fade, found.detail) == (DEFAULT_PASSES, 1)
     assert document.pop("model") == "ds"
     assert Work.of_document(document, [b"one", b"two"]).model == "default"
 

@@ -1,0 +1,104 @@
+"""A scene on a grid finer than the network's: on the same surfaces, in the colours of the photographs' own pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import Camera
+from .engine import Arrays
+from .harmonics import C0
+from .images import FittedView
+from .world_frame import WorldFrame
+
+F64 = NDArray[np.float64]
+
+
+def finer(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], fine: Sequence[FittedView]) -> Arrays:
+    """The network's outputs for `views` (V, H, W) as if for `fine`, the same crops with k times the pixels each way.
+
+    Every pixel's Gaussian becomes k x k of them, k times smaller, on the rays of the fine pixels and on the plane that
+    the inverse depths of its neighbours make: of the differences to both sides the smaller one, and 0 where they
+    differ in sign or at the border, so that nothing is drawn across an edge. To its base colour each adds by how much
+    its pixel of the fine photograph differs from the mean of the k x k, so that their mean colour stays. Gaussians
+    that belong to no pixel stay as they are.
+    """
+    count, height, width = outputs["depth"].shape
+    k = fine[0].camera.width // width
+    pixels = count * height * width
+    shape = (count, height, width)
+    means = outputs["means"][:pixels].reshape(*shape, 3)
+    poses = frame.poses([view.camera for view in views]).astype(np.float64)
+    depth = np.empty((count, k * height, k * width))
+    placed = np.empty((*depth.shape, 3))
+    details = np.empty((*depth.shape, 3), np.float32)
+    for index, (view, larger, pose) in enumerate(zip(views, fine, poses, strict=True)):
+        depth[index], placed[index] = _on_rays(means[index], outputs["depth"][index], view.camera, pose, k)
+        details[index] = _detail(larger, k)
+
+    def repeated(name: str) -> NDArray:
+        values = outputs[name][:pixels]
+        return _enlarged(values.reshape(*shape, *values.shape[1:]), k).reshape(-1, *values.shape[1:])
+
+    harmonics = repeated("harmonics")
+    harmonics[:, 0] += details.reshape(-1, 3) / np.float32(C0)
+    each = {
+        "means": placed.reshape(-1, 3).astype(np.float32),
+        "scales": repeated("scales") / np.float32(k),
+        "rotations_wxyz": repeated("rotations_wxyz"),
+        "opacities": repeated("opacities"),
+        "harmonics": harmonics,
+    }
+    return {
+        **outputs,
+        **{name: np.concatenate([value, outputs[name][pixels:]]) for name, value in each.items()},
+        "depth": depth.astype(np.float32),
+        "confidence": _enlarged(outputs["confidence"], k),
+    }
+
+
+def _on_rays(means: NDArray, depth: NDArray, camera: Camera, pose: F64, k: int) -> tuple[F64, F64]:
+    """(kH, kW) depths and (kH, kW, 3) places for the Gaussians at `means` (H, W, 3) of a view with `depth` (H, W);
+    all in the network's frame, in which `pose` (4, 4) is the camera's."""
+    rotation, center = pose[:3, :3], pose[:3, 3]
+    inverse = 1 / depth.astype(np.float64)
+    down, right = _slope(inverse, 0), _slope(inverse, 1)
+    steps = (np.arange(k) + 0.5) / k - 0.5  # px from a pixel's centre to those of the finer ones in it
+    here = (means.astype(np.float64) - center) @ rotation
+    z = here[..., 2]
+    x, y = camera.fx * here[..., 0] / z, camera.fy * here[..., 1] / z
+    ratio = z / depth  # a Gaussian may stand before or behind its pixel's depth
+    height, width = depth.shape
+    depths, places = np.empty((height, k, width, k)), np.empty((height, k, width, k, 3))
+    for row, dy in enumerate(steps):
+        for column, dx in enumerate(steps):
+            to = 1 / (inverse + dy * down + dx * right)
+            depths[:, row, :, column] = to
+            ray = np.stack([(x + dx) / camera.fx, (y + dy) / camera.fy, np.ones_like(x)], axis=-1)
+            places[:, row, :, column] = (ratio * to)[..., None] * ray @ rotation.T + center
+    return depths.reshape(k * height, k * width), places.reshape(k * height, k * width, 3)
+
+
+def _slope(values: F64, axis: int) -> F64:
+    """(H, W) per pixel: the smaller of the differences to both neighbours (minmod), 0 at the border."""
+    ahead = np.diff(values, axis=axis, append=np.take(values, [-1], axis))
+    behind = np.diff(values, axis=axis, prepend=np.take(values, [0], axis))
+    smaller = np.where(np.abs(ahead) < np.abs(behind), ahead, behind)
+    return np.where(ahead * behind > 0, smaller, 0.0)
+
+
+def _detail(view: FittedView, k: int) -> NDArray[np.float32]:
+    """(kH, kW, 3) what each pixel that the mask keeps has more than the mean of those in its square of k x k."""
+    image = view.image.transpose(1, 2, 0)
+    kept = np.ones(image.shape[:2], np.float32) if view.mask is None else view.mask.astype(np.float32)
+    squares = (image.shape[0] // k, k, image.shape[1] // k, k)
+    total = (image * kept[..., None]).reshape(*squares, 3).sum(axis=(1, 3))
+    mean = total / np.maximum(kept.reshape(squares).sum(axis=(1, 3)), 1)[..., None]
+    return (image - _enlarged(mean[None], k)[0]) * kept[..., None]
+
+
+def _enlarged(values: NDArray, k: int) -> NDArray:
+    """(V, H, W, ...) -> (V, kH, kW, ...), each value k x k times."""
+    return values.repeat(k, axis=1).repeat(k, axis=2)
