@@ -67,7 +67,7 @@ class SceneStore:
             raise GapmesError(
                 f"{self.root} cannot be used: {error.strerror}",
                 field="store",
-                cure="let GAPMES_STORE or --store name a folder that this user may write",
+                cure=f"let GAPMES_STORE or --store name a folder that this user (uid {os.getuid()}) may write",
             ) from error
 
     def put(self, scene_id: str, ply: bytes, document: Mapping[str, Any], inputs: Sequence[bytes] = ()) -> None:

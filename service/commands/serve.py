@@ -17,7 +17,7 @@ import typer
 from ..backends.choice import DEFAULT_ENGINE, ENGINES
 from ..errors import InputError
 from ..progress import Stages
-from ..terminal import ProgressBars, Quiet
+from ..terminal import ProgressBars
 
 if TYPE_CHECKING:
     from ..models import Models
@@ -51,7 +51,10 @@ def serve(
     prepare: Annotated[
         bool, typer.Option("--prepare", help="start nothing: optimise the models for this machine, for later starts")
     ] = False,
-    quiet: Quiet = False,
+    quiet: Annotated[
+        bool,
+        typer.Option("-q", "--quiet", help="log warnings and errors alone, and draw no bars [default: GAPMES_QUIET]"),
+    ] = False,
 ) -> None:
     """Start the service; /readyz answers 200 once the model is loaded and the kernels are warm. With --prepare nothing
     starts: what the first start would do once is done."""

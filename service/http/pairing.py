@@ -54,7 +54,8 @@ def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sort
     so that the cameras which no image belongs to are never looked at.
 
     A camera file may then hold more cameras than images were posted. Otherwise the counts must agree and order decides:
-    that of the images as they were sent, or with `by_sorted_name` that of their names.
+    that of the images as they were sent, or with `by_sorted_name` that of their names. Raises `ViewCountError`, which
+    names the first image without a camera of its own where others have one.
     """
     named = all(cameras)
     found = [[place for place, name in enumerate(cameras) if same_file(image, name)] for image in images]
@@ -63,8 +64,15 @@ def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sort
         if len(set(chosen)) == len(images):
             return Match(chosen, "name")
     if len(images) != len(cameras):
+        counts = f"{len(cameras)} cameras for {len(images)} images"
+        strays = [place for place, places in enumerate(found) if len(places) != 1]
+        if named and 0 < len(strays) < len(images):  # one file too many, not names of another kind
+            name, several = images[strays[0]], len(found[strays[0]])
+            those = f"{several} of them name" if several else "none of them names"
+            cure = "leave it out, or name the file as its view names it, and no other"
+            raise ViewCountError(f"{counts}, and {those} {name!r}", field="images", index=strays[0], cure=cure)
         cure = "send one camera per image, or name each view's image as its file is named"
-        raise ViewCountError(f"{len(cameras)} cameras for {len(images)} images", field="cameras", cure=cure)
+        raise ViewCountError(counts, field="cameras", cure=cure)
     if by_sorted_name:
         place_of = {place: row for row, place in enumerate(sorted_places(images))}
         return Match(tuple(place_of[place] for place in range(len(images))), "sorted name")

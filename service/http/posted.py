@@ -19,6 +19,7 @@ MAX_IMAGES = 60  # of a request, of which 6 at most are used; a capture may hold
 MAX_PARTS = MAX_IMAGES + 4  # files, and as many fields; beyond it no more of a body is read
 MAX_TEXT = 16 * 2**10  # bytes of a text field: 64 views or 6 long names are far below; beyond it no more is read
 DOCUMENT = "cameras"  # the one text field that may be long, with a limit of its own
+ONCE = {DOCUMENT: "send one of them; a COLMAP model of several files goes in as one zip"}  # what helps, by field
 _TOO_MANY_FILES = "Too many files"  # how the framework's parser begins to say so; it has no other sign
 
 
@@ -118,5 +119,5 @@ def single(form: FormData, name: str) -> UploadFile | str | None:
     """A field or file that may be given once."""
     parts = form.getlist(name)
     if len(parts) > 1:
-        raise InputError(f"is given {len(parts)} times, need once", field=name)
+        raise InputError(f"is given {len(parts)} times, need once", field=name, cure=ONCE.get(name, "send it once"))
     return parts[0] if parts else None

@@ -8,6 +8,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 SMALL, SMALL_S = 64 * 2**10, 5.0  # a body of so many declared bytes is read before the answer, in that time
+SLOW = 408  # the answer to a body for which the service has waited long enough
 # Behind the answer: two photographs of a telephone, over a line that takes them in that time.
 MOST, MOST_S = 16 * 2**20, 10.0
 
@@ -43,7 +44,8 @@ class BodyLeft:
         async def answered(message: Message) -> None:
             nonlocal closing, held
             if message["type"] == "http.response.start" and not ended:
-                if declared.isdecimal() and 0 < int(declared) <= SMALL and (asked or "expect" not in headers):
+                comes = message["status"] != SLOW and (asked or "expect" not in headers)
+                if comes and declared.isdecimal() and 0 < int(declared) <= SMALL:
                     await rest(SMALL, SMALL_S)
                 closing = not ended
                 if closing:

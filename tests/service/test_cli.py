@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -21,6 +22,7 @@ from typer.testing import CliRunner
 
 from gapmes.service import Gaussians, cli, write_ply
 from gapmes.service.ply import ply_bytes
+from gapmes.service.settings import Settings
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1e3])
@@ -189,6 +191,39 @@ def test_every_default_that_a_help_text_names_is_shown() -> None:
         for parameter in group.get_command(context, name).params:
             for bracket in re.findall(r"\[[^]]+\]", getattr(parameter, "help", None) or ""):
                 assert re.sub(r"\s+", "", bracket) in flat, (name, parameter.name, bracket)
+
+
+def test_no_default_is_shown_twice() -> None:
+    """By the help text, and by what prints it."""
+    runner, group = CliRunner(), typer.main.get_command(cli.app)
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        shown = runner.invoke(cli.app, [name, "--help"], env={"COLUMNS": "250"}).output
+        for option in re.split(r"\s(?=--[a-z])", shown):
+            assert option.count("[default:") <= 1, (name, option)
+
+
+def test_the_help_of_serve_says_what_quiet_is_there() -> None:
+    """Its log has warnings too, as the setting says; the other commands write errors alone."""
+    shown = CliRunner().invoke(cli.app, ["serve", "--help"], env={"COLUMNS": "250"}).output
+    meant = Settings.model_fields["quiet"].description.partition(" when ")[0]
+    assert meant.startswith("log warnings and errors alone")
+    assert meant in shown
+
+
+def test_who_may_not_write_is_told_as_whom_that_was(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """In a container that is a number, which the folder of a host must belong to."""
+
+    def refused(path: Path, *_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "mkdir", refused)
+    monkeypatch.setenv("TMPDIR", "/data/tmp")
+    assert run("serve") == 1
+    cure = f"is there room, and permission to read and write there as uid {os.getuid()}?"
+    assert capfd.readouterr().err == f"error: /data/tmp: Permission denied ({cure})\n"
 
 
 def test_the_version(capfd: pytest.CaptureFixture[str]) -> None:

@@ -56,6 +56,7 @@ def test_a_folder_that_cannot_be_one_is_refused(tmp_path):
             SceneStore(root)
         assert caught.value.field == "store"
         assert "GAPMES_STORE" in caught.value.cure
+        assert f"this user (uid {os.getuid()})" in caught.value.cure
 
 
 def test_the_first_put_wins(store):

@@ -95,7 +95,8 @@ function leftOut(body, scene) {
   if (!pruning) return;
   const found = pruning.actual === null ? "" : ` Found in the inputs' pictures: ${digits(pruning.actual)}.`;
   const proved = pruning.bound === null ? "" : `No colour of the certified views changes by more than ${digits(pruning.bound)} (of 1).${found} `;
-  body.append(make("p", {}, `${proved}${count(pruning.bytes_saved)} bytes less, decided in ${digits(pruning.seconds)} s.`));
+  const saved = pruning.bytes_saved ? `The file is ${count(pruning.bytes_saved)} bytes smaller` : "The budget left out no Gaussian";
+  body.append(make("p", {}, `${proved}${saved}, which was decided in ${digits(pruning.seconds)} s.`));
 }
 
 function trust(body, scene) {

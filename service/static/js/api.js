@@ -15,16 +15,30 @@ export const setKey = (key) => sessionStorage.setItem(KEY, key);
 
 const hasKey = () => sessionStorage.getItem(KEY) !== null;
 
+/** An id as it may stand in a path: whatever else an address holds could lead to another one. Throws `Refused`. */
+export function checkedId(text, what) {
+  if (/^[0-9a-f]{32}$/.test(text)) return text;
+  const detail = `${JSON.stringify(text.slice(0, 64))} is no id: need 32 hex digits`;
+  throw new Refused({ title: `${what} not found`, detail, cure: "is the link whole?" });
+}
+
+/** What `reading` gives; `Refused` where the line breaks meanwhile, or what came is not what a service sends. */
+async function whole(reading, detail, cure) {
+  try {
+    return await reading();
+  } catch (error) {
+    if (!(error instanceof TypeError || error instanceof SyntaxError)) throw error;
+    throw new Refused({ title: "Unreachable", detail, cure });
+  }
+}
+
+const read = (reading) => whole(reading, "the answer of the service broke off", "try it again");
+
 /** A response that is well; otherwise `Refused`. */
 export async function ask(path, { method = "GET", headers = {}, body, signal } = {}) {
   const key = sessionStorage.getItem(KEY);
-  let response;
-  try {
-    response = await fetch(path, { method, body, signal, headers: key ? { ...headers, "X-API-Key": key } : headers });
-  } catch (error) {
-    if (error.name === "AbortError") throw error;
-    throw new Refused({ title: "Unreachable", detail: "the service does not answer", cure: "is it running?" });
-  }
+  const sent = { method, body, signal, headers: key ? { ...headers, "X-API-Key": key } : headers };
+  const response = await whole(() => fetch(path, sent), "the service does not answer", "is it running?");
   if (response.ok) return response;
   let problem;
   try {
@@ -36,10 +50,18 @@ export async function ask(path, { method = "GET", headers = {}, body, signal } =
   throw new Refused(problem, response.status);
 }
 
-export const askJson = async (path, options) => (await ask(path, options)).json();
+export async function askJson(path, options) {
+  const response = await ask(path, options);
+  return read(() => response.json());
+}
+
+export async function askBlob(path, options) {
+  const response = await ask(path, options);
+  return read(() => response.blob());
+}
 
 /** What a path gives, as the address of a picture; the caller revokes it. */
-export const askPicture = async (path, options) => URL.createObjectURL(await (await ask(path, options)).blob());
+export const askPicture = async (path, options) => URL.createObjectURL(await askBlob(path, options));
 
 /** Put what a path gives into an image, and let go of what it showed. */
 export async function showPicture(image, path) {

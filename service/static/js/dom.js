@@ -28,8 +28,19 @@ export function tell(target, said) {
   const at = problem.index === undefined ? "" : ` ${problem.index}`;
   const where = problem.field ? ` (${problem.field}${at})` : "";
   target.append(make("strong", {}, `${problem.title}${where}: `), problem.detail || "");
-  if (problem.cure) target.append(make("br"), `What helps: ${problem.cure}`);
+  const cure = cureOf(problem);
+  if (cure) target.append(make("br"), `What helps: ${cure}`);
 }
+
+// What helps whoever looks at the page, where the service's own words are for those who write requests.
+const CURES = {
+  unauthorized: "type the key at the top of the page",
+  scene_not_found: "choose another one from the list",
+  upload_too_large: "send smaller photographs, or fewer",
+};
+const OF_REQUESTS = /`|\b(GET|POST) \/|Bearer/;
+
+const cureOf = ({ code, cure }) => (cure && OF_REQUESTS.test(cure) ? CURES[code] : cure);
 
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442", "#999999"];
 
@@ -53,5 +64,8 @@ export function discard(target) {
 export const digits = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(3))) : "–");
 
 export const count = (value) => value.toLocaleString("en");
+
+/** "1 file", "2 files". */
+export const counted = (value, what) => `${count(value)} ${what}${value === 1 ? "" : "s"}`;
 
 export const percent = (share) => (typeof share === "number" ? `${digits(100 * share)} %` : "–");

@@ -1,6 +1,6 @@
 // A job as it runs: its stages as they come, to the end, also behind a reload of the page or a broken line.
 
-import { ask, askJson, events, Refused } from "./api.js";
+import { ask, askJson, checkedId, events, Refused } from "./api.js";
 import { $, make, tell } from "./dom.js";
 
 const RETRIES = 20;
@@ -11,12 +11,17 @@ let current = null;
 
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
+const pathOf = (id) => `/jobs/${encodeURIComponent(id)}`;
+
+/** Whether a job is followed: the page follows one at a time. */
+export const following = () => current !== null;
+
 /** The job ended without a scene, or is unknown: there is nothing to come back to. */
 export class Ended extends Refused {}
 
 /** Follow a job; gives the id of its scene, throws `Ended` with why there is none, `Refused` where nobody answers. */
 export async function follow(id) {
-  current = id;
+  current = checkedId(id, "Job");
   $("progress").hidden = false;
   $("cancel").hidden = false;
   $("stages").replaceChildren();
@@ -38,12 +43,12 @@ async function watched(id) {
   let last = "0";
   for (let tries = 0; tries < RETRIES; tries += 1) {
     try {
-      for await (const { id: number, event, data } of events(`/jobs/${id}/events?after=${last}`)) {
+      for await (const { id: number, event, data } of events(`${pathOf(id)}/events?after=${last}`)) {
         last = number;
         tries = 0;
         if (event === "stage") stage(data);
       }
-      const job = await askJson(`/jobs/${id}`);
+      const job = await askJson(pathOf(id));
       if (job.state === "done" || job.problem) return job;
     } catch (error) {
       if (error instanceof Refused && !PASSING.includes(error.status)) throw new Ended(error.problem, error.status);
@@ -65,7 +70,7 @@ function stage({ stage: name, done, total, seconds }) {
 $("cancel").addEventListener("click", async () => {
   if (current === null) return;
   try {
-    await ask(`/jobs/${current}`, { method: "DELETE" });
+    await ask(pathOf(current), { method: "DELETE" });
   } catch (error) {
     tell($("problem"), error);
   }

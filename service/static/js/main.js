@@ -1,8 +1,9 @@
 // The page's beginning: what the address asks for, and who tells whom.
 
-import { askJson, Refused, setKey } from "./api.js";
+import { askJson, checkedId, Refused, setKey } from "./api.js";
 import { showAbout } from "./about.js";
 import { $, tell } from "./dom.js";
+import { following } from "./job.js";
 import { attend, prepareMaking, prepareModels } from "./making.js";
 import { markChosen, prepareShelf, refreshShelf, remove } from "./shelf.js";
 import { prepareStage, showScene } from "./stage.js";
@@ -15,25 +16,22 @@ const failed = (error) => {
   tell($("view-problem"), error);
 };
 
-/** Show a scene; `push`: as a step of its own to come back from. */
-async function open(id, { push = true } = {}) {
+/** Show a scene; its `address` becomes a step to come back from, takes the place of the last one, or (null) is not told. Throws `Refused`. */
+async function open(id, { address = "push" } = {}) {
   const mine = (turn += 1);
   let found = null;
   try {
-    found = await askJson(`/scenes/${encodeURIComponent(id)}`);
+    found = await askJson(`/scenes/${checkedId(id, "Scene")}`);
   } catch (error) {
     if (mine !== turn) return;
-    scene = null;
-    show();
-    failed(error);
-    return;
+    throw error;
   }
   if (mine !== turn) return;
   scene = found;
-  const address = `/?scene=${id}`;
+  const own = `/?scene=${id}`;
   const here = location.search === `?scene=${id}` || location.search.startsWith("?job="); // nobody goes back to a job
-  if (push && !here) history.pushState(null, "", address);
-  else history.replaceState(null, "", address);
+  if (address === "push" && !here) history.pushState(null, "", own);
+  else if (address !== null) history.replaceState(null, "", own);
   show();
 }
 
@@ -45,16 +43,17 @@ function show() {
 
 async function made(id) {
   await refreshShelf().catch(failed);
-  await open(id);
+  await open(id).catch(failed);
   $("stage").scrollIntoView({ block: "nearest" });
 }
 
 async function removed(id) {
   const first = await refreshShelf().catch(failed);
   if (scene?.id !== id) return markChosen(scene?.id ?? null);
-  if (first) return open(first, { push: false });
+  if (first) return open(first, { address: "replace" }).catch(failed);
   scene = null;
   history.replaceState(null, "", "/");
+  if (document.activeElement === $("remove")) $("files").focus(); // the button goes
   return show();
 }
 
@@ -80,13 +79,28 @@ async function begin() {
   tell($("view-problem"), null);
   try {
     const newest = await refreshShelf();
-    if (asked.has("job")) await attend(asked.get("job"));
-    else if (asked.has("scene")) await open(asked.get("scene"), { push: false });
-    else if (newest) await open(newest, { push: false });
+    if (asked.has("job")) {
+      await standIn(newest);
+      if (!following()) attend(asked.get("job")); // the page does not wait for it
+    } else if (asked.has("scene")) {
+      try {
+        await open(asked.get("scene"), { address: "replace" });
+      } catch (error) {
+        await standIn(newest);
+        throw error;
+      }
+    } else if (newest) await open(newest, { address: "replace" });
     else show();
   } catch (error) {
     failed(error);
   }
+}
+
+/** Where nothing is on show, the newest scene, for which the address did not ask; or that there is none. */
+async function standIn(newest) {
+  if (scene !== null) return;
+  if (newest === null) show();
+  else await open(newest, { address: null }).catch(failed);
 }
 
 /** What needs the key where there is one. */
@@ -108,7 +122,14 @@ $("share").addEventListener("click", async () => {
 $("remove").addEventListener("click", () => scene && remove(scene.id));
 $("key-form").addEventListener("submit", (event) => {
   event.preventDefault();
-  setKey($("key").value);
+  const key = $("key").value;
+  const odd = [...key].findIndex((character) => !/^[ -~]$/.test(character));
+  if (odd >= 0) { // no header can hold most of these, and no key of a service has any
+    const detail = `character ${odd + 1} of ${[...key].length} is not printable ASCII, of which keys consist`;
+    return tell($("key-problem"), { title: "Key", detail, cure: "copy it anew, or type it: editors of text change quotation marks and dashes" });
+  }
+  tell($("key-problem"), null);
+  setKey(key);
   $("key-form").hidden = true;
   unlocked();
 });
@@ -117,10 +138,15 @@ document.addEventListener("key-needed", () => {
   $("key-form").hidden = false;
   $("key").focus();
 });
+$("to-making").addEventListener("click", (event) => {
+  event.preventDefault(); // which would be a step of the history
+  $("making").scrollIntoView();
+  $("files").focus({ preventScroll: true });
+});
 window.addEventListener("popstate", begin);
 
 prepareMaking(made);
-prepareShelf({ open, removed, failed });
+prepareShelf({ open: (id) => open(id).catch(failed), removed, failed });
 await awaitReady();
 await prepareStage();
 await unlocked();

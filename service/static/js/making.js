@@ -1,7 +1,7 @@
 // A new scene: photographs and cameras that were dropped or chosen, what the service understood of them, and the job.
 
-import { ask, askJson, Refused } from "./api.js";
-import { $, discard, make, tell } from "./dom.js";
+import { askBlob, askJson, Refused } from "./api.js";
+import { $, counted, discard, make, tell } from "./dom.js";
 import { Ended, follow } from "./job.js";
 import { understood } from "./understood.js";
 
@@ -20,6 +20,8 @@ let opened = () => {}; // called with a scene's id
 export function prepareMaking(open) {
   opened = open;
   $("files").addEventListener("change", () => add([...$("files").files]));
+  $("files").addEventListener("click", () => { $("files").value = ""; }); // or a file that was edited could not be chosen again
+  $("files").addEventListener("cancel", showChosen);
   for (const name of ["dragenter", "dragover"]) {
     document.addEventListener(name, (event) => {
       event.preventDefault();
@@ -34,7 +36,7 @@ export function prepareMaking(open) {
     event.preventDefault();
     if (ready && !running) send();
   });
-  for (const name of ["near", "far", "trust_poses"]) $(name).addEventListener("change", () => chosen.length && check());
+  for (const name of ["near", "far", "trust_poses", "context"]) $(name).addEventListener("change", () => chosen.length && check());
 }
 
 export async function prepareModels() {
@@ -60,15 +62,27 @@ function dropped(event) {
 
 /** Files in addition to those that are there; one of the same name takes its place. */
 function add(files) {
-  $("files").value = "";
   const names = new Set(files.map((file) => file.name));
   chosen = [...chosen.filter((file) => !names.has(file.name)), ...files];
+  showChosen();
   return check();
+}
+
+/** In the chooser, which tells the number or the name; and whether fewer are to be used. */
+function showChosen() {
+  const holder = new DataTransfer();
+  for (const file of chosen) holder.items.add(file);
+  $("files").files = holder.files;
+  const several = images().length > MOST;
+  $("choice").hidden = !several;
+  if (several) $("so-many").textContent = `${counted(images().length, "photograph")}, and a scene takes 2 to ${MOST}. Use`;
+  else $("context").value = "";
 }
 
 function clear() {
   turn += 1;
   chosen = [];
+  showChosen();
   discard($("understood"));
   tell($("problem"), null);
   state({ ready: false });
@@ -89,8 +103,8 @@ function form() {
   for (const file of images()) data.append("images", file, file.name);
   for (const file of named(ZIP)) data.append(images().length ? "cameras" : "capture", file, file.name);
   for (const file of named(CAMERAS)) data.append("cameras", file, file.name);
-  if ($("context")?.value) data.set("context", $("context").value);
-  fill(data, ["near", "far", "max_error"]);
+  fill(data, ["context", "near", "far", "max_error"]);
+  if ($("detail").checked) data.set("detail", "2");
   if ($("trust_poses").checked) data.set("trust_poses", "true");
   if (!$("model-row").hidden) data.set("model", $("model").value);
   return data;
@@ -101,8 +115,9 @@ function missing() {
   const count = images().length;
   if (named(ZIP).length && !count) return null;
   if (!named(CAMERAS).length && !named(ZIP).length) {
-    return `${count} photographs. Add their camera file: cameras.json, transforms.json, poses_bounds.npy or a RealEstate10K .txt, or a zip of a COLMAP model.`;
+    return `${counted(count, "photograph")}. Add their camera file: cameras.json, transforms.json, poses_bounds.npy or a RealEstate10K .txt, or a zip of a COLMAP model.`;
   }
+  if (count > MOST && !$("context").value) return `${counted(chosen.length, "file")}. Say how many photographs are to be used.`;
   return count < 2 ? `${count} of 2 to ${MOST} photographs.` : null;
 }
 
@@ -110,7 +125,12 @@ function missing() {
 function impossible() {
   const count = images().length;
   if (named(GAUSSIANS).length && count) {
-    return { title: "Two kinds of files", detail: `${count} photographs beside ${named(GAUSSIANS)[0].name}, which is a scene already`, cure: "start over with one kind of them" };
+    return { title: "Two kinds of files", detail: `${counted(count, "photograph")} beside ${named(GAUSSIANS)[0].name}, which is a scene already`, cure: "start over with one kind of them" };
+  }
+  const cameras = [...named(CAMERAS), ...named(ZIP)];
+  if (count && cameras.length > 1) {
+    const names = cameras.slice(0, 4).map(({ name }) => name).join(", ");
+    return { title: "Camera files", detail: `${cameras.length} beside the photographs, need one: ${names}`, cure: "start over with one of them; a COLMAP model of several files goes in as one zip" };
   }
   if (count <= MOST_SENT) return null;
   return { title: "View count", detail: `${count} photographs, one by one at most ${MOST_SENT}`, cure: "send them as one zip with their camera file: the best few are chosen" };
@@ -124,19 +144,18 @@ async function check() {
   if (impossible()) return false;
   if (named(GAUSSIANS).length) return load(named(GAUSSIANS)[0]);
   const wish = missing();
-  const several = images().length > MOST ? choice($("context")?.value) : null;
-  say(make("p", {}, wish ?? "Looking at the cameras …"), several);
+  say(make("p", {}, wish ?? "Looking at the cameras …"));
   if (wish) return false;
   try {
     const found = await askJson("/check", { method: "POST", body: form() });
     if (mine !== turn) return false;
-    say(several, ...understood(found));
+    say(...understood(found));
     state({ ready: true });
     return true;
   } catch (error) {
     if (mine !== turn) return false;
     const names = chosen.slice(0, 8).map(({ name }) => name).join(", ");
-    say(make("p", {}, `${chosen.length} files: ${names}${chosen.length > 8 ? ", …" : ""}`), several);
+    say(make("p", {}, `${counted(chosen.length, "file")}: ${names}${chosen.length > 8 ? ", …" : ""}`));
     tell($("problem"), error);
     return false;
   }
@@ -144,16 +163,7 @@ async function check() {
 
 function say(...nodes) {
   discard($("understood"));
-  $("understood").append(...nodes.filter(Boolean));
-}
-
-/** More photographs than a scene takes: how many of them may be chosen for the user. */
-function choice(value) {
-  const select = make("select", { id: "context" }, make("option", { value: "" }, "none: I take some away"),
-    ...[2, 3, 4, 5, 6].map((number) => make("option", { value: String(number) }, `the best ${number}`)));
-  select.value = value ?? "";
-  select.addEventListener("change", check);
-  return make("p", {}, make("label", {}, `${images().length} photographs, and a scene takes 2 to ${MOST}. Use `, select));
+  $("understood").append(...nodes);
 }
 
 async function sample() {
@@ -161,7 +171,7 @@ async function sample() {
   try {
     const names = ["images/001.png", "images/005.png", "cameras.json"];
     const files = await Promise.all(names.map(async (name) => {
-      const blob = await (await ask(`/static/sample/${name}`)).blob();
+      const blob = await askBlob(`/static/sample/${name}`);
       return new File([blob], name.split("/").pop(), { type: blob.type });
     }));
     if (!chosen.length && (await add(files))) await send();
@@ -185,6 +195,7 @@ async function load(file) {
   } catch (error) {
     if (mine !== turn) return false;
     chosen = chosen.filter((one) => one !== file);
+    showChosen();
     discard($("understood"));
     tell($("problem"), error);
     state({});
@@ -213,7 +224,7 @@ export async function attend(id) {
     await opened(await follow(id));
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    if (error instanceof Ended) history.replaceState(null, "", "/");
+    if (error instanceof Ended && location.search === `?job=${id}`) history.replaceState(null, "", "/");
     tell($("problem"), error);
   } finally {
     state({ running: false });

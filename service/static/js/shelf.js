@@ -35,11 +35,21 @@ async function list(after) {
   const query = new URLSearchParams({ limit: String(PAGE), ...(after ? { after } : {}) });
   const page = await askJson(`/scenes?${query}`);
   if (mine !== turn) return page.scenes[0]?.id ?? null;
+  const held = document.activeElement?.closest("#scenes li");
+  const place = held && { id: held.dataset.id, row: [...$("scenes").children].indexOf(held), quiet: document.activeElement.matches(".quiet") };
   if (!after) discard($("scenes"));
   next = page.next;
   $("more").hidden = next === null;
   $("scenes").append(...page.scenes.map(item));
+  if (place && !after) refocus(place);
   return page.scenes[0]?.id ?? null;
+}
+
+/** The focus goes back to where it was in the list: to the same scene, or to the one that has its row now. */
+function refocus({ id, row, quiet }) {
+  const items = [...$("scenes").children];
+  const item = items.find((one) => one.dataset.id === id) ?? items[Math.min(row, items.length - 1)];
+  (item?.querySelector(quiet ? ".quiet" : "button") ?? $("files")).focus();
 }
 
 function item(scene) {

@@ -13,6 +13,7 @@ export function turnBy(stage, move) {
   const pointers = new Map(); // id -> its last place
 
   stage.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0) return;
     stage.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     stage.classList.add("dragging");
@@ -37,7 +38,7 @@ export function turnBy(stage, move) {
     if (move(0, 0, Math.exp(-event.deltaY * PER_NOTCH))) event.preventDefault();
   }, { passive: false });
   stage.addEventListener("keydown", (event) => {
-    const step = KEYS[event.key];
+    const step = event.ctrlKey || event.metaKey || event.altKey ? null : KEYS[event.key]; // those are the browser's
     if (step && move(...step)) event.preventDefault();
   });
 }

@@ -122,6 +122,38 @@ def test_more_cameras_than_images(client: TestClient) -> None:
     assert body["detail"] == "3 cameras for 2 images"
 
 
+def test_a_file_that_no_camera_names_is_told_where_others_have_one(client: TestClient) -> None:
+    """Not the numbers alone, which say nothing of what is wrong; nor a file where all names are of another kind."""
+    cameras = camera_object(8)
+    for index, view in enumerate(cameras["views"]):
+        view["image"] = f"images/{index}.png"
+    images = [photograph(seed) for seed in (0, 1)]
+    for names, index, words in (
+        (["0.png", "notes.png"], 1, ", and none of them names 'notes.png'"),
+        (["blob", "1.png"], 0, ", and none of them names 'blob'"),
+    ):
+        body = assert_problem(post(client, images, cameras, names=names), 422, "view_count", "images", index)
+        assert body["detail"] == f"8 cameras for 2 images{words}"
+        assert body["cure"].startswith("leave it out")
+    body = assert_problem(post(client, images, cameras, names=["a.png", "b.png"]), 422, "view_count", "cameras")
+    assert body["detail"] == "8 cameras for 2 images"
+    cameras["views"][5]["image"] = "right/1.png"
+    answer = post(client, images, cameras, names=["0.png", "1.png"])
+    assert assert_problem(answer, 422, "view_count", "images", 1)["detail"].endswith("and 2 of them name '1.png'")
+
+
+def test_a_field_that_is_given_twice(client: TestClient) -> None:
+    """Of cameras it is likely a model of several files."""
+    parts: list[Any] = [("images", (f"{seed}.png", photograph(seed), "image/png")) for seed in (0, 1)]
+    parts += [("cameras", ("cameras.txt", b"# a list")), ("cameras", ("images.txt", b"# a list"))]
+    body = assert_problem(client.post("/reconstruct", files=parts), 422, "invalid_input", "cameras")
+    assert body["detail"] == "is given 2 times, need once"
+    assert "a COLMAP model of several files goes in as one zip" in body["cure"]
+    parts = [("near", (None, "1")), ("near", (None, "2"))]
+    body = assert_problem(client.post("/reconstruct", files=parts), 422, "invalid_input", "near")
+    assert body["cure"] == "send it once"
+
+
 def test_text_named_png(client: TestClient) -> None:
     assert_problem(post(client, [photograph(0), b"this is text"]), 415, "image_unreadable", "images", 1)
 

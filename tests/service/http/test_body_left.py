@@ -7,12 +7,14 @@ import socket
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
+import anyio
 import httpx
 import pytest
 from served_process import serving
 
-from gapmes.service.http.unread import MOST, SMALL
+from gapmes.service.http.unread import MOST, SMALL, BodyLeft
 
 MIB = 2**20
 KEY = "the key"
@@ -137,6 +139,28 @@ def test_a_small_body_that_does_not_come_is_not_waited_for_long(address: tuple[s
         connection.sendall(head(5))
         found, headers = answer(connection)
         assert (found, headers["connection"]) == (401, "close")
+
+
+@pytest.mark.parametrize(("status", "first"), [(408, "answer"), (415, "wait")])
+def test_a_body_that_was_refused_for_being_slow_is_not_waited_for(status: int, first: str) -> None:
+    """Before the answer; behind it as much is read as of any other."""
+    order: list[str] = []
+
+    async def refuses(_: Any, __: Any, send: Any) -> None:
+        await send({"type": "http.response.start", "status": status, "headers": []})
+        await send({"type": "http.response.body", "body": b""})
+
+    async def receive() -> dict[str, Any]:
+        order.append("wait")
+        return {"type": "http.request", "body": b"12345", "more_body": False}
+
+    async def send(message: dict[str, Any]) -> None:
+        order.append("answer" if message["type"] == "http.response.start" else "end")
+
+    scope = {"type": "http", "headers": [(b"content-length", b"5")]}
+    anyio.run(BodyLeft(refuses), scope, receive, send)
+    assert order[0] == first
+    assert "wait" in order
 
 
 def test_who_asks_before_sending_is_told_at_once(address: tuple[str, int]) -> None:

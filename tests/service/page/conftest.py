@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from browser_tab import CHROMIUM, Tab, launched
+from http_requests import camera_object, photograph
 from page_service import serving
 
+from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.settings import Settings
 
 
@@ -34,6 +39,33 @@ def address(standin_model: Path, tmp_path_factory: pytest.TempPathFactory) -> It
     store = tmp_path_factory.mktemp("page") / "scenes"
     with serving(Settings(model=standin_model, store=store, threads=1)) as address:
         yield address
+
+
+@pytest.fixture(scope="module")
+def scene(address: str) -> str:
+    """A scene of the stand-in network: a textured wall."""
+    files = [("images", (f"{k}.png", photograph(60 + k), "image/png")) for k in range(2)]
+    answer = httpx.post(
+        f"{address}/reconstruct",
+        files=[*files, ("cameras", ("cameras.json", json.dumps(camera_object(2)).encode()))],
+        timeout=120,
+    )
+    assert answer.status_code in (200, 201), answer.text
+    return answer.json()["id"]
+
+
+@pytest.fixture
+def held_network(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """The network waits until the event is set."""
+    go, run = threading.Event(), Reconstructor._run
+
+    def held(self: Reconstructor, *arguments: Any) -> Any:
+        assert go.wait(120)
+        return run(self, *arguments)
+
+    monkeypatch.setattr(Reconstructor, "_run", held)
+    yield go
+    go.set()
 
 
 @pytest.fixture

@@ -10,18 +10,21 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
 import uvicorn
+from browser_tab import Tab
 from http_requests import camera_object, photograph
 from numpy.typing import NDArray
 from PIL import Image
 
 from gapmes.service.app import create_app
+from gapmes.service.formats.registry import FORMATS
+from gapmes.service.gaussians import Gaussians
 from gapmes.service.settings import Settings
 
 RECONSTRUCTION_MS = 180_000  # patience, not a limit: three photographs take 15 s of one thread, more beside other work
@@ -55,6 +58,24 @@ def _ready(address: str) -> bool:
         return False
 
 
+@contextmanager
+def broken_answers() -> Iterator[str]:
+    """An address where every answer ends before it is whole."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def answer() -> None:
+            with suppress(OSError):  # it is closed at the end
+                while True:
+                    connection, _ = listening.accept()
+                    with connection:
+                        connection.recv(2**16)
+                        connection.sendall(b'HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n{"scenes": [')
+
+        threading.Thread(target=answer, daemon=True).start()
+        yield f"http://127.0.0.1:{listening.getsockname()[1]}/"
+        listening.shutdown(socket.SHUT_RDWR)
+
+
 def write_scene(folder: Path, images: list[bytes], cameras: Any) -> list[Path]:
     """Files as a user has them: photographs 0.png, 1.png, … and cameras.json."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -67,10 +88,34 @@ def write_scene(folder: Path, images: list[bytes], cameras: Any) -> list[Path]:
     return paths
 
 
+def choose(page: Any, paths: list[Path]) -> None:
+    """By the browser's own chooser, as a hand does."""
+    with page.expect_file_chooser() as chooser:
+        page.click("#files")
+    chooser.value.set_files(paths)
+
+
 def choose_two(page: Any, folder: Path, *, seed: int) -> None:
     """Two photographs that fit their cameras are chosen, and may be reconstructed."""
     page.set_input_files("#files", write_scene(folder, [photograph(seed), photograph(seed + 1)], camera_object(2)))
     page.wait_for_selector("#go:not([disabled])")
+
+
+def cloud(seed: int, *, count: int = 500) -> Gaussians:
+    """A heap of small grey Gaussians about the origin."""
+    return Gaussians.make(
+        np.random.default_rng(seed).normal(size=(count, 3)), np.full((count, 3), 0.05), [[1.0, 0, 0, 0]] * count,
+        np.full(count, 0.9), np.full((count, 1, 3), 0.5),
+    )  # fmt: skip
+
+
+def stored_cloud(address: str, seed: int) -> str:
+    """The id of a scene that comes into the store as a file, in a moment."""
+    answer = httpx.post(
+        f"{address}/scenes", files={"file": ("cloud.splat", FORMATS["splat"].write(cloud(seed)).data)}, timeout=120
+    )
+    assert answer.status_code in (200, 201), answer.text
+    return answer.json()["id"]
 
 
 def pixels_of(page: Any, selector: str) -> NDArray[np.uint8]:
@@ -100,6 +145,21 @@ def rendered(address: str, **query: str) -> NDArray[np.uint8]:
     answer = httpx.get(f"{address}/render", params=query, timeout=60)
     assert answer.status_code == 200, answer.text
     return decoded(answer.content)
+
+
+def opened(tab: Tab, scene: str) -> Any:
+    """The page with this scene, drawn by the service."""
+    page = tab.open(f"/?scene={scene}")
+    page.click("#mode-server")
+    page.wait_for_selector("#picture[src^='blob:']")
+    return page
+
+
+def settled(page: Any) -> None:
+    """Nothing is asked for any more, and the last picture was the full one."""
+    page.wait_for_timeout(300)
+    page.wait_for_load_state("networkidle")
+    page.wait_for_timeout(200)
 
 
 def made(page: Any, before: str) -> str:

@@ -13,12 +13,10 @@ import numpy as np
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import choose_two, made, pixels_of, rendered, serving, write_scene
+from page_service import choose_two, cloud, made, pixels_of, rendered, serving, write_scene
 from standin_model import METADATA, write_standin
 
 from gapmes.service.formats.registry import FORMATS
-from gapmes.service.gaussians import Gaussians
-from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.settings import Settings
 
 
@@ -78,12 +76,8 @@ def test_own_photographs(tab: Any, tmp_path: Path) -> None:
 
 def test_a_file_of_gaussians_is_shown_as_it_is(tab: Any, tmp_path: Path) -> None:
     """A .splat from elsewhere: into the store, on the stage, on the shelf; one that is none is refused by name."""
-    gaussians = Gaussians.make(
-        np.random.default_rng(1).normal(size=(500, 3)), np.full((500, 3), 0.05), [[1.0, 0, 0, 0]] * 500,
-        np.full(500, 0.9), np.full((500, 1, 3), 0.5),
-    )  # fmt: skip
     path = tmp_path / "cloud.splat"
-    path.write_bytes(FORMATS["splat"].write(gaussians).data)
+    path.write_bytes(FORMATS["splat"].write(cloud(1)).data)
     page = tab.open()
     before = page.url
     page.set_input_files("#files", path)
@@ -147,20 +141,6 @@ def test_back_leads_out_of_a_scene_and_starting_over_starts_nothing(tab: Any, tm
     page.wait_for_url(lambda url: scene not in url and "job" not in url)
     page.go_forward()
     page.wait_for_url(lambda url: url.endswith(scene))
-
-
-@pytest.fixture
-def held_network(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The network waits until the event is set."""
-    go, run = threading.Event(), Reconstructor._run
-
-    def held(self: Reconstructor, *arguments: Any) -> Any:
-        assert go.wait(60)
-        return run(self, *arguments)
-
-    monkeypatch.setattr(Reconstructor, "_run", held)
-    yield go
-    go.set()
 
 
 def test_reload_in_the_middle_of_a_job(tab: Any, tmp_path: Path, held_network: threading.Event) -> None:

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import choose_two, made, serving, write_scene
+from page_service import broken_answers, choose, choose_two, made, serving, stored_cloud, write_scene
 
 from gapmes.service.settings import Settings
 
@@ -52,7 +52,7 @@ def test_every_refusal_is_shown_with_what_helps(
     page.wait_for_selector("#problem strong")
     assert re.search(told, page.inner_text("#problem")), page.inner_text("#problem")
     assert page.is_disabled("#go")
-    page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
+    choose(page, write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
     if len(images) == 2:  # files of the same names take the place of the wrong ones
         page.wait_for_selector("#go:not([disabled])")
         assert page.inner_text("#problem") == ""
@@ -62,7 +62,10 @@ def test_what_is_missing_is_said(tab: Any, tmp_path: Path) -> None:
     page = tab.open()
     files = write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2))
     page.set_input_files("#files", files[:2])
-    page.wait_for_selector("#understood:has-text('Add their camera file')")
+    page.wait_for_selector("#understood:has-text('2 photographs. Add their camera file')")
+    page.click("#clear")
+    page.set_input_files("#files", files[:1])
+    page.wait_for_selector("#understood:has-text('1 photograph. Add their camera file')")
     page.click("#clear")
     page.set_input_files("#files", files[1:])
     page.wait_for_selector("#understood:has-text('1 of 2 to 6 photographs')")
@@ -70,16 +73,43 @@ def test_what_is_missing_is_said(tab: Any, tmp_path: Path) -> None:
     page.wait_for_selector("#go:not([disabled])")
 
 
+def test_a_file_that_no_camera_names_is_told(tab: Any, tmp_path: Path) -> None:
+    page = tab.open()
+    cameras = camera_object(4)
+    for index, view in enumerate(cameras["views"]):
+        view["image"] = f"{index}.png"
+    files = write_scene(tmp_path, [photograph(0), photograph(1)], cameras)
+    files[1] = files[1].rename(tmp_path / "notes.png")
+    page.set_input_files("#files", files)
+    page.wait_for_selector("#problem:has-text('4 cameras for 2 images, and none of them names')")
+    assert "(images 1)" in page.inner_text("#problem")
+    assert "notes.png" in page.inner_text("#problem")
+
+
+def test_the_files_of_a_model_go_in_as_one_zip(tab: Any, tmp_path: Path) -> None:
+    page = tab.open()
+    files = write_scene(tmp_path, [photograph(0), photograph(1)], {})[:2]
+    for name in ("cameras.txt", "images.txt"):
+        files.append(tmp_path / name)
+        files[-1].write_text("# a list\n")
+    page.set_input_files("#files", files)
+    page.wait_for_selector("#problem:has-text('2 beside the photographs, need one: cameras.txt, images.txt')")
+    assert "one zip" in page.inner_text("#problem")
+
+
 def test_sixty_photographs_at_once(tab: Any, tmp_path: Path) -> None:
-    """They are refused by their number, with a way on: the best few of them."""
+    """More than a scene takes: it is asked how many of them are to be used, and nothing is refused."""
     page = tab.open()
     cameras = camera_object(60)
     for index, view in enumerate(cameras["views"]):
         view["image"] = f"{index}.png"
         view["c2w"][0][3] = 0.05 * index
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
     page.set_input_files("#files", write_scene(tmp_path, [photograph(k) for k in range(60)], cameras))
-    page.wait_for_selector("#problem strong")
-    assert "60" in page.inner_text("#problem")
+    page.wait_for_selector("#choice:has-text('60 photographs')")
+    page.wait_for_selector("#understood:has-text('Say how many')")
+    assert not any(url.endswith("/check") for url in asked)
     assert page.is_disabled("#go")
     page.select_option("#context", "3")
     page.wait_for_selector(".cards li >> nth=2")
@@ -88,11 +118,6 @@ def test_sixty_photographs_at_once(tab: Any, tmp_path: Path) -> None:
     page.click("#go")
     scene = made(page, before)
     assert len(httpx.get(f"{tab.address}/scenes/{scene}").json()["view_cameras"]) == 3
-
-
-def test_a_link_that_leads_nowhere(tab: Any) -> None:
-    page = tab.open(f"/?scene={'0' * 32}")
-    page.wait_for_selector("#view-problem:has-text('no scene')")
 
 
 def test_a_refused_file_of_gaussians_leaves_the_way_free(tab: Any, tmp_path: Path) -> None:
@@ -123,11 +148,65 @@ def test_a_wrong_key_is_told_and_asked_for_again(browser: Any, standin_model: Pa
         page = tab.open()
         for key in ("wrong", "open sesame"):
             page.wait_for_selector("#view-problem:has-text('needs a key')")
+            assert "Bearer" not in page.inner_text("#view-problem")  # which is for those who write requests
             page.fill("#key", key)
             page.click("#key-form button")
         page.wait_for_selector("#view-problem:empty", state="attached")
         assert page.is_hidden("#key-form")
         tab.done()
+
+
+def test_a_key_that_no_header_can_hold_is_not_taken(browser: Any, standin_model: Path, tmp_path: Path) -> None:
+    settings = Settings(model=standin_model, store=tmp_path / "scenes", threads=1, api_key="open sesame")
+    with serving(settings) as address:
+        tab = Tab(browser, address)
+        page = tab.open()
+        page.fill("#key", "“open sesame”")
+        page.click("#key-form button")
+        page.wait_for_selector("#key-problem:has-text('character 1 of 13 is not printable ASCII')")
+        assert page.is_visible("#key")
+        page.fill("#key", "open sesame")
+        page.click("#key-form button")
+        page.wait_for_selector("#view-problem:empty", state="attached")
+        assert page.is_hidden("#key-form")
+        tab.done()
+
+
+@pytest.mark.parametrize("cut", [True, False])
+def test_an_answer_that_breaks_off_is_told_and_the_page_goes_on(tab: Any, *, cut: bool) -> None:
+    """By a line that breaks within it, or a proxy that answers with a page of its own."""
+    first, second = (stored_cloud(tab.address, seed) for seed in (1, 2))
+    page = tab.page
+    with broken_answers() as nowhere:
+
+        def breaking(route: Any) -> None:
+            if cut:
+                route.continue_(url=nowhere)
+            else:
+                route.fulfill(status=200, content_type="text/html", body="<p>Log in first")
+
+        page.route("**/scenes?*", breaking)
+        tab.open()
+        page.wait_for_selector("#view-problem:has-text('broke off')")
+        page.unroute("**/scenes?*")
+        tab.open(f"/?scene={second}")
+        page.route(f"**/scenes/{first}", breaking)
+        page.click(f"li[data-id='{first}'] button >> nth=0")
+        page.wait_for_selector("#view-problem:has-text('broke off')")
+        page.unroute(f"**/scenes/{first}")
+        page.click(f"li[data-id='{first}'] button >> nth=0")
+        page.wait_for_url(lambda url: url.endswith(first))
+        page.route("**/readyz", breaking)
+        page.reload()
+        page.wait_for_selector("#state:has-text('broke off')")
+        page.unroute("**/readyz")
+        page.wait_for_selector("#state:has-text('Network')")
+        page.wait_for_selector("#picture[src^='blob:']")
+        if cut:  # any bytes are a picture, until it is drawn
+            page.click("#mode-server")
+            page.route("**/render*", breaking)
+            page.click("#nearer")
+            page.wait_for_selector("#view-problem:has-text('broke off')")
 
 
 def test_with_a_full_disk_scenes_can_still_be_seen(browser: Any, standin_model: Path, tmp_path: Path) -> None:

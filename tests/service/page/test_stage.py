@@ -1,20 +1,18 @@
-"""The large view: drawn by the service or by WebGL, by pointer and by keyboard, on a phone, in the dark."""
+"""The large view: drawn by the service or by WebGL, by pointer and by keyboard."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
-from browser_tab import PHONE, Tab, launched
-from http_requests import camera_object, photograph
-from page_service import decoded, pixels_of, rendered, serving, write_scene
+from browser_tab import Tab, launched
+from page_service import decoded, opened, pixels_of, rendered, serving, settled
 
 from gapmes.service.http.page import STATIC
 from gapmes.service.rotations import about_axis
@@ -23,34 +21,6 @@ from gapmes.service.settings import Settings
 from gapmes.service.views import vertical
 
 NEED_DB = 25.0  # measured 28.4: at 2.9 times the size that the Gaussians were made for, gaps are drawn otherwise
-
-
-@pytest.fixture(scope="module")
-def scene(address: str) -> str:
-    """A scene of the stand-in network: a textured wall."""
-    files = [("images", (f"{k}.png", photograph(60 + k), "image/png")) for k in range(2)]
-
-    answer = httpx.post(
-        f"{address}/reconstruct",
-        files=[*files, ("cameras", ("cameras.json", json.dumps(camera_object(2)).encode()))],
-        timeout=120,
-    )
-    assert answer.status_code in (200, 201), answer.text
-    return answer.json()["id"]
-
-
-def opened(tab: Tab, scene: str) -> Any:
-    page = tab.open(f"/?scene={scene}")
-    page.click("#mode-server")
-    page.wait_for_selector("#picture[src^='blob:']")
-    return page
-
-
-def settled(page: Any) -> None:
-    """Nothing is asked for any more, and the last picture was the full one."""
-    page.wait_for_timeout(300)
-    page.wait_for_load_state("networkidle")
-    page.wait_for_timeout(200)
 
 
 def turned_view(address: str, scene: str, azimuth: float, elevation: float) -> str:
@@ -172,65 +142,6 @@ def test_without_webgl_the_service_draws(playwright: Any, address: str, scene: s
         assert tab.faults == []
     finally:
         browser.close()
-
-
-@pytest.fixture
-def phone(browser: Any, address: str) -> Iterator[Tab]:
-    tab = Tab(browser, address, viewport=PHONE, is_mobile=True, has_touch=True, color_scheme="dark")
-    yield tab
-    tab.done()
-
-
-def test_a_phone_in_the_dark(phone: Tab, scene: str, tmp_path: Path) -> None:
-    """Nothing is wider than the screen, buttons are large enough for a finger, the page is dark."""
-    page = opened(phone, scene)
-    for title in ("How far to trust it", "Cameras and timings", "Options"):
-        page.click(f"summary:has-text('{title}')")
-    page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
-    page.wait_for_selector(".cards li")
-    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
-    heights = page.locator("button:visible:not(.quiet)").evaluate_all("all => all.map(b => b.offsetHeight)")
-    assert min(heights) >= 32
-    background, colour = page.evaluate(
-        "[getComputedStyle(document.body).color, matchMedia('(prefers-color-scheme: dark)').matches]"
-    )
-    assert colour is True
-    assert min(int(part) for part in re.findall(r"\d+", background)[:3]) > 180  # light letters
-
-
-def test_fingers_turn_and_come_nearer(phone: Tab, scene: str) -> None:
-    """One finger turns both ways and does not scroll the page, two change the distance, and so do the buttons."""
-    page = opened(phone, scene)
-    settled(page)
-    box = page.locator("#stage").bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    touch = phone.context.new_cdp_session(page)
-
-    def fingers(kind: str, *places: tuple[float, float]) -> None:
-        points = [{"x": px, "y": py, "id": number} for number, (px, py) in enumerate(places)]
-        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-
-    before = page.evaluate("scrollY")
-    fingers("touchStart", (x, y))
-    for step in range(1, 11):
-        fingers("touchMove", (x - 3 * step, y + 4 * step))
-    fingers("touchEnd")
-    settled(page)
-    assert "turned by 9° and 12°" in page.inner_text("#caption")
-    assert page.evaluate("scrollY") == before
-    turned_only = pixels_of(page, "#picture")
-    fingers("touchStart", (x - 20, y), (x + 20, y))
-    for step in range(1, 6):
-        fingers("touchMove", (x - 20 - 4 * step, y), (x + 20 + 4 * step, y))
-    fingers("touchEnd")
-    settled(page)
-    nearer = pixels_of(page, "#picture")
-    assert "turned by 9° and 12°" in page.inner_text("#caption")
-    assert np.abs(nearer.astype(int) - turned_only).mean() > 5
-    for _ in range(4):
-        page.tap("#farther")
-    settled(page)
-    assert np.abs(pixels_of(page, "#picture").astype(int) - nearer).mean() > 5
 
 
 def test_everything_can_be_reached_by_keyboard(tab: Tab, scene: str) -> None:

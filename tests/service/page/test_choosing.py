@@ -1,0 +1,55 @@
+"""What the chooser of files shows, and what is told of a scene that was made of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import httpx
+from browser_tab import Tab
+from http_requests import camera_object, photograph
+from page_service import choose, choose_two, made, write_scene
+
+NAMES = "[...document.getElementById('files').files].map(file => file.name)"
+
+
+def test_the_chooser_shows_all_that_is_chosen(tab: Tab, tmp_path: Path) -> None:
+    page = tab.open()
+    files = write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2))
+    choose(page, files[:2])
+    choose(page, files[2:])
+    page.wait_for_selector("#go:not([disabled])")
+    assert page.evaluate(NAMES) == ["0.png", "1.png", "cameras.json"]
+    with page.expect_file_chooser():
+        page.click("#files")
+    page.dispatch_event("#files", "cancel")  # it was closed without a choice
+    assert page.evaluate(NAMES) == ["0.png", "1.png", "cameras.json"]
+    assert page.is_enabled("#go")
+    page.click("#clear")
+    assert page.evaluate(NAMES) == []
+
+
+def test_what_the_budget_saved_is_told(tab: Tab, tmp_path: Path) -> None:
+    page = tab.open()
+    choose_two(page, tmp_path, seed=130)
+    before = page.url
+    page.click("#go")
+    scene = made(page, before)
+    document = httpx.get(f"{tab.address}/scenes/{scene}").json()
+    page.route(f"**/scenes/{scene}", lambda route: route.fulfill(json=document))
+    for saved, told in ((0, "The budget left out no Gaussian"), (430_032, "The file is 430,032 bytes smaller")):
+        document["pruning"] |= {"bytes_saved": saved}
+        tab.open(f"/?scene={scene}")
+        page.click("summary:has-text('What was left out')")
+        page.wait_for_selector(f"#about:has-text('{told}')")
+
+
+def test_a_sharper_scene_is_made_when_asked_for(tab: Tab, tmp_path: Path) -> None:
+    page = tab.open()
+    choose_two(page, tmp_path, seed=140)
+    page.click("summary:has-text('Options')")
+    page.check("#detail")
+    before = page.url
+    page.click("#go")
+    document = httpx.get(f"{tab.address}/scenes/{made(page, before)}").json()
+    assert document["detail"] == 2
+    assert document["view_cameras"][0]["width"] == 2 * document["model"]["width"]
