@@ -11,6 +11,7 @@ from typing import Annotated, cast
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from gapmes.model.architectures import ARCHITECTURES
 from gapmes.model.checkpoint import read_config, shipped_checkpoint
@@ -133,14 +134,14 @@ def export(
                 quick=quick,
                 listener=bars,
             )
-    except (CheckpointError, VerificationBroken, ValueError, OSError) as error:
-        errors.print(f"[red]refused:[/] {error}", soft_wrap=True)
+    except (CheckpointError, InputError, VerificationBroken, ValueError, OSError) as error:
+        errors.print(f"[red]refused:[/] {escape(str(error))}", soft_wrap=True)
         raise typer.Exit(REFUSED) from error
     except ExportRejected as rejected:
-        errors.print(f"[red]rejected:[/] {rejected}", soft_wrap=True)
+        errors.print(f"[red]rejected:[/] {escape(str(rejected))}", soft_wrap=True)
         for failure in rejected.failures[1:20]:
-            errors.print(f"  {failure}", soft_wrap=True)
-        errors.print(f"file: {rejected.rejected}\nreport: {rejected.report_path}", soft_wrap=True)
+            errors.print(f"  {failure}", soft_wrap=True, markup=False)
+        errors.print(f"file: {rejected.rejected}\nreport: {rejected.report_path}", soft_wrap=True, markup=False)
         raise typer.Exit(REJECTED) from rejected
     _show(result, as_json, bars)
 

@@ -10,9 +10,11 @@ from typing import Any
 import typer
 from rich.console import Console
 
+from gapmes.service.commands.output_file import check_output_folder
 from gapmes.service.errors import InputError
 from gapmes.service.terminal import ProgressBars
 
+REFUSED = 1
 FAILED = 3
 
 
@@ -21,8 +23,29 @@ def write_tables(
 ) -> None:
     """Run what has a folder; `as_json` prints what was found in numbers to stdout.
 
-    Exit status 1 for a folder that is no scene, 3 where a case is beyond its tolerance.
+    Exit status 1 for a folder that cannot be made, one that is no scene, and where a process of the report fails; 3
+    where a case is beyond its tolerance.
     """
+    from .tradeoff.child import ChildFailed
+
+    try:
+        for folder in (stability, report):  # both before any work
+            if folder is not None:
+                check_output_folder(folder)
+        document, failed = _measured(report, stability, scenes, quick, quiet)
+    except (ChildFailed, InputError, OSError) as error:
+        Console(stderr=True, soft_wrap=True).print(f"refused: {error}", markup=False)
+        raise typer.Exit(REFUSED) from error
+    if as_json:
+        typer.echo(json.dumps(document))
+    if failed:
+        raise typer.Exit(FAILED)
+
+
+def _measured(
+    report: Path | None, stability: Path | None, scenes: Sequence[Path], quick: bool, quiet: bool
+) -> tuple[dict[str, Any], int]:
+    """What was found, in numbers, and how many cases are beyond tolerance."""
     from gapmes.service.shipped import sample_folder
 
     from .evaluation.lpips import default_weights
@@ -40,16 +63,9 @@ def write_tables(
         if report is not None:
             from .tradeoff.run import report as measure
 
-            try:
-                found = measure([sample_folder(), *scenes], report, quick=quick, lpips=default_weights(), listener=bars)
-            except InputError as error:
-                Console(stderr=True, soft_wrap=True).print(f"refused: {error}", markup=False)
-                raise typer.Exit(1) from error
+            found = measure([sample_folder(), *scenes], report, quick=quick, lpips=default_weights(), listener=bars)
             bars.say(
                 f"{len(found.rows)} settings in {found.seconds:.0f} s: {report / 'report.md'}, {report / 'pareto.png'}"
             )
             document["report"] = {"folder": str(report), "settings": len(found.rows), "seconds": found.seconds}
-    if as_json:
-        typer.echo(json.dumps(document))
-    if failed:
-        raise typer.Exit(FAILED)
+    return document, failed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from pathlib import Path
 
 import onnx
@@ -14,6 +15,7 @@ EXTERNAL_BYTES = 64 * 2**20  # of weights, from which on they go into a file of 
 LEAST_BYTES = 1024  # smaller tensors stay in the graph, where shape inference can read them
 ALIGNMENT = 4096  # bytes: whole pages, so that a tensor can be mapped by itself
 DIGEST = "external_sha256"  # of the file of weights, among the metadata
+DIGITS = 12  # of it in that file's name
 
 
 def write_model(model: onnx.ModelProto, path: Path) -> None:
@@ -29,46 +31,57 @@ def write_model(model: onnx.ModelProto, path: Path) -> None:
     _forget_digest(changed)
     before = data_files(path)
     data = None
-    if sum(len(tensor.raw_data) for tensor in model.graph.initializer) >= EXTERNAL_BYTES:
-        data = _moved_outside(changed, path)
     part = path.with_name(path.name + ".part")
-    part.write_bytes(changed.SerializeToString(deterministic=True))
-    part.replace(path)
+    try:
+        if sum(len(tensor.raw_data) for tensor in model.graph.initializer) >= EXTERNAL_BYTES:
+            data = _moved_outside(changed, path)
+        part.write_bytes(changed.SerializeToString(deterministic=True))
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        if data is not None and data not in before:
+            data.unlink()
+        raise
     for old in before:
         if old != data:
             old.unlink()
 
 
 def data_files(path: Path) -> list[Path]:
-    """The weights that belong to a model file, if it has any outside."""
-    return sorted(path.parent.glob(f"{path.name}.*.data"))
+    """The weights that belong to a model file, if it has any outside; those of a neighbour do not."""
+    name = re.compile(rf"{re.escape(path.name)}\.[0-9a-f]{{{DIGITS}}}\.data")
+    beside = path.parent.iterdir() if path.parent.is_dir() else ()
+    return sorted(file for file in beside if name.fullmatch(file.name))
 
 
 def remove_model(path: Path) -> None:
-    """The graph and its weights."""
-    path.unlink()
+    """The graph and its weights, as far as they are there."""
+    path.unlink(missing_ok=True)
     for data in data_files(path):
         data.unlink()
 
 
 def _moved_outside(model: onnx.ModelProto, path: Path) -> Path:
     part = path.with_name(path.name + ".data.part")
-    places = []
-    with part.open("wb") as file:
-        for tensor in model.graph.initializer:
-            if len(tensor.raw_data) < LEAST_BYTES:
-                continue
-            file.write(bytes(-file.tell() % ALIGNMENT))
-            places.append((tensor, file.tell(), len(tensor.raw_data)))
-            file.write(tensor.raw_data)
-    with part.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    data = path.with_name(f"{path.name}.{digest[:12]}.data")
-    for tensor, offset, length in places:
-        set_external_data(tensor, data.name, offset=offset, length=length)
-        tensor.ClearField("raw_data")
-    add_metadata(model, {DIGEST: digest})
-    part.replace(data)
+    try:
+        places = []
+        with part.open("wb") as file:
+            for tensor in model.graph.initializer:
+                if len(tensor.raw_data) < LEAST_BYTES:
+                    continue
+                file.write(bytes(-file.tell() % ALIGNMENT))
+                places.append((tensor, file.tell(), len(tensor.raw_data)))
+                file.write(tensor.raw_data)
+        with part.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        data = path.with_name(f"{path.name}.{digest[:DIGITS]}.data")
+        for tensor, offset, length in places:
+            set_external_data(tensor, data.name, offset=offset, length=length)
+            tensor.ClearField("raw_data")
+        add_metadata(model, {DIGEST: digest})
+        part.replace(data)
+    finally:
+        part.unlink(missing_ok=True)
     return data
 
 

@@ -15,6 +15,8 @@ import onnx
 from gapmes.model.architectures import licence
 from gapmes.model.pretrained.fit import Fit
 from gapmes.model.weights_file import file_sha256
+from gapmes.service.commands.output_file import check_output_file, check_output_folder
+from gapmes.service.errors import InputError
 from gapmes.service.progress import Listener, Stage, Stages, silent
 
 from .build import export_graph
@@ -70,12 +72,14 @@ def export_checkpoint(
     listener: Listener = silent,
 ) -> Exported:
     """Export, verify and write `out` with its report beside it (`NAME.report.json`), and what became of each tensor of
-    a checkpoint that is not ours (`NAME.checkpoint.json`).
+    a checkpoint that is not ours (`NAME.checkpoint.json`). While it is verified it is `NAME.part.onnx`.
 
     Raises `ExportRejected` when a check fails: the file is then `NAME.rejected.onnx`, its report beside it, and `out`
-    is left as it was; `CheckpointError` and `ValueError` for a wrong checkpoint or size; `VerificationBroken` when
-    there is no verdict.
+    is left as it was; before any work `InputError` where `out` cannot be written; `CheckpointError` and `ValueError`
+    for a wrong checkpoint or size; `VerificationBroken` when there is no verdict. The last, as an interrupt, leaves
+    nothing behind.
     """
+    _check_place(out)
     stages = Stages(listener)
     with stages.stage("load checkpoint"):
         loaded = load_variant(checkpoint, variant)
@@ -94,28 +98,53 @@ def export_checkpoint(
         precision=precision,
     )
     add_metadata(model, metadata | ({"keep_all": "true"} if variant.keep_all else {}))
-    candidate = out.with_name(f"{out.stem}.rejected.onnx")
-    rejected_report = out.with_name(f"{out.stem}.rejected.report.json")
-    write_model(model, candidate)
     with stages.stage("verify"):
-        report = _verify_elsewhere(
-            candidate, checkpoint, rejected_report, quick, lambda done, total: listener(Stage("verify", done, total))
-        )
+        report = _verified(model, out, checkpoint, quick, lambda done, total: listener(Stage("verify", done, total)))
+    rejected = out.with_name(f"{out.stem}.rejected.onnx")
     if not report.passed:
-        raise ExportRejected(candidate, rejected_report, report)
-    rejected_report.unlink()
-    return _accept(model, candidate, out, report, loaded.fit, stages.timings)
+        raise ExportRejected(rejected, *_kept(model, rejected, report))
+    remove_model(rejected)  # of an export before, with its report
+    _report_path(rejected).unlink(missing_ok=True)
+    return _accept(model, out, report, loaded.fit, stages.timings)
 
 
-def _accept(
-    model: onnx.ModelProto, candidate: Path, out: Path, report: Report, fit: Fit | None, timings: dict[str, float]
-) -> Exported:
-    report_path = out.with_name(f"{out.stem}.report.json")
+def _check_place(out: Path) -> None:
+    """Raises `InputError` where there can be no file at `out`; folders that are missing will be made."""
+    check_output_folder(out.parent)
+    if out.parent.is_dir():
+        check_output_file(out)
+    if out.exists() and not out.is_file():
+        raise InputError(f"{out} is a pipe or device, need a file", field="output", cure="name another file")
+
+
+def _verified(
+    model: onnx.ModelProto, out: Path, checkpoint: Path, quick: bool, on_case: Callable[[int, int], None]
+) -> Report:
+    """The verdict on a file of another name, which goes whatever comes of it."""
+    candidate = out.with_name(f"{out.stem}.part.onnx")
+    try:
+        write_model(model, candidate)
+        return _verify_elsewhere(candidate, checkpoint, _report_path(candidate), quick, on_case)
+    finally:
+        remove_model(candidate)
+        _report_path(candidate).unlink(missing_ok=True)
+
+
+def _kept(model: onnx.ModelProto, path: Path, report: Report) -> tuple[Path, Report]:
+    """Write the model and its report beside it: under this name its sum is another one."""
+    write_model(model, path)
+    report = Report(file_sha256(path), report.precision, report.versions, report.cases)
+    report.write(_report_path(path))
+    return _report_path(path), report
+
+
+def _report_path(model: Path) -> Path:
+    return model.with_name(f"{model.stem}.report.json")
+
+
+def _accept(model: onnx.ModelProto, out: Path, report: Report, fit: Fit | None, timings: dict[str, float]) -> Exported:
     add_metadata(model, {"tolerance": json.dumps(report.worst(), sort_keys=True)})
-    write_model(model, out)
-    remove_model(candidate)
-    report = Report(file_sha256(out), report.precision, report.versions, report.cases)
-    report.write(report_path)
+    report_path, report = _kept(model, out, report)
     fit_path = out.with_name(f"{out.stem}.checkpoint.json")
     if fit is None:
         fit_path.unlink(missing_ok=True)  # of a file that was here before
@@ -134,9 +163,13 @@ def _verify_elsewhere(
         tempfile.TemporaryFile("w+") as errors,
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
     ):
-        for done, line in enumerate(process.stdout or (), start=1):
-            on_case(done, json.loads(line)["total"])
-        code = process.wait()
+        try:
+            for done, line in enumerate(process.stdout or (), start=1):
+                on_case(done, json.loads(line)["total"])
+            code = process.wait()
+        except BaseException:
+            process.kill()  # of an interrupt it need not have heard
+            raise
         if code not in (0, FAILED):
             errors.seek(0)
             raise VerificationBroken(f"the verification process ended with {code}: {errors.read().strip()[-2000:]}")

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor
 
 from .config import PRESETS, ModelConfig
 from .network import GaPMeS
 from .pretrained.files import read_tensors
 from .pretrained.recognise import looks_like
+from .saved_tensors import save_tensors
+from .tensor_checks import refuse_non_finite, refuse_other_kinds
 from .weights_file import CheckpointError
 
 WEIGHTS_LICENCE = "MIT"
@@ -32,14 +33,14 @@ def shipped_checkpoint(preset: str) -> Path:
 
 
 def save_checkpoint(path: Path, model: GaPMeS, *, extra: dict[str, str] | None = None) -> None:
-    """Write the weights and the configuration, whole or not at all."""
+    """Write the weights and the configuration, whole or not at all; the same again gives the same bytes.
+
+    Raises `OSError`.
+    """
     tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
     metadata = {"gapmes.config": model.config.to_json(), "gapmes.licence": WEIGHTS_LICENCE}
     metadata |= model.provenance | (extra or {})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    save_file(tensors, part, metadata=metadata)
-    os.replace(part, path)
+    save_tensors(path, tensors, metadata)
 
 
 def read_metadata(path: Path) -> dict[str, str]:
@@ -97,7 +98,8 @@ def read_config(path: Path) -> ModelConfig:
 def load_checkpoint(path: Path) -> GaPMeS:
     """Build the network that the file describes and load every tensor strictly, in float32 and evaluation mode.
 
-    Raises `CheckpointError` that names what is missing, unexpected or misshapen.
+    Raises `CheckpointError` that names what is missing, unexpected or misshapen, is not in floating point, or has
+    numbers that are not finite.
     """
     model = GaPMeS(read_config(path))
     tensors = load_file(path)
@@ -122,5 +124,8 @@ def load_checkpoint(path: Path) -> GaPMeS:
             f"unexpected {unexpected[:5]}, misshapen {sorted(shapes)[:5]} ({len(missing)}, {len(unexpected)}, "
             f"{len(shapes)} in all){cure}"
         )
-    model.load_state_dict({k: v.to(torch.float32) if v.is_floating_point() else v for k, v in tensors.items()})
+    refuse_other_kinds(path, tensors)
+    weights = {name: value.to(torch.float32) for name, value in tensors.items()}
+    refuse_non_finite(path, weights)
+    model.load_state_dict(weights)
     return model.eval()

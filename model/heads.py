@@ -1,4 +1,4 @@
-"""The four task heads (Eq. 16): 1x1 convolutions and a learned 4x upsampling, then each task's activation."""
+"""The four task heads (Eq. 16): a learned 4x upsampling that meets a guide halfway, then each task's activation."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ def unit_quaternions(raw: Tensor, identity: Tensor) -> Tensor:
 
 
 class TaskHead(nn.Module):
-    """1x1 convolution, 2x shuffle, joined by the half-resolution guide, 1x1 convolution, 2x shuffle."""
+    """1x1 convolution and 2x shuffle, a 3x3 convolution over that and the half-resolution guide, 1x1 convolution and 2x
+    shuffle."""
 
     def __init__(self, channels: int, guide_channels: int, outputs: int, width: int = 24) -> None:
         super().__init__()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .backends.choice import DEFAULT_ENGINE, EngineName, Session, identity, made_by, open_session
+from .backends.choice import DEFAULT_ENGINE, EngineName, Session, Sides, identity, made_by, open_session
 from .contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from .errors import ModelError
 from .model_file import model_file
@@ -33,7 +33,8 @@ class Engine:
 
         `prepare` is a folder for the model as onnxruntime has optimised it, whose weights all processes share; without
         it each has its own. `engine` is what computes it, and in which precision. Raises `ModelError` where the file
-        or its weights are missing, are not what they should be, or are no gapmes model of this format.
+        or its weights are missing, are not what they should be, or are no gapmes model of this format, and where its
+        graph takes other shapes than its metadata say.
         """
         file = model_file(shipped_model() if model is None else Path(model))
         self.threads = threads if threads is not None else available_threads()
@@ -45,7 +46,7 @@ class Engine:
         self._session = open_session(engine, file, self.threads, prepare)
         self.info = file.info
         self.identity = identity(file.info.file_sha256, engine)
-        self.outputs = _checked_signature(self._session, file.path)
+        self.outputs = _checked_signature(self._session, file.path, file.info)
 
     def run(
         self,
@@ -67,12 +68,11 @@ class Engine:
         are not finite.
         """
         info, views = self.info, len(images)
+        values = (images, intrinsics, world_from_cam, near_far, patch_mask)
+        shapes = _input_shapes(info, views)
         feed = {
-            "images": (images, np.float32, (views, 3, info.height, info.width)),
-            "intrinsics": (intrinsics, np.float32, (views, 3, 3)),
-            "world_from_cam": (world_from_cam, np.float32, (views, 4, 4)),
-            "near_far": (near_far, np.float32, (2,)),
-            "patch_mask": (patch_mask, np.bool_, (views, info.patches)),
+            name: (value, np.bool_ if name == "patch_mask" else np.float32, shapes[name])
+            for name, value in zip(INPUTS, values, strict=True)
         }
         for name, (value, dtype, shape) in feed.items():
             if value.dtype != dtype or value.shape != shape:
@@ -80,22 +80,53 @@ class Engine:
                     f"is {value.dtype} {value.shape}, the model needs {np.dtype(dtype)} {shape}", field=name
                 )
         try:
-            values = self._session.run(self.outputs, {name: value for name, (value, _, _) in feed.items()})
+            found = self._session.run(self.outputs, {name: value for name, (value, _, _) in feed.items()})
         except self._session.failures as error:
             raise ModelError(f"{self.made_by.name} failed on {views} views: {error}", field="model") from error
-        outputs = dict(zip(self.outputs, values, strict=True))
+        outputs = dict(zip(self.outputs, found, strict=True))
         _check_outputs(outputs, views, info)
         return outputs
 
 
-def _checked_signature(session: Session, path: Path) -> tuple[str, ...]:
-    """The contract's outputs that this file has; further ones are allowed. Raises `ModelError` for missing names."""
+def _input_shapes(info: ModelInfo, views: int | None) -> dict[str, Sides]:
+    """Of the contract, by name."""
+    return {
+        "images": (views, 3, info.height, info.width),
+        "intrinsics": (views, 3, 3),
+        "world_from_cam": (views, 4, 4),
+        "near_far": (2,),
+        "patch_mask": (views, info.patches),
+    }
+
+
+def _checked_signature(session: Session, path: Path, info: ModelInfo) -> tuple[str, ...]:
+    """The contract's outputs that this file has; further ones are allowed.
+
+    Raises `ModelError` for missing names, and for an input of a shape that its metadata do not say.
+    """
     if set(session.inputs) != set(INPUTS):
         raise ModelError(f"{path} has the inputs {sorted(session.inputs)}, need {sorted(INPUTS)}", field="model")
+    for name, need in _input_shapes(info, None).items():
+        if not _fits(taken := session.inputs[name], need):
+            raise ModelError(
+                f"{path} takes {name} of {_shown(taken)}, its metadata gapmes.height {info.height} and gapmes.width "
+                f"{info.width} mean {_shown(need)}",
+                field="model",
+                cure="export it again with gapmes-export",
+            )
     missing = [name for name in REQUIRED_OUTPUTS if name not in session.outputs]
     if missing:
         raise ModelError(f"{path} lacks the outputs {', '.join(missing)}", field="model")
     return REQUIRED_OUTPUTS + tuple(name for name in OPTIONAL_OUTPUTS if name in session.outputs)
+
+
+def _fits(taken: Sides, need: Sides) -> bool:
+    """Where neither leaves a side open they are equal."""
+    return len(taken) == len(need) and all(None in pair or pair[0] == pair[1] for pair in zip(taken, need, strict=True))
+
+
+def _shown(sides: Sides) -> str:
+    return f"({', '.join('any' if side is None else str(side) for side in sides)})"
 
 
 def _check_outputs(outputs: Arrays, views: int, info: ModelInfo) -> None:

@@ -60,7 +60,7 @@ def parse_model_info(metadata: Mapping[str, str], path: Path, file_sha256: str) 
     try:
         info = ModelInfo(
             preset=value["preset"],
-            config=json.loads(value["config"]),
+            config=_object("config", value["config"]),
             weights_sha256=value["weights_sha256"],
             file_sha256=file_sha256,
             height=int(value["height"]),
@@ -69,7 +69,7 @@ def parse_model_info(metadata: Mapping[str, str], path: Path, file_sha256: str) 
             opset=int(value["opset"]),
             licence=value["licence"],
             precision=value["precision"],
-            tolerance=json.loads(metadata.get("gapmes.tolerance", "{}")),
+            tolerance=_object("tolerance", metadata.get("gapmes.tolerance", "{}")),
             keep_all=metadata.get("gapmes.keep_all") == "true",
         )
     except ValueError as error:
@@ -81,3 +81,16 @@ def parse_model_info(metadata: Mapping[str, str], path: Path, file_sha256: str) 
             field="model",
         )
     return info
+
+
+def _object(name: str, text: str) -> dict[str, Any]:
+    """Raises `ValueError` for what is no JSON object."""
+    try:
+        found = json.loads(text)
+    except RecursionError:
+        raise ValueError(f"gapmes.{name} is nested too deeply") from None
+    except ValueError as error:
+        raise ValueError(f"gapmes.{name} is no JSON: {error}") from error
+    if not isinstance(found, dict):
+        raise ValueError(f"gapmes.{name} is {text[:50]!r}, need a JSON object")
+    return found

@@ -26,6 +26,13 @@ if TYPE_CHECKING:
 CHILD = "import sys; from gapmes.export.tradeoff.child import answer; answer(*sys.argv[1:])"
 
 
+class ChildFailed(RuntimeError):
+    """A process of the report ended without a result; what it said of it stands above."""
+
+    def __init__(self, what: str, status: int) -> None:
+        super().__init__(f"{what} ended with status {status}, need 0; its last words are above")
+
+
 @dataclass(frozen=True, eq=False)
 class Given:
     """The inputs of a reconstruction."""
@@ -66,18 +73,23 @@ def timed(
     fade: int = DEFAULT_PASSES,
 ) -> Timed:
     """In new processes, which have loaded nothing but the service: one is timed with the first scene alone, so that its
-    memory is that of serving it, the other reconstructs them all."""
+    memory is that of serving it, the other reconstructs them all. Raises `ChildFailed`."""
     times, peak = _in_child(_measured, model, given[0], budget, repeats, threads, fade)
     scenes = _in_child(_reconstructed, model, given, budget, threads, fade)
     return Timed([s for s, _ in scenes], [d for _, d in scenes], times, sum(times.values()), peak)
 
 
 def _in_child(work: Callable[..., Any], *arguments: object) -> Any:
-    """Not by `multiprocessing`, whose children import the program that started them, and with it torch."""
+    """Not by `multiprocessing`, whose children import the program that started them, and with it torch.
+
+    Raises `ChildFailed`.
+    """
     with tempfile.TemporaryDirectory() as folder:
         asked, told = Path(folder, "asked"), Path(folder, "told")
         asked.write_bytes(pickle.dumps((work, arguments)))
-        subprocess.run([sys.executable, "-c", CHILD, str(asked), str(told)], check=True)
+        status = subprocess.run([sys.executable, "-c", CHILD, str(asked), str(told)], check=False).returncode
+        if status:
+            raise ChildFailed(f"the process that measures {work.__name__.strip('_')}", status)
         return pickle.loads(told.read_bytes())
 
 

@@ -51,7 +51,7 @@ def report(
 
     Times are those of the first scene. `quick` leaves out the exports that take minutes, and all scenes but the first.
     Raises `InputError` for a folder that is no scene or suggests views that are not there, and for one that is given
-    twice and would count so in the means.
+    twice and would count so in the means; `ChildFailed` where a process that exports or measures does.
     """
     started, stages = time.perf_counter(), Stages(listener)
     if (twice := given_twice(folders)) is not None:

@@ -167,6 +167,12 @@ def _unwrap(path: Path, content: Any) -> tuple[dict[str, Tensor], dict[str, str]
         raise CheckpointError(
             f"{path} nests its weights more than {DEEPEST} deep: {'.'.join(unwrapped)}; save the tensors alone"
         )
+    if unnamed := [key for key in content if not isinstance(key, str)]:
+        shown = ", ".join(repr(key)[:50] for key in unnamed[:5])
+        raise CheckpointError(
+            f"{path} has {len(unnamed)} of {len(content)} values under keys that are no names ({shown}); "
+            "save the tensors by their names, as a state_dict has them"
+        )
     tensors = {key: value for key, value in content.items() if isinstance(value, Tensor)}
     others = [str(key) for key, value in content.items() if not isinstance(value, Tensor)]
     if others or not tensors:

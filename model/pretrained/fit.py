@@ -10,10 +10,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ..weights_file import CheckpointError
+from ..tensor_checks import refuse_non_finite, refuse_other_kinds
+from ..weights_file import CheckpointError, some
 from .files import TensorFile
-
-SHOWN = 5  # names of each kind in a message; the report has them all
 
 
 @dataclass(frozen=True)
@@ -62,8 +61,8 @@ class Fit:
         lines = [f"{self.recognised}, sha256 {self.sha256}: {len(self.used)} tensors used"]
         for what, names in (("left out", self.left_out), ("absent", self.absent)):
             for reason in sorted(set(names.values())):
-                some = tuple(name for name, given in names.items() if given == reason)
-                lines.append(f"{len(some)} {what} ({reason}): {_some(some)}")
+                those = tuple(name for name, given in names.items() if given == reason)
+                lines.append(f"{len(those)} {what} ({reason}): {some(those)}")
         return lines
 
     def to_json(self) -> str:
@@ -96,13 +95,13 @@ def fit(
 
     `optional` names targets that the file need not have, each with the reason; they keep the value in `expected`.
     Raises `CheckpointError` that lists what is missing, unexpected or misshapen (five of each and the counts) and
-    what the file seems to be, and for numbers that are not finite.
+    what the file seems to be, and for numbers that are not finite or not in floating point.
     """
     used: dict[str, str] = {}
     left_out: dict[str, str] = {}
     unexpected: list[str] = []
     misshapen: list[str] = []
-    tensors: dict[str, Tensor] = {}
+    pieces: dict[str, tuple[Tensor, Part]] = {}
     for source, value in sorted(file.tensors.items()):
         parts = names(source)
         if isinstance(parts, LeftOut):
@@ -116,7 +115,7 @@ def fit(
                 used[part.target] = source if part.of == 1 else f"{source}[{part.index}/{part.of}]"
                 shape, wanted = _cut_shape(value, part), tuple(expected[part.target].shape)
                 if shape == wanted:
-                    tensors[part.target] = _cut(value, part)
+                    pieces[part.target] = (value, part)
                 else:
                     whole = "" if part.of == 1 else f" (a {part.of}th of {tuple(value.shape)})"
                     misshapen.append(f"{source} {shape}{whole} instead of {wanted}")
@@ -139,7 +138,9 @@ def fit(
     )
     if missing or unexpected or misshapen:
         raise CheckpointError(_misfit(file, report, recognised))
-    _refuse_non_finite(file, tensors, used)
+    refuse_other_kinds(file.path, {name: value for name, value in file.tensors.items() if name not in left_out})
+    tensors = {target: _cut(*piece) for target, piece in pieces.items()}
+    refuse_non_finite(file.path, {used[name]: value for name, value in tensors.items()})
     tensors |= {name: expected[name].detach().clone() for name in absent}
     return report, tensors
 
@@ -159,20 +160,7 @@ def _cut(value: Tensor, part: Part) -> Tensor:
     return piece.to(torch.float32, copy=True).contiguous()
 
 
-def _refuse_non_finite(file: TensorFile, tensors: Mapping[str, Tensor], used: Mapping[str, str]) -> None:
-    bad = [used[name] for name, value in tensors.items() if not bool(torch.isfinite(value).all())]
-    if bad:
-        raise CheckpointError(
-            f"{file.path} has numbers that are not finite in {len(bad)} tensors ({', '.join(bad[:SHOWN])}); "
-            f"it is damaged or was saved from a diverged run: download it again"
-        )
-
-
 def _misfit(file: TensorFile, report: Fit, recognised: Recognised) -> str:
     kinds = (("missing", report.missing), ("unexpected", report.unexpected), ("misshapen", report.misshapen))
-    said = [f"{kind} ({len(names)}): {_some(names)}" for kind, names in kinds if names]
+    said = [f"{kind} ({len(names)}): {some(names)}" for kind, names in kinds if names]
     return f"{file.path} does not fit: {'; '.join(said)}. {recognised.hint or f'It holds {recognised.name}.'}"
-
-
-def _some(names: tuple[str, ...]) -> str:
-    return ", ".join(names[:SHOWN]) + (", …" if len(names) > SHOWN else "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from . import arguments as kinds
 from .ablation_runs import FIGURES, VARIANTS, WIDE, Budget, Run, run_in, write_whole
 from .ablation_table import Scores, check_same_scenes, tables, with_tables
 
@@ -105,13 +107,19 @@ def finished(out: Path, budget: Budget) -> Results:
     """Scores of all finished runs below `out`, by variant and seed; raises `ValueError` as `ablate` does."""
     results: Results = {name: {} for name in VARIANTS}
     for name in VARIANTS:
-        for folder in sorted(out.glob(f"{name}-seed*")):
-            seed = int(folder.name.removeprefix(f"{name}-seed"))
+        for seed in _seeds(out, name):
             scores = run_in(out, name, seed, budget).scores()
             if scores is not None:
                 results[name][seed] = scores
     check_same_scenes(results)
     return results
+
+
+def _seeds(out: Path, name: str) -> list[int]:
+    """Of the runs of a variant below `out`, whose folders are named as `run_in` names them; others are not ours."""
+    names = [folder.name for folder in out.iterdir()] if out.is_dir() else []
+    found = (re.fullmatch(re.escape(name) + r"-seed(0|[1-9]\d*)", folder, re.ASCII) for folder in names)
+    return sorted(int(match[1]) for match in found if match)
 
 
 def write_results(out: Path, results: Results, budget: Budget) -> None:
@@ -149,9 +157,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gapmes.model.training.ablation", description=__doc__)
     parser.add_argument("out", type=Path, help="folder of the runs; an interrupted study continues from it")
     parser.add_argument("--steps", type=int, default=Budget.steps, help="of every variant")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1], metavar="SEED", help="training seeds")
+    parser.add_argument("--seeds", type=kinds.seed(), nargs="+", default=[1], metavar="SEED", help="training seeds")
     parser.add_argument("--only", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME", help="variants")
-    parser.add_argument("--threads", type=int, default=1, help="one thread per process is fastest on shared cores")
+    parser.add_argument(
+        "--threads", type=kinds.threads(), default=1, help="one thread per process is fastest on shared cores"
+    )
     parser.add_argument("--page", type=Path, help="a Markdown page whose tables, between its markers, are replaced")
     options = parser.parse_args(arguments)
     torch.set_num_threads(options.threads)

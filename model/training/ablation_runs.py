@@ -14,6 +14,7 @@ import numpy as np
 from ..config import ModelConfig, preset
 from ..network import GaPMeS
 from .ablation_table import COMPLETE, Scores
+from .differences import differences
 from .log_rows import read_rows
 from .loop import train
 from .precision import coarse_pays
@@ -35,6 +36,7 @@ VARIANTS: dict[str, dict[str, object]] = {
     "top-1": {"top_k": 1},
 }
 SCORES = "scores.json"
+AGAIN = "remove the file, and the run is scored again"
 WIDE = (0.18, 0.5)  # baseline of the validation scenes, in units of the scene's median depth
 FIGURES = ("psnr", "ssim", "depth_error", "copy_psnr")
 
@@ -82,21 +84,29 @@ class Run:
     def scores(self) -> Scores | None:
         """What an earlier call left; None when the run is not finished.
 
-        Raises `ValueError` when the folder holds a run of another configuration, recipe or budget.
+        Raises `ValueError` when the folder holds a run of another configuration, recipe or budget, and for a file that
+        is damaged.
         """
         path = self.folder / SCORES
         if not path.is_file():
             return None
-        found = json.loads(path.read_text())
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            kept = {key: found[key] for key in self._identity()}
+            figures = {name: np.array(found["scores"][name], np.float64) for name in FIGURES}
+            scores = Scores(int(found["parameters"]), float(found["minutes"]), **figures)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} holds no scores of a run: {error!r}; {AGAIN}") from error
         for key, asked in self._identity().items():
-            for name in sorted(asked.keys() | found[key].keys()):
-                if asked.get(name) != found[key].get(name):
-                    raise ValueError(
-                        f"{path} is of another {key}: {name} is {found[key].get(name)}, asked for {asked.get(name)}; "
-                        "use a new folder"
-                    )
-        figures = {name: np.array(found["scores"][name], np.float64) for name in FIGURES}
-        return Scores(found["parameters"], found["minutes"], **figures)
+            if kept[key] != asked:
+                raise ValueError(f"{path} is of another {key}: {differences(kept[key], asked)}; use a new folder")
+        for name, values in figures.items():
+            if values.shape != (self.budget.validation_scenes,):
+                raise ValueError(
+                    f"{path} has {name} of shape {values.shape}, need one number for each of the "
+                    f"{self.budget.validation_scenes} scenes; {AGAIN}"
+                )
+        return scores
 
     def step(self) -> int:
         """The last step in the log, 0 when there is none yet."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -16,6 +17,7 @@ import torch
 from ..checkpoint import load_checkpoint, read_config, save_checkpoint
 from ..network import GaPMeS
 from ..weights_file import CheckpointError, file_sha256
+from .differences import differences
 
 MEAN_OF = "gapmes.mean_of"  # sha256 of every file that went in, in the checkpoint's metadata
 
@@ -32,7 +34,8 @@ def averaged(paths: Sequence[Path]) -> GaPMeS:
     for path in paths[1:]:
         if (found := read_config(path)) != config:
             raise CheckpointError(
-                f"{path} has another configuration ({found.to_json()}) than {paths[0]} ({config.to_json()}): "
+                f"{path} has another configuration than {paths[0]}: "
+                f"{differences(asdict(found), asdict(config), other='there')}; "
                 "only runs of one network have a mean"
             )
     models = [load_checkpoint(path) for path in paths]
@@ -60,7 +63,11 @@ def main(arguments: list[str] | None = None) -> int:
     except CheckpointError as error:
         parser.error(str(error))
     digests = [file_sha256(path) for path in options.weights]
-    save_checkpoint(options.out, model, extra={MEAN_OF: ",".join(digests)})
+    try:
+        save_checkpoint(options.out, model, extra={MEAN_OF: ",".join(digests)})
+    except OSError as error:
+        sys.stderr.write(f"refused: {options.out} cannot be written: {error.strerror or error}; name another place\n")
+        return 1
     sys.stdout.write(f"{options.out}: mean of {len(digests)} files\n")
     return 0
 

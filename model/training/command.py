@@ -6,11 +6,8 @@ import argparse
 import json
 import logging
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import torch
 
 from gapmes.service.terminal import QUIET_HELP, ProgressBars
 
@@ -18,6 +15,7 @@ from ..config import PRESETS, ModelConfig, preset
 from ..pretrained.backbones import BackboneSources
 from ..pretrained.sources import resolve
 from ..weights_file import CheckpointError
+from . import arguments as kinds
 from .log_rows import read_rows
 from .loop import check_start, train
 from .recipe import RECIPES, Recipe
@@ -46,14 +44,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--preset", choices=sorted(PRESETS), default="tiny")
     parser.add_argument("--recipe", choices=sorted(RECIPES), default="whole", help="finish: more steps after a run")
     parser.add_argument("--initial-weights", type=Path, metavar="FILE", help="start from this checkpoint of the preset")
-    parser.add_argument("--steps", type=_at_least(0), help="default: the recipe's; 0 trains nothing")
-    parser.add_argument("--seed", type=int, help="default: the recipe's")
+    parser.add_argument("--steps", type=kinds.whole_number(0), help="default: the recipe's; 0 trains nothing")
+    parser.add_argument("--seed", type=kinds.seed(), help="default: the recipe's")
     parser.add_argument(
         "--processes", type=int, choices=(1, 2), default=1, help="share the scenes of each step (default 1)"
     )
-    parser.add_argument("--threads", type=_at_least(1), default=1, help="per process; one is fastest on shared cores")
-    parser.add_argument("--device", default="auto", help="cpu, cuda, or auto: cuda when there is one")
-    parser.add_argument("--validate-every", type=_at_least(1), default=250, metavar="STEPS")
+    parser.add_argument(
+        "--threads", type=kinds.threads(), default=1, help="per process; one is fastest on shared cores (default 1)"
+    )
+    parser.add_argument(
+        "--device", type=kinds.device, default="auto", help="cpu, cuda, or auto (default): cuda when there is one"
+    )
+    parser.add_argument("--validate-every", type=kinds.whole_number(1), default=250, metavar="STEPS")
     parser.add_argument("--json", action="store_true", help="print the run's last figures to stdout as one JSON object")
     parser.add_argument("-q", "--quiet", action="store_true", help=QUIET_HELP)
     for switch in ("without-depth", "without-experts", "without-tasks"):
@@ -86,9 +88,6 @@ def main(arguments: list[str] | None = None) -> int:
     backbones = BackboneSources(**sources) if needed else None
     chosen = {name: value for name in ("steps", "seed") if (value := getattr(options, name)) is not None}
     recipe = replace(RECIPES[options.recipe], **chosen)
-    device = options.device
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
     try:
         for source in sources.values():
             if source is not None:
@@ -106,12 +105,12 @@ def main(arguments: list[str] | None = None) -> int:
             recipe,
             options.out,
             options.validate_every,
-            device,
+            options.device,
             backbones,
             start,
             options.quiet,
         )
-    except (Refused, CheckpointError) as error:
+    except (Refused, CheckpointError, OSError) as error:
         sys.stderr.write(f"refused: {error}\n")
         return 1
     except KeyboardInterrupt:
@@ -123,19 +122,6 @@ def main(arguments: list[str] | None = None) -> int:
         last = rows[-1] if rows else None
         sys.stdout.write(json.dumps({"weights": str(options.out / WEIGHTS), "last": last}) + "\n")
     return 0
-
-
-def _at_least(least: int) -> Callable[[str], int]:
-    """A type for argparse."""
-
-    def number(text: str) -> int:
-        value = int(text)
-        if value < least:
-            raise argparse.ArgumentTypeError(f"is {value}, need at least {least}")
-        return value
-
-    number.__name__ = "whole number"  # as argparse names it where there is none
-    return number
 
 
 def _train(

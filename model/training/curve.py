@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from rich.console import Console
 
 from .log_rows import read_rows
 from .recipe import Phase
-from .run_folder import LOG, STATE
+from .run_folder import LOG, STATE, read_state
 
 F64 = NDArray[np.float64]
 
@@ -75,17 +74,22 @@ def _number(row: dict[str, Any], keys: tuple[str, ...]) -> float:
 
 
 def read_phases(path: Path) -> list[Span]:
-    """Phases of the recipe that a run's saved state carries; none where there is no such file."""
+    """Phases of the recipe that a run's saved state carries; none where there is no such file.
+
+    Raises `ValueError` for a state that is damaged or of another version.
+    """
     if not path.is_file():
         return []
-    recipe = json.loads(torch.load(path, weights_only=True, map_location="cpu", mmap=True)["recipe"])
-    if any("sizes" not in phase for phase in recipe["phases"]):
-        raise ValueError(f"{path} has a recipe of another version: its phases have no sizes")
-    spans, start = [], 0.0
-    for phase in recipe["phases"]:
-        end = start + phase["share"] * recipe["steps"]
-        spans.append(Span(start, end, Phase(**phase).label))
-        start = end
+    state = read_state(path, mmap=True)
+    try:
+        recipe = json.loads(state["recipe"])
+        spans, start = [], 0.0
+        for phase in recipe["phases"]:
+            end = start + phase["share"] * recipe["steps"]
+            spans.append(Span(start, end, Phase(**phase).label))
+            start = end
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} has a recipe of another version, or none: {error!r}") from error
     return spans
 
 

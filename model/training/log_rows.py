@@ -10,14 +10,18 @@ from typing import Any
 def read_rows(path: Path) -> list[dict[str, Any]]:
     """Rows of a log of JSON lines, oldest first; a last line that is still being written is left out.
 
-    Raises `ValueError` that names the first line without numbers `step` and `minutes`, `OSError` for a missing file.
+    Raises `ValueError` that names the first line without numbers `step` and `minutes`, or a file that is no text, and
+    `OSError` for a missing one.
     """
     rows = []
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is no training log, it is no text: {error}") from error
     for number, line in enumerate((line for line in lines if line.endswith("\n")), start=1):
         try:
             row = json.loads(line)
-            float(row["step"]), float(row["minutes"])
+            row["step"] + 0.0, row["minutes"] + 0.0  # what is no number does not add up
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{path}, line {number} is no row of a training log: {error!r}") from error
         rows.append(row)

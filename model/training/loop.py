@@ -21,6 +21,7 @@ from ..config import ModelConfig
 from ..network import GaPMeS
 from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
 from ..weights_file import CheckpointError, file_sha256
+from .differences import differences
 from .precision import coarse_pays, compute_coarsely
 from .recipe import Recipe
 from .run_folder import (
@@ -60,8 +61,9 @@ def train(
     Every random number of a step comes from (seed, step, worker), so a resumed run sees what an unbroken one would
     have seen. `backbones` gives the frozen parts of a preset that has them; `initial` is a checkpoint of this
     configuration to start from instead of from random numbers, frozen parts and all; `listener` hears of every step.
-    Several workers divide each step's scenes between them: raises `Refused` when they cannot, and in a folder whose run
-    is another one or has another number of them. Raises `CheckpointError` for a checkpoint of another configuration.
+    Several workers divide each step's scenes between them: raises `Refused` when they cannot, in a folder whose run
+    is another one or has another number of them or of their threads, and in one whose state or log is damaged. Raises
+    `CheckpointError` for a checkpoint of another configuration.
     """
     if backbones is not None and initial is not None:
         raise ValueError("backbones: the weights to start from carry the frozen parts already; give one of both")
@@ -113,13 +115,14 @@ def _run(
     trained = [p for p in model.parameters() if p.requires_grad]
     optimiser = torch.optim.AdamW(trained, lr=recipe.learning_rate, betas=(0.9, 0.98), weight_decay=recipe.weight_decay)
     identity: dict[str, str | None] = {
+        "revision": REVISION,
         "config": config.to_json(),
         "recipe": json.dumps(asdict(recipe), sort_keys=True),
         "backbones": model.provenance.get(RECORD),  # the frozen parts are not in the state: others are another run
         "initial": None if initial is None else file_sha256(initial),
         "precision": "bfloat16" if coarse else "float32",
-        "revision": REVISION,
         "process count": str(worker.count),  # each draws its own noise, and what is withheld
+        "thread count": str(torch.get_num_threads()),  # sums in another order round otherwise
     }
     start, seconds, sums = restore_state(folder, identity, model, average, optimiser)
     held_out: dict[str, list[TensorBatch]] = {}
@@ -164,7 +167,7 @@ def check_start(path: Path, config: ModelConfig) -> None:
     found = read_config(path)
     if found != config:
         raise CheckpointError(
-            f"{path} has another configuration ({found.to_json()}) than this run ({config.to_json()}): "
+            f"{path} has another configuration than this run: {differences(asdict(found), asdict(config))}; "
             "give the preset and the switches that it was trained with"
         )
 

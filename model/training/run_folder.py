@@ -8,12 +8,14 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from ..checkpoint import save_checkpoint
 from ..network import GaPMeS
+from .differences import differences
 from .log_rows import read_rows
 
 STATE = "state.pt"
@@ -21,8 +23,7 @@ WEIGHTS = "weights.safetensors"
 LOG = "log.jsonl"
 LOCK = "lock"
 
-
-REVISION = "3"  # of what a state holds and of where random numbers come from: another one is another run
+REVISION = "4"  # of what a state holds and of where random numbers come from: another one is another run
 
 
 class Refused(ValueError):
@@ -31,9 +32,16 @@ class Refused(ValueError):
 
 @contextmanager
 def claimed(folder: Path) -> Iterator[None]:
-    """Hold the folder alone; raises `Refused` while another process does. A kill frees it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / LOCK).open("w") as file:
+    """Hold the folder alone, made where there is none; a kill frees it.
+
+    Raises `Refused` while another process holds it, and where there can be no such folder.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / LOCK).open("w")
+    except OSError as error:
+        raise Refused(f"{folder} cannot be the folder of a run: {error.strerror}; name another one") from error
+    with lock as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -67,29 +75,58 @@ def save_weights(folder: Path, average: GaPMeS, step: object) -> None:
     save_checkpoint(folder / WEIGHTS, average, extra={"gapmes.step": str(step)})
 
 
+def read_state(path: Path, *, mmap: bool = False) -> dict[str, Any]:
+    """What `save_state` wrote; `mmap` leaves tensors in the file until they are used. Raises `Refused` for another
+    file and for a damaged one."""
+    try:
+        state = torch.load(path, weights_only=True, map_location="cpu", mmap=mmap)
+    except Exception as error:  # a damaged file makes the restricted reader fail in any of a dozen ways
+        raise _damaged(path, error) from error
+    if not isinstance(state, dict):
+        raise _damaged(path, TypeError(f"it holds a {type(state).__name__}"))
+    return state
+
+
+def _damaged(path: Path, error: Exception) -> Refused:
+    reason = next(iter(str(error).splitlines()), "")[:200]
+    return Refused(
+        f"{path} cannot be read as the state of a run ({type(error).__name__}: {reason}); it is damaged or of another "
+        "version: use a new folder, or remove it to begin anew in this one"
+    )
+
+
 def restore_state(
     folder: Path, identity: dict[str, str | None], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
 ) -> tuple[int, float, dict[str, float]]:
     """Step, seconds and sums since the last row of the log to go on from; raises `Refused` when the folder holds a run
-    of something else."""
+    of something else, and for a damaged state."""
     path = folder / STATE
     if not path.is_file():
         return 0, 0.0, {}
-    state = torch.load(path, weights_only=True, map_location="cpu")
+    state = read_state(path)
     for key, value in identity.items():
         if state.get(key) != value:
             raise Refused(
-                f"{path} is of a run with another {key}: {state.get(key)}, asked for {value}; use a new folder"
+                f"{path} is of a run with another {key}: {differences(_document(state.get(key)), _document(value))}; "
+                "go on with what it began with, or use a new folder"
             )
-    _load_trained(model, state["model"], trained_names(model), path)
-    _load_trained(average, state["average"], trained_names(model), path)
-    optimiser.load_state_dict(state["optimiser"])
-    return int(state["step"]), float(state["seconds"]), dict(state["sums"])
+    try:
+        _load_trained(model, state["model"], trained_names(model))
+        _load_trained(average, state["average"], trained_names(model))
+        optimiser.load_state_dict(state["optimiser"])
+        return int(state["step"]), float(state["seconds"]), dict(state["sums"])
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise _damaged(path, error) from error
 
 
-def _load_trained(network: GaPMeS, values: dict[str, Tensor], trained: set[str], path: Path) -> None:
+def _document(text: Any) -> Any:
+    """A part of an identity with its fields, where it has any."""
+    return json.loads(text) if isinstance(text, str) and text.startswith("{") else text
+
+
+def _load_trained(network: GaPMeS, values: dict[str, Tensor], trained: set[str]) -> None:
     if values.keys() != trained:
-        raise ValueError(f"{path} has other tensors than this network trains: {sorted(values.keys() ^ trained)[:5]}")
+        raise ValueError(f"it has other tensors than this network trains: {sorted(values.keys() ^ trained)[:5]}")
     network.load_state_dict(values, strict=False)
 
 
@@ -101,10 +138,14 @@ def append_row(folder: Path, row: dict[str, object]) -> None:
 def forget_rows_after(folder: Path, step: int) -> None:
     """Drop log rows of steps that were lost with a kill and will be done again, and one that was cut short by it.
 
-    Raises `ValueError` that names a line which is no row.
+    Raises `Refused` that names a line which is no row.
     """
     path = folder / LOG
     if path.is_file():
+        try:
+            rows = read_rows(path)
+        except ValueError as error:
+            raise Refused(f"{error}; mend or remove the line, or use a new folder") from error
         part = folder / (LOG + ".part")
-        part.write_text("".join(json.dumps(row) + "\n" for row in read_rows(path) if row["step"] <= step))
+        part.write_text("".join(json.dumps(row) + "\n" for row in rows if row["step"] <= step))
         os.replace(part, path)

@@ -77,7 +77,7 @@ def _start(
     distributed.init_process_group("gloo", init_method=meeting_point, rank=rank, world_size=count, timeout=LONGEST_WAIT)
     try:
         work(Worker(rank, count), *arguments)
-    except (Refused, CheckpointError) as error:  # told before the others lose this process
+    except (Refused, CheckpointError, OSError) as error:  # told before the others lose this process
         (folder / REFUSAL).write_text(str(error), encoding="utf-8")
         raise
     finally:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -16,6 +16,7 @@ from ..model_file import ModelFile
 EngineName = Literal["onnxruntime", "openvino-fp32", "openvino-bf16"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 DEFAULT_ENGINE: EngineName = "onnxruntime"
+Sides = tuple[int | None, ...]  # of an input; None where the graph takes any
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class MadeBy:
 class Session(Protocol):
     """A loaded network; `run` may be called from several threads at once."""
 
-    inputs: Sequence[str]
+    inputs: Mapping[str, Sides]
     outputs: Sequence[str]
     failures: tuple[type[Exception], ...]  # what `run` raises where the runtime fails
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..errors import ModelError
 from ..model_file import ModelFile
 from ..prepared_model import forget, prepared
+from .choice import Sides
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by onnxruntime when it is first imported
 
@@ -98,9 +99,14 @@ class OnnxRuntimeSession:
         # come on top of it
         self._run_options = ort.RunOptions()
         self._run_options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
-        self.inputs: Sequence[str] = [value.name for value in session.get_inputs()]
+        self.inputs: Mapping[str, Sides] = {value.name: _sides(value.shape) for value in session.get_inputs()}
         self.outputs: Sequence[str] = [value.name for value in session.get_outputs()]
 
     def run(self, names: Sequence[str], feed: dict[str, NDArray]) -> list[Any]:
         """The outputs of these names."""
         return self.native.run(list(names), feed, self._run_options)
+
+
+def _sides(shape: Sequence[int | str | None]) -> Sides:
+    """A side that may be any has a name, or none."""
+    return tuple(side if isinstance(side, int) else None for side in shape)

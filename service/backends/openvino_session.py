@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import ModelError
 from ..model_file import ModelFile
 from ..view_checks import MIN_VIEWS
+from .choice import Sides
 
 Precision = Literal["fp32", "bf16"]
 
@@ -35,7 +36,9 @@ class OpenVinoSession:
         try:
             self._core = openvino.Core()
             self._model = self._core.read_model(str(file.path))
-            self.inputs: Sequence[str] = [port.get_any_name() for port in self._model.inputs]
+            self.inputs: Mapping[str, Sides] = {
+                port.get_any_name(): _sides(port.get_partial_shape()) for port in self._model.inputs
+            }
             self.outputs: Sequence[str] = [port.get_any_name() for port in self._model.outputs]
             if set(PER_VIEW) <= set(self.inputs):
                 self._for(MIN_VIEWS)
@@ -80,6 +83,11 @@ class OpenVinoSession:
                 cure="take the engine openvino-fp32 or onnxruntime",
             )
         return compiled
+
+
+def _sides(shape: Any) -> Sides:
+    """Of a PartialShape."""
+    return tuple(side.get_length() if side.is_static else None for side in shape)
 
 
 _NATIVE: dict[str, str] = {"fp32": "f32", "bf16": "bf16"}

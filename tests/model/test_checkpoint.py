@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from small_networks import scene, tiny
 
-from gapmes.model.checkpoint import load_checkpoint, save_checkpoint, shipped_checkpoint
+from gapmes.model.checkpoint import load_checkpoint, read_metadata, save_checkpoint, shipped_checkpoint
 from gapmes.model.config import PRESETS, preset
 from gapmes.model.weights_file import CheckpointError
 
@@ -25,6 +26,52 @@ def test_round_trip_is_exact(tmp_path: Path) -> None:
     with torch.no_grad():
         assert torch.equal(network(*scene()).gaussians.means, loaded(*scene()).gaussians.means)
     assert [p.name for p in tmp_path.iterdir()] == ["a.safetensors"]
+
+
+def test_the_same_again_gives_the_same_bytes(tmp_path: Path) -> None:
+    """With several keys of metadata, whose order the package safetensors leaves to chance."""
+    network, extra = tiny(3), {f"gapmes.{name}": name for name in ("step", "mean_of", "é", "b", "a")}
+    for number in range(4):
+        save_checkpoint(tmp_path / f"{number}.safetensors", network, extra=extra)
+    written = {path.read_bytes() for path in tmp_path.iterdir()}
+    assert len(written) == 1
+    assert read_metadata(tmp_path / "0.safetensors").items() >= extra.items()
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_a_checkpoint_may_be_read_as_any_new_file(tmp_path: Path) -> None:
+    (tmp_path / "plain").touch()
+    save_checkpoint(tmp_path / "a.safetensors", tiny())
+    assert (tmp_path / "a.safetensors").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_a_write_that_fails_leaves_nothing_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "taken.safetensors").mkdir()
+    with pytest.raises(OSError, match=r"taken\.safetensors"):
+        save_checkpoint(tmp_path / "taken.safetensors", tiny())
+    assert [path.name for path in tmp_path.iterdir()] == ["taken.safetensors"]
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda value: value.fill_(float("nan")), r"not finite in 1 tensors \(heads\.mu\.out\.weight\)"),
+        (lambda value: value.double().fill_(1e39), r"not finite in 1 tensors"),  # too large for float32
+        (lambda value: (value * 127).to(torch.int8), r"1 of \d+ tensors .*\(heads\.mu\.out\.weight is int8\)"),
+        (lambda value: value > 0, r"heads\.mu\.out\.weight is bool"),
+        (lambda value: torch.complex(value, value), r"heads\.mu\.out\.weight is complex64"),
+    ],
+)
+def test_numbers_that_are_no_weights_are_refused(
+    damage: Callable[[torch.Tensor], torch.Tensor], said: str, tmp_path: Path
+) -> None:
+    network = tiny()
+    state = network.state_dict()
+    state["heads.mu.out.weight"] = damage(state["heads.mu.out.weight"])
+    path = tmp_path / "wrong.safetensors"
+    save_file(state, path, metadata={"gapmes.config": network.config.to_json()})
+    with pytest.raises(CheckpointError, match=said):
+        load_checkpoint(path)
 
 
 def test_a_file_that_does_not_fit_names_the_tensors(tmp_path: Path) -> None:

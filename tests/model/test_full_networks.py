@@ -218,7 +218,10 @@ def test_a_run_takes_the_frozen_parts_of_the_weights_that_it_starts_from(
         (["--recipe", "finish"], "goes on from trained weights: give --initial-weights"),
         (["--initial-weights", "OUT/weights.safetensors"], "lies in the run's own folder"),
         (["--initial-weights", "nope.safetensors"], "nope.safetensors: no such file"),
-        (["--initial-weights", "TINY", "--without-tasks"], "has another configuration"),
+        (
+            ["--initial-weights", "TINY", "--without-tasks"],
+            "has another configuration than this run: without_tasks is False, asked for True; give the preset",
+        ),
         (["--initial-weights", "TINY", "--depth-weights", "x"], "carries its frozen parts: leave out --depth-weights"),
         (["--preset", "small", "--initial-weights", "TINY"], "has another configuration"),
     ],

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+from importlib.util import find_spec
 
 import numpy as np
 import onnx
@@ -16,6 +17,7 @@ from gapmes.service.shipped import shipped_model
 from gapmes.service.threads import available_threads
 
 OUTPUTS = REQUIRED_OUTPUTS + OPTIONAL_OUTPUTS
+needs_openvino = pytest.mark.skipif(find_spec("openvino") is None, reason="pip install 'gapmes[openvino]'")
 
 
 def inputs(views=2, seed=0):
@@ -102,7 +104,12 @@ def test_an_onnx_file_of_somebody_else(tmp_path):
         ({"format": "2"}, "has format 2, this version reads 1"),
         ({"weights_sha256": None, "licence": None}, r"lacks the metadata gapmes.weights_sha256, gapmes.licence"),
         ({"height": "tall"}, "malformed metadata"),
-        ({"config": "{"}, "malformed metadata"),
+        ({"config": "{"}, "malformed metadata: gapmes.config is no JSON"),
+        ({"config": "[]"}, r"malformed metadata: gapmes.config is '\[\]', need a JSON object"),
+        ({"config": "3"}, "malformed metadata: gapmes.config is '3'"),
+        ({"config": "null"}, "malformed metadata: gapmes.config is 'null'"),
+        ({"config": "[" * 100_000}, "malformed metadata: gapmes.config is nested too deeply"),
+        ({"tolerance": "[1]"}, "malformed metadata: gapmes.tolerance is"),
         ({"height": "50"}, "need multiples of 16"),
     ],
 )
@@ -110,6 +117,32 @@ def test_metadata_is_checked(tmp_path, change, message):
     metadata = {key: value for key, value in (METADATA | change).items() if value is not None}
     with pytest.raises(ModelError, match=message):
         Engine(write_standin(tmp_path / "changed.onnx", metadata))
+
+
+@pytest.mark.parametrize("engine", ["onnxruntime", pytest.param("openvino-fp32", marks=needs_openvino)])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"height": "64"}, r"takes images of \(any, 3, 48, 64\), .*height 64 .*width 64 mean \(any, 3, 64, 64\)"),
+        ({"width": "48"}, r"takes images of \(any, 3, 48, 64\), .* mean \(any, 3, 48, 48\)"),
+    ],
+)
+def test_metadata_that_contradict_the_graph_are_refused(tmp_path, engine, change, message):
+    path = write_standin(tmp_path / "changed.onnx", METADATA | change)
+    with pytest.raises(ModelError, match=message) as caught:
+        Engine(path, threads=1, engine=engine)
+    assert caught.value.cure == "export it again with gapmes-export"
+    with pytest.raises(ModelError, match=message):
+        Engine(path, threads=1, engine=engine, prepare=tmp_path / "prepared")
+
+
+def test_an_input_of_another_rank_is_refused(tmp_path):
+    model = onnx.load(write_standin(tmp_path / "model.onnx"))
+    (near_far,) = [value for value in model.graph.input if value.name == "near_far"]
+    near_far.type.tensor_type.shape.dim.add().dim_value = 1
+    onnx.save(model, tmp_path / "other.onnx")
+    with pytest.raises(ModelError, match=r"takes near_far of \(2, 1\), .* mean \(2\)"):
+        Engine(tmp_path / "other.onnx", threads=1)
 
 
 def test_missing_outputs_are_named(tmp_path):

@@ -208,6 +208,14 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
         load_vit(fresh(), write(tmp_path / "nan.pth", state))
 
 
+@pytest.mark.parametrize("kind", [torch.int8, torch.bool, torch.complex64])
+def test_other_numbers_than_floating_point_are_refused(kind: torch.dtype, tmp_path: Path) -> None:
+    state = original(random_vit().vit.state_dict())
+    state["norm.bias"] = state["norm.bias"].to(kind)
+    with pytest.raises(CheckpointError, match=rf"1 of \d+ tensors .*\(norm\.bias is {str(kind)[6:]}\)"):
+        load_vit(fresh(), write(tmp_path / "odd.pth", state))
+
+
 def test_a_configuration_that_computes_something_else_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "model.safetensors", random_vit().vit.state_dict())
     (tmp_path / "config.json").write_text(json.dumps({"num_attention_heads": 6}))

@@ -63,6 +63,12 @@ def test_nests_are_taken_off_and_what_stood_beside_them_is_named(tmp_path: Path)
     assert read_tensors(tmp_path / "twice.pth").unwrapped == ("model", "state_dict")
 
 
+def test_keys_that_are_no_names_are_refused(tmp_path: Path) -> None:
+    torch.save({**STATE, 3: STATE["b"]}, tmp_path / "numbered.pth")
+    with pytest.raises(CheckpointError, match=r"numbered\.pth has 1 of 3 values under keys that are no names \(3\)"):
+        read_tensors(tmp_path / "numbered.pth")
+
+
 def test_two_sets_of_weights_in_one_file_are_ambiguous(tmp_path: Path) -> None:
     torch.save({"model": STATE, "state_dict": STATE}, tmp_path / "two.pth")
     with pytest.raises(CheckpointError, match="each of state_dict, model"):

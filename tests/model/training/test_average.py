@@ -68,7 +68,7 @@ def test_another_network_and_too_few_files_are_refused(
     runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = saved(tmp_path / "other.safetensors", tiny(0, without_tasks=True))
-    with pytest.raises(CheckpointError, match=r"other\.safetensors has another configuration .* than .*0\.safetensors"):
+    with pytest.raises(CheckpointError, match=r"than .*0\.safetensors: without_tasks is True, there False; only runs"):
         averaged([runs[0], other])
     with pytest.raises(CheckpointError, match="1 given, need at least 2"):
         averaged(runs[:1])
@@ -78,3 +78,18 @@ def test_another_network_and_too_few_files_are_refused(
     assert exit.value.code == 2
     assert "missing.safetensors: no such file" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.parametrize("place", ["taken/x.safetensors", "folder"])
+def test_a_place_that_cannot_be_written_is_refused_in_one_line(
+    place: str, runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "taken").touch()
+    (tmp_path / "folder").mkdir()
+    before = set(tmp_path.iterdir())
+    assert main([str(tmp_path / place), *map(str, runs[:2])]) == 1
+    told = capsys.readouterr().err
+    assert told.startswith(f"refused: {tmp_path / place} cannot be written: ")
+    assert told.endswith("; name another place\n")
+    assert told.count("\n") == 1
+    assert set(tmp_path.iterdir()) == before

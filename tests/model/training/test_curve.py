@@ -77,6 +77,23 @@ def test_a_recipe_of_another_version_is_said(run: Path) -> None:
         curve.read_phases(run / "state.pt")
 
 
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut short", b"text"])
+def test_a_damaged_state_is_refused_by_name(content: bytes, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (run / "state.pt").write_bytes(content)
+    assert curve.main([str(run), "--out", str(run / "curve.png")]) == 1
+    told = capsys.readouterr().err
+    assert told.startswith(f"refused: {run / 'state.pt'} cannot be read as the state of a run")
+    assert told.count("\n") == 1
+    assert not (run / "curve.png").exists()
+
+
+@pytest.mark.parametrize("state", [{}, {"recipe": "{}"}, {"recipe": "x"}, {"recipe": None}])
+def test_a_state_without_a_recipe_is_refused(state: dict[str, object], run: Path) -> None:
+    torch.save(state, run / "state.pt")
+    with pytest.raises(ValueError, match=r"state\.pt has a recipe of another version, or none"):
+        curve.read_phases(run / "state.pt")
+
+
 def test_minutes_stand_at_the_steps_where_they_were_reached(run: Path) -> None:
     figure = drawn(run)
     top = figure.axes[0].child_axes[0]

@@ -3,6 +3,7 @@ steps are a run too."""
 
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import torch
 from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
-from gapmes.model.training import run_folder
+from gapmes.model.training import arguments, command, run_folder
 from gapmes.model.training.command import main
 
 
@@ -23,25 +24,36 @@ from gapmes.model.training.command import main
         ("--steps", "many", "invalid whole number value: 'many'"),
         ("--validate-every", "0", "is 0, need at least 1"),
         ("--threads", "0", "is 0, need at least 1"),
+        ("--threads", "99999", "is 99999, need at most"),
+        ("--seed", "-1", "is -1, need at least 0"),
+        ("--seed", "9" * 30, f"is {'9' * 30}, need at most {2**63 - 1}"),
+        ("--device", "foo", "is 'foo', need cpu, cuda, cuda:NUMBER or auto"),
+        ("--device", "cuda", "is 'cuda', but torch finds 0 graphics cards here: give cpu or auto"),
         ("--processes", "0", "invalid choice: 0"),
         ("--processes", "3", "invalid choice: 3"),
     ],
 )
 def test_numbers_out_of_range_are_wrong_usage(
-    option: str, value: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    option: str,
+    value: str,
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(SystemExit) as ended:
         main([str(tmp_path / "run"), option, value])
     assert ended.value.code == 2
-    assert f"argument {option}" in (told := capsys.readouterr().err)
+    assert f"argument {option}" in (told := " ".join(capsys.readouterr().err.split()))
     assert said in told
     assert not (tmp_path / "run").exists()
 
 
 def test_no_steps_write_untrained_weights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = [str(tmp_path), "--steps", "0", "--seed", "4", "--json", "--quiet"]
+    given = [str(tmp_path), "--steps", "0", "--seed", "4", "--json", "--quiet"]
     for _ in range(2):  # the second finds the first one's folder
-        assert main(arguments) == 0
+        assert main(given) == 0
         weights = tmp_path / run_folder.WEIGHTS
         assert json.loads(capsys.readouterr().out) == {"weights": str(weights), "last": None}
         torch.manual_seed(4)
@@ -59,3 +71,63 @@ def test_a_folder_in_use_is_refused_in_one_line(
     told = capsys.readouterr().err
     assert told.startswith(f"refused: {tmp_path}: another run is at work there")
     assert told.count("\n") == 1
+
+
+def test_a_graphics_card_is_taken_where_torch_finds_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    for cards, found in ((0, "cpu"), (2, "cuda")):
+        monkeypatch.setattr(torch.cuda, "is_available", lambda cards=cards: cards > 0)
+        monkeypatch.setattr(torch.cuda, "device_count", lambda cards=cards: cards)
+        assert arguments.device("auto") == found
+    assert arguments.device("cuda:1") == "cuda:1"
+    with pytest.raises(argparse.ArgumentTypeError, match="is 'cuda:2', but torch finds 2"):
+        arguments.device("cuda:2")
+
+
+@pytest.mark.parametrize("below", ["", "run"])
+def test_a_place_that_is_no_folder_is_refused_in_one_line(
+    below: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "taken").touch()
+    out = tmp_path / "taken" / below
+    assert main([str(out), "--steps", "0", "--quiet"]) == 1
+    told = capsys.readouterr().err
+    assert told.startswith(f"refused: {out} cannot be the folder of a run: ")
+    assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        (run_folder.STATE, b"", "cannot be read as the state of a run (EOFError: "),
+        (
+            run_folder.STATE,
+            b"PK\x03\x04 cut short",
+            "it is damaged or of another version: use a new folder",
+        ),
+        (run_folder.LOG, b"text\n", "line 1 is no row of a training log"),
+        (run_folder.LOG, b'{"step": "1", "minutes": 0}\n', "line 1 is no row of a training log"),
+        (run_folder.LOG, b"\xff\n", "is no training log, it is no text"),
+    ],
+)
+def test_a_damaged_file_of_a_run_is_named_and_left(
+    name: str, content: bytes, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    assert main([str(tmp_path), "--steps", "0", "--quiet"]) == 1
+    told = capsys.readouterr().err
+    assert told.startswith(f"refused: {tmp_path / name}")
+    assert said in told
+    assert told.count("\n") == 1
+    assert (tmp_path / name).read_bytes() == content
+
+
+def test_a_full_disk_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", str(tmp_path / "state.pt.part"))
+
+    monkeypatch.setattr(command, "run_workers", full)
+    assert command.main([str(tmp_path), "--quiet"]) == 1
+    told = capsys.readouterr().err
+    assert told == f"refused: [Errno 28] No space left on device: '{tmp_path / 'state.pt.part'}'\n"

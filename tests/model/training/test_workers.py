@@ -7,6 +7,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -16,7 +17,7 @@ from torch.multiprocessing.spawn import ProcessException
 
 from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.config import preset
-from gapmes.model.training import loop, run_folder
+from gapmes.model.training import loop, run_folder, workers
 from gapmes.model.training.recipe import Phase, Recipe
 from gapmes.model.training.workers import Worker, run_workers
 
@@ -109,6 +110,21 @@ def _refuse(worker: Worker) -> None:
 def test_a_refusal_in_a_process_is_a_refusal() -> None:
     with pytest.raises(run_folder.Refused, match=r"^this is refused$"):
         run_workers(2, 1, _refuse)
+
+
+def test_what_the_system_refuses_in_a_process_is_told_as_a_refusal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The process itself, without another that waits for it."""
+
+    def full(worker: Worker) -> None:
+        raise OSError(28, "No space left on device", "state.pt.part")
+
+    monkeypatch.setattr(workers, "signal", Mock())
+    monkeypatch.setattr(workers, "distributed", Mock())
+    with pytest.raises(OSError, match="No space left"):
+        workers._start(0, 2, 1, tmp_path, full, ())
+    assert "No space left on device: 'state.pt.part'" in (tmp_path / workers.REFUSAL).read_text()
 
 
 def _refuse_and_stay(worker: Worker) -> None:

@@ -1,0 +1,49 @@
+"""Tensors written as safetensors, whole or not at all: equal contents give equal bytes, so that a sha256 names them."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+from safetensors import SafetensorError
+from safetensors.torch import save_file
+from torch import Tensor
+
+_METADATA = "__metadata__"
+_LENGTH_BYTES = 8  # before the header: its length, little-endian
+_ALIGNMENT = 8  # bytes: the header is padded with spaces to a multiple
+
+
+def save_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
+    """Write contiguous tensors of the processor with their metadata, and the folder where there is none.
+
+    The package safetensors writes metadata in the order of a table that is shuffled anew every time, into a file that
+    its owner alone may read; here it is sorted, and the file may be read as any other new one. Raises `OSError`.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    shuffled, part = path.with_name(path.name + ".shuffled.part"), path.with_name(path.name + ".part")
+    try:
+        try:
+            save_file(dict(tensors), shuffled, metadata=dict(metadata))
+        except SafetensorError as error:
+            raise OSError(f"{path} cannot be written: {error}") from error
+        with shuffled.open("rb") as source, part.open("wb") as target:
+            length = int.from_bytes(source.read(_LENGTH_BYTES), "little")
+            header = _in_order(source.read(length))
+            target.write(len(header).to_bytes(_LENGTH_BYTES, "little") + header)
+            shutil.copyfileobj(source, target)
+        os.replace(part, path)
+    finally:
+        shuffled.unlink(missing_ok=True)
+        part.unlink(missing_ok=True)
+
+
+def _in_order(header: bytes) -> bytes:
+    """The same header with sorted metadata; tensors stay in the order of their bytes."""
+    entries = json.loads(header)
+    entries[_METADATA] = dict(sorted(entries[_METADATA].items()))
+    text = json.dumps(entries, ensure_ascii=False, separators=(",", ":")).encode()
+    return text + b" " * (-len(text) % _ALIGNMENT)

@@ -1,0 +1,55 @@
+"""Types of the training commands' arguments: what is out of range is wrong usage, said before any work."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+import numba
+import torch
+
+LARGEST_SEED = 2**63 - 1  # torch and numpy both take it
+
+
+def whole_number(least: int, most: int | None = None, limit: str = "") -> Callable[[str], int]:
+    """A type for argparse; `limit` says what the largest number is due to."""
+
+    def number(text: str) -> int:
+        value = int(text)
+        if value < least:
+            raise argparse.ArgumentTypeError(f"is {value}, need at least {least}")
+        if most is not None and value > most:
+            raise argparse.ArgumentTypeError(f"is {value}, need at most {most}{limit and f': {limit}'}")
+        return value
+
+    number.__name__ = "whole number"  # as argparse names it where there is none
+    return number
+
+
+def threads() -> Callable[[str], int]:
+    """A type for argparse: as many as numba has begun with at most."""
+    most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    return whole_number(1, most, "numba has no more on this machine")
+
+
+def seed() -> Callable[[str], int]:
+    """A type for argparse."""
+    return whole_number(0, LARGEST_SEED)
+
+
+def device(text: str) -> str:
+    """A type for argparse: the processor, or a graphics card that torch can use; auto is the latter where there is one.
+
+    Returns the name that torch knows.
+    """
+    cards = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if text == "auto":
+        return "cuda" if cards else "cpu"
+    kind, _, index = text.partition(":")
+    if kind not in ("cpu", "cuda") or (index and not index.isdecimal()):
+        raise argparse.ArgumentTypeError(f"is {text!r}, need cpu, cuda, cuda:NUMBER or auto")
+    if kind == "cpu":
+        return kind
+    if int(index or 0) >= cards:
+        raise argparse.ArgumentTypeError(f"is {text!r}, but torch finds {cards} graphics cards here: give cpu or auto")
+    return text

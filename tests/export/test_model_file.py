@@ -1,0 +1,61 @@
+"""Model files and the weights beside them: which belong together, and what a failed write leaves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from gapmes.export.model_file import data_files, remove_model, write_model
+
+
+def product(seed: int) -> onnx.ModelProto:
+    """y = x @ w with 16 KB of weights."""
+    weights = np.random.default_rng(seed).normal(size=(64, 64)).astype(np.float32)
+    x, y = (helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 64]) for name in "xy")
+    node = helper.make_node("MatMul", ["x", "w"], ["y"])
+    return helper.make_model(helper.make_graph([node], "product", [x], [y], [numpy_helper.from_array(weights, "w")]))
+
+
+@pytest.fixture(autouse=True)
+def _weights_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gapmes.export.model_file.EXTERNAL_BYTES", 1000)
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("other", ["base", "base.onnx.0123456789ab"])
+def test_the_weights_of_a_neighbour_stay(other: str, tmp_path: Path) -> None:
+    write_model(product(1), tmp_path / "base.onnx")
+    before = names(tmp_path)
+    write_model(product(2), tmp_path / other)
+    remove_model(tmp_path / other)
+    assert names(tmp_path) == before
+    onnx.load(tmp_path / "base.onnx")
+
+
+@pytest.mark.parametrize("name", ["base[1].onnx", "a*b.onnx", "what?.onnx"])
+def test_a_name_is_no_pattern(name: str, tmp_path: Path) -> None:
+    for seed in (1, 2):
+        write_model(product(seed), tmp_path / name)
+        assert len(data_files(tmp_path / name)) == 1
+        assert len(names(tmp_path)) == 2
+    remove_model(tmp_path / name)
+    assert names(tmp_path) == set()
+
+
+def test_where_nothing_is_there_is_nothing_to_remove(tmp_path: Path) -> None:
+    assert data_files(tmp_path / "none" / "a.onnx") == []
+    remove_model(tmp_path / "none" / "a.onnx")
+
+
+def test_a_write_that_fails_leaves_nothing_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "a.onnx").mkdir()
+    with pytest.raises(IsADirectoryError):
+        write_model(product(1), tmp_path / "a.onnx")
+    assert names(tmp_path) == {"a.onnx"}

@@ -1,0 +1,148 @@
+"""Where an export goes: looked at before the work, and what lies there after each way in which it can end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import onnx
+import pytest
+from standin_model import write_standin
+from typer.testing import CliRunner
+
+from gapmes.export import pipeline
+from gapmes.export.cli import app
+from gapmes.export.model_file import data_files
+from gapmes.export.pipeline import ExportRejected, VerificationBroken, export_checkpoint
+from gapmes.export.report import CaseResult, Report
+from gapmes.model.weights_file import file_sha256
+from gapmes.service.engine import Engine
+from gapmes.service.errors import InputError
+
+Verify = Callable[..., Report]
+
+
+@pytest.fixture(autouse=True)
+def _standin(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Instead of a network, whose export takes minutes; its weights lie in a file beside it."""
+    model = onnx.load(write_standin(tmp_path_factory.mktemp("standin") / "model.onnx"))
+    monkeypatch.setattr(pipeline, "export_graph", lambda *_: model)
+    monkeypatch.setattr("gapmes.export.model_file.EXTERNAL_BYTES", 1000)
+
+
+def judged(monkeypatch: pytest.MonkeyPatch, verdict: Report | BaseException) -> list[set[str]]:
+    """The verification ends so; returns what it saw in the folder."""
+    seen: list[set[str]] = []
+
+    def verify(model: Path, _checkpoint: Path, report: Path, *_: object) -> Report:
+        report.write_text("{}")
+        seen.append(names(model.parent))
+        Engine(model, threads=1)  # a whole model of that name
+        if isinstance(verdict, Report):
+            return replace(verdict, model_sha256=file_sha256(model))
+        raise verdict
+
+    monkeypatch.setattr(pipeline, "_verify_elsewhere", verify)
+    return seen
+
+
+def names(folder: Path) -> set[str]:
+    """Of the files in it, without the digits of weights."""
+    return {path.name if path.suffix != ".data" else path.name[:-18] + ".data" for path in folder.iterdir()}
+
+
+def report_of(*failures: str) -> Report:
+    return Report("", "fp32", {}, [CaseResult("random", "as trained", 2, failures=list(failures))])
+
+
+def export(checkpoint: Path, out: Path) -> pipeline.Exported:
+    return export_checkpoint(checkpoint, out, height=48, width=64)
+
+
+def test_a_file_has_its_name_only_once_it_is_judged(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = judged(monkeypatch, report_of("depth: off"))
+    out = tmp_path / "net.onnx"
+    with pytest.raises(ExportRejected, match="depth: off") as caught:
+        export(checkpoint, out)
+    assert seen == [{"net.part.onnx", "net.part.onnx.data", "net.part.report.json"}]
+    kept = {"net.rejected.onnx", "net.rejected.onnx.data", "net.rejected.report.json"}
+    assert names(tmp_path) == kept
+    rejected = caught.value.rejected
+    assert rejected == tmp_path / "net.rejected.onnx"
+    assert Report.read(caught.value.report_path) == caught.value.report
+    assert caught.value.report.model_sha256 == file_sha256(rejected)
+    assert len(data_files(rejected)) == 1
+    Engine(rejected, threads=1)
+
+    judged(monkeypatch, report_of())
+    result = export(checkpoint, out)  # and takes what was rejected before away
+    assert names(tmp_path) == {"net.onnx", "net.onnx.data", "net.report.json"}
+    assert Report.read(result.report_path).model_sha256 == file_sha256(out)
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt(), VerificationBroken("no verdict")])
+def test_without_a_verdict_nothing_stays(
+    end: BaseException, checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judged(monkeypatch, report_of())
+    export(checkpoint, tmp_path / "net.onnx")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    seen = judged(monkeypatch, end)
+    with pytest.raises(type(end)):
+        export(checkpoint, tmp_path / "net.onnx")
+    assert len(seen) == 1
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("folder", "folder is a folder, need a file"),
+        (".", "is a folder, need a file"),
+        ("taken/x.onnx", "taken is not a folder"),
+        ("taken/deep/x.onnx", "taken is not a folder"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_before_any_work(
+    place: str, said: str, checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "taken").touch()
+    (tmp_path / "folder").mkdir()
+    monkeypatch.setattr(pipeline, "load_variant", None)  # no work is done
+    with pytest.raises(InputError, match=said):
+        export(checkpoint, tmp_path / place)
+    result = CliRunner().invoke(app, ["-o", str(tmp_path / place)], env={"COLUMNS": "200"})
+    assert result.exit_code == 1
+    assert result.output.startswith("refused: output: ")
+    assert said in result.output
+    assert names(tmp_path) == {"taken", "folder"}
+
+
+def test_a_device_is_not_replaced(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "load_variant", None)
+    with pytest.raises(InputError, match=r"/dev/null is a pipe or device"):
+        export(checkpoint, Path("/dev/null"))
+
+
+def test_an_interrupt_ends_the_verification_too(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where it was sent to the exporter alone: the other process would work on for minutes."""
+    started = []
+    real = pipeline.subprocess.Popen
+
+    def slow(_: object, **options: object) -> object:
+        script = "import time; print('{\"total\": 2}', flush=True); time.sleep(600)"
+        started.append(real([pipeline.sys.executable, "-c", script], **options))
+        return started[0]
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline.subprocess, "Popen", slow)
+    with pytest.raises(KeyboardInterrupt):
+        pipeline._verify_elsewhere(tmp_path / "a.onnx", checkpoint, tmp_path / "a.json", True, interrupted)
+    assert started[0].returncode < 0

@@ -1,0 +1,56 @@
+"""What lies in the folder of an ablation study: runs, what is none, and damaged scores; and its wrong usage."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gapmes.model.training import ablation, ablation_runs
+from gapmes.model.training.ablation_runs import VARIANTS, Budget, run_in
+from gapmes.model.training.ablation_table import COMPLETE
+
+SMALL = Budget(steps=2, size=32, training_scenes=1, validation_scenes=2, log_rows=2)
+
+
+def test_folders_of_other_names_are_not_runs(tmp_path: Path) -> None:
+    for name in ("complete-seed1-old", "complete-seed", "complete-seed01", "complete-seed-1", "top-1-seedx", "notes"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / ablation_runs.SCORES).write_text("{}")
+    assert ablation.finished(tmp_path, SMALL) == {name: {} for name in VARIANTS}
+    (tmp_path / "complete-seed1").mkdir()
+    (tmp_path / "complete-seed1" / ablation_runs.SCORES).write_text("{}")
+    with pytest.raises(ValueError, match=r"complete-seed1.*holds no scores"):
+        ablation.finished(tmp_path, SMALL)
+
+
+def test_scores_that_are_damaged_are_named(tmp_path: Path) -> None:
+    run = run_in(tmp_path, COMPLETE, 1, SMALL)
+    run.folder.mkdir()
+    path = run.folder / ablation_runs.SCORES
+    figures = {name: [1.0, 2.0] for name in ablation_runs.FIGURES}
+    whole = json.dumps({**run._identity(), "parameters": 5, "minutes": 1.0, "scores": figures})
+    path.write_text(whole)
+    assert run.scores().psnr.tolist() == [1.0, 2.0]
+    lacking, wide = json.loads(whole), json.loads(whole)
+    del lacking["scores"]["ssim"]
+    wide["scores"]["ssim"] = [1.0]
+    for text in ("", "{}", "[]", whole[:-20], json.dumps(lacking)):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=r"seed1/scores\.json holds no scores of a run: .*; remove the file"):
+            run.scores()
+    path.write_text(json.dumps(wide))
+    with pytest.raises(ValueError, match=r"scores\.json has ssim of shape \(1,\), need one number for each of the 2"):
+        run.scores()
+
+
+@pytest.mark.parametrize(("option", "value"), [("--threads", "0"), ("--threads", "99999"), ("--seeds", "-1")])
+def test_numbers_out_of_range_are_wrong_usage(
+    option: str, value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        ablation.main([str(tmp_path / "out"), option, value])
+    assert ended.value.code == 2
+    assert f"argument {option}: is {value}, need at " in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,57 @@
+"""The folder of a run: whose run is gone on with, and what is refused instead."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from test_training_loop import SMALL, one_thread, run
+
+from gapmes.model.config import preset
+from gapmes.model.training import loop, run_folder
+from gapmes.model.training.recipe import Phase
+from gapmes.model.training.workers import Worker
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    one_thread()
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
+    with run_folder.claimed(tmp_path), pytest.raises(ValueError, match="another run is at work there"):
+        run(SMALL, tmp_path)
+
+
+def test_a_run_of_another_recipe_is_not_continued(tmp_path: Path) -> None:
+    run(replace(SMALL, steps=1), tmp_path)
+    with pytest.raises(run_folder.Refused, match=r"another recipe: steps is 1, asked for 4; go on with what it began"):
+        run(SMALL, tmp_path)
+
+
+def test_a_run_of_another_number_of_processes_is_not_continued(tmp_path: Path) -> None:
+    """Each process draws noise of its own, so that two give other weights than one."""
+    two = replace(SMALL, steps=1, phases=(Phase(1.0, (32,), 2, (2,), (0.1, 0.4)),))
+    run(two, tmp_path)
+    with pytest.raises(run_folder.Refused, match="another process count: 1, asked for 2; go on with what"):
+        loop.train(preset("tiny"), two, tmp_path, worker=Worker(0, 2))
+
+
+def test_a_run_of_another_number_of_threads_is_not_continued(tmp_path: Path) -> None:
+    """Two threads add up in another order than one, and round otherwise."""
+    one = replace(SMALL, steps=1)
+    run(one, tmp_path)
+    torch.set_num_threads(2)
+    with pytest.raises(run_folder.Refused, match="another thread count: 1, asked for 2; go on with what it began with"):
+        run(one, tmp_path)
+
+
+def test_a_state_that_lacks_a_part_is_not_continued(tmp_path: Path) -> None:
+    one = replace(SMALL, steps=1)
+    run(one, tmp_path)
+    state = torch.load(tmp_path / run_folder.STATE, weights_only=True)
+    torch.save({key: value for key, value in state.items() if key != "optimiser"}, tmp_path / run_folder.STATE)
+    with pytest.raises(run_folder.Refused, match=r"state\.pt cannot be read as the state of a run \(KeyError: 'optimi"):
+        run(one, tmp_path)
