@@ -11,6 +11,7 @@ from .camera import Camera
 from .engine import Arrays
 from .harmonics import C0
 from .images import FittedView
+from .rotations import turned
 from .world_frame import WorldFrame
 
 F64 = NDArray[np.float64]
@@ -61,23 +62,21 @@ def finer(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], fine:
 
 def _on_rays(means: NDArray, depth: NDArray, camera: Camera, pose: F64, k: int) -> tuple[F64, F64]:
     """(kH, kW) depths and (kH, kW, 3) places for the Gaussians at `means` (H, W, 3) of a view with `depth` (H, W);
-    all in the network's frame, in which `pose` (4, 4) is the camera's."""
+    all in the network's frame, in which `pose` (4, 4) is the camera's. A Gaussian beside its pixel's ray, or before or
+    behind its depth, is so by as many px and by the same share afterwards."""
     rotation, center = pose[:3, :3], pose[:3, 3]
     inverse = 1 / depth.astype(np.float64)
     down, right = _slope(inverse, 0), _slope(inverse, 1)
     steps = (np.arange(k) + 0.5) / k - 0.5  # px from a pixel's centre to those of the finer ones in it
-    here = (means.astype(np.float64) - center) @ rotation
-    z = here[..., 2]
-    x, y = camera.fx * here[..., 0] / z, camera.fy * here[..., 1] / z
-    ratio = z / depth  # a Gaussian may stand before or behind its pixel's depth
+    here = turned(rotation.T, means.astype(np.float64) - center)
     height, width = depth.shape
     depths, places = np.empty((height, k, width, k)), np.empty((height, k, width, k, 3))
     for row, dy in enumerate(steps):
         for column, dx in enumerate(steps):
             to = 1 / (inverse + dy * down + dx * right)
             depths[:, row, :, column] = to
-            ray = np.stack([(x + dx) / camera.fx, (y + dy) / camera.fy, np.ones_like(x)], axis=-1)
-            places[:, row, :, column] = (ratio * to)[..., None] * ray @ rotation.T + center
+            aside = here[..., 2:] * np.array([dx / camera.fx, dy / camera.fy, 0.0])
+            places[:, row, :, column] = turned(rotation, (to / depth)[..., None] * (here + aside)) + center
     return depths.reshape(k * height, k * width), places.reshape(k * height, k * width, 3)
 
 

@@ -10,7 +10,7 @@ DETAILS = (1, 2)  # Gaussians per pixel of the network, each way
 def checked_detail(detail: int, stride: int = 1, most: int = max(DETAILS)) -> int:
     """Raises `InputError` unless it is one of `DETAILS`, `most` at most, and 1 where a `stride` thins the scene."""
     if isinstance(detail, bool) or not isinstance(detail, int) or detail not in DETAILS:
-        raise InputError(f"is {detail}, need one of {DETAILS}", field="detail")
+        raise InputError(f"is {detail}, need one of {DETAILS}", field="detail", cure="leave it out for 1")
     if detail > most:
         raise InputError(f"is {detail}, the limit is {most}", field="detail", cure="leave it out for 1")
     if detail > 1 and stride > 1:

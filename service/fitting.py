@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -71,8 +72,9 @@ def _fitted(
     view = fit_view(photo, camera, info.height, info.width)
     check_kept(view, index)
     notices += _too_small(photo.width, photo.height, info, detail, index)
-    fine = view if detail == 1 else fit_view(photo, camera, detail * info.height, detail * info.width)
-    return view, fine, notices
+    if detail == 1:
+        return view, view, notices
+    return view, _within(fit_view(photo, camera, detail * info.height, detail * info.width), view.mask), notices
 
 
 def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> list[Notice]:
@@ -81,14 +83,22 @@ def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> lis
     return [*_photo_notices(photo, lens.width, lens.height, index), _lens_notice(lens, index)]
 
 
+def _within(fine: FittedView, mask: NDArray[np.bool_] | None) -> FittedView:
+    """Without the pixels that the network's view (H, W) of them leaves out: it has neither colour nor depth there."""
+    if fine.mask is None or mask is None:
+        return fine
+    k = len(fine.mask) // len(mask)
+    return replace(fine, mask=fine.mask & mask.repeat(k, axis=0).repeat(k, axis=1))
+
+
 def _too_small(width: int, height: int, info: ModelInfo, detail: int, index: int) -> list[Notice]:
     """A photograph of this size has fewer pixels in its crop than the scene shows of it."""
     crop, shown = min(width, height * info.width / info.height), detail * info.width
     if detail == 1 or crop >= shown:
         return []
     message = (
-        f"the crop of the photograph is {crop:.0f} px wide, and {shown} px of a scene with detail {detail}: that is as "
-        "sharp as the photograph, not more"
+        f"the crop of the photograph is {crop:.0f} px wide, the scene with detail {detail} {shown} px: it is as "
+        "sharp as the photograph, not sharper"
     )
     return [{"code": "detail_beyond_photograph", "field": "images", "index": index, "message": message}]
 

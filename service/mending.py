@@ -71,11 +71,11 @@ def placed(
     *,
     stride: int = 1,
     moved: bool,
-    coarse: tuple[Sequence[FittedView], NDArray[np.float64]] | None = None,
+    coarse: Sequence[FittedView] | None = None,
 ) -> Placed:
     """The network's Gaussians that belong into the scene, one for a square of `stride` px; where depths have `moved`, a
-    backdrop of these depths instead of the network's own. `coarse` are views and depths (V, h, w) that it is of where
-    `outputs` have finer ones: its cells and what it goes by are as wide as so many of the network's pixels."""
+    backdrop of these depths instead of the network's own. Where `views` are finer than what the network saw, `coarse`
+    are that: the backdrop's cells are as wide as so many of its pixels, and stand behind the farthest of the fine."""
     rows, dropped = kept_rows(outputs, views, frame)
     depths = frame.depths(outputs)
     thin, rows = thinned(outputs, rows, depths.shape, stride)
@@ -85,9 +85,17 @@ def placed(
     if len(own) < len(rows):
         dropped = {**dropped, REPLACED: len(rows) - len(own)}
     gaussians = _smoothed(frame.to_world(thin, own), (stride * depths).ravel()[own], own // depths[0].size, views)
-    sheet, around = backdrop(*(coarse or (views, depths)), gaussians.harmonics.shape[1])
+    coarse = coarse or views
+    sheet, around = backdrop(coarse, _farthest(depths, coarse), gaussians.harmonics.shape[1])
     rows = np.concatenate([own, depths.size + np.arange(len(sheet))])
     return Placed(as_stored(joined(gaussians, sheet)), rows, depths.size + around, depths, dropped, len(sheet))
+
+
+def _farthest(depths: NDArray[np.float64], views: Sequence[FittedView]) -> NDArray[np.float64]:
+    """(V, h, w) for the pixels of `views`, of depths (V, k h, k w)."""
+    height, width = views[0].image.shape[1:]
+    squares = (len(views), height, depths.shape[1] // height, width, depths.shape[2] // width)
+    return depths.reshape(squares).max(axis=(2, 4))
 
 
 def _smoothed(

@@ -134,11 +134,11 @@ class Reconstructor:
             warnings += pose_notices(cameras, depths.near, numbers)
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
             seen: list[FittedView] = []  # by the network
-            views: list[FittedView] = []
+            views: list[FittedView] = []  # the same crops as the scene shows them
             for number, image, camera in zip(numbers, images, cameras, strict=True):
-                view, fine, notices = fitted(image, camera, number, info, detail)
-                seen.append(view)
-                views.append(fine)
+                small, view, notices = fitted(image, camera, number, info, detail)
+                seen.append(small)
+                views.append(view)
                 warnings += notices
                 done(len(seen))
             warnings += check_photos(seen, depths, trust_poses=trust_poses, numbers=numbers)
@@ -152,14 +152,13 @@ class Reconstructor:
         if fade:
             with stages.stage("refine"):
                 outputs = at_mended_depths(outputs, frame, seen)
-        coarse = seen, frame.depths(outputs)
         if detail > 1:
             with stages.stage("detail"):
                 outputs = finer(outputs, frame, seen, views)
                 if fade:
                     outputs = at_mended_depths(outputs, frame, views)
         with stages.stage("gaussians"):
-            found = placed(outputs, frame, views, stride=budget.stride, moved=fade > 0, coarse=coarse)
+            found = placed(outputs, frame, views, stride=budget.stride, moved=fade > 0, coarse=seen)
             outputs = {name: value for name, value in outputs.items() if name not in MOVED}
         view_cameras = tuple(view.camera for view in views)
         scene = SceneViews(view_cameras, depths.near, depths.far)

@@ -36,10 +36,10 @@ def self_check(
     depths: DepthRange,
     info: ModelInfo,
     drawn: Sequence[Render],
-    compared: Sequence[FittedView] | None = None,
+    compared: Sequence[FittedView],
 ) -> dict[str, Any]:
     """Plain JSON values; `drawn` are the scene's pictures, with their opacity, from the cameras of `compared`: `views`,
-    as the network saw them, unless it is given, or the same with more pixels.
+    which are as the network saw them, or the same crops with more pixels.
 
     `input_views`: PSNR in dB, SSIM and share of holes of every input drawn again, over the pixels that its mask keeps
     (None where it keeps none; windows of SSIM at its edge see pixels beyond). `depth_step`: half a step between the
@@ -47,7 +47,7 @@ def self_check(
     the model does not tell how many there are). Shares are of the pixels that the masks keep, or of rays through them.
     """
     return {
-        "input_views": [drawn_again(image, view) for image, view in zip(drawn, compared or views, strict=True)],
+        "input_views": [drawn_again(image, view) for image, view in zip(drawn, compared, strict=True)],
         "textureless_share": _share([_flat(view) for view in views]),
         "no_parallax_share": _share([~parallax(views, index, depths) for index in range(len(views))]),
         "depth_step": depth_steps(depths, info),

@@ -1,8 +1,7 @@
-"""A scene finer than the network's grid: on which surfaces its Gaussians lie, which colours they have, what it says."""
+"""A scene finer than the network's grid: on which surfaces its Gaussians lie, and which colours they have."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,24 +9,19 @@ import pytest
 from plane_scene import PlaneScene
 from plane_views import SIDE, on_the_plane, plane_depths, plane_views
 
-from gapmes.service.budget import KEEP_ALL, Budget
 from gapmes.service.depth_range import DepthRange
 from gapmes.service.detail import finer
-from gapmes.service.detail_level import checked_detail
-from gapmes.service.engine import Arrays, Engine
-from gapmes.service.errors import InputError
+from gapmes.service.engine import Arrays
 from gapmes.service.gaussians import joined
 from gapmes.service.harmonics import C0
 from gapmes.service.images import FittedView, Photo, fit_view
 from gapmes.service.masks import MASKED
 from gapmes.service.mending import placed
 from gapmes.service.picture_error import psnr
-from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.splat import render
 from gapmes.service.world_frame import WorldFrame
 
 EXTRA = 5  # Gaussians that belong to no pixel
-PLANE = {"near": 2.0, "far": 8.0}
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +79,23 @@ def test_gaussians_of_a_plane_lie_on_it_and_on_the_fine_pixels_rays(
         on_plane = (4.0 - view.camera.center[2]) / view.camera.rays(grid)[:, 2]
         np.testing.assert_allclose(z[inner.ravel()], on_plane[inner.ravel()], rtol=2e-6)  # worst 6e-7
         np.testing.assert_allclose(frame.unit * found["depth"][index].ravel(), z, rtol=1e-6)
+
+
+def test_gaussians_beside_their_ray_and_behind_their_depth_stay_so(views: list[FittedView], frame: WorldFrame) -> None:
+    """0.3 px to the right, 0.2 px up, and a tenth farther than the pixel's depth."""
+    given = outputs(views, frame)
+    grid = np.stack(np.meshgrid(np.arange(SIDE) + 0.8, np.arange(SIDE) + 0.3), -1).reshape(-1, 2)
+    for index, (view, depths) in enumerate(zip(views, plane_depths(views), strict=True)):
+        world = view.camera.unproject(grid, 1.1 * depths.ravel())
+        given["means"][index * SIDE**2 : (index + 1) * SIDE**2] = (world - frame.origin) @ frame.rotation / frame.unit
+    fine = resampled(2 * SIDE)
+    found = finer(given, frame, views, fine)
+    grid = np.stack(np.meshgrid(np.arange(2 * SIDE) + 1.1, np.arange(2 * SIDE) + 0.1), -1).reshape(-1, 2)
+    for index, view in enumerate(fine):
+        rows = slice(index * 4 * SIDE**2, (index + 1) * 4 * SIDE**2)
+        pixels, z = view.camera.project(frame.origin + found["means"][rows] @ frame.rotation.T * frame.unit)
+        np.testing.assert_allclose(pixels, grid, atol=1e-3)
+        np.testing.assert_allclose(z, 1.1 * frame.unit * found["depth"][index].ravel(), rtol=1e-6)
 
 
 def test_across_an_edge_every_pixel_keeps_its_own_depth(views: list[FittedView], frame: WorldFrame) -> None:
@@ -147,18 +158,29 @@ def test_what_a_mask_leaves_out_tells_nothing_of_the_rest(views: list[FittedView
         found.append(finer(given, frame, views, masked))
     kept = np.tile(mask.ravel(), 3)
     np.testing.assert_array_equal(*(one["harmonics"][: kept.size][kept] for one in found))
-    masked_placed = placed(found[0], frame, masked, moved=False)
-    assert masked_placed.dropped[MASKED] == (~kept).sum()
+    alike = finer(given, frame, views, [replace(view, image=np.full_like(view.image, 0.7), mask=mask) for view in fine])
+    of_pixel = np.arange(3 * SIDE**2).reshape(3, SIDE, SIDE).repeat(2, 1).repeat(2, 2).ravel()
+    np.testing.assert_allclose(alike["harmonics"][: kept.size][kept], given["harmonics"][of_pixel][kept], atol=1e-6)
+    assert placed(found[0], frame, masked, moved=False).dropped[MASKED] == (~kept).sum()
 
 
-def test_the_backdrop_is_that_of_the_coarse_depths(views: list[FittedView], frame: WorldFrame) -> None:
+def test_the_backdrop_has_the_networks_cells_behind_the_farthest_of_the_fine_depths(
+    views: list[FittedView], frame: WorldFrame
+) -> None:
     given, fine = outputs(views, frame), resampled(2 * SIDE)
+    given["depth"][:] = np.float32(4 / frame.unit)  # so that no fine depth is another
     coarse = placed(given, frame, views, moved=True)
-    found = placed(finer(given, frame, views, fine), frame, fine, moved=True, coarse=(views, frame.depths(given)))
+    found = placed(finer(given, frame, views, fine), frame, fine, moved=True, coarse=views)
     assert found.added == coarse.added
     assert found.of_pixel.sum() == 12 * SIDE**2
     assert found.around - 12 * SIDE**2 == coarse.around - 3 * SIDE**2
     np.testing.assert_array_equal(found.gaussians.means[-found.added :], coarse.gaussians.means[-coarse.added :])
+    moved = finer(given, frame, views, fine)
+    moved["depth"][0, 41, 77] *= 1.2  # one pixel, of the cell in row 2 and column 4: the 3 x 3 about it stand behind it
+    farther = placed(moved, frame, fine, moved=True, coarse=views)
+    cells = slice(12 * SIDE**2, found.around)
+    changed = (farther.gaussians.means[cells] != found.gaussians.means[cells]).any(axis=1)
+    assert (farther.added, changed.sum()) == (found.added, 9)
 
 
 def test_larger_pictures_are_sharper(views: list[FittedView], frame: WorldFrame) -> None:
@@ -182,75 +204,3 @@ def waves(view: FittedView) -> np.ndarray:
     points = on_the_plane(view).means.reshape(*view.image.shape[1:], 3)
     grey = 0.5 + 0.5 * np.sin(78 * points[..., 0]) * np.sin(20 * points[..., 1])
     return np.stack([grey] * 3).astype(np.float32)
-
-
-def test_a_reconstruction_with_detail(engine: Engine) -> None:
-    sharp = PlaneScene.make(np.random.default_rng(7), size=(192, 144))
-    service = Reconstructor(engine)
-    given = {**PLANE, "budget": KEEP_ALL}
-    plain, fine = (service.reconstruct(sharp.images, sharp.cameras, detail=detail, **given) for detail in (1, 2))
-    info = engine.info
-    assert [scene.document["detail"] for scene in (plain, fine)] == [1, 2]
-    assert {camera.width for camera in fine.view_cameras} == {2 * info.width}
-    assert {pixels.shape for pixels in fine.inputs} == {(2 * info.height, 2 * info.width, 3)}
-    assert fine.document["warnings"] == plain.document["warnings"] == []
-    rows = {row["what"]: row for row in fine.document["left_out"]}
-    total = 3 * 4 * info.height * info.width
-    assert (
-        fine.document["gaussians"]["count"]
-        + sum(row["count"] for what, row in rows.items() if what.startswith("Gaussians: faded"))
-        == total + fine.document["gaussians"]["added"]
-    )
-    assert fine.document["gaussians"]["added"] == plain.document["gaussians"]["added"]
-    assert fine.document["routing"] == plain.document["routing"]
-    for name in ("textureless_share", "no_parallax_share", "depth_step"):
-        assert fine.document["check"][name] == plain.document["check"][name]
-    assert "detail" in fine.document["timings"]
-    again = service.reconstruct(sharp.images, sharp.cameras, detail=2, **given)
-    np.testing.assert_array_equal(again.gaussians.harmonics, fine.gaussians.harmonics)
-
-
-def test_the_networks_own_with_detail_and_without_mending(engine: Engine) -> None:
-    sharp = PlaneScene.make(np.random.default_rng(7), size=(192, 144))
-    scene = Reconstructor(engine).reconstruct(
-        sharp.images, sharp.cameras, detail=2, fade=0, budget=KEEP_ALL, leave_one_out=0, **PLANE
-    )
-    per_view = 4 * engine.info.height * engine.info.width
-    pixels, z = scene.view_cameras[0].project(scene.gaussians.means[:per_view])
-    np.testing.assert_allclose(z, math.sqrt(16.0), rtol=2e-6)
-    assert np.abs(pixels - np.floor(pixels) - 0.5).max() < 1e-3
-
-
-def test_a_photograph_without_the_pixels_is_told(engine: Engine, plane_scene: PlaneScene) -> None:
-    """96 x 72 px, where the network sees 64 x 48."""
-    scene = Reconstructor(engine).reconstruct(
-        plane_scene.images, plane_scene.cameras, detail=2, fade=0, leave_one_out=0, **PLANE
-    )
-    found = [warning for warning in scene.document["warnings"] if warning["code"] == "detail_beyond_photograph"]
-    assert [warning["index"] for warning in found] == [0, 1, 2]
-    assert "96 px" in found[0]["message"]
-    assert "128 px" in found[0]["message"]
-
-
-@pytest.mark.parametrize(
-    ("detail", "stride", "most", "said"),
-    [
-        (3, 1, 2, "is 3, need one of (1, 2)"),
-        (0, 1, 2, "is 0, need one of (1, 2)"),
-        (True, 1, 2, "is True, need one of (1, 2)"),
-        (2, 1, 1, "is 2, the limit is 1"),
-        (2, 2, 2, "is 2 beside stride 2"),
-    ],
-)
-def test_other_details_are_refused(detail: int, stride: int, most: int, said: str) -> None:
-    with pytest.raises(InputError) as caught:
-        checked_detail(detail, stride, most)
-    assert caught.value.field == "detail"
-    assert caught.value.message.startswith(said)
-
-
-def test_a_reconstruction_refuses_them_before_any_work(engine: Engine, plane_scene: PlaneScene) -> None:
-    with pytest.raises(InputError, match="beside stride 4"):
-        Reconstructor(engine).reconstruct(
-            plane_scene.images, plane_scene.cameras, detail=2, budget=Budget(stride=4), **PLANE
-        )

@@ -47,7 +47,7 @@ def drawn(gaussians: Gaussians, view: Camera, mask: np.ndarray | None = None) ->
 
 def checked(gaussians: Gaussians, fitted: list[FittedView]) -> dict:
     pictures = [render(gaussians, view.camera, near=0.1, outputs=("alpha",)) for view in fitted]
-    return self_check(fitted, DEPTHS, Info, pictures)
+    return self_check(fitted, DEPTHS, Info, pictures, fitted)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -286,5 +286,5 @@ def test_plain_and_noisy_pictures_have_a_finite_depth_and_say_what_they_lack(kin
     nothing = np.zeros((64, 64, 3), np.float32)
     drawn = [Render(nothing, nothing[..., 0], nothing[..., 0], {})] * 2
     info = type("Info", (), {"depth_planes": 64})
-    check = self_check(views, DepthRange(near, far, "given"), info, drawn)
+    check = self_check(views, DepthRange(near, far, "given"), info, drawn, views)
     assert check["textureless_share"] == (0.0 if kind == "noise" else 1.0)

@@ -36,7 +36,7 @@ export function prepareMaking(open) {
     event.preventDefault();
     if (ready && !running) send();
   });
-  for (const name of ["near", "far", "trust_poses", "context"]) $(name).addEventListener("change", () => chosen.length && check());
+  for (const name of ["near", "far", "detail", "trust_poses", "context"]) $(name).addEventListener("change", () => chosen.length && check());
 }
 
 export async function prepareModels() {

@@ -1,0 +1,136 @@
+"""Reconstructions with `detail`: which grid what is of, what they say, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from plane_scene import PlaneScene
+
+from gapmes.service import reconstruct
+from gapmes.service.budget import KEEP_ALL, Budget
+from gapmes.service.detail_level import checked_detail
+from gapmes.service.engine import Engine
+from gapmes.service.errors import InputError
+from gapmes.service.harmonics import C0
+from gapmes.service.reconstruct import Reconstructor
+
+PLANE = {"near": 2.0, "far": 8.0}
+
+
+def test_a_reconstruction_with_detail(engine: Engine) -> None:
+    sharp = PlaneScene.make(np.random.default_rng(7), size=(192, 144))
+    service = Reconstructor(engine)
+    given = {**PLANE, "budget": KEEP_ALL}
+    plain, fine = (service.reconstruct(sharp.images, sharp.cameras, detail=detail, **given) for detail in (1, 2))
+    info = engine.info
+    assert [scene.document["detail"] for scene in (plain, fine)] == [1, 2]
+    assert {camera.width for camera in fine.view_cameras} == {2 * info.width}
+    assert {pixels.shape for pixels in fine.inputs} == {(2 * info.height, 2 * info.width, 3)}
+    assert fine.document["warnings"] == plain.document["warnings"] == []
+    rows = {row["what"]: row for row in fine.document["left_out"]}
+    total = 3 * 4 * info.height * info.width
+    assert (
+        fine.document["gaussians"]["count"]
+        + sum(row["count"] for what, row in rows.items() if what.startswith("Gaussians: faded"))
+        == total + fine.document["gaussians"]["added"]
+    )
+    assert fine.document["gaussians"]["added"] == plain.document["gaussians"]["added"]
+    assert fine.document["routing"] == plain.document["routing"]
+    for name in ("textureless_share", "no_parallax_share", "depth_step"):
+        assert fine.document["check"][name] == plain.document["check"][name]
+    assert "detail" in fine.document["timings"]
+    again = service.reconstruct(sharp.images, sharp.cameras, detail=2, **given)
+    np.testing.assert_array_equal(again.gaussians.harmonics, fine.gaussians.harmonics)
+
+
+def test_which_grid_each_step_works_on(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses, depth range and what cannot be measured go by what the network saw; depths are refined on both grids."""
+    widths: dict[str, list[int]] = {}
+
+    def recorded(name: str, place: int) -> None:
+        own = getattr(reconstruct, name)
+
+        def listening(*given: Any, **options: Any) -> Any:
+            widths.setdefault(name, []).append(given[place][0].camera.width)
+            return own(*given, **options)
+
+        monkeypatch.setattr(reconstruct, name, listening)
+
+    steps = {"check_photos": 0, "narrowed": 1, "at_mended_depths": 2, "mended": 1, "self_check": 0}
+    for name, place in steps.items():
+        recorded(name, place)
+    sharp = PlaneScene.make(np.random.default_rng(7), size=(192, 144))
+    Reconstructor(engine).reconstruct(sharp.images, sharp.cameras, detail=2, leave_one_out=2)
+    small, large, three = engine.info.width, 2 * engine.info.width, [engine.info.width] * 3
+    assert widths == {
+        "check_photos": [small],
+        "narrowed": [small],
+        "at_mended_depths": [small, large, *three],  # and of the two others of each, which foretell it
+        "mended": [large, *three],
+        "self_check": [small],
+    }
+
+
+def test_the_networks_own_with_detail_and_without_mending(engine: Engine) -> None:
+    sharp = PlaneScene.make(np.random.default_rng(7), size=(192, 144))
+    scene = Reconstructor(engine).reconstruct(
+        sharp.images, sharp.cameras, detail=2, fade=0, budget=KEEP_ALL, leave_one_out=0, **PLANE
+    )
+    per_view = 4 * engine.info.height * engine.info.width
+    pixels, z = scene.view_cameras[0].project(scene.gaussians.means[:per_view])
+    np.testing.assert_allclose(z, math.sqrt(16.0), rtol=2e-6)
+    assert np.abs(pixels - np.floor(pixels) - 0.5).max() < 1e-3
+
+
+def test_a_photograph_without_the_pixels_is_told(engine: Engine, plane_scene: PlaneScene) -> None:
+    """96 x 72 px, where the network sees 64 x 48."""
+    scene = Reconstructor(engine).reconstruct(
+        plane_scene.images, plane_scene.cameras, detail=2, fade=0, leave_one_out=0, **PLANE
+    )
+    found = [warning for warning in scene.document["warnings"] if warning["code"] == "detail_beyond_photograph"]
+    assert [warning["index"] for warning in found] == [0, 1, 2]
+    assert "96 px" in found[0]["message"]
+    assert "128 px" in found[0]["message"]
+
+
+@pytest.mark.parametrize(
+    ("detail", "stride", "most", "said"),
+    [
+        (3, 1, 2, "is 3, need one of (1, 2)"),
+        (0, 1, 2, "is 0, need one of (1, 2)"),
+        (True, 1, 2, "is True, need one of (1, 2)"),
+        (2, 1, 1, "is 2, the limit is 1"),
+        (2, 2, 2, "is 2 beside stride 2"),
+    ],
+)
+def test_other_details_are_refused(detail: int, stride: int, most: int, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        checked_detail(detail, stride, most)
+    assert caught.value.field == "detail"
+    assert caught.value.message.startswith(said)
+
+
+def test_a_reconstruction_refuses_them_before_any_work(engine: Engine, plane_scene: PlaneScene) -> None:
+    with pytest.raises(InputError, match="beside stride 4"):
+        Reconstructor(engine).reconstruct(
+            plane_scene.images, plane_scene.cameras, detail=2, budget=Budget(stride=4), **PLANE
+        )
+
+
+def test_a_ragged_mask_brings_no_colour_of_what_it_hides(engine: Engine) -> None:
+    """A bright photograph with a disc kept: the network sees black beyond it, and pixels that are half kept."""
+    rng = np.random.default_rng(4)
+    images, cameras = [], PlaneScene.make(rng, size=(192, 144)).cameras
+    y, x = np.mgrid[:144, :192] + 0.5
+    disc = np.where(np.hypot(x - 97.3, y - 71.1) < 55.6, 255, 0).astype(np.uint8)
+    for _ in cameras:
+        images.append(np.dstack([rng.integers(180, 221, (144, 192, 3), dtype=np.uint8), disc]))
+    scene = Reconstructor(engine).reconstruct(
+        images, cameras, detail=2, fade=0, budget=KEEP_ALL, leave_one_out=0, trust_poses=True, **PLANE
+    )
+    own = scene.gaussians.harmonics[:, 0] * C0 + 0.5
+    per_view = own[: sum(int((pixels[..., 3] > 0).sum()) for pixels in scene.inputs)]
+    assert per_view.min() > 0.65  # 180 / 255 = 0.706, and what Hamming's filter rings
