@@ -15,7 +15,7 @@ import typer
 
 from .allocator import give_back_freed
 from .commands import convert, demo, doctor, reconstruct, render, serve
-from .ending import unwound
+from .ending import ended_in_order
 from .errors import CameraError, GapmesError, ImageError
 from .extra_commands import WithExtraCommands
 from .problem_document import of_error, problem
@@ -46,7 +46,7 @@ def _options(
     ] = False,
 ) -> None:
     if context.invoked_subcommand != "serve":  # which ends in an order of its own
-        context.with_resource(unwound())
+        context.with_resource(ended_in_order())
 
 
 for module in (serve, reconstruct, render, convert, demo, doctor):
@@ -54,8 +54,8 @@ for module in (serve, reconstruct, render, convert, demo, doctor):
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command. Exit codes: 0 done, 1 refused (with the reason and its cure), 2 wrong usage, 130 interrupted,
-    143 and 129 ended by SIGTERM and by a terminal that closes.
+    """Run one command. Exit codes: 0 done, 1 refused (with the reason and its cure), 2 wrong usage, 130 interrupted.
+    SIGTERM and a terminal that closes end it as they end any program, and nothing half written stays.
 
     With `--json` a refusal, of ours or of the system, is also printed to stdout, as {"error": {...}}.
     """

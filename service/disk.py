@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from .ending import unfinished
 from .errors import StorageFull
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -33,27 +34,28 @@ def replacing(path: Path) -> Iterator[Path]:
     device stays what it is: once the file is whole it is written to.
     """
     if _takes_bytes(path):
-        with TemporaryDirectory(prefix="gapmes-") as folder:
+        with TemporaryDirectory(prefix="gapmes-") as folder, unfinished(Path(folder)):
             yield Path(folder) / "part"
             with (Path(folder) / "part").open("rb") as made, path.open("wb") as taken:
                 shutil.copyfileobj(made, taken)
         return
     path = path.resolve()
     part = path.with_name(f".gapmes-{secrets.token_hex(8)}")
-    try:
-        before = path.stat() if path.exists() else None
-        if before is not None:
-            part.touch(0o600, exist_ok=False)  # while it is written, nobody reads what others may not read
-        yield part
-        if before is not None:
-            with suppress(PermissionError):  # only root gives files away
-                os.chown(part, before.st_uid, before.st_gid)
-            with suppress(PermissionError):  # of a file system that has no modes
-                part.chmod(stat.S_IMODE(before.st_mode) & 0o777)
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+    with unfinished(part):
+        try:
+            before = path.stat() if path.exists() else None
+            if before is not None:
+                part.touch(0o600, exist_ok=False)  # while it is written, nobody reads what others may not read
+            yield part
+            if before is not None:
+                with suppress(PermissionError):  # only root gives files away
+                    os.chown(part, before.st_uid, before.st_gid)
+                with suppress(PermissionError):  # of a file system that has no modes
+                    part.chmod(stat.S_IMODE(before.st_mode) & 0o777)
+            part.replace(path)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
 
 
 def replace_file(path: Path, data: bytes) -> None:

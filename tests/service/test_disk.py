@@ -158,7 +158,7 @@ def test_a_command_that_is_told_to_end_leaves_no_half_of_a_file(folder: Path, en
             assert time.monotonic() < deadline
             time.sleep(0.05)
         process.send_signal(ending)
-        assert process.wait(120) == 128 + ending
+        assert process.wait(120) == -ending
     assert contents(folder) == there
 
 

@@ -1,15 +1,35 @@
-"""The signals that end a command: unwound once, at once the second time, and left to who has decided otherwise."""
+"""The signals that end a command: what is half written goes, and who has decided otherwise keeps that."""
 
 from __future__ import annotations
 
-import os
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from gapmes.service.ending import SIGNALS, unwound
+from gapmes.service.ending import SIGNALS, ended_in_order
+
+# Leaves a whole file and parts of others, says that it is ready, and waits.
+HALF = """
+import threading
+from pathlib import Path
+from gapmes.service.ending import ended_in_order, unfinished
+whole, part, folder = (Path(name) for name in ("whole", "part", "folder"))
+with ended_in_order():
+    for path in (whole, part):
+        path.write_text("1")
+    folder.mkdir()
+    (folder / "part").write_text("1")
+    with unfinished(whole):
+        pass
+    with unfinished(part), unfinished(folder), unfinished(Path("never made")):
+        print("ready", flush=True)
+        threading.Event().wait(600)
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -21,24 +41,18 @@ def as_by_default() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_the_first_signal_unwinds_and_the_second_ends_at_once(number: signal.Signals) -> None:
-    meanwhile: list[object] = []
-
-    def work() -> None:
-        try:
-            os.kill(os.getpid(), number)  # is heard before the next line
-            meanwhile.append("went on")
-        finally:
-            meanwhile.extend(signal.getsignal(each) for each in SIGNALS)
-
-    with pytest.raises(SystemExit) as ended, unwound():
-        work()
-    assert ended.value.code == 128 + number
-    assert meanwhile == [signal.SIG_DFL] * 2
+def test_a_signal_takes_what_is_unfinished_and_ends_the_process(tmp_path: Path, number: signal.Signals) -> None:
+    process = subprocess.Popen([sys.executable, "-c", HALF], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    with process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(number)
+        assert process.wait(120) == -number
+    assert [path.name for path in tmp_path.iterdir()] == ["whole"]
 
 
 def test_all_is_as_before_when_the_block_is_left() -> None:
-    with unwound():
+    with ended_in_order():
         assert signal.SIG_DFL not in [signal.getsignal(number) for number in SIGNALS]
     assert [signal.getsignal(number) for number in SIGNALS] == [signal.SIG_DFL] * 2
 
@@ -47,7 +61,7 @@ def test_what_is_ignored_or_heard_elsewhere_stays_so() -> None:
     """As under nohup, and in a program that calls the command and has a handler of its own."""
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with unwound():
+    with ended_in_order():
         assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
         assert signal.getsignal(signal.SIGTERM) == signal.default_int_handler
     assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
@@ -57,7 +71,7 @@ def test_another_thread_may_run_a_command() -> None:
     found: list[object] = []
 
     def work() -> None:
-        with unwound():
+        with ended_in_order():
             found.extend(signal.getsignal(number) for number in SIGNALS)
 
     thread = threading.Thread(target=work)
