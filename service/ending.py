@@ -47,6 +47,9 @@ def ended_in_order() -> Iterator[None]:
 def _end(number: int, _: Any) -> None:
     for path in tuple(_unfinished):
         with suppress(OSError):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
     signal.signal(number, signal.SIG_DFL)
     signal.raise_signal(number)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .disk import replace_file
-from .errors import PlyError
+from .errors import FormatError, PlyError
 from .gaussians import Gaussians
 
 Positions = Literal["auto", "float32", "float64"]
@@ -46,7 +46,7 @@ def ply_bytes(gaussians: Gaussians, *, positions: Positions = "auto") -> bytes:
         raise PlyError(f'is {positions!r}, need "auto", "float32" or "float64"', field="positions")
     wide = positions == "float64" or (positions == "auto" and _needs_float64(gaussians))
     if not wide:
-        _require_float32(gaussians.means)
+        require_float32(gaussians, PlyError, 'write them with positions="float64"')
     rest = gaussians.harmonics.shape[1] - 1
     record, names, word = _layout(rest, wide)
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(gaussians)}"]
@@ -123,14 +123,16 @@ def _needs_float64(gaussians: Gaussians) -> bool:
     return moved > 1e-4 * float(np.ptp(gaussians.means, axis=0).max())
 
 
-def _require_float32(means: NDArray[np.float64]) -> None:
-    large = np.abs(means).max(axis=1, initial=0.0) > np.finfo(np.float32).max
+def require_float32(gaussians: Gaussians, refusal: type[FormatError], cure: str) -> None:
+    """Raises `refusal` naming the first Gaussian whose position does not fit float32."""
+    largest = float(np.finfo(np.float32).max)
+    large = np.abs(gaussians.means).max(axis=1, initial=0.0) > largest
     if large.any():
         index = int(np.flatnonzero(large)[0])
-        raise PlyError(
-            f"{int(large.sum())} of {len(means)} positions do not fit float32, first at index {index}: "
-            f"{means[index].tolist()}",
+        raise refusal(
+            f"{int(large.sum())} of {len(gaussians)} positions do not fit float32, which ends at {largest:.4g}, first "
+            f"at index {index}: {gaussians.means[index].tolist()}",
             field="means",
             index=index,
-            cure='write them with positions="float64"',
+            cure=cure,
         )

@@ -14,7 +14,8 @@ from ..errors import PlyError
 from ..gaussians import Gaussians
 from ..harmonics import C0
 from ..ply_format import Element, Header, binary_rows, parse_header
-from .encoded import Encoded, clamped_note, position_note, quantized, require_float32
+from ..ply_write import require_float32
+from .encoded import INTO_THE_SCENE, Encoded, clamped_note, position_note, quantized
 from .morton import morton_order
 from .reading import LARGEST, Reading, check_count, gaussians_of, passed_over
 from .smallest_three import BOUND, join, split
@@ -89,7 +90,7 @@ def compressed_ply_bytes(gaussians: Gaussians) -> Encoded:
 
     Raises `PlyError` where a position does not fit float32.
     """
-    require_float32(gaussians, PlyError)
+    require_float32(gaussians, PlyError, INTO_THE_SCENE)
     ordered = gaussians[morton_order(gaussians.means)]
     count, rest = len(ordered), ordered.harmonics.shape[1] - 1
     with np.errstate(divide="ignore"):  # a scale of 0 goes to the limit

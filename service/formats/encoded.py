@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FormatError
 from ..gaussians import Gaussians
 from ..ply_write import POSITION_TOLERANCE
-from .reading import LARGEST
+
+INTO_THE_SCENE = "move the world's origin into the scene, or write .ply"  # the cure of positions that do not fit
 
 
 @dataclass(frozen=True)
@@ -19,20 +19,6 @@ class Encoded:
 
     data: bytes
     notes: tuple[str, ...] = ()
-
-
-def require_float32(gaussians: Gaussians, refusal: type[FormatError]) -> None:
-    """Raises `refusal` naming the first Gaussian whose position does not fit float32."""
-    large = (np.abs(gaussians.means) > LARGEST).any(axis=1)
-    if large.any():
-        index = int(np.flatnonzero(large)[0])
-        raise refusal(
-            f"{int(large.sum())} of {len(gaussians)} positions do not fit float32, which ends at {LARGEST:.4g}, first "
-            f"at index {index}: {gaussians.means[index].tolist()}",
-            field="means",
-            index=index,
-            cure="move the world's origin into the scene, or write .ply",
-        )
 
 
 def quantized(values: NDArray, levels: int) -> tuple[NDArray[np.int64], int]:

@@ -11,7 +11,8 @@ import numpy as np
 from ..errors import FormatError
 from ..gaussians import Gaussians
 from ..harmonics import C0
-from .encoded import Encoded, bands_note, clamped_note, position_note, quantized, require_float32
+from ..ply_write import require_float32
+from .encoded import INTO_THE_SCENE, Encoded, bands_note, clamped_note, position_note, quantized
 from .reading import Reading, check_count, gaussians_of
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
@@ -44,7 +45,7 @@ def read_splat(data: bytes, *, drop_invalid: bool = False, max_count: int | None
 
 def splat_bytes(gaussians: Gaussians) -> Encoded:
     """Encode in the order given. Raises `FormatError` where a position does not fit float32."""
-    require_float32(gaussians, FormatError)
+    require_float32(gaussians, FormatError, INTO_THE_SCENE)
     rows = np.zeros(len(gaussians), ROW)
     rows["means"], rows["scales"] = gaussians.means, gaussians.scales
     colours, outside = quantized(

@@ -20,7 +20,7 @@ from ..errors import FormatError
 from ..gaussians import Gaussians
 from ..harmonics import band_rotations
 from .dialect import Axes
-from .encoded import Encoded, clamped_note, position_note, quantized, typical_size
+from .encoded import INTO_THE_SCENE, Encoded, clamped_note, position_note, quantized, typical_size
 from .reading import Reading, check_count, gaussians_of
 from .smallest_three import BOUND, join, split
 
@@ -230,5 +230,5 @@ def _fraction(means: NDArray[np.float64], size: float) -> int:
         f"position {means[index].tolist()} is farther from the origin than the {TOP / 2:g} that the format holds",
         field="means",
         index=index,
-        cure="move the world's origin into the scene, or write .ply",
+        cure=INTO_THE_SCENE,
     )
