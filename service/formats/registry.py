@@ -42,7 +42,7 @@ class Format:
         reading = self.decode(data, dialect, drop_invalid, max_count)
         told = [field.name for field in fields(Dialect) if getattr(dialect, field.name) != getattr(AUTO, field.name)]
         idle = [
-            f"--{name} {getattr(dialect, name)} changes nothing: a .{self.extension} has no such choice"
+            f"{name} {getattr(dialect, name)} changes nothing: a .{self.extension} has no such choice"
             for name in told
             if name not in self.choices
         ]

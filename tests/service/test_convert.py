@@ -123,7 +123,7 @@ def test_an_option_that_the_format_has_no_use_for_is_told(
 ) -> None:
     source, output = ply.with_name(f"it.{name}"), ply.with_name("out.ply")
     source.write_bytes(FORMATS[name].write(scene(100)).data)
-    told = f"{option} {value} changes nothing: a .{name} has no such choice"
+    told = f"{option.removeprefix('--')} {value} changes nothing: a .{name} has no such choice"
     plain = converted(capfd, source, output, "--measure", "off")["warnings"]
     assert converted(capfd, source, output, "--measure", "off", option, value)["warnings"] == [told, *plain]
     assert run("render", source, "--cameras", cameras, "-o", ply.parent / "v", "--json", option, value) == 0
