@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from .rotations import turned
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+LEAST_WAY = 0.05  # between two views, of the longest: another from nearly the same place tells nothing of depth
 KEPT = 0.999  # of a value's weight, up to rounding: none of it is of a masked pixel
 
 
@@ -77,3 +79,13 @@ def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:
     _, down, forward = lens.rotation.T @ (way / length)
     tall = lens.fy / lens.fx
     return lens.fx * length * float(np.sqrt(1 + (tall - 1) * ((tall + 1) * down**2 + forward**2)))
+
+
+def from_elsewhere(views: Sequence[FittedView], index: int) -> dict[int, float]:
+    """The other views by number, and for each the `pixels_per_inverse_depth`; none with less than LEAST_WAY of the
+    most, and none at all where all are from the same place."""
+    ways = {
+        other: pixels_per_inverse_depth(views[index], views[other]) for other in range(len(views)) if other != index
+    }
+    longest = max(ways.values())
+    return {other: way for other, way in ways.items() if longest > 0 and way >= LEAST_WAY * longest}

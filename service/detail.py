@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
+from .depth_grid import finer_depths, pixel_steps
 from .engine import Arrays
 from .harmonics import C0
 from .images import FittedView
@@ -20,11 +21,9 @@ F64 = NDArray[np.float64]
 def finer(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], fine: Sequence[FittedView]) -> Arrays:
     """The network's outputs for `views` (V, H, W) as if for `fine`, the same crops with k times the pixels each way.
 
-    Every pixel's Gaussian becomes k x k of them, k times smaller, on the rays of the fine pixels and on the plane that
-    the inverse depths of its neighbours make: of the differences to both sides the smaller one, and 0 where they
-    differ in sign or at the border, so that nothing is drawn across an edge. To its base colour each adds by how much
-    its pixel of the fine photograph differs from the mean of the k x k, so that their mean colour stays. Gaussians
-    that belong to no pixel stay as they are.
+    Every pixel's Gaussian becomes k x k of them, k times smaller, on the rays of the fine pixels and on the plane of
+    its neighbours (`depth_grid.py`). To its base colour each adds by how much its pixel of the fine photograph differs
+    from the mean of the k x k, so that their mean colour stays. Gaussians that belong to no pixel stay as they are.
     """
     count, height, width = outputs["depth"].shape
     k = fine[0].camera.width // width
@@ -65,27 +64,16 @@ def _on_rays(means: NDArray, depth: NDArray, camera: Camera, pose: F64, k: int) 
     all in the network's frame, in which `pose` (4, 4) is the camera's. A Gaussian beside its pixel's ray, or before or
     behind its depth, is so by as many px and by the same share afterwards."""
     rotation, center = pose[:3, :3], pose[:3, 3]
-    inverse = 1 / depth.astype(np.float64)
-    down, right = _slope(inverse, 0), _slope(inverse, 1)
-    steps = (np.arange(k) + 0.5) / k - 0.5  # px from a pixel's centre to those of the finer ones in it
-    here = turned(rotation.T, means.astype(np.float64) - center)
     height, width = depth.shape
-    depths, places = np.empty((height, k, width, k)), np.empty((height, k, width, k, 3))
-    for row, dy in enumerate(steps):
-        for column, dx in enumerate(steps):
-            to = 1 / (inverse + dy * down + dx * right)
-            depths[:, row, :, column] = to
+    depths = finer_depths(depth, k)
+    here = turned(rotation.T, means.astype(np.float64) - center)
+    places = np.empty((height, k, width, k, 3))
+    for row, dy in enumerate(pixel_steps(k)):
+        for column, dx in enumerate(pixel_steps(k)):
+            ratio = (depths[row::k, column::k] / depth)[..., None]
             aside = here[..., 2:] * np.array([dx / camera.fx, dy / camera.fy, 0.0])
-            places[:, row, :, column] = turned(rotation, (to / depth)[..., None] * (here + aside)) + center
-    return depths.reshape(k * height, k * width), places.reshape(k * height, k * width, 3)
-
-
-def _slope(values: F64, axis: int) -> F64:
-    """(H, W) per pixel: the smaller of the differences to both neighbours (minmod), 0 at the border."""
-    ahead = np.diff(values, axis=axis, append=np.take(values, [-1], axis))
-    behind = np.diff(values, axis=axis, prepend=np.take(values, [0], axis))
-    smaller = np.where(np.abs(ahead) < np.abs(behind), ahead, behind)
-    return np.where(ahead * behind > 0, smaller, 0.0)
+            places[:, row, :, column] = turned(rotation, ratio * (here + aside)) + center
+    return depths, places.reshape(k * height, k * width, 3)
 
 
 def _detail(view: FittedView, k: int) -> NDArray[np.float32]:

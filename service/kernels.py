@@ -10,6 +10,7 @@ from .camera import Camera
 from .gaussians import Gaussians
 from .plane_kernels import compare_planes, mean_planes, spread_along_rows, spread_down_columns
 from .splat import Definition, leverage, render
+from .sweep_kernels import compare_levels
 
 
 @functools.cache
@@ -28,6 +29,8 @@ def warm_up() -> None:
     planes, features = np.zeros((1, 2, 2)), np.zeros((2, 2, 1), np.float32)
     mean_planes(planes, 1, planes.copy())
     compare_planes(features, features, planes[0], planes[0], np.ones((2, 2), np.uint8), 1.0, planes[0].copy())
+    rays, lens = np.ones((2, 2, 3)), np.ones(4)
+    compare_levels(features, features, rays, rays[0, 0], lens, lens[:1], 1.0, planes.copy())
     spread_along_rows(planes, planes[0, :, :1].copy(), planes.copy())
     spread_down_columns(planes, planes[0, :1], planes.copy())
 

@@ -14,6 +14,7 @@ from .anchors import anchors
 from .backdrop import backdrop
 from .confirmed import confirmed
 from .continued import continued
+from .continued_finely import continued_finely
 from .contract import GAUSSIAN_OUTPUTS
 from .engine import Arrays
 from .fading import Fading, faded
@@ -23,11 +24,12 @@ from .masks import REPLACED, kept_rows
 from .ply_write import as_stored
 from .refined import refined
 from .scene_views import SceneViews
+from .searched import searched
 from .stride import thinned
 from .world_frame import WorldFrame
 
 MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
-CONTINUED_VIEWS = 2  # of more views others confirm most of what is seen, and the rest gains nothing
+CONTINUED_VIEWS = 3  # of more, others confirm nearly all that is seen, and planes lose
 SMOOTHING = 0.1  # px^2 in the input, added to all three variances
 
 
@@ -55,12 +57,27 @@ class Placed:
 
 @freed_blocks_reused()
 def at_mended_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView]) -> Arrays:
-    """The network's outputs with every pixel's Gaussian at its refined depth; of two views continued first."""
-    depths = frame.depths(outputs)
-    if len(views) <= CONTINUED_VIEWS:
+    """The network's outputs with every pixel's Gaussian where the photographs match best: close to its depth, then
+    anywhere in the scene's range, then on the planes of what is confirmed."""
+    depths, count = frame.depths(outputs), len(views)
+    if count == 2:  # of more, others confirm most of what is seen, and planes gain nothing before the search
         depths = continued(views, depths)
-    depths = refined(views, depths)
+    depths = refined(views, searched(views, refined(views, depths)))
+    if count == 2:
+        depths = continued_finely(views, depths)
+    elif count <= CONTINUED_VIEWS:
+        depths = continued(views, depths)
     return frame.at_depths(outputs, [view.camera for view in views], depths)
+
+
+@freed_blocks_reused()
+def at_finer_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView]) -> Arrays:
+    """The same where outputs at mended depths were made finer (`detail.py`): only close to their depths, and on planes
+    of two views."""
+    depths = frame.depths(outputs)
+    if len(views) == 2:
+        depths = continued(views, depths)
+    return frame.at_depths(outputs, [view.camera for view in views], refined(views, depths))
 
 
 @freed_blocks_reused()

@@ -29,7 +29,7 @@ from .images import FittedView
 from .kernels import is_warm, warm_up
 from .left_out import leave_out, table
 from .masks import FADED, patch_mask
-from .mending import MOVED, at_mended_depths, mended, placed
+from .mending import MOVED, at_finer_depths, at_mended_depths, mended, placed
 from .photo_checks import check_photos
 from .ply_write import Positions, stored_positions
 from .pose_notices import pose_notices
@@ -156,7 +156,7 @@ class Reconstructor:
             with stages.stage("detail"):
                 outputs = finer(outputs, frame, seen, views)
                 if fade:
-                    outputs = at_mended_depths(outputs, frame, views)
+                    outputs = at_finer_depths(outputs, frame, views)
         with stages.stage("gaussians"):
             found = placed(outputs, frame, views, stride=budget.stride, moved=fade > 0, coarse=seen)
             outputs = {name: value for name, value in outputs.items() if name not in MOVED}

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .correspondence import disagreement, pixels_per_inverse_depth, seen_by
+from .correspondence import disagreement, from_elsewhere, seen_by
 from .images import FittedView
 from .match_cost import GAIN, NOTHING, difference, features, gathered
 
@@ -20,7 +20,6 @@ F64 = NDArray[np.float64]
 
 OFFSETS_PX = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of parallax, in the view that is farthest away
 VISIBLE_PX = 3.0  # between the depths of both views; beyond, the other one sees something else
-LEAST_WAY = 0.05  # between two views, of the longest: another from nearly the same place tells nothing of depth
 RANGE = 2.0  # most by which a depth changes: with little parallax a pixel of it is all there is
 
 
@@ -30,7 +29,7 @@ def refined(views: Sequence[FittedView], depths: F64) -> F64:
     For each of OFFSETS_PX a pixel is compared with where the other views would see it (`match_cost.py`), over the views
     whose own depth there lies within VISIBLE_PX. The least of the gathered costs is refined by a parabola, and taken if
     it is less than GAIN times that of the depth as it is, by NOTHING more. What no other view sees and what a mask
-    leaves out stays as it is; a view from nearly the same place (LEAST_WAY) is not compared.
+    leaves out stays as it is; a view from nearly the same place is not compared.
     """
     pictures = [features(view) for view in views]
     return np.stack([_of_view(views, pictures, depths, index) for index in range(len(views))])
@@ -38,14 +37,13 @@ def refined(views: Sequence[FittedView], depths: F64) -> F64:
 
 def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depths: F64, index: int) -> F64:
     view, inverse = views[index], 1 / depths[index]
-    others = [other for other in range(len(views)) if other != index]
-    moves = {other: pixels_per_inverse_depth(view, views[other]) for other in others}
-    pixels = max(moves.values())
-    if pixels == 0:
+    others = from_elsewhere(views, index)
+    if not others:
         return depths[index]
+    pixels = max(others.values())
     steps = [np.clip(inverse + offset / pixels, inverse / RANGE, inverse * RANGE) for offset in OFFSETS_PX]
     total, counted = np.zeros((len(OFFSETS_PX), *inverse.shape)), np.zeros(inverse.shape)
-    for other in (other for other in others if moves[other] >= LEAST_WAY * pixels):
+    for other in others:
         seen = seen_by(view, depths[index], views[other])
         visible = seen.where & (disagreement(view, seen, views[other], depths[other]) < VISIBLE_PX)
         if view.mask is not None:

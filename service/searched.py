@@ -1,0 +1,132 @@
+"""Depths that no other view confirms, searched over the whole range of the scene where photographs match far better.
+
+The network sees windows of few pixels at half the resolution and may settle on a wrong surface altogether, which a
+pixel of parallax to either side (`refined.py`) does not mend.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .coarse_views import pixel_grid
+from .confirmed import AGREEMENT_PX, TEXTURE, confirmed
+from .correspondence import disagreement, from_elsewhere, seen_by
+from .images import FittedView
+from .match_cost import GAIN, LIMIT, NOTHING, difference, features, gathered
+from .rotations import turned
+from .sweep_kernels import compare_levels
+from .window_match import contrast
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+STEP_PX = 1.0  # of parallax between two levels, in the view that is farthest away
+LEVELS = 160  # at most; the steps are wider then
+TAIL = 0.001  # of the inverse depths at either end, which may be the network's worst
+ROOM = 0.1  # of an inverse depth, by which the range goes on beyond them
+TOGETHER = 8  # levels whose costs are in memory at a time
+OTHERS = 3  # that a view is compared with, the nearest ones: all six views would take 30 comparisons
+PAIR_PX = 16.0  # of two views no third one tells whether a match is one of several; no depth goes farther
+
+
+class _Best(NamedTuple):
+    """Where a view matches best."""
+
+    depth: F64  # (H, W) z-depth
+    gains: Mask  # (H, W) by GAIN and by NOTHING more than at the depth as it is
+
+
+def searched(views: Sequence[FittedView], depths: F64) -> F64:
+    """(V, H, W) z-depths, from those of the network, in the cameras' units.
+
+    Each view is compared with the nearest ones from elsewhere (`match_cost.py`) at levels of inverse depth, STEP_PX
+    apart, over the range of all `depths`; the least of the gathered costs over the others counts, so that a surface is
+    found that one of them sees. It is taken by textured pixels that nothing confirms (`confirmed.py`), where it is less
+    than GAIN times that of the depth as it is, by NOTHING more, and where the place that it leads to in one of the
+    others has a depth or a best level within AGREEMENT_PX of it. Of two views it must lie within PAIR_PX. What a mask
+    leaves out stays.
+    """
+    kept = [np.ones(view.image.shape[1:], np.bool_) if view.mask is None else view.mask for view in views]
+    inverse = 1 / depths[np.stack(kept)]
+    elsewhere = [_nearest(from_elsewhere(views, index)) for index in range(len(views))]
+    if not inverse.size or not all(elsewhere):
+        return depths
+    low, high = np.quantile(inverse, (TAIL, 1 - TAIL))
+    ends = (1 - ROOM) * float(low), (1 + ROOM) * float(high)
+    best = [_best(views, depths[index], index, elsewhere[index], ends) for index in range(len(views))]
+    sure = confirmed(views, depths)
+    result = depths.copy()
+    for index, view in enumerate(views):
+        found, agreed = best[index], np.zeros(sure[index].shape, np.bool_)
+        for other, way in elsewhere[index].items():
+            seen = seen_by(view, found.depth, views[other])
+            close = [
+                disagreement(view, seen, views[other], theirs) < AGREEMENT_PX
+                for theirs in (depths[other], best[other].depth)
+            ]
+            near = len(views) > 2 or np.abs(1 / found.depth - 1 / depths[index]) * way < PAIR_PX
+            agreed |= seen.where & (close[0] | close[1]) & near
+        textured = contrast(view.image.mean(axis=0, dtype=np.float64), view.mask) > TEXTURE
+        taken = found.gains & agreed & textured & kept[index] & ~sure[index]
+        result[index] = np.where(taken, found.depth, depths[index])
+    return result
+
+
+def _nearest(elsewhere: dict[int, float]) -> dict[int, float]:
+    return dict(sorted(elsewhere.items(), key=lambda one: one[1])[:OTHERS])
+
+
+def _best(
+    views: Sequence[FittedView], depth: F64, index: int, elsewhere: dict[int, float], ends: tuple[float, float]
+) -> _Best:
+    """Of the view `index`, whose z-depths are `depth` (H, W), over inverse depths between the `ends`; `elsewhere` has
+    the views that it is compared with, and px of parallax per unit of 1/z in each."""
+    view, own = views[index], features(views[index])
+    kept = np.ones(depth.shape, np.bool_) if view.mask is None else view.mask
+    steps = np.ceil((ends[1] - ends[0]) * max(elsewhere.values()) / STEP_PX)
+    levels = np.linspace(*ends, int(np.clip(steps, 2, LEVELS)))
+    sweeps = [_Sweep.of(view, own, views[other]) for other in elsewhere]
+    least, chosen = np.full(depth.shape, np.inf), np.zeros(depth.shape)
+    for start in range(0, len(levels), TOGETHER):
+        some = levels[start : start + TOGETHER]
+        costs = np.minimum.reduce([gathered(view, sweep.costs(some) * kept, kept) for sweep in sweeps])
+        at = costs.argmin(axis=0)
+        cost = np.take_along_axis(costs, at[None], axis=0)[0]
+        chosen = np.where(cost < least, some[at], chosen)
+        least = np.minimum(least, cost)
+    as_it_is = np.stack([difference(view, own, depth, views[other], features(views[other])) for other in elsewhere])
+    now = gathered(view, as_it_is * kept, kept).min(axis=0)
+    return _Best(1 / chosen, least < GAIN * now - NOTHING)
+
+
+class _Sweep(NamedTuple):
+    """What it takes to compare a view with another one."""
+
+    own: F32  # (H, W, C) features
+    others: F32  # (h, w, C), NaN where a mask hides it
+    rays: F64  # (H, W, 3) of the view's pixels, in the axes of the other view
+    way: F64  # (3,) from the other view's centre to that of the view, in the same axes
+    lens: F64  # (4,) of the other view
+
+    @classmethod
+    def of(cls, view: FittedView, own: F32, other: FittedView) -> _Sweep:
+        camera, shape = other.camera, view.image.shape[1:]
+        hidden = np.zeros(other.image.shape[1:], np.bool_) if other.mask is None else ~other.mask
+        return cls(
+            own,
+            np.where(hidden[..., None], np.float32(np.nan), features(other)),
+            turned(camera.rotation.T, view.camera.rays(pixel_grid(shape))).reshape(*shape, 3),
+            camera.rotation.T @ (view.camera.center - camera.center),
+            np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        )
+
+    def costs(self, levels: F64) -> F64:
+        """(D, H, W) mean absolute difference at inverse z-depths `levels` (D,); LIMIT at most, and where not seen."""
+        found = np.empty((len(levels), *self.own.shape[:2]))
+        compare_levels(self.own, self.others, self.rays, self.way, self.lens, levels, LIMIT, found)
+        return found
