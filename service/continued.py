@@ -17,6 +17,7 @@ from .images import FittedView
 from .match_cost import GAIN, NOTHING, difference, features, gathered
 from .plane_kernels import spread_along_rows, spread_down_columns
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -37,56 +38,66 @@ def continued(views: Sequence[FittedView], depths: F64) -> F64:
     several that with the largest gain. At a depth at which that photograph does not see the pixel it would differ by
     SURE_MATCH. What is confirmed, what a mask leaves out and a view without a confirmed pixel stay.
     """
-    sure = confirmed(views, depths)
-    pictures = [features(view) for view in views]
-    result = depths.copy()
-    for index, view in enumerate(views):
-        if not sure[index].any():
-            continue
-        kept = np.ones(sure[index].shape, np.bool_) if view.mask is None else view.mask
-        inverse = 1 / depths[index]
-        surfaces = [inverse, *(_planes(view, inverse, sure[index], kept, reach) for reach in REACHES)]
-        least, best = np.full(inverse.shape, GAIN), np.zeros(inverse.shape, np.intp)
-        for other in (other for other in range(len(views)) if other != index):
-            seen = seen_by(view, depths[index], views[other]).where
-            apart = [difference(view, pictures[index], 1 / s, views[other], pictures[other]) for s in surfaces]
-            costs = gathered(view, np.where(kept, np.stack(apart), 0.0), kept)
-            now = np.where(seen, costs[0], np.minimum(costs[0], SURE_MATCH))
-            for number in range(1, len(surfaces)):
-                share = (costs[number] + NOTHING) / np.maximum(now, NOTHING)
-                better = kept & (share < least)
-                least, best = np.where(better, share, least), np.where(better, number, best)
-        chosen = 1 / np.take_along_axis(np.stack(surfaces), best[None], axis=0)[0]
-        result[index] = np.where((best > 0) & ~sure[index], chosen, depths[index])
-    return result
+    sure, pictures = confirmed(views, depths), [features(view) for view in views]
+    found = [_of_view(views, pictures, depths[index], index, sure[index]) for index in range(len(views))]
+    return np.where(sure, depths, np.stack(found))
+
+
+def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depth: F64, index: int, sure: Mask) -> F64:
+    """(H, W) z-depths of the view `index`, with `depth` as they are and `sure` which are confirmed (H, W)."""
+    if not sure.any():
+        return depth
+    view = views[index]
+    kept = np.ones(sure.shape, np.bool_) if view.mask is None else view.mask
+    inverse = 1 / depth
+    surfaces = np.stack([inverse, *(_planes(view, inverse, sure, kept, reach) for reach in REACHES)])
+    least, best = np.full(inverse.shape, GAIN), np.zeros(inverse.shape, np.intp)
+    for other in (other for other in range(len(views)) if other != index):
+        seen = seen_by(view, depth, views[other]).where
+        apart = [difference(view, pictures[index], 1 / s, views[other], pictures[other]) for s in surfaces]
+        costs = gathered(view, np.stack(apart) * kept, kept)
+        now = np.where(seen, costs[0], np.minimum(costs[0], SURE_MATCH))
+        for number in range(1, len(surfaces)):
+            share = (costs[number] + NOTHING) / np.maximum(now, NOTHING)
+            better = kept & (share < least)
+            least, best = np.where(better, share, least), np.where(better, number, best)
+    chosen = 1 / np.take_along_axis(surfaces, best[None], axis=0)[0]
+    return np.where(best > 0, chosen, depth)
 
 
 def _planes(view: FittedView, inverse: F64, sure: Mask, kept: Mask, reach: float) -> F64:
     """(H, W) inverse depth of the plane through the confirmed pixels about each, within the range of the `kept`."""
     y, x = np.mgrid[: inverse.shape[0], : inverse.shape[1]].astype(np.float64)
-    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, inverse, inverse * x, inverse * y])
-    sums = _spread(terms * sure, view.image, reach)
-    mass = np.maximum(sums[0], LEAST)
-    mean_x, mean_y, xx, xy, yy, level, xd, yd = sums[1:] / mass
-    ridge = RIDGE * reach**2
-    xx, yy = np.maximum(xx - mean_x**2, 0) + ridge, np.maximum(yy - mean_y**2, 0) + ridge
-    xy, xd, yd = xy - mean_x * mean_y, xd - mean_x * level, yd - mean_y * level
+    one, d = np.ones_like(x), inverse
+    terms = ((one, one), (x, one), (y, one), (x, x), (x, y), (y, y), (d, one), (d, x), (d, y))
+    steps = _steps(view.image, 2, reach), _steps(view.image, 1, reach)
+    mass, mean_x, mean_y, xx, xy, yy, level, xd, yd = (_spread(a * b * sure, *steps) for a, b in terms)
+    known, ridge = mass > LEAST, RIDGE * reach**2
+    for total in (mean_x, mean_y, xx, xy, yy, level, xd, yd):  # all in place: of a finer grid this is much memory
+        total /= np.maximum(mass, LEAST)
+    for spread, mean in ((xx, mean_x), (yy, mean_y)):
+        spread -= mean**2
+        np.maximum(spread, 0, out=spread)
+        spread += ridge
+    xy -= mean_x * mean_y
+    xd -= mean_x * level
+    yd -= mean_y * level
     across, down = yy * xd - xy * yd, xx * yd - xy * xd
     found = level + (across * (x - mean_x) + down * (y - mean_y)) / (xx * yy - xy**2)
-    return np.where(sums[0] > LEAST, np.clip(found, inverse[kept].min(), inverse[kept].max()), inverse)
+    return np.where(known, np.clip(found, inverse[kept].min(), inverse[kept].max()), inverse)
 
 
-def _spread(planes: F64, picture: NDArray[np.floating], reach: float) -> F64:
-    """(K, H, W) weighted sums of `planes` over the pixels about each: exp(-sqrt(2) d / reach) for a way d along a row,
-    then along a column, in which a change of EDGE in `picture` (3, H, W) counts like `reach` px."""
-    planes, steps = np.ascontiguousarray(planes), picture.astype(np.float64)
-    along, sums = np.empty_like(planes), np.empty_like(planes)
-    spread_along_rows(planes, _steps(steps, 2, reach), along)
-    spread_down_columns(along, _steps(steps, 1, reach), sums)
-    return sums
+def _spread(plane: F64, across: F64, down: F64) -> F64:
+    """(H, W) weighted sums of `plane` over the pixels about each, along its row, then along columns, where `across`
+    (H, W - 1) and `down` (H - 1, W) are what a step multiplies a weight by."""
+    along, sums = np.empty_like(plane[None]), np.empty_like(plane[None])
+    spread_along_rows(plane[None], across, along)
+    spread_down_columns(along, down, sums)
+    return sums[0]
 
 
-def _steps(picture: F64, axis: int, reach: float) -> F64:
-    """(H, W - 1) or (H - 1, W) what a step to the next pixel of a row or column multiplies a weight by."""
-    change = np.abs(np.diff(picture, axis=axis)).sum(axis=0)
+def _steps(picture: NDArray[np.floating], axis: int, reach: float) -> F64:
+    """(H, W - 1) or (H - 1, W) what a step to the next pixel of a row or column of (3, H, W) multiplies a weight by:
+    exp(-sqrt(2) d / reach) for a way d, in which a change of EDGE counts like `reach` px."""
+    change = np.abs(np.diff(picture.astype(np.float64), axis=axis)).sum(axis=0)
     return np.ascontiguousarray(np.exp(-np.sqrt(2) / reach * (1 + reach / EDGE * change)))

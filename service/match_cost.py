@@ -43,16 +43,23 @@ def gathered(view: FittedView, costs: F64, known: NDArray[np.bool_]) -> F64:
     2010; on cost volumes: Hosni et al. 2011) over what is known."""
     grey = view.image.mean(axis=0, dtype=np.float64)
     share = np.maximum(_guided(grey, known[None].astype(np.float64)), SEEN)
-    return np.maximum(_guided(grey, costs) / share, 0)  # the filter undershoots
+    found = _guided(grey, costs)
+    found /= share
+    return np.maximum(found, 0, out=found)  # the filter undershoots
 
 
 def _guided(guide: F64, planes: F64) -> F64:
     """Guided filter of every plane (D, H, W) by the picture (H, W)."""
     mean = _means(guide)
     variance = _means(guide**2) - mean**2
-    level = _means(planes)
-    slope = (_means(guide * planes) - mean * level) / (variance + EPSILON)
-    return _means(slope) * guide + _means(level - slope * mean)
+    level, slope = _means(planes), _means(guide * planes)
+    slope -= mean * level
+    slope /= variance + EPSILON
+    level -= slope * mean
+    found = _means(slope)
+    found *= guide
+    found += _means(level)
+    return found
 
 
 def _means(values: F64) -> F64:

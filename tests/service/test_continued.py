@@ -9,7 +9,7 @@ import pytest
 from plane_views import SIDE, in_another_world, plane_depths, plane_views
 
 from gapmes.service.confirmed import confirmed
-from gapmes.service.continued import EDGE, _planes, _spread, continued
+from gapmes.service.continued import EDGE, _planes, _spread, _steps, continued
 from gapmes.service.correspondence import seen_by
 from gapmes.service.images import FittedView
 from gapmes.service.rotations import about_axis
@@ -157,9 +157,9 @@ def test_weights_are_their_definition() -> None:
     """A single pixel spreads by exp(-sqrt(2) way / reach) along its row, then along columns."""
     rng = np.random.default_rng(1)
     image, reach = rng.random((3, 7, 9), dtype=np.float32), 5.0
-    point = np.zeros((1, 7, 9))
-    point[0, 3, 4] = 1
-    found = _spread(point, image, reach)[0]
+    point = np.zeros((7, 9))
+    point[3, 4] = 1
+    found = _spread(point, _steps(image, 2, reach), _steps(image, 1, reach))
     for row, column in np.ndindex(7, 9):
         way = 0.0
         for a in range(min(column, 4), max(column, 4)):
