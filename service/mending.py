@@ -56,13 +56,15 @@ class Placed:
 
 
 @freed_blocks_reused()
-def at_mended_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView]) -> Arrays:
+def at_mended_depths(
+    outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], threads: int | None = None
+) -> Arrays:
     """The network's outputs with every pixel's Gaussian where the photographs match best: close to its depth, then
     anywhere in the scene's range, then on the planes of what is confirmed."""
     depths, count = frame.depths(outputs), len(views)
     if count == 2:  # of more, others confirm most of what is seen, and planes gain nothing before the search
         depths = continued(views, depths)
-    depths = refined(views, searched(views, refined(views, depths)))
+    depths = refined(views, searched(views, refined(views, depths), threads))
     if count == 2:
         depths = continued_finely(views, depths)
     elif count <= CONTINUED_VIEWS:

@@ -151,7 +151,7 @@ class Reconstructor:
                 warm_up()
         if fade:
             with stages.stage("refine"):
-                outputs = at_mended_depths(outputs, frame, seen)
+                outputs = at_mended_depths(outputs, frame, seen, self.engine.threads)
         if detail > 1:
             with stages.stage("detail"):
                 outputs = finer(outputs, frame, seen, views)
@@ -231,7 +231,7 @@ class Reconstructor:
             others = [views[other] for other in chosen]
             outputs, frame = self._run(others, depths)
             if fade:
-                outputs = at_mended_depths(outputs, frame, others)
+                outputs = at_mended_depths(outputs, frame, others, self.engine.threads)
             found = placed(outputs, frame, others, moved=fade > 0)
             gaussians = mended(found, others, scene, fade, self.engine.threads).gaussians
             options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}

@@ -18,6 +18,7 @@ from .correspondence import disagreement, from_elsewhere, seen_by
 from .images import FittedView
 from .match_cost import GAIN, LIMIT, NOTHING, difference, features, gathered
 from .rotations import turned
+from .splat.parallel import checked_threads, run_ranges
 from .sweep_kernels import compare_levels
 from .window_match import contrast
 
@@ -41,7 +42,7 @@ class _Best(NamedTuple):
     gains: Mask  # (H, W) by GAIN and by NOTHING more than at the depth as it is
 
 
-def searched(views: Sequence[FittedView], depths: F64) -> F64:
+def searched(views: Sequence[FittedView], depths: F64, threads: int | None = None) -> F64:
     """(V, H, W) z-depths, from those of the network, in the cameras' units.
 
     Each view is compared with the nearest ones from elsewhere (`match_cost.py`) at levels of inverse depth, STEP_PX
@@ -49,7 +50,7 @@ def searched(views: Sequence[FittedView], depths: F64) -> F64:
     found that one of them sees. It is taken by textured pixels that nothing confirms (`confirmed.py`), where it is less
     than GAIN times that of the depth as it is, by NOTHING more, and where the place that it leads to in one of the
     others has a depth or a best level within AGREEMENT_PX of it. Of two views it must lie within PAIR_PX. What a mask
-    leaves out stays.
+    leaves out stays. `threads` (all that are available) do not change a bit.
     """
     kept = [np.ones(view.image.shape[1:], np.bool_) if view.mask is None else view.mask for view in views]
     inverse = 1 / depths[np.stack(kept)]
@@ -58,7 +59,11 @@ def searched(views: Sequence[FittedView], depths: F64) -> F64:
         return depths
     low, high = np.quantile(inverse, (TAIL, 1 - TAIL))
     ends = (1 - ROOM) * float(low), (1 + ROOM) * float(high)
-    best = [_best(views, depths[index], index, elsewhere[index], ends) for index in range(len(views))]
+
+    def of_view(index: int, _: int) -> _Best:
+        return _best(views, depths[index], index, elsewhere[index], ends)
+
+    best = run_ranges(of_view, range(len(views) + 1), checked_threads(threads))
     sure = confirmed(views, depths)
     result = depths.copy()
     for index, view in enumerate(views):

@@ -59,7 +59,14 @@ def test_which_grid_each_step_works_on(engine: Engine, monkeypatch: pytest.Monke
 
         monkeypatch.setattr(reconstruct, name, listening)
 
-    steps = {"check_photos": 0, "narrowed": 1, "at_mended_depths": 2, "mended": 1, "self_check": 0}
+    steps = {
+        "check_photos": 0,
+        "narrowed": 1,
+        "at_mended_depths": 2,
+        "at_finer_depths": 2,
+        "mended": 1,
+        "self_check": 0,
+    }
     for name, place in steps.items():
         recorded(name, place)
     sharp = PlaneScene.make(np.random.default_rng(7), size=(192, 144))
@@ -68,7 +75,8 @@ def test_which_grid_each_step_works_on(engine: Engine, monkeypatch: pytest.Monke
     assert widths == {
         "check_photos": [small],
         "narrowed": [small],
-        "at_mended_depths": [small, large, *three],  # and of the two others of each, which foretell it
+        "at_mended_depths": [small, *three],  # and of the two others of each, which foretell it
+        "at_finer_depths": [large],
         "mended": [large, *three],
         "self_check": [small],
     }

@@ -45,6 +45,10 @@ def test_a_wrong_patch_is_found_again(count: int, views: list[FittedView], spoil
     assert (off_px(views[:count], found)[0][PATCH] < 1).mean() > 0.95  # found: all, by 0.35 px at most
 
 
+def test_threads_change_nothing(views: list[FittedView], spoiled: np.ndarray) -> None:
+    assert (searched(views, spoiled, 1) == searched(views, spoiled, 3)).all()
+
+
 def test_the_truth_is_not_left(views: list[FittedView]) -> None:
     moved = off_px(views, searched(views, plane_depths(views)))
     assert (moved > 0).mean() < 0.03  # found: 0.017
