@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from .camera import Camera
 from .continued import continued
 from .depth_grid import coarser_depths, finer_depths
 from .images import FittedView
@@ -25,10 +26,19 @@ def continued_finely(views: Sequence[FittedView], depths: F64) -> F64:
 
 
 def _enlarged(view: FittedView) -> FittedView:
-    """Between its pixels by cubic convolution; the mask keeps whole pixels."""
-    height, width = (FINER * side for side in view.image.shape[1:])
-    channels = [
-        np.asarray(Image.fromarray(channel).resize((width, height), Image.Resampling.BICUBIC)) for channel in view.image
-    ]
-    mask = None if view.mask is None else view.mask.repeat(FINER, axis=0).repeat(FINER, axis=1)
-    return FittedView(np.clip(np.stack(channels), 0, 1), mask, view.camera.resized(width, height), view.kept_share)
+    """Between its pixels by cubic convolution, of what the mask keeps alone; the mask keeps whole pixels."""
+    camera = view.camera.resized(FINER * view.camera.width, FINER * view.camera.height)
+    if view.mask is None:
+        return FittedView(np.clip(_resized(view.image, camera), 0, 1), None, camera, view.kept_share)
+    mask = view.mask.repeat(FINER, axis=0).repeat(FINER, axis=1)
+    kept = view.mask.astype(np.float32)
+    weight = np.where(mask, _resized(kept[None], camera), np.float32(1))
+    image = np.where(mask, np.clip(_resized(view.image * kept, camera) / weight, 0, 1), np.float32(0))
+    return FittedView(image, mask, camera, view.kept_share)
+
+
+def _resized(channels: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """(C, H, W) at the size of `camera`."""
+    size = camera.width, camera.height
+    large = [Image.fromarray(channel).resize(size, Image.Resampling.BICUBIC) for channel in channels]
+    return np.stack([np.asarray(channel) for channel in large])

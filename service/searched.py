@@ -31,8 +31,9 @@ LEVELS = 160  # at most; the steps are wider then
 TAIL = 0.001  # of the inverse depths at either end, which may be the network's worst
 ROOM = 0.1  # of an inverse depth, by which the range goes on beyond them
 TOGETHER = 8  # levels whose costs are in memory at a time
-OTHERS = 3  # that a view is compared with, the nearest ones: all six views would take 30 comparisons
-PAIR_PX = 16.0  # of two views no third one tells whether a match is one of several; no depth goes farther
+OTHERS = 3  # that a view is compared with, those of least parallax: all six views would take 30 comparisons
+TIED = 1e-6  # of a way: views as near as the last of them are compared as well, whatever their order
+PAIR_PX = 16.0  # that a depth moves at most where all others are from one place: farther, repetitions cost as much
 
 
 class _Best(NamedTuple):
@@ -49,33 +50,36 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
     apart, over the range of all `depths`; the least of the gathered costs over the others counts, so that a surface is
     found that one of them sees. It is taken by textured pixels that nothing confirms (`confirmed.py`), where it is less
     than GAIN times that of the depth as it is, by NOTHING more, and where the place that it leads to in one of the
-    others has a depth or a best level within AGREEMENT_PX of it. Of two views it must lie within PAIR_PX. What a mask
-    leaves out stays. `threads` (all that are available) do not change a bit.
+    others has a depth or a best level within AGREEMENT_PX of it. Where the others are
+    all from one place it must lie within PAIR_PX. What a mask leaves out stays. `threads` (all that are available) do not change a bit.
     """
     kept = [np.ones(view.image.shape[1:], np.bool_) if view.mask is None else view.mask for view in views]
     inverse = 1 / depths[np.stack(kept)]
-    elsewhere = [_nearest(from_elsewhere(views, index)) for index in range(len(views))]
+    places = [from_elsewhere(views, index) for index in range(len(views))]
+    elsewhere = [_nearest(apart) for apart in places]
     if not inverse.size or not all(elsewhere):
-        return depths
+        return depths.copy()
     low, high = np.quantile(inverse, (TAIL, 1 - TAIL))
     ends = (1 - ROOM) * float(low), (1 + ROOM) * float(high)
+    pictures = [features(view) for view in views]
 
     def of_view(index: int, _: int) -> _Best:
-        return _best(views, depths[index], index, elsewhere[index], ends)
+        return _best(views, pictures, depths[index], index, elsewhere[index], ends)
 
     best = run_ranges(of_view, range(len(views) + 1), checked_threads(threads))
     sure = confirmed(views, depths)
     result = depths.copy()
     for index, view in enumerate(views):
         found, agreed = best[index], np.zeros(sure[index].shape, np.bool_)
+        pair = not any(second in places[first] for first in elsewhere[index] for second in elsewhere[index])
         for other, way in elsewhere[index].items():
             seen = seen_by(view, found.depth, views[other])
             close = [
                 disagreement(view, seen, views[other], theirs) < AGREEMENT_PX
                 for theirs in (depths[other], best[other].depth)
             ]
-            near = len(views) > 2 or np.abs(1 / found.depth - 1 / depths[index]) * way < PAIR_PX
-            agreed |= seen.where & (close[0] | close[1]) & near
+            near = np.abs(1 / found.depth - 1 / depths[index]) * way < PAIR_PX
+            agreed |= seen.where & (close[0] | close[1]) & (near | (not pair))
         textured = contrast(view.image.mean(axis=0, dtype=np.float64), view.mask) > TEXTURE
         taken = found.gains & agreed & textured & kept[index] & ~sure[index]
         result[index] = np.where(taken, found.depth, depths[index])
@@ -83,19 +87,26 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
 
 
 def _nearest(elsewhere: dict[int, float]) -> dict[int, float]:
-    return dict(sorted(elsewhere.items(), key=lambda one: one[1])[:OTHERS])
+    """OTHERS of them, and those as near as the last."""
+    last = sorted(elsewhere.values())[:OTHERS][-1:]
+    return {other: way for other, way in elsewhere.items() if last and way <= (1 + TIED) * last[0]}
 
 
 def _best(
-    views: Sequence[FittedView], depth: F64, index: int, elsewhere: dict[int, float], ends: tuple[float, float]
+    views: Sequence[FittedView],
+    pictures: Sequence[F32],
+    depth: F64,
+    index: int,
+    elsewhere: dict[int, float],
+    ends: tuple[float, float],
 ) -> _Best:
-    """Of the view `index`, whose z-depths are `depth` (H, W), over inverse depths between the `ends`; `elsewhere` has
-    the views that it is compared with, and px of parallax per unit of 1/z in each."""
-    view, own = views[index], features(views[index])
+    """Of the view `index`, whose z-depths are `depth` (H, W), over inverse depths between the `ends`; `pictures` are
+    the features of all views, `elsewhere` has those that it is compared with, and px of parallax per unit of 1/z."""
+    view, own = views[index], pictures[index]
     kept = np.ones(depth.shape, np.bool_) if view.mask is None else view.mask
     steps = np.ceil((ends[1] - ends[0]) * max(elsewhere.values()) / STEP_PX)
     levels = np.linspace(*ends, int(np.clip(steps, 2, LEVELS)))
-    sweeps = [_Sweep.of(view, own, views[other]) for other in elsewhere]
+    sweeps = [_Sweep.of(view, own, views[other], pictures[other]) for other in elsewhere]
     least, chosen = np.full(depth.shape, np.inf), np.zeros(depth.shape)
     for start in range(0, len(levels), TOGETHER):
         some = levels[start : start + TOGETHER]
@@ -104,7 +115,7 @@ def _best(
         cost = np.take_along_axis(costs, at[None], axis=0)[0]
         chosen = np.where(cost < least, some[at], chosen)
         least = np.minimum(least, cost)
-    as_it_is = np.stack([difference(view, own, depth, views[other], features(views[other])) for other in elsewhere])
+    as_it_is = np.stack([difference(view, own, depth, views[other], pictures[other]) for other in elsewhere])
     now = gathered(view, as_it_is * kept, kept).min(axis=0)
     return _Best(1 / chosen, least < GAIN * now - NOTHING)
 
@@ -119,12 +130,12 @@ class _Sweep(NamedTuple):
     lens: F64  # (4,) of the other view
 
     @classmethod
-    def of(cls, view: FittedView, own: F32, other: FittedView) -> _Sweep:
+    def of(cls, view: FittedView, own: F32, other: FittedView, others: F32) -> _Sweep:
         camera, shape = other.camera, view.image.shape[1:]
         hidden = np.zeros(other.image.shape[1:], np.bool_) if other.mask is None else ~other.mask
         return cls(
             own,
-            np.where(hidden[..., None], np.float32(np.nan), features(other)),
+            np.where(hidden[..., None], np.float32(np.nan), others),
             turned(camera.rotation.T, view.camera.rays(pixel_grid(shape))).reshape(*shape, 3),
             camera.rotation.T @ (view.camera.center - camera.center),
             np.array([camera.fx, camera.fy, camera.cx, camera.cy]),

@@ -26,6 +26,12 @@ def test_an_edge_stays_one() -> None:
     assert (np.unique(finer_depths(peak, 2)) == np.unique(peak)).all()
 
 
+def test_of_two_slopes_the_smaller_one_is_taken() -> None:
+    inverse = np.array([1.0, 1.1, 1.5, 1.9]) * np.ones((3, 1))
+    fine = 1 / finer_depths(1 / inverse, 2)
+    assert fine[0] == pytest.approx([1.0, 1.0, 1.075, 1.125, 1.4, 1.6, 1.9, 1.9])
+
+
 @pytest.mark.parametrize("k", [2, 3])
 def test_the_way_back_undoes_it(k: int) -> None:
     """A pixel's finer ones lie about it evenly, on a plane."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from plane_views import SIDE, floaters, on_the_plane, plane_depths, plane_views
 
+from gapmes.service import mending
 from gapmes.service.anchors import anchors
 from gapmes.service.backdrop import OPACITY, backdrop
 from gapmes.service.confirmed import confirmed
@@ -17,7 +18,7 @@ from gapmes.service.fading import BEHIND_KEEPS
 from gapmes.service.gaussians import Gaussians, joined
 from gapmes.service.images import FittedView
 from gapmes.service.masks import MASKED, REPLACED, TRANSPARENT
-from gapmes.service.mending import SMOOTHING, Placed, at_mended_depths, mended, placed
+from gapmes.service.mending import SMOOTHING, Placed, at_finer_depths, at_mended_depths, mended, placed
 from gapmes.service.scene_views import SceneViews
 from gapmes.service.world_frame import WorldFrame
 
@@ -127,6 +128,37 @@ def test_without_a_pass_nothing_changes(views: list[FittedView], frame: WorldFra
     after = mended(found, views, cameras, 0, 1)
     assert after.gaussians is found.gaussians
     assert after.halved == 0
+
+
+@pytest.mark.parametrize(
+    ("count", "steps"),
+    [
+        (2, ["continued", "refined", "searched", "refined", "continued_finely"]),
+        (3, ["refined", "searched", "refined", "continued"]),
+        (4, ["refined", "searched", "refined"]),
+    ],
+)
+def test_which_steps_depths_take(count: int, steps: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    views = [*plane_views(), plane_views()[0]][:count]
+    frame = WorldFrame.of([view.camera for view in views], DepthRange(NEAR, FAR, "given"))
+    taken: list[str] = []
+
+    def recorded(name: str) -> None:
+        def step(_: object, depths: np.ndarray, *threads: int | None) -> np.ndarray:
+            taken.append(name)
+            return depths * 1.01
+
+        monkeypatch.setattr(mending, name, step)
+
+    for name in ("continued", "refined", "searched", "continued_finely"):
+        recorded(name)
+    before = outputs(views, frame)
+    after = at_mended_depths(before, frame, views, 1)
+    assert taken == steps
+    assert frame.depths(after) == pytest.approx(frame.depths(before) * 1.01 ** len(steps), rel=1e-6)
+    taken.clear()
+    at_finer_depths(before, frame, views)
+    assert taken == (["continued", "refined"] if count == 2 else ["refined"])
 
 
 @pytest.mark.parametrize("count", [2, 3])

@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plane_scene import WAVES, photograph
 from plane_views import SIDE, in_another_world, plane_depths, plane_views
 
+from gapmes.service.camera import Camera
 from gapmes.service.confirmed import confirmed
 from gapmes.service.correspondence import pixels_per_inverse_depth
-from gapmes.service.images import FittedView
+from gapmes.service.images import FittedView, Photo, fit_view
 from gapmes.service.rotations import about_axis
 from gapmes.service.searched import PAIR_PX, searched
 
@@ -90,6 +92,49 @@ def test_a_twin_from_the_same_place_hides_nothing(views: list[FittedView], spoil
     with_twin = [*views, views[0]]
     found = searched(with_twin, spoiled[[0, 1, 2, 0]])
     assert (off_px(views, found[:3])[0][PATCH] < 1).mean() > 0.95  # found: all
+
+
+def test_views_on_a_line_do_not_depend_on_their_order_or_the_world() -> None:
+    """Steps are equal, so that some are as near as others: which three are compared must not follow from a number."""
+    rng, count = np.random.default_rng(8), 5
+    row = along_a_line(count)
+    for noisy in (0, 1, 3):
+        row[noisy] = replace(row[noisy], image=rng.random(row[noisy].image.shape, dtype=np.float32))
+    depths = plane_depths(row)
+    depths[2][PATCH] *= FAR
+    right = plane_depths(row)[2][PATCH]
+
+    def found(views: list[FittedView], number: int) -> float:
+        order = depths[[row_numbers[id(view.image)] for view in views]]
+        return float((np.abs(searched(views, order)[number][PATCH] / right - 1) < 0.05).mean())
+
+    row_numbers = {id(view.image): number for number, view in enumerate(row)}
+    assert found(row, 2) > 0.9
+    assert found([row[i] for i in (4, 1, 2, 3, 0)], 2) > 0.9
+    turned = in_another_world(row, about_axis(np.array([0.0, 0.0, 1.0]), 2.3), np.zeros(3), 1.0)
+    assert found(turned, 2) > 0.9
+
+
+def along_a_line(count: int) -> list[FittedView]:
+    """The plane from places in equal steps, by one lens."""
+    rng = np.random.default_rng(5)
+    waves = rng.normal(size=(3, WAVES, 2)) * rng.choice([2.0, 7.0, 14.0], size=(3, WAVES, 1))
+    phases, views = rng.uniform(0, 2 * np.pi, size=(3, WAVES)), []
+    for number in range(count):
+        pose = np.eye(4)
+        pose[0, 3] = 0.3 * (number - (count - 1) / 2)
+        camera = Camera.make(SIDE, SIDE, 76.8, 76.8, SIDE / 2, SIDE / 2, pose)
+        views.append(fit_view(Photo(photograph(camera, waves, phases)), camera, SIDE, SIDE))
+    return views
+
+
+def test_a_pair_stays_one_beside_a_twin(views: list[FittedView], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gapmes.service.searched.PAIR_PX", 3.0)
+    trio, depths = [*views[:2], views[0]], plane_depths(views)[[0, 1, 0]]
+    depths = depths * np.random.default_rng(3).uniform(0.3, 3, depths.shape)
+    ways = [pixels_per_inverse_depth(trio[a], trio[b]) for a, b in ((0, 1), (1, 0), (2, 1))]
+    moved = np.abs(1 / searched(trio, depths) - 1 / depths) * np.array(ways)[:, None, None]
+    assert 2.5 < moved.max() < 3.0
 
 
 def test_a_pair_does_not_go_far(views: list[FittedView], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ from guarded import Guarded
 from plane_views import SIDE, plane_depths, plane_views
 
 from gapmes.service.correspondence import seen_by
+from gapmes.service.images import FittedView
 from gapmes.service.match_cost import LIMIT, difference, features
 from gapmes.service.rotations import about_axis
 from gapmes.service.searched import _Sweep
@@ -18,12 +19,16 @@ from gapmes.service.sweep_kernels import compare_levels
 LEVELS = np.array([0.05, 0.15, 0.25, 0.3, 0.6, 2.0])
 
 
+def swept(view: FittedView, other: FittedView) -> _Sweep:
+    return _Sweep.of(view, features(view), other, features(other))
+
+
 def test_every_level_is_the_comparison_at_its_depth() -> None:
     """Places in the other picture are up to 2e-13 px apart, which moves what lies on its border alone."""
     views, limits = plane_views(), []
     for view in views:
         for other in views:
-            found = _Sweep.of(view, features(view), other).costs(LEVELS)
+            found = swept(view, other).costs(LEVELS)
             for costs, level in zip(found, LEVELS, strict=True):
                 depth = np.full((SIDE, SIDE), 1 / level)
                 expected = difference(view, features(view), depth, other, features(other))
@@ -36,13 +41,13 @@ def test_what_a_mask_of_the_other_view_hides_is_not_seen() -> None:
     view, other, depth = *plane_views()[:2], plane_depths(plane_views())[0]
     half = np.arange(SIDE)[None] < np.full((SIDE, 1), SIDE // 2)
     level = np.array([1 / np.median(depth)])
-    masked = _Sweep.of(view, features(view), replace(other, mask=half)).costs(level)[0]
+    masked = swept(view, replace(other, mask=half)).costs(level)[0]
     place = seen_by(view, np.full_like(depth, 1 / level[0]), other)
     shown, hidden = place.where & (place.column < SIDE // 2 - 2), place.column > SIDE // 2
     assert (masked[hidden] == LIMIT).all()
     assert (masked[shown] < LIMIT).mean() > 0.9
     anything = replace(other, mask=half, image=np.where(half, other.image, 0.9).astype(np.float32))
-    assert (_Sweep.of(view, features(view), anything).costs(level)[0] == masked).all()
+    assert (swept(view, anything).costs(level)[0] == masked).all()
 
 
 def test_what_lies_behind_the_other_view_is_not_seen() -> None:
@@ -50,7 +55,7 @@ def test_what_lies_behind_the_other_view_is_not_seen() -> None:
     pose = other.camera.world_from_cam.copy()
     pose[:3, :3] = pose[:3, :3] @ about_axis(np.array([0.0, 1.0, 0.0]), np.pi)
     away = replace(other, camera=other.camera.posed(pose))
-    assert (_Sweep.of(view, features(view), away).costs(LEVELS) == LIMIT).all()
+    assert (swept(view, away).costs(LEVELS) == LIMIT).all()
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 37), (37, 1), (17, 33)])
