@@ -50,8 +50,8 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
     apart, over the range of all `depths`; the least of the gathered costs over the others counts, so that a surface is
     found that one of them sees. It is taken by textured pixels that nothing confirms (`confirmed.py`), where it is less
     than GAIN times that of the depth as it is, by NOTHING more, and where the place that it leads to in one of the
-    others has a depth or a best level within AGREEMENT_PX of it. Where the others are
-    all from one place it must lie within PAIR_PX. What a mask leaves out stays. `threads` (all that are available) do not change a bit.
+    others has a depth or a best level within AGREEMENT_PX of it. Where the others are all from one place it must lie
+    within PAIR_PX. What a mask leaves out stays. `threads` (all that are available) do not change a bit.
     """
     kept = [np.ones(view.image.shape[1:], np.bool_) if view.mask is None else view.mask for view in views]
     inverse = 1 / depths[np.stack(kept)]
