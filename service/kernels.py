@@ -8,9 +8,8 @@ import numpy as np
 
 from .camera import Camera
 from .gaussians import Gaussians
-from .plane_kernels import compare_planes, mean_planes, spread_along_rows, spread_down_columns
+from .plane_kernels import compare_levels, compare_planes, mean_planes, spread_along_rows, spread_down_columns
 from .splat import Definition, leverage, render
-from .sweep_kernels import compare_levels
 
 
 @functools.cache

@@ -17,9 +17,9 @@ from .confirmed import AGREEMENT_PX, TEXTURE, confirmed
 from .correspondence import disagreement, from_elsewhere, seen_by
 from .images import FittedView
 from .match_cost import GAIN, LIMIT, NOTHING, difference, features, gathered
+from .plane_kernels import compare_levels
 from .rotations import turned
 from .splat.parallel import checked_threads, run_ranges
-from .sweep_kernels import compare_levels
 from .window_match import contrast
 
 F32 = NDArray[np.float32]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from guarded import Guarded
+from guarded import Guarded, beside_nan
 
 from gapmes.service.bilinear import bilinear
 from gapmes.service.plane_kernels import compare_planes, mean_planes, spread_along_rows, spread_down_columns
@@ -77,10 +77,3 @@ def test_nothing_is_read_or_written_beside_the_planes(height: int, width: int) -
     guarded.check()
     for array in (*found, cost):
         assert np.isfinite(array).all()
-
-
-def beside_nan(values: np.ndarray) -> np.ndarray:
-    """The same values, in the middle of a buffer of NaN."""
-    buffer = np.full(values.size + 512, np.nan, values.dtype)
-    buffer[256 : 256 + values.size] = values.ravel()
-    return buffer[256 : 256 + values.size].reshape(values.shape)

@@ -24,3 +24,10 @@ class Guarded:
         for buffer in self.buffers:
             assert (buffer[:GUARD] == PATTERN).all()
             assert (buffer[-GUARD:] == PATTERN).all()
+
+
+def beside_nan(values: np.ndarray) -> np.ndarray:
+    """The same values, in the middle of a buffer of NaN."""
+    buffer = np.full(values.size + 512, np.nan, values.dtype)
+    buffer[256 : 256 + values.size] = values.ravel()
+    return buffer[256 : 256 + values.size].reshape(values.shape)

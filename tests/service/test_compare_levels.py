@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guarded import Guarded
+from guarded import Guarded, beside_nan
 from plane_views import SIDE, plane_depths, plane_views
 
 from gapmes.service.correspondence import seen_by
 from gapmes.service.images import FittedView
 from gapmes.service.match_cost import LIMIT, difference, features
+from gapmes.service.plane_kernels import compare_levels
 from gapmes.service.rotations import about_axis
 from gapmes.service.searched import _Sweep
-from gapmes.service.sweep_kernels import compare_levels
 
 LEVELS = np.array([0.05, 0.15, 0.25, 0.3, 0.6, 2.0])
 
@@ -72,10 +72,3 @@ def test_nothing_is_read_or_written_beside_the_arrays(height: int, width: int) -
     guarded.check()
     assert np.isfinite(found).all()
     assert (found <= 0.4).all()
-
-
-def beside_nan(values: np.ndarray) -> np.ndarray:
-    """The same values, in the middle of a buffer of NaN."""
-    buffer = np.full(values.size + 512, np.nan, values.dtype)
-    buffer[256 : 256 + values.size] = values.ravel()
-    return buffer[256 : 256 + values.size].reshape(values.shape)
