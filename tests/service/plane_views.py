@@ -15,6 +15,7 @@ from gapmes.service.picture_error import psnr
 from gapmes.service.splat import render
 
 SIDE = 64
+PATCH = np.s_[24:40, 24:40]
 
 
 def plane_views() -> list[FittedView]:
@@ -40,6 +41,13 @@ def plane_depths(views: list[FittedView]) -> np.ndarray:
     grid = np.stack(np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5), -1).reshape(-1, 2)
     maps = [(DEPTH - v.camera.center[2]) / v.camera.rays(grid)[:, 2] for v in views]
     return np.stack(maps).reshape(len(views), SIDE, SIDE)
+
+
+def with_wrong_patch(views: list[FittedView], ratio: float) -> np.ndarray:
+    """The plane's depths, but for PATCH of the first view, which lies `ratio` times as far."""
+    depths = plane_depths(views)
+    depths[0][PATCH] *= ratio
+    return depths
 
 
 def on_the_plane(view: FittedView) -> Gaussians:

@@ -6,15 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_views import SIDE, in_another_world, plane_depths, plane_views
+from plane_views import PATCH, SIDE, in_another_world, plane_depths, plane_views, with_wrong_patch
 
 from gapmes.service.confirmed import confirmed
 from gapmes.service.continued import EDGE, _planes, _spread, _steps, continued
 from gapmes.service.correspondence import seen_by
 from gapmes.service.images import FittedView
 from gapmes.service.rotations import about_axis
-
-PATCH = np.s_[24:40, 24:40]
 
 
 @pytest.fixture(scope="module")
@@ -24,10 +22,7 @@ def views() -> list[FittedView]:
 
 @pytest.fixture(scope="module")
 def spoiled(views: list[FittedView]) -> np.ndarray:
-    """The plane's depths, but for a patch of the first view that lies a fifth too far."""
-    depths = plane_depths(views)
-    depths[0][PATCH] *= 1.2
-    return depths
+    return with_wrong_patch(views, 1.2)
 
 
 def test_a_wrong_patch_returns_to_the_plane(views: list[FittedView], spoiled: np.ndarray) -> None:

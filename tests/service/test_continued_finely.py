@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_views import SIDE, plane_depths, plane_views
+from plane_views import PATCH, SIDE, plane_depths, plane_views, with_wrong_patch
 
 from gapmes.service.continued import continued
 from gapmes.service.continued_finely import FINER, _enlarged, continued_finely
 from gapmes.service.images import FittedView
-
-PATCH = np.s_[24:40, 24:40]
 
 
 @pytest.fixture(scope="module")
@@ -22,9 +20,7 @@ def views() -> list[FittedView]:
 
 @pytest.fixture(scope="module")
 def spoiled(views: list[FittedView]) -> np.ndarray:
-    depths = plane_depths(views)
-    depths[0][PATCH] *= 1.2
-    return depths
+    return with_wrong_patch(views, 1.2)
 
 
 def test_a_wrong_patch_returns_to_the_plane(views: list[FittedView], spoiled: np.ndarray) -> None:

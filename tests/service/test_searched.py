@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plane_scene import WAVES, photograph
-from plane_views import SIDE, in_another_world, plane_depths, plane_views
+from plane_views import PATCH, SIDE, in_another_world, plane_depths, plane_views, with_wrong_patch
 
 from gapmes.service.camera import Camera
 from gapmes.service.confirmed import confirmed
@@ -16,7 +16,6 @@ from gapmes.service.images import FittedView, Photo, fit_view
 from gapmes.service.rotations import about_axis
 from gapmes.service.searched import PAIR_PX, searched
 
-PATCH = np.s_[24:40, 24:40]
 FAR = 1.8  # times as far as it is: 6 to 12 px of parallax
 
 
@@ -27,10 +26,7 @@ def views() -> list[FittedView]:
 
 @pytest.fixture(scope="module")
 def spoiled(views: list[FittedView]) -> np.ndarray:
-    """The plane's depths, but for a patch of the first view that lies much too far."""
-    depths = plane_depths(views)
-    depths[0][PATCH] *= FAR
-    return depths
+    return with_wrong_patch(views, FAR)
 
 
 def off_px(views: list[FittedView], depths: np.ndarray) -> np.ndarray:
