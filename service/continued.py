@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .confirmed import confirmed
 from .correspondence import seen_by
 from .images import FittedView
-from .match_cost import GAIN, NOTHING, difference, features, gathered
+from .match_cost import GAIN, NOTHING, Gathering, difference, features
 from .plane_kernels import spread_along_rows, spread_down_columns
 
 F32 = NDArray[np.float32]
@@ -50,25 +50,28 @@ def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depth: F64, i
     view = views[index]
     kept = np.ones(sure.shape, np.bool_) if view.mask is None else view.mask
     inverse = 1 / depth
-    surfaces = np.stack([inverse, *(_planes(view, inverse, sure, kept, reach) for reach in REACHES)])
-    least, best = np.full(inverse.shape, GAIN), np.zeros(inverse.shape, np.intp)
+    planes = [_planes(view, inverse, sure, kept, reach) for reach in REACHES]
+    gathering = Gathering(view, kept)
+    least, chosen = np.full(inverse.shape, GAIN), depth
     for other in (other for other in range(len(views)) if other != index):
-        seen = seen_by(view, depth, views[other]).where
-        apart = [difference(view, pictures[index], 1 / s, views[other], pictures[other]) for s in surfaces]
-        costs = gathered(view, np.stack(apart) * kept, kept)
-        now = np.where(seen, costs[0], np.minimum(costs[0], SURE_MATCH))
-        for number in range(1, len(surfaces)):
-            share = (costs[number] + NOTHING) / np.maximum(now, NOTHING)
+
+        def cost(depths: F64, at: int = other) -> F64:
+            return gathering.of(kept * difference(view, pictures[index], depths, views[at], pictures[at]))
+
+        now = cost(1 / inverse)
+        now = np.where(seen_by(view, depth, views[other]).where, now, np.minimum(now, SURE_MATCH))
+        now = np.maximum(now, NOTHING)
+        for plane in planes:
+            share = (cost(1 / plane) + NOTHING) / now
             better = kept & (share < least)
-            least, best = np.where(better, share, least), np.where(better, number, best)
-    chosen = 1 / np.take_along_axis(surfaces, best[None], axis=0)[0]
-    return np.where(best > 0, chosen, depth)
+            least, chosen = np.where(better, share, least), np.where(better, 1 / plane, chosen)
+    return chosen
 
 
 def _planes(view: FittedView, inverse: F64, sure: Mask, kept: Mask, reach: float) -> F64:
     """(H, W) inverse depth of the plane through the confirmed pixels about each, within the range of the `kept`."""
-    y, x = np.mgrid[: inverse.shape[0], : inverse.shape[1]].astype(np.float64)
-    one, d = np.ones_like(x), inverse
+    y, x = (np.arange(count, dtype=np.float64) for count in inverse.shape)
+    y, one, d = y[:, None], np.ones((1, 1)), inverse
     terms = ((one, one), (x, one), (y, one), (x, x), (x, y), (y, y), (d, one), (d, x), (d, y))
     steps = _steps(view.image, 2, reach), _steps(view.image, 1, reach)
     mass, mean_x, mean_y, xx, xy, yy, level, xd, yd = (_spread(a * b * sure, *steps) for a, b in terms)

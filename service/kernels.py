@@ -8,7 +8,7 @@ import numpy as np
 
 from .camera import Camera
 from .gaussians import Gaussians
-from .plane_kernels import compare_levels, compare_planes, mean_planes, spread_along_rows, spread_down_columns
+from .plane_kernels import compare_level, compare_planes, mean_planes, spread_along_rows, spread_down_columns
 from .splat import Definition, leverage, render
 
 
@@ -29,7 +29,7 @@ def warm_up() -> None:
     mean_planes(planes, 1, planes.copy())
     compare_planes(features, features, planes[0], planes[0], np.ones((2, 2), np.uint8), 1.0, planes[0].copy())
     rays, lens = np.ones((2, 2, 3)), np.ones(4)
-    compare_levels(features, features, rays, rays[0, 0], lens, lens[:1], 1.0, planes.copy())
+    compare_level(features, features, rays, rays[0, 0], lens, 1.0, 1.0, planes[0].copy())
     spread_along_rows(planes, planes[0, :, :1].copy(), planes.copy())
     spread_down_columns(planes, planes[0, :1], planes.copy())
 

@@ -6,15 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .correspondence import seen_by
+from .guided_filter import GuidedFilter
 from .images import FittedView
-from .plane_kernels import compare_planes, mean_planes
+from .plane_kernels import compare_planes
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 GRADIENT = 6.0  # weight of a difference of grey slopes (per px) beside one of a colour's channel
 LIMIT = 0.25  # of the mean difference, from which two places are as different as can be
-RADIUS, EPSILON = 2, 1e-3  # px and variance of grey of the guided filter: weaker edges are smoothed across
 SEEN = 0.05  # share of a window that must be seen for its costs to count in full
 GAIN = 0.9  # of the cost of the depth as it is; what gains less stays
 NOTHING = 1e-4  # of a difference, a fortieth of an 8-bit level: what gains less stays as well
@@ -38,33 +39,16 @@ def difference(view: FittedView, own: F32, depth: F64, other: FittedView, others
     return cost
 
 
-def gathered(view: FittedView, costs: F64, known: NDArray[np.bool_]) -> F64:
-    """(D, H, W) `costs` (D, H, W), 0 where not `known` (H, W), gathered within surfaces by a guided filter (He et al.
-    2010; on cost volumes: Hosni et al. 2011) over what is known."""
-    grey = view.image.mean(axis=0, dtype=np.float64)
-    share = np.maximum(_guided(grey, known[None].astype(np.float64)), SEEN)
-    found = _guided(grey, costs)
-    found /= share
-    return np.maximum(found, 0, out=found)  # the filter undershoots
+class Gathering:
+    """Gathers costs within the surfaces of a view (on cost volumes: Hosni et al. 2011), over what is known of them."""
 
+    def __init__(self, view: FittedView, known: Mask) -> None:
+        """`known` (H, W): elsewhere costs are 0."""
+        self.filter = GuidedFilter(view.image.mean(axis=0, dtype=np.float64))
+        self.share = np.maximum(self.filter.of(known.astype(np.float64)), SEEN)
 
-def _guided(guide: F64, planes: F64) -> F64:
-    """Guided filter of every plane (D, H, W) by the picture (H, W)."""
-    mean = _means(guide)
-    variance = _means(guide**2) - mean**2
-    level, slope = _means(planes), _means(guide * planes)
-    slope -= mean * level
-    slope /= variance + EPSILON
-    level -= slope * mean
-    found = _means(slope)
-    found *= guide
-    found += _means(level)
-    return found
-
-
-def _means(values: F64) -> F64:
-    """(..., H, W) over windows of RADIUS."""
-    planes = np.require(values, np.float64, ["C", "W"]).reshape(-1, *values.shape[-2:])
-    means = np.empty_like(planes)
-    mean_planes(planes, RADIUS, means)
-    return means.reshape(values.shape)
+    def of(self, cost: F64) -> F64:
+        """(H, W) of a depth's `cost` (H, W)."""
+        found = self.filter.of(cost)
+        found /= self.share
+        return np.maximum(found, 0, out=found)  # the filter undershoots

@@ -63,27 +63,24 @@ def compare_planes(own, others, column, row, seen, limit, found):
 
 
 @kernel()
-def compare_levels(own, others, rays, way, lens, levels, limit, found):
-    """`found` (D, H, W) mean absolute difference of `own` (H, W, C) and `others` (h, w, C), at most `limit`, where the
-    pixel has each of D inverse z-depths, `levels`: seen along ray + level * way, `rays` (H, W, 3) and `way` (3,) in the
-    axes of the other view, whose `lens` is fx, fy, cx, cy in px. `limit` where it is behind that or beside it, and
-    where one of the four pixels about the place has a NaN."""
+def compare_level(own, others, rays, way, lens, level, limit, found):
+    """`found` (H, W) mean absolute difference of `own` (H, W, C) and `others` (h, w, C), at most `limit`, where all
+    pixels have the inverse z-depth `level`: seen along ray + level * way, `rays` (H, W, 3) and `way` (3,) in the axes
+    of the other view, whose `lens` is fx, fy, cx, cy in px. `limit` where it is behind that or beside it, and where
+    one of the four pixels about the place has a NaN."""
     height, width, _ = others.shape
-    pixels = rays.size // 3
-    for level in range(levels.size):
-        x_way, y_way = get(levels, level) * get(way, 0), get(levels, level) * get(way, 1)
-        z_way = get(levels, level) * get(way, 2)
-        for at in range(pixels):
-            put(found, level * pixels + at, limit)
-            z = get(rays, 3 * at + 2) + z_way
-            if not z > 0:
-                continue
-            x = get(lens, 0) * ((get(rays, 3 * at) + x_way) / z) + get(lens, 2)
-            y = get(lens, 1) * ((get(rays, 3 * at + 1) + y_way) / z) + get(lens, 3)
-            if x > 0 and y > 0 and x < width and y < height:
-                apart = _apart(own, others, at, x - 0.5, y - 0.5)
-                if apart < limit:
-                    put(found, level * pixels + at, apart)
+    x_way, y_way, z_way = level * get(way, 0), level * get(way, 1), level * get(way, 2)
+    for at in range(found.size):
+        put(found, at, limit)
+        z = get(rays, 3 * at + 2) + z_way
+        if not z > 0:
+            continue
+        x = get(lens, 0) * ((get(rays, 3 * at) + x_way) / z) + get(lens, 2)
+        y = get(lens, 1) * ((get(rays, 3 * at + 1) + y_way) / z) + get(lens, 3)
+        if x > 0 and y > 0 and x < width and y < height:
+            apart = _apart(own, others, at, x - 0.5, y - 0.5)
+            if apart < limit:
+                put(found, at, apart)
 
 
 @kernel()

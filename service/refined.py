@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .correspondence import disagreement, from_elsewhere, seen_by
 from .images import FittedView
-from .match_cost import GAIN, NOTHING, difference, features, gathered
+from .match_cost import GAIN, NOTHING, Gathering, difference, features
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -53,7 +53,10 @@ def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depths: F64, 
             for cost, step in zip(total, steps, strict=True):
                 cost += visible * difference(view, pictures[index], 1 / step, views[other], pictures[other])
     known = counted > 0
-    offset, gains = _least(gathered(view, total / np.maximum(counted, 1), known))
+    gathering = Gathering(view, known)
+    for cost in total:
+        cost[:] = gathering.of(cost / np.maximum(counted, 1))
+    offset, gains = _least(total)
     moved = np.clip(inverse + offset / pixels, inverse / RANGE, inverse * RANGE)
     return np.where(known & gains, 1 / moved, depths[index])
 

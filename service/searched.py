@@ -16,8 +16,8 @@ from .coarse_views import pixel_grid
 from .confirmed import AGREEMENT_PX, TEXTURE, confirmed
 from .correspondence import disagreement, from_elsewhere, seen_by
 from .images import FittedView
-from .match_cost import GAIN, LIMIT, NOTHING, difference, features, gathered
-from .plane_kernels import compare_levels
+from .match_cost import GAIN, LIMIT, NOTHING, Gathering, difference, features
+from .plane_kernels import compare_level
 from .rotations import turned
 from .splat.parallel import checked_threads, run_ranges
 from .window_match import contrast
@@ -30,7 +30,6 @@ STEP_PX = 1.0  # of parallax between two levels, about, in the view that is fart
 LEVELS = 160  # at most, in wider steps; up to 640 gave no better pictures
 TAIL = 0.001  # of the inverse depths at either end, which may be the network's worst
 ROOM = 0.1  # of an inverse depth, by which the range goes on beyond them
-TOGETHER = 8  # levels whose costs are in memory at a time
 OTHERS = 3  # that a view is compared with, those of least parallax: all six views would take 30 comparisons
 TIED = 1e-6  # of a way: views as near as the last of them are compared as well, whatever their order
 PAIR_PX = 16.0  # that a depth moves at most where all others are from one place: farther, repetitions cost as much
@@ -107,16 +106,14 @@ def _best(
     steps = np.ceil((ends[1] - ends[0]) * max(elsewhere.values()) / STEP_PX)
     levels = np.linspace(*ends, int(np.clip(steps, 2, LEVELS)))
     sweeps = [_Sweep.of(view, own, views[other], pictures[other]) for other in elsewhere]
+    gathering = Gathering(view, kept)
     least, chosen = np.full(depth.shape, np.inf), np.zeros(depth.shape)
-    for start in range(0, len(levels), TOGETHER):
-        some = levels[start : start + TOGETHER]
-        costs = np.minimum.reduce([gathered(view, sweep.costs(some) * kept, kept) for sweep in sweeps])
-        at = costs.argmin(axis=0)
-        cost = np.take_along_axis(costs, at[None], axis=0)[0]
-        chosen = np.where(cost < least, some[at], chosen)
-        least = np.minimum(least, cost)
-    as_it_is = np.stack([difference(view, own, depth, views[other], pictures[other]) for other in elsewhere])
-    now = gathered(view, as_it_is * kept, kept).min(axis=0)
+    for level in levels:
+        cost = np.minimum.reduce([gathering.of(sweep.cost(level) * kept) for sweep in sweeps])
+        chosen[cost < least] = level
+        np.minimum(least, cost, out=least)
+    as_it_is = [difference(view, own, depth, views[other], pictures[other]) for other in elsewhere]
+    now = np.minimum.reduce([gathering.of(cost * kept) for cost in as_it_is])
     return _Best(1 / chosen, least < GAIN * now - NOTHING)
 
 
@@ -141,8 +138,8 @@ class _Sweep(NamedTuple):
             np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
         )
 
-    def costs(self, levels: F64) -> F64:
-        """(D, H, W) mean absolute difference at inverse z-depths `levels` (D,); LIMIT at most, and where not seen."""
-        found = np.empty((len(levels), *self.own.shape[:2]))
-        compare_levels(self.own, self.others, self.rays, self.way, self.lens, levels, LIMIT, found)
+    def cost(self, level: float) -> F64:
+        """(H, W) mean absolute difference at the inverse z-depth `level`; LIMIT at most, and where not seen."""
+        found = np.empty(self.own.shape[:2])
+        compare_level(self.own, self.others, self.rays, self.way, self.lens, level, LIMIT, found)
         return found

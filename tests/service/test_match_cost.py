@@ -10,7 +10,7 @@ from plane_views import SIDE, plane_depths, plane_views
 
 from gapmes.service.correspondence import seen_by
 from gapmes.service.images import FittedView
-from gapmes.service.match_cost import GRADIENT, LIMIT, _guided, difference, features, gathered
+from gapmes.service.match_cost import GRADIENT, LIMIT, Gathering, difference, features
 
 
 @pytest.fixture(scope="module")
@@ -57,24 +57,5 @@ def test_what_is_not_seen_costs_the_limit(views: list[FittedView]) -> None:
 def test_unknown_costs_do_not_count(views: list[FittedView]) -> None:
     """Where all that is known costs the same, so does everything near it."""
     known = np.random.default_rng(2).random((SIDE, SIDE)) < 0.8
-    found = gathered(views[0], np.where(known, 0.1, 0.0)[None], known)
-    assert np.abs(found[0][known] - 0.1).max() < 1e-9
-
-
-def test_the_guided_filter_is_its_definition() -> None:
-    """Against sums over windows, pixel by pixel (He et al. 2010, equations 5, 6 and 8)."""
-    rng = np.random.default_rng(6)
-    guide, plane, size = rng.random((9, 11)), rng.random((9, 11)), 2
-
-    def window(values: np.ndarray, y: int, x: int) -> np.ndarray:
-        return values[max(y - size, 0) : y + size + 1, max(x - size, 0) : x + size + 1]
-
-    slope, level = np.empty_like(guide), np.empty_like(guide)
-    for y, x in np.ndindex(guide.shape):
-        g, p = window(guide, y, x), window(plane, y, x)
-        slope[y, x] = ((g * p).mean() - g.mean() * p.mean()) / (g.var() + 1e-3)
-        level[y, x] = p.mean() - slope[y, x] * g.mean()
-    expected = [
-        window(slope, y, x).mean() * guide[y, x] + window(level, y, x).mean() for y, x in np.ndindex(guide.shape)
-    ]
-    assert np.abs(_guided(guide, plane[None])[0].ravel() - expected).max() < 1e-12
+    found = Gathering(views[0], known).of(np.where(known, 0.1, 0.0))
+    assert np.abs(found[known] - 0.1).max() < 1e-9

@@ -1,0 +1,42 @@
+"""Planes smoothed within the surfaces of a picture (guided filter, He et al. 2010)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .plane_kernels import mean_planes
+
+F64 = NDArray[np.float64]
+
+RADIUS, EPSILON = 2, 1e-3  # px and variance of the guide: weaker edges are smoothed across
+
+
+class GuidedFilter:
+    """Of any number of planes by one picture, whose statistics are computed once."""
+
+    def __init__(self, guide: F64) -> None:
+        """`guide` (H, W)."""
+        self.guide = guide
+        self.mean = _means(guide)
+        self.variance = _means(guide**2)
+        self.variance -= self.mean**2
+        self.variance += EPSILON
+
+    def of(self, plane: F64) -> F64:
+        """(H, W) of `plane` (H, W)."""
+        level, slope = _means(plane), _means(self.guide * plane)
+        slope -= self.mean * level
+        slope /= self.variance
+        level -= slope * self.mean
+        found = _means(slope)
+        found *= self.guide
+        found += _means(level)
+        return found
+
+
+def _means(plane: F64) -> F64:
+    """(H, W) over windows of RADIUS."""
+    means = np.empty_like(plane[None])
+    mean_planes(np.require(plane[None], np.float64, ["C", "W"]), RADIUS, means)
+    return means[0]
