@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .camera import Camera
-from .depth_range import DepthRange, depth_range_of_reading, largest_baseline
+from .depth_range import MAX_RATIO, DepthRange, depth_range_of_reading, largest_baseline
 from .errors import BaselineError, IntrinsicsError, OverlapError, ViewCountError
 from .overlap import best_partner_shares, inverse_depth_steps
 from .pose_readings import apart_when_inverted, other_readings
@@ -40,10 +40,11 @@ def check_views(
 ) -> list[Notice]:
     """Refuse sets of cameras that cannot give a scene; return warnings about those that hardly can.
 
-    Raises `ViewCountError`, `IntrinsicsError`, `BaselineError` (same view twice, or no parallax) or `OverlapError`,
-    which says what the poses look like if another reading of them would overlap. Views that do not overlap within an
-    estimated depth range are refused only if they overlap at no other depth either; with `trust_poses` none are.
-    `numbers` are what the caller calls the views, where these were chosen from more, `planes` the network's depths.
+    Raises `ViewCountError`, `IntrinsicsError`, `BaselineError` (same view twice, no parallax, or a distance beyond
+    float32) or `OverlapError`, which says what the poses look like if another reading of them would overlap. Views
+    that do not overlap within an estimated depth range are refused only if they overlap at no other depth either; with
+    `trust_poses` none are. `numbers` are what the caller calls the views, where these were chosen from more, `planes`
+    the network's depths.
     """
     check_count(len(cameras))
     numbers = range(len(cameras)) if numbers is None else numbers
@@ -81,6 +82,15 @@ def _check_baselines(cameras: Sequence[Camera], depths: DepthRange, numbers: Seq
     widest = (0.0, 0, 1)
     for j, one in enumerate(cameras):
         for i, other in enumerate(cameras[:j]):
+            apart = float(np.abs(one.center - other.center).max())
+            if apart > MAX_RATIO * depths.near:
+                raise BaselineError(
+                    f"views {numbers[i]} and {numbers[j]} stand {apart:.3g} apart at near = {depths.near:g}, need at "
+                    f"most {MAX_RATIO:g} times near",
+                    field="cameras",
+                    index=numbers[j],
+                    cure="give near, far and the poses in one unit, such as metres",
+                )
             baseline = float(np.linalg.norm(one.center - other.center))
             angle = rotation_angle(one.rotation.T @ other.rotation)
             if baseline <= SAME_POSITION * depths.near and angle <= SAME_ROTATION:

@@ -81,6 +81,17 @@ def test_the_parallax_threshold_is_a_quarter_of_a_pixel_at_near(baseline, passes
 
 
 @pytest.mark.case("P2")
+@pytest.mark.parametrize("times", [1e31, 1e200])
+def test_a_baseline_beyond_float32_is_refused_whatever_is_trusted(times):
+    """The network reckons in float32 with near as its unit, and refuses results that are not finite."""
+    cameras = ring((0, 0.2, 0.4))
+    pose = cameras[2].world_from_cam.copy()
+    pose[:3, 3] *= times
+    with pytest.raises(BaselineError, match=r"views 0 and 2 stand .* apart at near = 3, need at most 1e") as caught:
+        check_views([*cameras[:2], cameras[2].posed(pose)], given(), trust_poses=True)
+    assert caught.value.index == 2
+
+
 def test_one_pair_with_parallax_is_enough():
     cameras = ring((0, 0.3))
     turned = cameras[0].world_from_cam.copy()
