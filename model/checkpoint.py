@@ -101,11 +101,8 @@ def load_checkpoint(path: Path) -> GaPMeS:
     Raises `CheckpointError` that names what is missing, unexpected or misshapen, is not in floating point, or has
     numbers that are not finite.
     """
-    model = GaPMeS(read_config(path))
-    tensors = load_file(path)
-    kept = ("gapmes.licence", "gapmes.backbones")
-    model.provenance = {key: value for key, value in read_metadata(path).items() if key in kept}
-    expected = model.state_dict()
+    config = read_config(path)
+    expected, tensors = _tensors_of(path, config), load_file(path)
     missing, unexpected = sorted(expected.keys() - tensors.keys()), sorted(tensors.keys() - expected.keys())
     shapes = [
         f"{name} {tuple(tensors[name].shape)} instead of {tuple(expected[name].shape)}"
@@ -114,18 +111,26 @@ def load_checkpoint(path: Path) -> GaPMeS:
     ]
     if missing or unexpected or shapes:
         own = _preset_of(tensors)
-        cure = (
-            f"; its tensors are preset {own}'s, its configuration has other {_differing(model.config, own)}"
-            if own
-            else ""
-        )
+        cure = f"; its tensors are preset {own}'s, its configuration has other {_differing(config, own)}" if own else ""
         raise CheckpointError(
-            f"{path} does not fit its configuration (preset {model.config.preset}): missing {missing[:5]}, "
+            f"{path} does not fit its configuration (preset {config.preset}): missing {missing[:5]}, "
             f"unexpected {unexpected[:5]}, misshapen {sorted(shapes)[:5]} ({len(missing)}, {len(unexpected)}, "
             f"{len(shapes)} in all){cure}"
         )
     refuse_other_kinds(path, tensors)
     weights = {name: value.to(torch.float32) for name, value in tensors.items()}
     refuse_non_finite(path, weights)
+    model = GaPMeS(config)
+    kept = ("gapmes.licence", "gapmes.backbones")
+    model.provenance = {key: value for key, value in read_metadata(path).items() if key in kept}
     model.load_state_dict(weights)
     return model.eval()
+
+
+def _tensors_of(path: Path, config: ModelConfig) -> Mapping[str, Tensor]:
+    """By name, of the network that the file at `path` describes, on no device: whatever its sizes, without memory."""
+    try:
+        with torch.device("meta"):
+            return GaPMeS(config).state_dict()
+    except (RuntimeError, ValueError, TypeError, ArithmeticError) as error:
+        raise CheckpointError(f"{path} has a configuration that no network has: {error}") from error

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 PIXELS_PER_CELL = 4  # the paper's s = 4: the aligned grid has a quarter of the input resolution
 CELLS_PER_PATCH = 4  # a routed patch is 4 x 4 cells, that is 16 x 16 pixels
 PIXELS_PER_PATCH = PIXELS_PER_CELL * CELLS_PER_PATCH
+MOST = 4096  # of anything that is counted; networks of this kind have a third of it
+MAX_DEGREE = 3  # of spherical harmonics
+TRUNKS = ("light", "full")
+MAY_BE_NONE = ("eighth_channels", "cross_view_blocks", "sh_degree")
 
 
 @dataclass(frozen=True)
@@ -22,6 +26,10 @@ class VitConfig:
     patch: int
     mlp_ratio: int
     image_size: int  # px, the size that its position embedding is stored for
+
+    def __post_init__(self) -> None:
+        """Raises `ValueError` for counts that no network has."""
+        _check_counts(self)
 
 
 @dataclass(frozen=True)
@@ -55,7 +63,12 @@ class ModelConfig:
     without_tasks: bool = False  # Table 5: no task gate, every head reads the full map
 
     def __post_init__(self) -> None:
-        """Raises `ValueError` for routing that means nothing."""
+        """Raises `ValueError` for counts and names that no network has, and for routing that means nothing."""
+        _check_counts(self)
+        if self.trunk not in TRUNKS:
+            raise ValueError(f"trunk is {self.trunk!r}, need one of {', '.join(TRUNKS)}")
+        if self.sh_degree > MAX_DEGREE:
+            raise ValueError(f"sh_degree is {self.sh_degree}, need at most {MAX_DEGREE}: a .ply holds no more")
         if not self.without_experts and not 1 <= self.top_k <= self.experts:
             raise ValueError(f"top_k is {self.top_k}, need 1 to {self.experts}: the network has so many experts")
         if not 0 < self.temperature < math.inf:
@@ -81,6 +94,14 @@ class ModelConfig:
         values["semantic_vit"] = VitConfig(**values["semantic_vit"])
         values["depth_vit"] = VitConfig(**values["depth_vit"])
         return ModelConfig(**values)
+
+
+def _check_counts(config: VitConfig | ModelConfig) -> None:
+    """All whole numbers, those without which there is no network at least 1."""
+    for field in fields(config):
+        value, least = getattr(config, field.name), 0 if field.name in MAY_BE_NONE else 1
+        if field.type == "int" and not (type(value) is int and least <= value <= MOST):
+            raise ValueError(f"{field.name} is {value!r}, need a whole number of {least} to {MOST}")
 
 
 _VIT_TINY = VitConfig(hidden=96, layers=3, heads=4, patch=16, mlp_ratio=2, image_size=256)

@@ -165,15 +165,37 @@ def test_a_preset_is_known_by_its_tensors(tmp_path: Path) -> None:
     ("changes", "said"),
     [
         ({"top_k": 7}, "top_k is 7, need 1 to 6"),
-        ({"top_k": 0}, "top_k is 0, need 1 to 6"),
+        ({"top_k": 0}, "top_k is 0, need a whole number of 1 to"),
         ({"temperature": 0.0}, "temperature is 0.0, need a number above 0"),
         ({"temperature": -1.0}, "temperature is -1.0, need"),
         ({"temperature": float("nan")}, "temperature is nan, need"),
+        ({"half_channels": -4}, "half_channels is -4, need a whole number of 1 to 4096"),
+        ({"quarter_channels": 64.0}, "quarter_channels is 64.0, need a whole number"),
+        ({"depth_planes": True}, "depth_planes is True, need a whole number"),
+        ({"experts": 10**7}, "experts is 10000000, need"),  # would be built one by one
+        ({"cross_view_blocks": -1}, "cross_view_blocks is -1, need a whole number of 0 to"),
+        ({"sh_degree": 4}, "sh_degree is 4, need at most 3"),
+        ({"trunk": "heavy"}, "trunk is 'heavy', need one of light, full"),
     ],
 )
-def test_routing_that_means_nothing_is_refused(changes: dict[str, float], said: str, tmp_path: Path) -> None:
+def test_configurations_that_mean_nothing_are_refused(changes: dict[str, float], said: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=said):
         preset("tiny", **changes)
+    config = json.loads(PRESETS["tiny"].to_json()) | changes
+    path = tmp_path / "wrong.safetensors"
+    save_file(load_file(shipped_checkpoint("tiny")), path, metadata={"gapmes.config": json.dumps(config)})
+    with pytest.raises(CheckpointError, match=said):
+        load_checkpoint(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"half_channels": 33}, "a configuration that no network has: num_channels .33. must be divisible"),
+        ({"volume_channels": 4096}, "does not fit its configuration"),  # compared without memory for it
+    ],
+)
+def test_sizes_that_do_not_go_together_are_refused(changes: dict[str, int], said: str, tmp_path: Path) -> None:
     config = json.loads(PRESETS["tiny"].to_json()) | changes
     path = tmp_path / "wrong.safetensors"
     save_file(load_file(shipped_checkpoint("tiny")), path, metadata={"gapmes.config": json.dumps(config)})
