@@ -12,7 +12,7 @@ from .errors import CameraError, IntrinsicsError
 from .transforms_file import COEFFICIENTS, parse_transforms
 
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
-_OF_THE_FILE = ("axes", "pose", "near", "far")
+OF_THE_FILE = ("axes", "pose", "near", "far")
 _MISSPELT = {"axis": "axes", "poses": "pose", "near_plane": "near", "znear": "near", "far_plane": "far", "zfar": "far"}
 
 
@@ -54,6 +54,14 @@ def conventions(obj: Mapping, *, field: str) -> tuple[str, str]:
     return _choice(obj, "axes", ("opencv", "opengl"), field), _choice(obj, "pose", ("c2w", "w2c"), field)
 
 
+def refuse_misspelt(obj: Mapping, *, field: str, index: int | None = None) -> None:
+    """Raises `CameraError` for a key that is nearly one of `OF_THE_FILE`: it would be passed over as unknown."""
+    for name in obj:
+        meant = _MISSPELT.get(str(name).lower(), str(name).lower())
+        if meant in OF_THE_FILE and name != meant:
+            raise CameraError(f"{name!r} is not a key", field=field, index=index, cure=f'did you mean "{meant}"?')
+
+
 def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int | None = None) -> NamedView:
     """One view object of a cameras.json. Raises `CameraError` or one of its children."""
     _refuse_lens(entry, field, index)
@@ -91,16 +99,14 @@ def _list_name(obj: Mapping) -> str:
 
 
 def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
-    for name in obj:
-        meant = _MISSPELT.get(str(name).lower(), str(name).lower())
-        if meant in _OF_THE_FILE and name != meant:
-            raise CameraError(f"{name!r} is not a key of the file", field="cameras", cure=f'did you mean "{meant}"?')
+    refuse_misspelt(obj, field="cameras")
     _refuse_lens(obj, "cameras", None)
     axes, pose = conventions(obj, field="cameras")
     entries = list_of(obj, "views")
     chosen = range(len(entries)) if indices is None else indices
     for index in chosen:
-        for name in _OF_THE_FILE:
+        refuse_misspelt(entries[index], field="views", index=index)
+        for name in OF_THE_FILE:
             if entries[index].get(name) is not None:
                 raise CameraError(
                     f"{name} = {entries[index][name]!r} stands in a view", field=f"views.{name}", index=index,

@@ -5,18 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from .camera import Camera
-from .camera_file import conventions, parse_view
+from .camera_file import conventions, parse_view, refuse_misspelt
 from .errors import CameraError
 
 
 def camera_from_json(obj: object) -> Camera:
     """Parse one view object; `axes` and `pose` in it say otherwise as they do in a camera file.
 
-    Raises `CameraError` or one of its children; their fields are `camera` or begin with `camera.`, without an index.
+    Raises `CameraError` or one of its children, for bounds and for misspelt conventions too; their fields are `camera`
+    or begin with `camera.`, without an index.
     """
     if not isinstance(obj, Mapping):
         raise CameraError(
             f"is a {type(obj).__name__}, need an object", field="camera", cure="one view of a cameras.json"
         )
+    refuse_misspelt(obj, field="camera")
+    for name in ("near", "far"):
+        if obj.get(name) is not None:
+            raise CameraError(
+                f"{name} = {obj[name]!r} stands in a camera", field=f"camera.{name}",
+                cure="leave it out: a picture begins at a tenth of its scene's near",
+            )  # fmt: skip
     axes, pose = conventions(obj, field="camera")
     return parse_view(obj, axes=axes, pose=pose, field="camera").camera

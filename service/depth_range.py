@@ -78,7 +78,11 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
                 cure="depths are counted from the camera along its axis; leave near and far out to have them estimated",
             )
     if not near < far:
-        cure = "they are swapped" if near > far else "the scene needs some depth"
+        cure = (
+            "are they swapped, or one of them the file's? then give both"
+            if near > far
+            else "the scene needs some depth"
+        )
         raise DepthRangeError(f"near = {near:g}, far = {far:g}, need near < far", field="near", cure=cure)
     for name, value in (("near", near), ("far", far)):
         if not 1 / MAX_DEPTH <= value <= MAX_DEPTH:

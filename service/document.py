@@ -16,6 +16,7 @@ from .gaussians import Gaussians
 from .images import FittedView
 from .model_info import ModelInfo
 
+GAUSSIANS = "Gaussians"  # how those rows of `left_out` begin that count them
 TASKS = ("mean", "opacity", "covariance", "colour")  # order of the four task weights
 
 
@@ -69,6 +70,11 @@ def scene_document(
         "warnings": [dict(warning) for warning in warnings],
         "timings": {stage: round(seconds, 6) for stage, seconds in timings.items()},
     }
+
+
+def gaussians_left_out(document: Mapping[str, Any]) -> int:
+    """Of all that the network gave or that was added, how many are not in the scene."""
+    return sum(row["count"] for row in document["left_out"] if row["what"].startswith(GAUSSIANS))
 
 
 def routing_summary(outputs: Mapping[str, NDArray]) -> dict[str, Any]:

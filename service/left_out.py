@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .budget import Budget
 from .camera import Camera
 from .certified import certified_views
+from .document import GAUSSIANS
 from .gaussians import Gaussians, without_zero_bands
 from .masks import FADED, TRANSPARENT
 from .model_info import ModelInfo
@@ -106,12 +107,12 @@ def table(
         row("experts that no patch chose", idle, experts)
     total = len(outputs["opacities"]) + added
     for reason, count in dropped.items():
-        row(f"Gaussians: {reason}", count, total, 0.0 if reason in (TRANSPARENT, FADED) else None)
+        row(f"{GAUSSIANS}: {reason}", count, total, 0.0 if reason in (TRANSPARENT, FADED) else None)
     lost = sum(dropped.values())
-    row("Gaussians between strides", total - lost - pruned["kept"] - pruned["dropped"], total, None)
-    row("Gaussians below min_opacity", pruned["faint"], total, pruned["faint_bound"])
-    row("Gaussians without weight in the certified views", pruned["unseen"], total)
+    row(f"{GAUSSIANS} between strides", total - lost - pruned["kept"] - pruned["dropped"], total, None)
+    row(f"{GAUSSIANS} below min_opacity", pruned["faint"], total, pruned["faint_bound"])
+    row(f"{GAUSSIANS} without weight in the certified views", pruned["unseen"], total)
     within = pruned["dropped"] - pruned["unseen"] - pruned["faint"]
-    row("Gaussians within the budget", within, total, pruned["bound"] - pruned["faint_bound"])
+    row(f"{GAUSSIANS} within the budget", within, total, pruned["bound"] - pruned["faint_bound"])
     row("bands of harmonics that are 0", pruned["bands"][0] - pruned["bands"][1], pruned["bands"][0])
     return rows

@@ -14,7 +14,7 @@ from .camera import Camera
 from .camera_file import camera_document
 from .default_framing import default_views
 from .depth_range import depth_range
-from .errors import FormatError, InputError
+from .errors import DepthRangeError, FormatError, InputError
 from .formats.dialect import Dialect
 from .formats.reading import Reading
 from .formats.registry import FORMATS, format_of_bytes
@@ -122,6 +122,11 @@ def framed(
     views = list(cameras) or list(framing.cameras)
     if near is None and far is None:
         return SceneViews(views, *chosen), source
+    low, high = chosen
+    if (near is None or far is None) and low is not None and high is not None and low >= high:
+        given = "near" if far is None else "far"
+        cure = f"{given} alone is given, the other one is from the {source}: give both"
+        raise DepthRangeError(f"near = {low:g}, far = {high:g}, need near < far", field=given, cure=cure)
     depths = depth_range(views, *chosen)  # refuses what is no range
     return SceneViews(views, depths.near, depths.far), source if near is None or far is None else "given"
 

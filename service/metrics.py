@@ -9,6 +9,7 @@ from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, disable_created_metrics
 
+from .document import gaussians_left_out
 from .peers import FOLDER, is_alive
 from .progress import Stage
 
@@ -43,7 +44,7 @@ def stage_ended(stage: Stage) -> None:
 def reconstructed(document: Mapping[str, Any]) -> None:
     """Count what a scene kept and left out."""
     GAUSSIANS.labels("kept").inc(document["pruning"]["kept"])
-    GAUSSIANS.labels("dropped").inc(document["pruning"]["dropped"])
+    GAUSSIANS.labels("dropped").inc(gaussians_left_out(document))
 
 
 def forget_dead(folder: Path) -> None:

@@ -26,9 +26,13 @@ def checked_wish(wish: Wish) -> Wish:
     if wish.context is not None and not MIN_VIEWS <= wish.context <= MAX_VIEWS:
         cure = f"leave it out for {DEFAULT_CONTEXT} of a large capture"
         raise ViewCountError(f"{wish.context} views, need {MIN_VIEWS} to {MAX_VIEWS}", field="context", cure=cure)
-    if wish.select is not None and wish.select.count(",") >= MAX_VIEWS:
-        count = wish.select.count(",") + 1
-        cure = "name those that overlap most, or say how many to choose"
+    count = MIN_VIEWS if wish.select is None else wish.select.count(",") + 1
+    if not MIN_VIEWS <= count <= MAX_VIEWS:
+        cure = (
+            "one view has no parallax"
+            if count < MIN_VIEWS
+            else "name those that overlap most, or say how many to choose"
+        )
         raise ViewCountError(f"{count} views, need {MIN_VIEWS} to {MAX_VIEWS}", field=wish.field, cure=cure)
     if wish.context is not None and wish.select is not None:
         raise InputError(f"is given beside {wish.field}", field="context", cure="name the views, or say how many")

@@ -54,7 +54,8 @@ def convert(
     from ..progress import Stages
     from .output_file import check_output_file, named
 
-    target = format_of_path(output, field="OUT") if to is None else format_named(to, field="to")
+    cure = "end it in one of them, or give --to"
+    target = format_of_path(output, field="OUT", cure=cure) if to is None else format_named(to, field="to")
     capture = None if measure in ("around", "off") else open_capture(Path(measure))
     cameras = None if capture is None else capture.cameras(range(len(capture.table.names))).cameras
     if not source.is_file():

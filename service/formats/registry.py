@@ -89,13 +89,13 @@ def format_named(extension: str, field: str = "format") -> Format:
     return found
 
 
-def format_of_path(path: str | PathLike[str], field: str = "format") -> Format:
+def format_of_path(path: str | PathLike[str], field: str = "format", cure: str = "end it in one of them") -> Format:
     """The format that a file's name ends in, the longest extension first. Raises `InputError`."""
     name = Path(path).name.lower()
     for extension in sorted(FORMATS, key=len, reverse=True):
         if name.endswith(f".{extension}"):
             return FORMATS[extension]
-    raise InputError(f"{name[-100:]!r} ends in none of {NAMES}", field=field, cure="name the format")
+    raise InputError(f"{name[-100:]!r} ends in none of {NAMES}", field=field, cure=cure)
 
 
 def format_of_bytes(data: bytes, name: str | None = None) -> Format:
@@ -110,7 +110,7 @@ def format_of_bytes(data: bytes, name: str | None = None) -> Format:
     if data[:4] == b"NGSP" or (is_gzip(data) and (holds_spz(data) or not rows)):
         return FORMATS["spz"]
     if name:
-        return format_of_path(name, field="format")
+        return format_of_path(name, cure="name the format: --from, format= over HTTP and in Python")
     if not data:
         raise InputError("0 bytes", field="file", cure=f"send a file of Gaussians, one of {NAMES}")
     message = f"the first bytes, {data[:8]!r}, are those of no .ply or .spz, and there is no name to tell"

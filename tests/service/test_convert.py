@@ -188,7 +188,10 @@ def test_invalid_rows_are_refused_or_dropped(ply: Path, capfd: pytest.CaptureFix
 
 def test_what_is_refused_before_the_work(ply: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for arguments, message in (
-        ((ply, tmp_path / "a.obj"), "OUT: 'a.obj' ends in none of"),
+        (
+            (ply, tmp_path / "a.obj"),
+            "OUT: 'a.obj' ends in none of ply, compressed.ply, splat, spz (end it in one of them, or give --to)",
+        ),
         ((ply, tmp_path / "a.ply", "--to", "obj"), "to: 'obj' is no format"),
         ((tmp_path / "none.ply", tmp_path / "a.ply"), "is not a file"),
         ((ply, tmp_path / "none" / "a.ply"), "is not a folder"),

@@ -5,6 +5,9 @@ import pytest
 from ply_cases import assert_same, binary_file, columns, gaussians
 
 from gapmes.service.camera import Camera
+from gapmes.service.errors import PlyError
+from gapmes.service.formats.dialect import Dialect
+from gapmes.service.formats.reading import DROP_CURE
 from gapmes.service.ply import inspect_ply, ply_bytes, read_ply
 from gapmes.service.splat import render
 
@@ -34,6 +37,22 @@ def test_every_property_and_value_is_a_number_or_one_row_less(name, value):
         [note] = reading.notes()
         assert note == f"1 of {COUNT} Gaussians dropped, invalid in {name} (1)"
     assert np.isfinite(render(reading.gaussians, CAMERA).rgb).all()
+
+
+@pytest.mark.parametrize(("kind", "form"), [("opacity", "linear"), ("scales", "linear")])
+def test_a_form_that_most_rows_speak_against_is_to_be_left_out(kind, form):
+    """Dropping such rows would leave hardly any of a file that is well."""
+    with pytest.raises(PlyError) as caught:
+        inspect_ply(ply_bytes(gaussians(COUNT, 1)), dialect=Dialect(**{kind: form}))
+    assert caught.value.cure == f"these are no {form} numbers: leave out --{kind} {form}, {kind}={form} over HTTP"
+    table = {key: column.copy() for key, column in TABLE.items()}
+    table["opacity"] = 1 / (1 + np.exp(-table["opacity"].astype(np.float64)))
+    table["scale_0"], table["scale_1"], table["scale_2"] = (np.exp(table[f"scale_{axis}"]) for axis in range(3))
+    name = "opacity" if kind == "opacity" else "scale_0"
+    table[name][3] = -1.0
+    with pytest.raises(PlyError) as caught:
+        inspect_ply(binary_file(table), dialect=Dialect("linear", "linear"))
+    assert (caught.value.index, caught.value.cure) == (3, DROP_CURE)
 
 
 @pytest.mark.case("E12")

@@ -211,5 +211,8 @@ def test_wishes_that_cannot_be() -> None:
             checked_wish(Wish(context=count))
     with pytest.raises(ViewCountError, match="100001 views, need 2 to 6"):
         checked_wish(Wish("," * 100_000))
+    with pytest.raises(ViewCountError, match="1 views, need 2 to 6") as caught:
+        checked_wish(Wish("3", field="views"))
+    assert caught.value.field == "views"
     with pytest.raises(InputError, match="is given beside select"):
         checked_wish(Wish("0,1", 2))

@@ -183,7 +183,8 @@ def test_what_happens_is_counted(client: TestClient) -> None:
         'gapmes_requests_total{method="GET",route="/render",status="200"}',
         'gapmes_rejected_total{code="view_unknown"}',
         'gapmes_jobs_total{state="done"}', 'gapmes_stage_seconds_count{stage="network"}', "gapmes_scenes ",
-        'gapmes_gaussians_total{fate="kept"}', 'gapmes_request_seconds_count{route="/render"}',
+        'gapmes_gaussians_total{fate="kept"}', 'gapmes_gaussians_total{fate="dropped"}',
+        'gapmes_request_seconds_count{route="/render"}',
         'gapmes_stage_seconds_count{stage="draw"}',
     )}  # fmt: skip
     scene = post(client, [photograph(200), photograph(201)]).json()
@@ -195,6 +196,9 @@ def test_what_happens_is_counted(client: TestClient) -> None:
     after = {name: count(client, name) - value for name, value in before.items()}
     kept = after.pop('gapmes_gaussians_total{fate="kept"}')
     assert kept == scene["gaussians"]["count"]
+    left_out = [row for row in scene["left_out"] if row["what"].startswith("Gaussians")]
+    dropped = after.pop('gapmes_gaussians_total{fate="dropped"}')
+    assert dropped == left_out[0]["of"] - kept > 0
     assert after.pop('gapmes_request_seconds_count{route="/render"}') == 2
     assert after == dict.fromkeys(after, 1)
     assert count(client, "gapmes_scenes_bytes") > 0

@@ -201,6 +201,13 @@ def test_what_is_refused_leaves_nothing(
     assert stored(settings) == before
 
 
+@pytest.mark.parametrize("query", [{"near": "1e9"}, {"far": "1e-9"}])
+def test_one_end_beyond_the_other_is_told_where_that_is_from(client: TestClient, query: dict[str, str]) -> None:
+    [name] = query
+    problem = assert_problem(load_raw(client, file_of("ply"), **query), 422, "depth_range_invalid", name)
+    assert problem["cure"] == f"{name} alone is given, the other one is from the framing: give both"
+
+
 def test_forms_that_are_none(client: TestClient) -> None:
     data = file_of("ply")
     assert_problem(client.post("/scenes", content=data), 415, "unsupported_media_type", "body")
