@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .correspondence import disagreement, parallax, seen_by
+from .correspondence import PARALLAX_PX, disagreement, parallax, seen_by
 from .images import FittedView
 from .window_match import contrast, correlations
 
 F64 = NDArray[np.float64]
 
-PARALLAX_PX = 4.0  # from what is infinitely far, at least, or any depth would agree
 AGREEMENT_PX = 1.0  # of parallax between a pixel's depth and the other view's own at the place where it is seen
 SAME_COLOUR = 0.1  # of a channel, mean over the three; exposures and highlights differ as well
 GOOD_MATCH = 0.8  # correlation of the windows about both

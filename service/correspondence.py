@@ -16,6 +16,7 @@ from .rotations import turned
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+PARALLAX_PX = 4.0  # from what is infinitely far: with less any depth seems right
 LEAST_WAY = 0.05  # between two views, of the longest: another from nearly the same place tells nothing of depth
 KEPT = 0.999  # of a value's weight, up to rounding: none of it is of a masked pixel
 
@@ -81,11 +82,14 @@ def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:
     return lens.fx * length * float(np.sqrt(1 + (tall - 1) * ((tall + 1) * down**2 + forward**2)))
 
 
-def from_elsewhere(views: Sequence[FittedView], index: int) -> dict[int, float]:
+def from_elsewhere(views: Sequence[FittedView], index: int, depth: F64) -> dict[int, float]:
     """The other views by number, and for each the `pixels_per_inverse_depth`; none with less than LEAST_WAY of the
-    most, and none at all where all are from the same place."""
+    most, unless what has the view's middle z-depth, of `depth` (H, W), moves by PARALLAX_PX in it: an overview from far
+    away makes a pair of neighbours no worse. None at all where all are from the same place."""
     ways = {
         other: pixels_per_inverse_depth(views[index], views[other]) for other in range(len(views)) if other != index
     }
-    longest = max(ways.values())
-    return {other: way for other, way in ways.items() if longest > 0 and way >= LEAST_WAY * longest}
+    mask = views[index].mask
+    middle = float(np.median(depth if mask is None or not mask.any() else depth[mask]))
+    least = min(LEAST_WAY * max(ways.values()), PARALLAX_PX * middle)
+    return {other: way for other, way in ways.items() if way > 0 and way >= least}

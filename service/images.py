@@ -12,9 +12,9 @@ from .camera import Camera
 from .distortion import Lens
 from .errors import ImageError
 from .image_files import DAMAGED, MAX_PIXELS, damaged, open_image
+from .resampling import OPAQUE, resampled
 
 MIN_SIDE = 32  # px; two patches of the network, below that there is nothing to match
-OPAQUE = 128  # alpha of 8 bits from here on keeps a pixel
 _STRIP = 64  # rows of a 16-bit image that are converted at a time
 _PNG_BIT_DEPTH = 24  # place in the file: behind its signature, the header's length and name, width and height
 _ORIENTATION = 0x0112  # EXIF tag
@@ -166,29 +166,15 @@ def fit_view(photo: Photo, camera: Camera, height: int, width: int) -> FittedVie
         cy=(camera.cy - top) * sy,
     )
     box = (left, top, left + window_w, top + window_h)
-    rgb, mask = _resampled(photo, (width, height), box)
+    rgb, mask = resampled(photo.rgb, photo.mask, (width, height), box)
     image = np.ascontiguousarray(rgb.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
     return FittedView(image, mask, fitted, window_w * window_h / (photo.width * photo.height))
 
 
 def resized(photo: Photo, width: int, height: int) -> Photo:
     """The whole photograph at another size, as it is stored: its orientation stays."""
-    rgb, mask = _resampled(photo, (width, height), (0, 0, photo.width, photo.height))
+    rgb, mask = resampled(photo.rgb, photo.mask, (width, height), (0, 0, photo.width, photo.height))
     return Photo(rgb, mask, photo.orientation)
-
-
-def _resampled(
-    photo: Photo, size: tuple[int, int], box: tuple[float, float, float, float]
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
-    """Antialiased by Lanczos. Under a mask colours are weighted by it, so that no masked colour bleeds in; the filter
-    is then a Hamming window, since the negative lobes of Lanczos make such weights overshoot."""
-    whole = Image.fromarray(photo.rgb)
-    if photo.mask is None:
-        return np.asarray(whole.resize(size, Image.Resampling.LANCZOS, box=box)), None
-    whole.putalpha(Image.fromarray(photo.mask.astype(np.uint8) * 255))
-    resized = np.asarray(whole.resize(size, Image.Resampling.HAMMING, box=box))
-    mask = resized[:, :, 3] >= OPAQUE
-    return np.where(mask[:, :, None], resized[:, :, :3], 0).astype(np.uint8), mask
 
 
 def _eight_bit(image: Image.Image) -> NDArray[np.uint8]:

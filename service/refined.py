@@ -37,7 +37,7 @@ def refined(views: Sequence[FittedView], depths: F64) -> F64:
 
 def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depths: F64, index: int) -> F64:
     view, inverse = views[index], 1 / depths[index]
-    others = from_elsewhere(views, index)
+    others = from_elsewhere(views, index, depths[index])
     if not others:
         return depths[index]
     pixels = max(others.values())

@@ -54,7 +54,7 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
     """
     kept = [np.ones(view.image.shape[1:], np.bool_) if view.mask is None else view.mask for view in views]
     inverse = 1 / depths[np.stack(kept)]
-    places = [from_elsewhere(views, index) for index in range(len(views))]
+    places = [from_elsewhere(views, index, depth) for index, depth in enumerate(depths)]
     elsewhere = [_nearest(apart) for apart in places]
     if not inverse.size or not all(elsewhere):
         return depths.copy()
