@@ -139,7 +139,8 @@ class Settings(BaseSettings):
     max_uploads_bytes: int = Field(
         512 * 2**20,
         ge=2**10,
-        description="request bodies in the memory of a process together, in bytes; what goes beyond gets 503",
+        description="request bodies in the memory of a process together, in bytes; what goes beyond gets 503; a"
+        " body that is alone may be larger",
     )
     max_camera_bytes: int = Field(
         2**20, ge=2**10, description="largest `cameras` document, in bytes; in a zip four times as much"
@@ -157,7 +158,9 @@ class Settings(BaseSettings):
         ge=2 * 32 * 32,
         description="photographs of one request together, in pixels before decoding",
     )
-    max_render_pixels: int = Field(8_000_000, ge=1, description="largest picture that `GET /render` draws, in pixels")
+    max_render_pixels: int = Field(
+        8_000_000, ge=1, description="largest picture of `GET /render`, in pixels times `samples` squared; or film"
+    )
     cache_bytes: int = Field(512 * 2**20, ge=0, description="memory that keeps read scenes between renders, in bytes")
 
     @field_validator("cors_origins")

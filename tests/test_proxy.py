@@ -1,4 +1,5 @@
-"""What the proxy before several replicas refuses itself reads as what the service refuses."""
+"""What the proxy before several replicas refuses itself reads as what the service refuses, and its settings are
+documented."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ from pathlib import Path
 from gapmes.service.errors import GapmesError
 from gapmes.service.problem_document import of_error
 
-CONF = (Path(__file__).parent.parent / "docker" / "nginx.conf").read_text()
+ROOT = Path(__file__).parent.parent
+CONF = (ROOT / "docker" / "nginx.conf").read_text()
 
 
 def errors(kind: type[GapmesError] = GapmesError) -> dict[str, type[GapmesError]]:
@@ -38,3 +40,14 @@ def test_it_takes_what_the_service_takes() -> None:
     most = Settings.model_fields["max_upload_bytes"].default
     assert most < megabytes * 2**20 < 1.05 * most
     assert f"more than {megabytes} MiB" in CONF
+
+
+def test_what_the_replicas_and_the_proxy_read_is_documented_with_its_default() -> None:
+    read = dict(re.findall(r"\$\{(\w+):-([^}]*)\}", (ROOT / "docker" / "compose.yaml").read_text()))
+    page = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
+    documented = {
+        name: default.strip("`").replace("none", "")
+        for names, default in re.findall(r"^\| ((?:`[A-Z_]+`(?:, )?)+) \| (.*?) \|", page, re.MULTILINE)
+        for name in re.findall(r"`(\w+)`", names)
+    }
+    assert documented == read

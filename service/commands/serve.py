@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import tempfile
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -80,13 +81,13 @@ def serve(
     if os.environ.get("TMPDIR"):  # where large uploads lie for a moment; an empty volume has no such folder yet
         Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
     if prepare:
+        _tell(strange)
         _prepare(settings, found)
         return
     SceneStore(settings.store)  # is refused here once, not by one worker after the other
     check_address(settings.host, settings.port, settings.workers)
     configure(settings.log, quiet=settings.quiet)
-    if strange:
-        _log.warning("nothing reads %s: docs/settings.md has the names of the settings", ", ".join(strange))
+    _tell(strange)
     os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in given.items()}  # what the workers read
     options: dict[str, Any] = {
         "factory": True,
@@ -108,6 +109,11 @@ def serve(
         watched_process.install()
         options |= {"workers": settings.workers, "timeout_worker_healthcheck": round(ANSWER_S)}
         uvicorn.run("gapmes.service.serving:app", **options)
+
+
+def _tell(strange: Sequence[str]) -> None:
+    if strange:
+        _log.warning("nothing reads %s: docs/settings.md has the names of the settings", ", ".join(strange))
 
 
 def _prepare(settings: Settings, models: Models) -> None:

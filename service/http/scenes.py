@@ -87,7 +87,7 @@ async def scene_file(
     response_class=Response,
     responses={200: {"description": "what the network saw of a photograph", "content": {"image/png": {}}}},
 )
-def scene_input(scene_id: str, index: Annotated[int, Path(ge=0, le=MAX_VIEWS)], runtime: Held) -> Response:
+def scene_input(scene_id: str, index: Annotated[int, Path(ge=0, le=MAX_VIEWS - 1)], runtime: Held) -> Response:
     """A photograph as the network saw it: cropped and resized, with its mask as transparency."""
     headers = {"Cache-Control": "private, max-age=3600"}
     return Response(runtime.store.input(scene_id, index), media_type="image/png", headers=headers)

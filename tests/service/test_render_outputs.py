@@ -150,6 +150,11 @@ def test_the_page_names_options_that_exist_and_every_one_of_a_film() -> None:
     assert {"--path", "--swing", "--seconds", "--fps", "--sheet", "--depth-scale"} <= named
 
 
+def test_the_page_names_all_that_a_picture_counts(folder: Path) -> None:
+    stats = draw(read_ply(folder / "scene.ply"), read_camera_file(folder / "cameras.json").cameras[0], threads=1).stats
+    assert [name for name in (*stats, *stats["culled"], *stats["seconds"]) if f"`{name}`" not in PAGE] == []
+
+
 def test_depth_is_read_as_the_page_says(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert render(folder, "views", "--channel", "depth", "--views", "0", "-q") == 0
     (snippet,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

@@ -14,6 +14,7 @@ from starlette.testclient import TestClient
 
 from gapmes.service.ply import read_ply
 from gapmes.service.settings import Settings
+from gapmes.service.view_checks import MAX_VIEWS
 
 
 def checked(client: TestClient, images: list[bytes], cameras: object, **fields: str) -> object:
@@ -147,7 +148,9 @@ def test_inputs_are_what_the_network_saw(client: TestClient, scene: dict) -> Non
     alpha = np.asarray(pictures[1])[:, :, 3]
     assert (alpha[:, :30] == 255).all()
     assert (alpha[:, 34:] == 0).all()
-    assert_problem(client.get(f"/scenes/{scene['id']}/inputs/2"), 404, "scene_not_found")
+    for index in (2, MAX_VIEWS - 1):  # which another scene may have
+        assert_problem(client.get(f"/scenes/{scene['id']}/inputs/{index}"), 404, "scene_not_found")
+    assert_problem(client.get(f"/scenes/{scene['id']}/inputs/{MAX_VIEWS}"), 422, "parameter_invalid")
     assert_problem(client.get(f"/scenes/{'0' * 32}/inputs/0"), 404, "scene_not_found")
 
 

@@ -42,6 +42,14 @@ def test_it_is_refused_by_name_and_can_be_deleted(client: TestClient, damaged: D
     assert scene["id"] not in [row["id"] for row in client.get("/scenes").json()["scenes"]]
 
 
+def test_where_its_document_alone_is_damaged_its_files_are_sent(client: TestClient, settings: Settings) -> None:
+    scene = post(client, PHOTOGRAPHS).json()
+    (settings.store / scene["id"] / "scene.json").write_bytes(b"")
+    for path in (*scene["links"]["files"].values(), *scene["links"]["inputs"]):
+        assert client.get(path).status_code == 200
+    assert client.delete(scene["links"]["self"]).status_code == 204
+
+
 def test_who_asks_again_gets_it_anew(client: TestClient, damaged: Damaged) -> None:
     scene, _, _ = damaged
     again = post(client, PHOTOGRAPHS)

@@ -1,7 +1,9 @@
-"""docs/http.md names every error code, route and parameter, and its example of a scene document is like a real one."""
+"""docs/http.md names every code of an error or a warning, every route and parameter, and its example of a scene is like
+a real one; docs/operations.md names every metric and all that lies in a store."""
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 from pathlib import Path
@@ -12,17 +14,38 @@ from http_requests import camera_object, photograph, post
 from starlette.testclient import TestClient
 
 from gapmes.service import errors
+from gapmes.service.effort import LIMITS
 from gapmes.service.http.preview import PreviewQuery, SheetQuery
 from gapmes.service.http.problems import FRAMEWORK_CODES
 from gapmes.service.http.render import RenderQuery
 from gapmes.service.http.upload import FIELDS
+from gapmes.service.scene_files import is_id
+from gapmes.service.settings import Settings
 
-TEXT = (Path(__file__).parents[3] / "docs" / "http.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[3]
+TEXT = (ROOT / "docs" / "http.md").read_text(encoding="utf-8")
+OPERATIONS = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
 
 
 def documented_codes() -> dict[str, int]:
+    """In the order of the table."""
     rows = re.findall(r"^\| (\d{3}) \| (.*?) \|", TEXT, re.MULTILINE)
     return {code: int(status) for status, codes in rows for code in re.findall(r"`(\w+)`", codes)}
+
+
+def warning_codes() -> set[str]:
+    """Of every object with a code and a message that the sources of the service write."""
+    found = set()
+    for path in (ROOT / "service").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Dict):
+                members = {
+                    key.value: value for key, value in zip(node.keys, node.values, strict=True)
+                    if isinstance(key, ast.Constant)
+                }  # fmt: skip
+                if {"code", "message"} <= set(members):
+                    found.add(ast.literal_eval(members["code"]))
+    return found
 
 
 def test_every_code_is_documented() -> None:
@@ -32,6 +55,13 @@ def test_every_code_is_documented() -> None:
     expected |= {"parameter_invalid": 422, "client_disconnected": 400}
     expected |= {"job_abandoned": 500, "range_not_satisfiable": 416}
     assert documented_codes() == expected
+    assert list(documented_codes().values()) == sorted(expected.values())
+
+
+def test_every_warning_is_documented() -> None:
+    table = TEXT.partition("## Warnings")[2]
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == warning_codes()
+    assert "names_differ" in warning_codes()
 
 
 def test_every_route_and_parameter_is_documented(client: TestClient) -> None:
@@ -41,6 +71,16 @@ def test_every_route_and_parameter_is_documented(client: TestClient) -> None:
             assert re.search(rf"`{method.upper()} {re.escape(shown)}`", TEXT), (method, path)
     for name in (*RenderQuery.model_fields, *PreviewQuery.model_fields, *SheetQuery.model_fields, *FIELDS):
         assert f"`{name}`" in TEXT, name
+
+
+def test_bounds_of_pictures_are_documented() -> None:
+    (widest,) = [bound.le for bound in RenderQuery.model_fields["width"].metadata if hasattr(bound, "le")]
+    assert f"at most {widest:,} px" in TEXT
+    knobs = (ROOT / "docs" / "splatting.md").read_text(encoding="utf-8")
+    for name in ("alpha_min", "stop"):
+        low, high = (f"{bound:g}".replace("e-0", "e-") for bound in LIMITS[name])
+        assert f"{low} to {high}" in next(line for line in TEXT.splitlines() if line.startswith("| `alpha_min`"))
+        assert f"`{name}` from {low} to {high}" in knobs
 
 
 def test_example_of_a_scene_document_has_the_keys_of_a_real_one(client: TestClient) -> None:
@@ -68,15 +108,30 @@ def assert_same_keys(example: Any, real: Any, path: str) -> None:
         assert_same_keys(example[0], real[0], f"{path}[0]")
 
 
+def test_numbers_of_the_example_add_up() -> None:
+    (text,) = (block for block in re.findall(r"```json\n(.*?)```", TEXT, re.DOTALL) if '"gaussians"' in block)
+    example = json.loads(text)
+    pruned, rows = example["pruning"], [row for row in example["left_out"] if row["what"].startswith("Gaussians")]
+    assert example["gaussians"]["count"] == pruned["kept"]
+    assert sum(row["count"] for row in example["dropped"]) + pruned["dropped"] == sum(row["count"] for row in rows)
+    assert {row["of"] for row in rows} == {pruned["kept"] + sum(row["count"] for row in rows)}
+
+
 def test_a_document_with_other_keys_is_noticed() -> None:
     with pytest.raises(AssertionError, match=r"\.crop\[0\]"):
         assert_same_keys({"crop": [{"kept_share": 1, "scale": 2}]}, {"crop": [{"kept_share": 1}]}, "")
 
 
 def test_every_metric_is_documented(client: TestClient) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "operations.md").read_text(encoding="utf-8")
-    documented = {name for name in re.findall(r"`(gapmes_\w+)`", page)}
+    documented = {name for name in re.findall(r"`(gapmes_\w+)`", OPERATIONS)}
     text = client.get("/metrics").text
     kinds = dict(re.findall(r"^# TYPE (gapmes_\w+) (\w+)$", text, re.MULTILINE))
     assert documented == set(kinds)
     assert set(kinds.values()) <= {"counter", "histogram", "gauge"}
+
+
+def test_everything_in_a_store_is_documented(client: TestClient, settings: Settings) -> None:
+    assert post(client, [photograph(70), photograph(71)]).status_code in (200, 201)
+    there = {"<32 hex digits>" if is_id(path.name) else path.name for path in settings.store.iterdir()}
+    listed = set(re.findall(r"`([^`]+?)/?`", " ".join(re.findall(r"^\| (.*?) \|", OPERATIONS, re.MULTILINE))))
+    assert {"<32 hex digits>", "index.sqlite"} <= there <= listed

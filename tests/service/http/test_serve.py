@@ -22,6 +22,7 @@ from cli_runs import run
 from http_requests import photograph, post
 from served_process import serving, until
 
+from gapmes.service.commands import serve
 from gapmes.service.commands.listening import check_address
 from gapmes.service.database import Database
 from gapmes.service.errors import InputError
@@ -109,6 +110,16 @@ def test_names_that_nothing_reads_are_in_the_log_once(tmp_path: Path) -> None:
     said = json.loads(done.stderr)  # one line
     assert said["level"] == "warning"
     assert said["message"].startswith("nothing reads GAPMES_QUEUE, GAPMES_STORE_PORT: ")
+
+
+def test_names_that_nothing_reads_are_said_before_models_are_prepared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(serve, "_prepare", lambda *_: said.append(caplog.text))
+    monkeypatch.setenv("GAPMES_QUEUE", "5")
+    assert run("serve", "--prepare", "--store", tmp_path) == 0
+    assert ["nothing reads GAPMES_QUEUE: " in text for text in said] == [True]
 
 
 def workers(process: subprocess.Popen[bytes]) -> list[int]:
