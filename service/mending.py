@@ -30,6 +30,7 @@ from .world_frame import WorldFrame
 
 MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
 CONTINUED_VIEWS = 3  # of more, others confirm nearly all that is seen, and planes lose
+ANCHORED_VIEWS = 3  # of more, photographs contradict what floats, and things that none of them confirms would fade
 SMOOTHING = 0.1  # px^2 in the input, added to all three variances
 
 
@@ -141,7 +142,7 @@ def mended(
     options: dict[str, Any] = {"threads": threads, **cameras.near_plane}
     of_pixel = scene.of_pixel
     sure = np.zeros(len(scene.rows), np.bool_)
-    if passes:
+    if passes and len(views) <= ANCHORED_VIEWS:
         sure[of_pixel] = confirmed(views, scene.depths).ravel()[scene.rows[of_pixel]]
     kept = anchors(scene.gaussians, sure, of_pixel & ~sure, [view.camera for view in views], **options)
     behind = ~of_pixel & (scene.rows < scene.around)

@@ -23,7 +23,7 @@ from .engine import Arrays, Engine
 from .errors import CameraError, InputError, ViewCountError
 from .fade_passes import DEFAULT_PASSES, checked_passes
 from .fitting import Picture, fitted
-from .foretold import DEFAULT_OTHERS, checked_others, nearest_others
+from .foretold import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
 from .gaussians import Gaussians
 from .images import FittedView
 from .kernels import is_warm, warm_up
@@ -108,7 +108,8 @@ class Reconstructor:
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
         a warning. `budget` says what may be left out of the scene and for which views that is proved. With three
         photographs or more each is also compared with its picture from a reconstruction of the `leave_one_out` others
-        that are nearest to it (2 or more; all others where there are fewer; 0: not done). `fade` is how
+        that are nearest to it (2 or more; all others where there are fewer; 0: not done) and have parallax among
+        themselves; where none have, a warning says so. `fade` is how
         often opacities are lowered and colours corrected where the photographs contradict them (`fading.py`), after
         depths have moved to where the photographs match best and a backdrop stands behind them (`mending.py`); with 0
         all stays as the network gave it. With `detail` 2 four Gaussians take the place of each pixel's one, in the
@@ -180,7 +181,10 @@ class Reconstructor:
             }
         if leave_one_out and len(views) > MIN_VIEWS:
             with stages.stage("leave one out", len(views)) as done:
-                check["leave_one_out"] = self._foretold(seen, depths, scene, leave_one_out, fade, done)
+                near, every = depths.near, range(len(views))
+                chosen = [nearest_others(cameras, index, leave_one_out, near) for index in every]
+                warnings += [not_foretold(cameras, i, near, numbers[i]) for i in every if not chosen[i]]
+                check["leave_one_out"] = self._foretold(seen, depths, scene, chosen, fade, done)
         document = scene_document(
             info=info,
             made_by=self.engine.made_by,
@@ -220,23 +224,24 @@ class Reconstructor:
         views: Sequence[FittedView],
         depths: DepthRange,
         scene: SceneViews,
-        count: int,
+        chosen: Sequence[Sequence[int]],
         fade: int,
         done: Callable[[int], None],
     ) -> list[dict[str, Any]]:
-        """Each view drawn from a reconstruction of the `count` nearest others."""
-        rows = []
+        """Each view drawn from a reconstruction of the `chosen` others, null figures where these are none."""
+        rows: list[dict[str, Any]] = []
         for index, view in enumerate(views):
-            chosen = nearest_others(scene.cameras, index, count)
-            others = [views[other] for other in chosen]
-            outputs, frame = self._run(others, depths)
-            if fade:
-                outputs = at_mended_depths(outputs, frame, others, self.engine.threads)
-            found = placed(outputs, frame, others, moved=fade > 0)
-            gaussians = mended(found, others, scene, fade, self.engine.threads).gaussians
-            options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
-            image = render(gaussians, view.camera, outputs=("alpha",), **options)
-            rows.append({"from": chosen, **drawn_again(image, view)})
+            row: dict[str, Any] = dict.fromkeys(("psnr", "ssim", "holes"))
+            if chosen[index]:
+                others = [views[other] for other in chosen[index]]
+                outputs, frame = self._run(others, depths)
+                if fade:
+                    outputs = at_mended_depths(outputs, frame, others, self.engine.threads)
+                found = placed(outputs, frame, others, moved=fade > 0)
+                gaussians = mended(found, others, scene, fade, self.engine.threads).gaussians
+                options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
+                row = drawn_again(render(gaussians, view.camera, outputs=("alpha",), **options), view)
+            rows.append({"from": list(chosen[index]), **row})
             done(index + 1)
         return rows
 

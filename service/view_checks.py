@@ -66,6 +66,11 @@ def check_count(count: int) -> None:
         )
 
 
+def parallax_px(one: Camera, other: Camera, near: float) -> float:
+    """How far a point at depth `near` shifts between two views against one at infinity: at most this many pixels."""
+    return max(one.fx, one.fy, other.fx, other.fy) * float(np.linalg.norm(one.center - other.center)) / near
+
+
 def _check_principal_point(camera: Camera, index: int) -> None:
     """A principal point within one pixel of the upper left corner is a normalised one."""
     if 0 < camera.cx <= 1 < camera.width / 8 and 0 < camera.cy <= 1 < camera.height / 8:
@@ -101,8 +106,7 @@ def _check_baselines(cameras: Sequence[Camera], depths: DepthRange, numbers: Seq
                     index=numbers[j],
                     cure="leave one of them out; is each pose the one of its own photograph?",
                 )
-            parallax = max(one.fx, one.fy, other.fx, other.fy) * baseline / depths.near
-            widest = max(widest, (parallax, i, j))
+            widest = max(widest, (parallax_px(one, other, depths.near), i, j))
     parallax, i, j = widest
     if parallax < MIN_PARALLAX_PX:
         raise BaselineError(

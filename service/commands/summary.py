@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 
 def check_line(check: Mapping[str, Any]) -> str:
     """The self-check in a line: what the scene shows of its own inputs, and how much of them says nothing of depth."""
-    shown = ", ".join("no pixel" if row["psnr"] is None else f"{row['psnr']:.1f}" for row in check["input_views"])
-    parts = [f"inputs drawn again: {shown} dB"]
+    parts = [f"inputs drawn again: {_decibels(check['input_views'])}"]
     for name, share in (("textureless", "textureless_share"), ("without parallax", "no_parallax_share")):
         if check[share] is not None:
             parts.append(f"{100 * check[share]:.1f} % {name}")
     for name, words in (("from_others", "drawn from the other views"), ("leave_one_out", "foretold by others")):
         if check.get(name):
-            values = [row["psnr"] for row in check[name]]
-            shown = ", ".join("no pixel" if value is None else f"{value:.1f}" for value in values)
-            parts.append(f"{words}: {shown} dB")
+            parts.append(f"{words}: {_decibels(check[name])}")
     if check.get("ambiguous_routes"):
         parts.append(f"{100 * check['ambiguous_routes']:.2f} % ambiguous routes")
     if check["depth_step"]["middle"] is not None:
         parts.append(f"depth candidates every {200 * check['depth_step']['middle']:.1f} % half way")
     return "; ".join(parts)
+
+
+def _decibels(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A view without a figure has no pixel to compare, or is drawn `from` none: no others have parallax."""
+    missing = ("no pixel" if row.get("from", True) else "no parallax" for row in rows)
+    shown = [why if row["psnr"] is None else f"{row['psnr']:.1f}" for row, why in zip(rows, missing, strict=True)]
+    return f"{', '.join(shown)} dB"
 
 
 def fading_line(document: Mapping[str, Any]) -> str:

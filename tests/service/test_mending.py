@@ -123,6 +123,19 @@ def test_what_is_confirmed_anchors_the_rest(
     assert (may_fade == (found.of_pixel & ~sure)).all()
 
 
+def test_of_four_views_nothing_is_an_anchor(
+    views: list[FittedView], frame: WorldFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    four, heard = [*views, replace(views[1])], []
+    given = joined(*(on_the_plane(view) for view in four))
+    depths = np.concatenate([plane_depths(views), plane_depths(views)[1:2]])
+    found = Placed(given, np.arange(len(given)), len(given), depths, {}, 0)
+    monkeypatch.setattr("gapmes.service.mending.anchors", lambda _, sure, *rest, **options: heard.append(sure))
+    mended(found, four, SceneViews(tuple(view.camera for view in four), NEAR, FAR), 1, 1)
+    assert [sure.any() for sure in heard] == [False]
+    assert confirmed(four, depths).any()
+
+
 def test_without_a_pass_nothing_changes(views: list[FittedView], frame: WorldFrame, cameras: SceneViews) -> None:
     found = placed(outputs(views, frame), frame, views, moved=False)
     after = mended(found, views, cameras, 0, 1)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from plane_scene import PlaneScene
 from standin_model import EXTRA, HEIGHT, WIDTH
 
 from gapmes.service.budget import Budget
@@ -53,6 +54,27 @@ def test_the_middle_of_each_square_stays_larger_and_of_the_mean_colour(stride):
     assert thin["means"] is full["means"]
 
 
+@pytest.mark.parametrize("stride", [2, 4])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_where_the_middle_is_masked_the_kept_pixel_nearest_to_it_stays(stride, share):
+    shape = views, height, width = 2, 16, 24
+    full, pixels = outputs(shape), views * height * width
+    kept = np.random.default_rng(3).random(shape) < share
+    rows = np.concatenate([np.flatnonzero(kept), pixels + np.arange(5)])
+    thin, chosen = thinned(full, rows, shape, stride)
+    middle, expected = (stride - 1) / 2, []
+    for view, top, left in np.ndindex(views, height // stride, width // stride):
+        square = np.argwhere(kept[view, top * stride :, left * stride :][:stride, :stride]).tolist()
+        if not square:
+            continue
+        y, x = min(square, key=lambda at: ((at[0] - middle) ** 2 + (at[1] - middle) ** 2, -at[0], -at[1]))
+        expected.append((view * height + top * stride + y) * width + left * stride + x)
+        there = [(view * height + top * stride + y) * width + left * stride + x for y, x in square]
+        np.testing.assert_allclose(thin["harmonics"][expected[-1]], full["harmonics"][there].mean(axis=0), atol=1e-6)
+    assert chosen.tolist() == [*sorted(expected), *range(pixels, pixels + 5)]
+    np.testing.assert_array_equal(thin["scales"][expected], full["scales"][expected] * np.float32(stride))
+
+
 def test_a_stride_of_one_is_the_scene_itself():
     full = outputs((2, 4, 4))
     thin, rows = thinned(full, np.arange(37), (2, 4, 4), 1)
@@ -77,6 +99,18 @@ def test_a_reconstruction_with_a_stride(engine, plane_scene):
     added = faded.document["gaussians"]["added"] - rows[f"Gaussians: {REPLACED}"]
     assert gone == faded.document["fading"]["gone"] == len(thin.gaussians) + added - len(faded.gaussians) > 0
     assert rows["Gaussians between strides"] == row["count"]
+
+
+def test_a_mask_of_every_fourth_row_leaves_a_scene(engine):
+    """None of the kept pixels is in the middle of its square."""
+    scene = PlaneScene.make(np.random.default_rng(7), count=2, size=(WIDTH, HEIGHT))
+    alpha = np.zeros((HEIGHT, WIDTH, 1), np.uint8)
+    alpha[::4] = 255
+    photos = [np.concatenate([image, alpha], axis=2) for image in scene.images]
+    given = {"near": scene.near, "far": scene.far, "fade": 0, "trust_poses": True}
+    thin = Reconstructor(engine).reconstruct(photos, scene.cameras, budget=Budget(None, stride=4), **given)
+    squares = 2 * HEIGHT * WIDTH // 16
+    assert squares <= len(thin.gaussians) <= squares + 2 * EXTRA
 
 
 @pytest.mark.parametrize("min_opacity", [0.05, 0.3, 0.95])

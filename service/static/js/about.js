@@ -99,6 +99,8 @@ function leftOut(body, scene) {
   body.append(make("p", {}, `${proved}${saved}, which was decided in ${digits(pruning.seconds)} s.`));
 }
 
+const foretold = (entry) => (entry.from.length ? `${decibels(entry)} from ${entry.from.join(", ")}` : "–");
+
 function trust(body, scene) {
   const check = scene.check;
   const columns = ["view", "drawn again", "holes"];
@@ -108,7 +110,7 @@ function trust(body, scene) {
   check.input_views.forEach((view, index) => {
     const cells = [String(index), decibels(view), view.holes === null ? "–" : percent(view.holes)];
     if (check.from_others) cells.push(decibels(check.from_others[index]));
-    if (check.leave_one_out) cells.push(`${decibels(check.leave_one_out[index])} from ${check.leave_one_out[index].from.join(", ")}`);
+    if (check.leave_one_out) cells.push(foretold(check.leave_one_out[index]));
     table.append(row(...cells));
   });
   body.append(wide(table));
