@@ -7,18 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .coarse_views import CoarseView, coarse_view, nearest_neighbours, pixel_grid, warp_to
+from .coarse_views import CoarseView, coarse_view, nearest_neighbours, pixel_grid
 from .depth_range import DepthRange
 from .images import FittedView
-from .overlap import inverse_depth_steps
-from .window_match import contrast, correlations
+from .plane_sweep import best_planes, planes, step_px
+from .window_match import contrast
 
 F64 = NDArray[np.float64]
 
-PLANES = 64
+PLANES = 64  # at least
 GOOD_MATCH = 0.7  # correlation
 AGREEMENT_PX = 1.5  # there and back again, on the coarse grid
-MIN_MATCHED = 0.1  # share of all pixels; with fewer the range stays as it was
+MIN_MATCHED = 0.1  # share of the pixels kept; with fewer the range stays as it was
 PERCENTILE = 0.03  # of the matched contrast, at either end; wrong matches make up a few per cent
 BEFORE = 0.6  # near = 0.6 x the 3rd percentile: room for what has no match, such as things at the border
 BEYOND = 1.5  # far = 1.5 x the 97th; what lies beyond differs by a fraction of a pixel of parallax
@@ -29,6 +29,7 @@ def narrowed(depths: DepthRange, views: Sequence[FittedView]) -> DepthRange:
 
     z_p are the depths below which p per cent of the matched pixels lie, weighted by contrast; a pixel is matched if its
     best plane correlates by 0.7 with the nearest other view, and that view's best plane leads back to within 1.5 px.
+    What masks leave out is compared with nothing.
     """
     if depths.source == "given":
         return depths
@@ -43,23 +44,20 @@ def narrowed(depths: DepthRange, views: Sequence[FittedView]) -> DepthRange:
 
 
 def matched_depths(views: Sequence[CoarseView], depths: DepthRange) -> tuple[F64, F64, float]:
-    """z-depths (M,) of the matched pixels of all views, their weights (M,), and their share of all pixels."""
-    steps = inverse_depth_steps(depths.near, depths.far, PLANES)
-    neighbours = nearest_neighbours([view.camera for view in views])
-    maps = []
-    for i, j in enumerate(neighbours):
-        warped, seen = warp_to(views[i].grey.shape, views[i].camera, views[j].grey, views[j].camera, steps)
-        scores = correlations(views[i].grey, warped, seen)
-        maps.append((steps[scores.argmax(axis=0)], scores.max(axis=0)))
+    """z-depths (M,) of the matched pixels of all views, their weights (M,), and their share of the pixels kept."""
+    cameras = [view.camera for view in views]
+    swept = planes(cameras, depths, PLANES, step_px(cameras, depths))
+    neighbours = nearest_neighbours(cameras)
+    maps = [best_planes(view, views[j], swept) for view, j in zip(views, neighbours, strict=True)]
     found, weights = [], []
-    for i, j in enumerate(neighbours):
-        depth, score = maps[i]
-        weight = contrast(views[i].grey)
-        good = ((score > GOOD_MATCH) & (weight > 0)).ravel() & _leads_back(views[i], depth, views[j], maps[j][0])
+    for (score, depth), view, j in zip(maps, views, neighbours, strict=True):
+        weight = contrast(view.grey, view.kept)
+        good = (view.kept & (score > GOOD_MATCH) & (weight > 0)).ravel()
+        good &= _leads_back(view, depth, views[j], maps[j][1])
         found.append(depth.ravel()[good])
         weights.append(weight.ravel()[good])
     matched = np.concatenate(found)
-    return matched, np.concatenate(weights), len(matched) / sum(view.grey.size for view in views)
+    return matched, np.concatenate(weights), len(matched) / max(1, sum(int(view.kept.sum()) for view in views))
 
 
 def _leads_back(view: CoarseView, depth: F64, other: CoarseView, other_depth: F64) -> NDArray[np.bool_]:

@@ -39,13 +39,12 @@ def contrast(picture: F64, kept: NDArray[np.bool_] | None = None) -> F64:
     return np.sqrt(np.maximum(window_mean(picture**2 * weight) / share - mean**2 - _NOISE, 0.0))
 
 
-def match_score(picture: F64, warped: F64, seen: NDArray[np.bool_]) -> tuple[float, float]:
-    """Best correlation over the D warped pictures, mean over the windows of `picture` by their contrast.
+def match_score(picture: F64, best: F64, kept: NDArray[np.bool_]) -> tuple[float, float]:
+    """Mean of the best correlations (h, w) over windows about what is `kept` (h, w) of `picture`, by their contrast.
 
     Windows that are seen in no warped picture do not count. Returns the mean, in [0, 1], and the sum of the weights.
     """
-    best = correlations(picture, warped, seen).max(axis=0)
-    weights = np.where(best > NOT_SEEN, contrast(picture), 0.0)
+    weights = np.where(kept & (best > NOT_SEEN), contrast(picture, kept), 0.0)
     total = float(weights.sum())
     return (float((np.clip(best, 0.0, 1.0) * weights).sum() / total), total) if total > 0 else (0.0, 0.0)
 

@@ -42,6 +42,45 @@ def test_matched_depths_are_those_of_the_plane():
     assert np.percentile(found, 90) < DEPTH * 1.15
 
 
+def test_a_wide_range_is_swept_as_finely():
+    """Of 64 planes none would be nearer to the scene than 3.4 and 4.8, of the 200 that its 300 px need some are."""
+    scene = PlaneScene.make(np.random.default_rng(4), turn=0.0)
+    coarse = [coarse_view(view) for view in fitted(scene)]
+    _, _, share = matched_depths(coarse, DepthRange(1.0, 30.0, "estimated"))
+    found, _, of_wide = matched_depths(coarse, DepthRange(0.182, 30.0, "estimated"))
+    assert of_wide > 0.9 * share
+    assert np.percentile(found, 10) > DEPTH * 0.85
+    assert np.percentile(found, 90) < DEPTH * 1.15
+
+
+@pytest.mark.parametrize("rows", [slice(120, None), slice(0, 150)])
+def test_masked_pixels_have_no_say(rows):
+    """Where both masks end at one place nothing matches for that; a part of a view that is kept is enough."""
+    scene = PlaneScene.make(np.random.default_rng(3), size=(256, 192))
+    wide = depth_range(scene.cameras)
+    views = [fit_view(Photo(i), c, 192, 256) for i, c in zip(scene.images, scene.cameras, strict=True)]
+    mask = np.ones((192, 256), np.bool_)
+    mask[rows] = False
+    ranges = []
+    for fill in (0.0, 1.0, 0.5):
+        image = [np.where(mask, view.image, np.float32(fill)) for view in views]
+        result = narrowed(wide, [replace(v, image=i, mask=mask) for v, i in zip(views, image, strict=True)])
+        ranges.append((result.near, result.far))
+    assert ranges[0] == ranges[1] == ranges[2]
+    near, far = ranges[0]
+    assert 0.6 * 3.0 < near < 0.6 * 4.6
+    assert 1.5 * 3.5 < far < 1.5 * 5.2
+
+
+def test_a_mask_that_leaves_too_little_of_every_cell_leaves_the_range():
+    scene = PlaneScene.make(np.random.default_rng(3), size=(256, 192))
+    views = [fit_view(Photo(i), c, 192, 256) for i, c in zip(scene.images, scene.cameras, strict=True)]
+    mask = np.zeros((192, 256), np.bool_)
+    mask[::3, ::3] = True
+    wide = depth_range(scene.cameras)
+    assert narrowed(wide, [replace(view, mask=mask) for view in views]) is wide
+
+
 def test_the_range_moves_with_the_unit():
     scene = PlaneScene.make(np.random.default_rng(3))
     result = narrowed(depth_range(scene.cameras), fitted(scene))

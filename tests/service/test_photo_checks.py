@@ -1,18 +1,24 @@
 """Do the photographs agree with the cameras: drawn photographs of a plane, under right and wrong poses."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 from plane_scene import DEPTH, PlaneScene
 
+from gapmes.service import photo_checks
+from gapmes.service.camera_file import parse_camera_file
 from gapmes.service.coarse_views import coarse_view, warp_to
-from gapmes.service.depth_range import DepthRange
+from gapmes.service.depth_range import DepthRange, depth_range
 from gapmes.service.errors import ContradictionError
 from gapmes.service.images import Photo, fit_view
 from gapmes.service.photo_checks import check_photos, consistency
+from gapmes.service.plane_sweep import MOST_PLANES, STEP_PX
 from gapmes.service.pose import rigid_inverse
 from gapmes.service.rotations import about_axis
+from gapmes.service.shipped import sample_folder
 from gapmes.service.window_match import RADIUS, correlations, match_score, window_mean
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -38,6 +44,54 @@ def off_origin(plane_scene):
 def test_right_poses_pass(plane_scene, off_origin):
     assert check_photos(fitted(plane_scene), DEPTHS) == []
     assert check_photos(fitted(off_origin), DEPTHS) == []
+
+
+@pytest.mark.parametrize("shape", ["wide", "stretched"])
+def test_right_poses_of_wide_photographs_pass(shape):
+    """Their crops show a small part of what the photographs share, so that much parallax is in the estimated range."""
+    listed = parse_camera_file(json.loads((sample_folder() / "cameras.json").read_text())).views
+    views, cameras = [], []
+    for index in (1, 5):
+        camera = listed[index].camera
+        with Image.open(sample_folder() / "images" / f"{index:03d}.png") as image:
+            if shape == "wide":
+                image, camera = image.crop((0, 60, 256, 140)), camera.cropped(0, 60, 256, 80)
+            else:
+                image, camera = image.resize((2048, 256)), camera.resized(2048, 256)
+            photo = Photo.from_array(np.asarray(image.convert("RGB")))
+        views.append(fit_view(photo, camera, 256, 256))
+        cameras.append(camera)
+    assert check_photos(views, depth_range(cameras)) == []
+
+
+def test_no_reading_is_swept_by_finer_steps_than_the_poses(plane_scene, monkeypatch):
+    steps = []
+
+    def noted(views, cameras, depths, step):
+        steps.append(step)
+        return consistency(views, cameras, depths, step)
+
+    monkeypatch.setattr(photo_checks, "consistency", noted)
+    check_photos(fitted(plane_scene), DEPTHS)
+    assert set(steps) == {STEP_PX}
+    steps.clear()
+    check_photos(fitted(plane_scene)[:2], DepthRange(0.05, 100.0, "given"), trust_poses=True)
+    assert len(set(steps)) == 1
+    assert steps[0] > 2 * STEP_PX
+    assert MOST_PLANES * steps[0] > 0.5 * 90 / 0.05  # px
+
+
+def test_masked_pixels_have_no_say(plane_scene):
+    """Where both masks end at one place nothing matches for that."""
+    views = fitted(plane_scene, size=(192, 256))
+    mask = np.ones((192, 256), np.bool_)
+    mask[120:] = False
+    scores = []
+    for fill in (0.0, 1.0, 0.5):
+        masked = [replace(view, image=np.where(mask, view.image, np.float32(fill)), mask=mask) for view in views]
+        coarse = [coarse_view(view) for view in masked]
+        scores.append(consistency(coarse, [view.camera for view in coarse], DEPTHS))
+    assert scores[0] == scores[1] == scores[2] > 0.9
 
 
 @pytest.mark.parametrize("wrong", WRONG)
@@ -87,7 +141,7 @@ def test_warping_at_the_true_depth_reproduces_the_photograph(plane_scene):
     views = [coarse_view(view) for view in fitted(plane_scene)]
     straight = np.eye(4)
     camera = views[0].camera.posed(straight)
-    warps = [warp_to(v.grey.shape, camera, v.grey, v.camera, np.array([DEPTH])) for v in views]
+    warps = [warp_to(v.grey.shape, camera, v, np.array([DEPTH])) for v in views]
     both = warps[0][1][0] & warps[1][1][0]
     assert both.mean() > 0.5
     np.testing.assert_allclose(warps[0][0][0][both], warps[1][0][0][both], atol=0.08)  # bilinear blur; contrast is 0.6
@@ -119,16 +173,18 @@ def test_window_means_and_correlation_by_brute_force():
                     weights[y, x] = a[window].std()
                     best[y, x] = max(best[y, x], np.corrcoef(a[window][ok], b[d][window][ok])[0, 1])
     expected = (np.clip(best, 0, 1) * weights).sum() / weights.sum()
-    score, total = match_score(a, b, seen)
+    score, total = match_score(a, correlations(a, b, seen).max(axis=0), np.ones((9, 11), bool))
     assert score == pytest.approx(expected, abs=1e-5)
     assert total == pytest.approx(weights.sum(), rel=1e-5)
 
 
 def test_a_picture_matches_itself_whatever_the_exposure():
     picture = np.random.default_rng(1).random((20, 20))
-    score, _ = match_score(picture, 0.3 * picture[None] + 0.2, np.ones((1, 20, 20), bool))
+    every = np.ones((20, 20), bool)
+    score, _ = match_score(picture, correlations(picture, 0.3 * picture[None] + 0.2, every[None])[0], every)
     assert score == pytest.approx(1, abs=1e-4)
-    assert match_score(picture, picture[None], np.zeros((1, 20, 20), bool)) == (0.0, 0.0)
+    unseen = correlations(picture, picture[None], ~every[None])[0]
+    assert match_score(picture, unseen, every) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("spread", [0.2, 0.02, 0.004, 0.0011])
