@@ -11,6 +11,8 @@ PIXELS_PER_CELL = 4  # the paper's s = 4: the aligned grid has a quarter of the 
 CELLS_PER_PATCH = 4  # a routed patch is 4 x 4 cells, that is 16 x 16 pixels
 PIXELS_PER_PATCH = PIXELS_PER_CELL * CELLS_PER_PATCH
 MOST = 4096  # of anything that is counted; networks of this kind have a third of it
+MOST_BLOCKS = 128  # of what is built one by one
+ONE_BY_ONE = ("layers", "cross_view_blocks", "experts")
 MAX_DEGREE = 3  # of spherical harmonics
 TRUNKS = ("light", "full")
 MAY_BE_NONE = ("eighth_channels", "cross_view_blocks", "sh_degree")
@@ -100,8 +102,9 @@ def _check_counts(config: VitConfig | ModelConfig) -> None:
     """All whole numbers, those without which there is no network at least 1."""
     for field in fields(config):
         value, least = getattr(config, field.name), 0 if field.name in MAY_BE_NONE else 1
-        if field.type == "int" and not (type(value) is int and least <= value <= MOST):
-            raise ValueError(f"{field.name} is {value!r}, need a whole number of {least} to {MOST}")
+        most = MOST_BLOCKS if field.name in ONE_BY_ONE else MOST
+        if field.type == "int" and not (type(value) is int and least <= value <= most):
+            raise ValueError(f"{field.name} is {value!r}, need a whole number of {least} to {most}")
 
 
 _VIT_TINY = VitConfig(hidden=96, layers=3, heads=4, patch=16, mlp_ratio=2, image_size=256)

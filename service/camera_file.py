@@ -12,7 +12,7 @@ from .errors import CameraError, IntrinsicsError
 from .transforms_file import COEFFICIENTS, parse_transforms
 
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
-OF_THE_FILE = ("axes", "pose", "near", "far")
+_OF_THE_FILE = ("axes", "pose", "near", "far")
 _MISSPELT = {"axis": "axes", "poses": "pose", "near_plane": "near", "znear": "near", "far_plane": "far", "zfar": "far"}
 
 
@@ -54,12 +54,18 @@ def conventions(obj: Mapping, *, field: str) -> tuple[str, str]:
     return _choice(obj, "axes", ("opencv", "opengl"), field), _choice(obj, "pose", ("c2w", "w2c"), field)
 
 
-def refuse_misspelt(obj: Mapping, *, field: str, index: int | None = None) -> None:
-    """Raises `CameraError` for a key that is nearly one of `OF_THE_FILE`: it would be passed over as unknown."""
+def meant_key(name: object) -> str | None:
+    """Which of the file's own keys a key is or nearly is: it would be passed over as unknown."""
+    meant = _MISSPELT.get(str(name).lower(), str(name).lower())
+    return meant if meant in _OF_THE_FILE else None
+
+
+def refuse_misspelt(obj: Mapping, *, field: str) -> None:
+    """Raises `CameraError` for a key that is nearly one of the file's own."""
     for name in obj:
-        meant = _MISSPELT.get(str(name).lower(), str(name).lower())
-        if meant in OF_THE_FILE and name != meant:
-            raise CameraError(f"{name!r} is not a key", field=field, index=index, cure=f'did you mean "{meant}"?')
+        meant = meant_key(name)
+        if meant is not None and name != meant:
+            raise CameraError(f"{name!r} is not a key", field=field, cure=f'did you mean "{meant}"?')
 
 
 def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int | None = None) -> NamedView:
@@ -105,12 +111,12 @@ def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
     entries = list_of(obj, "views")
     chosen = range(len(entries)) if indices is None else indices
     for index in chosen:
-        refuse_misspelt(entries[index], field="views", index=index)
-        for name in OF_THE_FILE:
-            if entries[index].get(name) is not None:
+        for name, value in entries[index].items():
+            meant = meant_key(name)
+            if meant is not None and value is not None:
                 raise CameraError(
-                    f"{name} = {entries[index][name]!r} stands in a view", field=f"views.{name}", index=index,
-                    cure=f'say "{name}" once, beside "views": it holds for all of them',
+                    f"{name} = {value!r} stands in a view", field=f"views.{name}", index=index,
+                    cure=f'say "{meant}" once, beside "views": it holds for all of them',
                 )  # fmt: skip
     views = (parse_view(entries[index], axes=axes, pose=pose, field="views", index=index) for index in chosen)
     return CameraFile(tuple(views), optional_number(obj, "near"), optional_number(obj, "far"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from .camera import Camera
-from .camera_file import conventions, parse_view, refuse_misspelt
+from .camera_file import conventions, meant_key, parse_view, refuse_misspelt
 from .errors import CameraError
 
 
@@ -19,12 +19,12 @@ def camera_from_json(obj: object) -> Camera:
         raise CameraError(
             f"is a {type(obj).__name__}, need an object", field="camera", cure="one view of a cameras.json"
         )
-    refuse_misspelt(obj, field="camera")
-    for name in ("near", "far"):
-        if obj.get(name) is not None:
+    for name, value in obj.items():
+        if meant_key(name) in ("near", "far") and value is not None:
             raise CameraError(
-                f"{name} = {obj[name]!r} stands in a camera", field=f"camera.{name}",
+                f"{name} = {value!r} stands in a camera", field=f"camera.{name}",
                 cure="leave it out: a picture begins at a tenth of its scene's near",
             )  # fmt: skip
+    refuse_misspelt(obj, field="camera")
     axes, pose = conventions(obj, field="camera")
     return parse_view(obj, axes=axes, pose=pose, field="camera").camera

@@ -85,10 +85,11 @@ def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> lis
 
 def _within(fine: FittedView, mask: NDArray[np.bool_] | None) -> FittedView:
     """Without the pixels that the network's view (H, W) of them leaves out: it has neither colour nor depth there."""
-    if fine.mask is None or mask is None:
+    if mask is None:
         return fine
-    k = len(fine.mask) // len(mask)
-    return replace(fine, mask=fine.mask & mask.repeat(k, axis=0).repeat(k, axis=1))
+    k = fine.image.shape[1] // len(mask)
+    kept = mask.repeat(k, axis=0).repeat(k, axis=1)
+    return replace(fine, mask=kept if fine.mask is None else fine.mask & kept)
 
 
 def _too_small(width: int, height: int, info: ModelInfo, detail: int, index: int) -> list[Notice]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -123,7 +124,7 @@ def framed(
     if near is None and far is None:
         return SceneViews(views, *chosen), source
     low, high = chosen
-    if (near is None or far is None) and low is not None and high is not None and low >= high:
+    if (near is None or far is None) and low is not None and high is not None and math.inf > low >= high > 0:
         given = "near" if far is None else "far"
         cure = f"{given} alone is given, the other one is from the {source}: give both"
         raise DepthRangeError(f"near = {low:g}, far = {high:g}, need near < far", field=given, cure=cure)

@@ -55,7 +55,8 @@ def _twins(views: Sequence[FittedView], numbers: Sequence[int], trust_poses: boo
     """Photographs that are equal to the bit, and not of one colour; the poses are not, or the cameras were refused."""
     notices: list[Notice] = []
     for (i, one), (j, other) in combinations(zip(numbers, views, strict=True), 2):
-        if np.ptp(one.image) < PLAIN or not np.array_equal(one.image, other.image):
+        shown = one.image if one.mask is None else one.image[:, one.mask]
+        if np.ptp(shown) < PLAIN or not np.array_equal(one.image, other.image):
             continue
         message = f"photographs {i} and {j} are the same picture, under poses that differ"
         cure = "was one of them sent twice? send each photograph with the pose of its own"
@@ -98,7 +99,7 @@ def consistency(
 ) -> float | None:
     """Mean match score of every view with its nearest neighbour, None where nothing overlaps or has texture.
 
-    The planes are at most `step` px of parallax apart, unless they become too many.
+    The planes are about `step` px of parallax apart, unless they become too many.
     """
     views = [replace(view, camera=camera) for view, camera in zip(views, cameras, strict=True)]
     swept = planes(cameras, depths, PLANES, step)

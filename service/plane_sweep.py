@@ -9,30 +9,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
-from .coarse_views import CoarseView, nearest_neighbours, warp_to
+from .coarse_views import COARSE_SIDE, CoarseView, nearest_neighbours, warp_to
 from .depth_range import DepthRange
 from .overlap import inverse_depth_steps
 from .window_match import NOT_SEEN, correlations
 
 F64 = NDArray[np.float64]
 
-STEP_PX = 1.5  # of parallax from plane to plane; what lies between two is then off by 0.75 px in windows of 7 px
-MOST_PLANES = 256  # bounds the time
+STEP_PX = 1.5  # of parallax from plane to plane; what lies between two is then off by about 0.75 px in windows of 7 px
+MOST_PLANES = 256  # of pictures of up to CELLS px, of larger ones so many fewer: bounds the time
+CELLS = 2 * COARSE_SIDE**2
+FEWEST = 64  # whatever the size
 _BATCH = 32  # planes at a time, which bounds the memory: 1 MB per array of 64 x 64 px
 
 
 def step_px(cameras: Sequence[Camera], depths: DepthRange) -> float:
-    """The parallax from plane to plane: STEP_PX, or more where MOST_PLANES would be passed."""
-    return max(STEP_PX, _parallax_px(cameras, depths) / (MOST_PLANES - 1))
+    """The parallax from plane to plane: STEP_PX, or more where there would be too many."""
+    return max(STEP_PX, _parallax_px(cameras, depths) / (_most(cameras) - 1))
 
 
 def planes(cameras: Sequence[Camera], depths: DepthRange, least: int, step: float) -> F64:
-    """(D,) z-depths from near to far, at most `step` px of parallax apart: `least` of them or more, up to MOST_PLANES.
+    """(D,) z-depths from near to far, `step` px of parallax apart or less where cameras look the same way (twice as far
+    where they look 45 degrees apart): `least` of them or more, unless there would be too many.
 
     The cameras are those of the coarse views.
     """
     count = math.ceil(_parallax_px(cameras, depths) / step) + 1
-    return inverse_depth_steps(depths.near, depths.far, min(max(count, least), MOST_PLANES))
+    return inverse_depth_steps(depths.near, depths.far, min(max(count, least), _most(cameras)))
 
 
 def best_planes(view: CoarseView, other: CoarseView, depths: F64) -> tuple[F64, F64]:
@@ -55,9 +58,14 @@ def best_planes(view: CoarseView, other: CoarseView, depths: F64) -> tuple[F64, 
     return best, found
 
 
+def _most(cameras: Sequence[Camera]) -> int:
+    cells = max(camera.width * camera.height for camera in cameras)
+    return max(FEWEST, min(MOST_PLANES, MOST_PLANES * CELLS // cells))
+
+
 def _parallax_px(cameras: Sequence[Camera], depths: DepthRange) -> float:
-    """How far a place of a picture moves between near and far, at most, in the cameras' pixels, over all views and
-    their nearest neighbours.
+    """How far a place of a picture moves between near and far in the cameras' pixels, the most of all views and their
+    nearest neighbours, as if these looked the same way.
 
     With the camera at t = (t_x, t_y, t_z) in its neighbour's axes, what is equally far from both moves there by
     (fx t_x - u t_z, fy t_y - v t_z) per inverse depth at (u, v) from the principal point; a corner moves farthest.

@@ -77,7 +77,7 @@ def inspect_ply(
         column = columns[name]
         ok, need = _valid(name, column, taken)
         if not drop_invalid:
-            _require(ok, column, name, need, _cure(name, ok, dialect))
+            _require(ok, column, name, need, _cure(name, column, ok, dialect))
         elif not ok.all():
             keep &= ok
             invalid[name] = int((~ok).sum())
@@ -187,11 +187,11 @@ def _valid(name: str, column: F64, taken: Taken) -> tuple[NDArray[np.bool_], str
     return np.abs(column) <= LARGEST, "a finite number within float32"
 
 
-def _cure(name: str, ok: NDArray[np.bool_], dialect: Dialect) -> str:
+def _cure(name: str, column: F64, ok: NDArray[np.bool_], dialect: Dialect) -> str:
     """Where most numbers speak against the form that the caller named, it is the form that is wrong."""
     kind = "opacity" if name == "opacity" else "scales" if name in SCALE_NAMES else None
     form = "auto" if kind is None else getattr(dialect, kind)
-    if form == "auto" or 2 * int(ok.sum()) > len(ok):
+    if form == "auto" or 2 * int((np.isfinite(column) & ~ok).sum()) < len(ok):
         return DROP_CURE
     return f"these are no {form} numbers: leave out --{kind} {form}, {kind}={form} over HTTP"
 

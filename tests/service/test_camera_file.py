@@ -63,6 +63,7 @@ def test_a_pose_that_was_checked_once_stays_to_the_bit():
         ({"axis": "opengl"}, "camera"),
         ({"near": 1.0}, "camera.near"),
         ({"far": 3.0}, "camera.far"),
+        ({"near_plane": 1.0}, "camera.near_plane"),
     ],
 )
 def test_a_single_camera_is_named_as_such(change, field):
@@ -222,7 +223,11 @@ def test_inverse_is_exact_for_the_test_poses():
         (lambda f: f.update(p2=0.1), "cameras.p2", "p2 = 0.1: a cameras.json holds pinholes"),
         (lambda f: f["views"][1].update(axes="opengl"), "views.axes", "axes = 'opengl' stands in a view"),
         (lambda f: f["views"][0].update(near=1.0), "views.near", r"near = 1.0 stands in a view"),
-        (lambda f: f["views"][1].update(axis="opengl"), "views", "'axis' is not a key .*did you mean \"axes\""),
+        (
+            lambda f: f["views"][1].update(axis="opengl"),
+            "views.axis",
+            "axis = 'opengl' stands in a view .*\"axes\" once",
+        ),
         (lambda f: f.update(axis="opengl"), "cameras", "'axis' is not a key .*did you mean \"axes\""),
         (lambda f: f.update(Near=1.0), "cameras", "'Near' is not a key .*did you mean \"near\""),
     ],

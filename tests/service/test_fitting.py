@@ -11,7 +11,7 @@ from gapmes.service import images as images_module
 from gapmes.service.camera import Camera
 from gapmes.service.distortion import Lens
 from gapmes.service.errors import ImageError
-from gapmes.service.fitting import fit_notices
+from gapmes.service.fitting import fit_notices, fitted
 from gapmes.service.images import EncodedPhoto, Photo
 from gapmes.service.reconstruct import Reconstructor
 
@@ -36,6 +36,20 @@ def test_a_mask_outside_the_centre_crop_is_refused(reconstructor):
         reconstructor.reconstruct(images, cameras, near=1, far=10)
     assert (caught.value.status, caught.value.index) == (422, 1)
     assert "crop the photograph" in caught.value.cure
+
+
+def test_a_mask_that_only_the_coarse_grid_sees_holds_on_the_fine_one_too(engine):
+    """Every third row and column are left out: most of each fine pixel is kept, and of some coarse ones too little."""
+    info, (height, width) = engine.info, (3 * engine.info.height, 3 * engine.info.width)
+    y, x = np.mgrid[:height, :width]
+    out = ((y % 3 == 1) | (x % 3 == 1)) & (x < width // 2)
+    pixels = np.dstack([np.full((height, width, 3), 90, np.uint8), np.where(out, 0, 255).astype(np.uint8)])
+    camera = Camera.make(width, height, width, width, width / 2, height / 2, np.eye(4))
+    small, fine, _ = fitted(pixels, camera, 0, info, detail=2)
+    assert small.mask is not None
+    assert not small.mask.all()
+    assert fine.mask is not None
+    assert not (fine.mask & ~small.mask.repeat(2, axis=0).repeat(2, axis=1)).any()
 
 
 def test_encoded_photographs_are_decoded_one_at_a_time(reconstructor, plane_scene, monkeypatch):

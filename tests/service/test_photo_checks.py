@@ -122,6 +122,15 @@ def test_unrelated_photographs_are_a_warning(plane_scene):
 
 
 @pytest.mark.case("P8")
+def test_plain_cut_outs_are_no_twins(plane_scene):
+    """One grey under one mask twice: what the mask leaves out is black, and is no texture."""
+    mask = np.zeros((72, 96), bool)
+    mask[20:50, 30:70] = True
+    plain = np.where(mask, np.float32(0.8), np.float32(0)) * np.ones((3, 1, 1), np.float32)
+    views = [replace(view, image=plain, mask=mask) for view in fitted(plane_scene)]
+    assert [notice["code"] for notice in check_photos(views, DEPTHS)] == ["no_texture"]
+
+
 def test_photographs_without_texture_are_a_warning(plane_scene):
     flat = tuple(np.full_like(image, 90) for image in plane_scene.images)
     notices = check_photos(fitted(replace(plane_scene, images=flat)), DEPTHS)

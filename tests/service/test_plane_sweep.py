@@ -10,7 +10,8 @@ from gapmes.service.coarse_views import coarse_view, nearest_neighbours, warp_to
 from gapmes.service.depth_range import DepthRange
 from gapmes.service.images import Photo, fit_view
 from gapmes.service.overlap import inverse_depth_steps
-from gapmes.service.plane_sweep import MOST_PLANES, STEP_PX, best_planes, planes, step_px
+from gapmes.service.plane_sweep import FEWEST, MOST_PLANES, STEP_PX, best_planes, planes, step_px
+from gapmes.service.rotations import about_axis
 from gapmes.service.window_match import NOT_SEEN, correlations
 
 LEAST = 32
@@ -60,6 +61,28 @@ def test_a_step_forward_is_parallax_too(views):
     assert len(depths) > 10
     assert apart.min() > 0.5 * STEP_PX
     assert apart.max() < 2 * STEP_PX  # at depth 1, where one camera is twice as close as the other
+
+
+def test_cameras_that_look_at_one_place_have_planes_not_twice_as_far_apart(views):
+    camera, angle = views[0].camera, np.deg2rad(45)
+    pose = np.eye(4)
+    pose[:3, :3] = about_axis(np.array([0.0, 1.0, 0.0]), -angle)
+    pose[:3, 3] = 4 * np.sin(angle), 0.0, 4 * (1 - np.cos(angle))
+    pair = [camera.posed(np.eye(4)), camera.posed(pose)]
+    depths = planes(pair, DepthRange(1.0, 16.0, "estimated"), 2, STEP_PX)
+    assert len(depths) > 20
+    assert STEP_PX < moves(pair, depths).max() < 2 * STEP_PX
+
+
+@pytest.mark.parametrize(
+    ("size", "most"), [((64, 64), MOST_PLANES), ((64, 256), MOST_PLANES // 2), ((64, 4096), FEWEST)]
+)
+def test_larger_pictures_have_fewer_planes(views, size, most):
+    pair = [view.camera.resized(size[1], size[0]) for view in views[:2]]
+    endless = DepthRange(1e-30, 1e30, "given")
+    assert (
+        len(planes(pair, endless, LEAST, STEP_PX)) == len(planes(pair, endless, LEAST, step_px(pair, endless))) == most
+    )
 
 
 def test_a_range_with_little_parallax_has_the_least_planes(views):

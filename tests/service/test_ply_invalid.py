@@ -53,6 +53,10 @@ def test_a_form_that_most_rows_speak_against_is_to_be_left_out(kind, form):
     with pytest.raises(PlyError) as caught:
         inspect_ply(binary_file(table), dialect=Dialect("linear", "linear"))
     assert (caught.value.index, caught.value.cure) == (3, DROP_CURE)
+    table[name][:] = np.nan  # speaks for no other form
+    with pytest.raises(PlyError) as caught:
+        inspect_ply(binary_file(table), dialect=Dialect("linear", "linear"))
+    assert caught.value.cure == DROP_CURE
 
 
 @pytest.mark.case("E12")
