@@ -15,7 +15,7 @@ MOST_BLOCKS = 128  # of what is built one by one
 ONE_BY_ONE = ("layers", "cross_view_blocks", "experts")
 MAX_DEGREE = 3  # of spherical harmonics
 TRUNKS = ("light", "full")
-MAY_BE_NONE = ("eighth_channels", "cross_view_blocks", "sh_degree")
+MAY_BE_NONE = ("eighth_channels", "cross_view_blocks", "sh_degree", "top_k")  # top_k without experts
 
 
 @dataclass(frozen=True)

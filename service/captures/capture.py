@@ -19,7 +19,7 @@ from .colmap import folders_below_project, is_of_colmap
 from .files import Files, FolderFiles
 from .photographs import FOLDERS, Photographs
 from .recognise import MAX_CAMERA_BYTES, recognised, table_of_file
-from .select import DEFAULT_CONTEXT, Wish, named_views
+from .select import DEFAULT_CONTEXT, Wish, several_named_views
 from .table import CameraTable
 
 # Which views of a file to read, given how many it has; the order is kept.
@@ -88,7 +88,7 @@ class Capture:
         count = len(self.table.names)
         said: dict[str, Any] = {"format": self.table.kind, "cameras": self.table.source, "of": count}
         if wish.select is not None:
-            indices = named_views(wish.select, self.names, field=wish.field, path_of=self._found)
+            indices = several_named_views(wish.select, self.names, field=wish.field, path_of=self._found)
             return self._chosen(self.cameras(indices), indices, {"by": "select", **said})
         if wish.context is None and count <= MAX_VIEWS:
             indices = list(range(count))

@@ -26,13 +26,9 @@ def checked_wish(wish: Wish) -> Wish:
     if wish.context is not None and not MIN_VIEWS <= wish.context <= MAX_VIEWS:
         cure = f"leave it out for {DEFAULT_CONTEXT} of a large capture"
         raise ViewCountError(f"{wish.context} views, need {MIN_VIEWS} to {MAX_VIEWS}", field="context", cure=cure)
-    count = MIN_VIEWS if wish.select is None else wish.select.count(",") + 1
-    if not MIN_VIEWS <= count <= MAX_VIEWS:
-        cure = (
-            "one view has no parallax"
-            if count < MIN_VIEWS
-            else "name those that overlap most, or say how many to choose"
-        )
+    if wish.select is not None and wish.select.count(",") >= MAX_VIEWS:
+        count = wish.select.count(",") + 1
+        cure = "name those that overlap most, or say how many to choose"
         raise ViewCountError(f"{count} views, need {MIN_VIEWS} to {MAX_VIEWS}", field=wish.field, cure=cure)
     if wish.context is not None and wish.select is not None:
         raise InputError(f"is given beside {wish.field}", field="context", cure="name the views, or say how many")
@@ -54,6 +50,17 @@ def named_views(
         if index in indices:
             raise ViewError(f"view {part.strip()} is given twice", field=field, cure="name each view once")
         indices.append(index)
+    return indices
+
+
+def several_named_views(
+    text: str, names: Sequence[str | None], *, field: str, path_of: Callable[[int], str | None] = lambda _: None
+) -> list[int]:
+    """The same for a reconstruction; raises `ViewCountError` for a single one, too."""
+    indices = named_views(text, names, field=field, path_of=path_of)
+    if len(indices) < MIN_VIEWS:
+        cure = "name more of them, separated by commas: one view has no parallax"
+        raise ViewCountError(f"{len(indices)} views, need {MIN_VIEWS} to {MAX_VIEWS}", field=field, cure=cure)
     return indices
 
 

@@ -12,7 +12,7 @@ from ..captures.archive import SIGNATURES, ZipFiles
 from ..captures.capture import Capture
 from ..captures.choose import chosen_views
 from ..captures.recognise import recognised, table_of_bytes
-from ..captures.select import Wish, named_views
+from ..captures.select import Wish, several_named_views
 from ..captures.table import CameraTable
 from ..errors import CameraError, CaptureError, InputError, MalformedRequest, UploadTooLarge
 from ..settings import Settings
@@ -65,7 +65,7 @@ def posted(
     said: dict[str, Any] = {"by": "all", "format": table.kind, "cameras": table.source, "of": len(images)}
     places: Sequence[int] = range(len(images))
     if wish.select is not None:
-        places, said = named_views(wish.select, names, field=wish.field), said | {"by": "select"}
+        places, said = several_named_views(wish.select, names, field=wish.field), said | {"by": "select"}
     elif wish.context is not None:
         ours = (file.near if near is None else near), (file.far if far is None else far)
         choice = chosen_views(pairing.cameras, wish.context, *ours)

@@ -165,7 +165,7 @@ def test_a_preset_is_known_by_its_tensors(tmp_path: Path) -> None:
     ("changes", "said"),
     [
         ({"top_k": 7}, "top_k is 7, need 1 to 6"),
-        ({"top_k": 0}, "top_k is 0, need a whole number of 1 to"),
+        ({"top_k": 0}, "top_k is 0, need 1 to 6"),
         ({"temperature": 0.0}, "temperature is 0.0, need a number above 0"),
         ({"temperature": -1.0}, "temperature is -1.0, need"),
         ({"temperature": float("nan")}, "temperature is nan, need"),

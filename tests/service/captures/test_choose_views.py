@@ -11,7 +11,7 @@ from capture_scenes import arc
 from gapmes.service.camera import Camera
 from gapmes.service.captures import choose
 from gapmes.service.captures.choose import chosen_views, scene_depths
-from gapmes.service.captures.select import Wish, checked_wish, named_views
+from gapmes.service.captures.select import Wish, checked_wish, named_views, several_named_views
 from gapmes.service.depth_range import DepthRange
 from gapmes.service.errors import InputError, ViewCountError, ViewError
 from gapmes.service.rotations import about_axis
@@ -204,6 +204,16 @@ def test_views_that_are_none(text: str, words: str) -> None:
     assert caught.value.field == "select"
 
 
+def test_a_single_view_is_too_few_for_a_reconstruction_alone() -> None:
+    assert named_views("1", NAMES, field="views") == [1]
+    assert several_named_views("1,0", NAMES, field="views") == [1, 0]
+    with pytest.raises(ViewCountError, match="1 views, need 2 to 6") as caught:
+        several_named_views("1", NAMES, field="views")
+    assert caught.value.field == "views"
+    with pytest.raises(ViewError, match="nor the name of a view"):
+        several_named_views("neither", NAMES, field="views")
+
+
 def test_wishes_that_cannot_be() -> None:
     assert checked_wish(Wish("0,1")) == Wish("0,1")
     for count in (0, 1, 7):
@@ -211,8 +221,5 @@ def test_wishes_that_cannot_be() -> None:
             checked_wish(Wish(context=count))
     with pytest.raises(ViewCountError, match="100001 views, need 2 to 6"):
         checked_wish(Wish("," * 100_000))
-    with pytest.raises(ViewCountError, match="1 views, need 2 to 6") as caught:
-        checked_wish(Wish("3", field="views"))
-    assert caught.value.field == "views"
     with pytest.raises(InputError, match="is given beside select"):
         checked_wish(Wish("0,1", 2))

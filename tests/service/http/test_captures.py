@@ -184,7 +184,7 @@ def test_work_keeps_its_lenses() -> None:
         ({"context": "0"}, "view_count", "context"),
         ({"context": "many"}, "invalid_input", "context"),
         ({"context": "2", "select": "0,1"}, "invalid_input", "context"),
-        ({"select": "0"}, "view_count", "cameras"),
+        ({"select": "0"}, "view_count", "select"),
         ({"select": "0,1,2,3,4,5,6"}, "view_count", "select"),
         ({"select": "0,99"}, "view_unknown", "select"),
         ({"select": "0,0"}, "view_unknown", "select"),
