@@ -51,7 +51,7 @@ def backdrop(views: Sequence[FittedView], depths: F64, coefficients: int) -> tup
 def _of_view(view: FittedView, inverse: F64, coefficients: int) -> tuple[Gaussians, Gaussians]:
     """Behind and around one view."""
     camera = view.camera
-    mask = np.ones(inverse.shape, np.bool_) if view.mask is None else view.mask
+    mask = view.kept
     cells = _blocks(np.where(mask, inverse, np.inf)).min(axis=(1, 3))
     far = _least_within(cells, 1)
     colours = _colours(view, inverse, far)
@@ -102,7 +102,7 @@ def _grid(count: int) -> tuple[F64, F64, NDArray[np.intp], NDArray[np.intp]]:
 def _colours(view: FittedView, inverse: F64, far: F64) -> F64:
     """(rows, columns, 3) mean colour about each cell of what lies as far away as `far` (rows, columns) says."""
     weighed, weights = np.zeros((3, *far.shape)), np.zeros(far.shape)
-    kept = np.ones(inverse.shape) if view.mask is None else view.mask.astype(np.float64)
+    kept = view.kept.astype(np.float64)
     edge = np.pad(view.image.astype(np.float64), ((0, 0), (CELL, CELL), (CELL, CELL)), mode="edge")
     depth, kept = np.pad(inverse, CELL, mode="edge"), np.pad(kept, CELL, mode="edge")
     here = np.where(np.isfinite(far), far, 1.0).repeat(CELL, axis=0).repeat(CELL, axis=1)

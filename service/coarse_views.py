@@ -31,9 +31,8 @@ def coarse_view(view: FittedView) -> CoarseView:
     height, width = view.image.shape[1:]
     block = max(1, min(height, width) // COARSE_SIDE)
     grey = view.image.mean(axis=0, dtype=np.float64)
-    mask = np.ones((height, width), np.bool_) if view.mask is None else view.mask
-    share = _block_means(mask.astype(np.float64), block)
-    grey = _block_means(np.where(mask, grey, 0.0), block) / np.where(share > 0, share, 1.0)
+    share = _block_means(view.kept.astype(np.float64), block)
+    grey = _block_means(np.where(view.kept, grey, 0.0), block) / np.where(share > 0, share, 1.0)
     rows, columns = grey.shape
     camera = view.camera.cropped(0, 0, columns * block, rows * block).resized(columns, rows)
     return CoarseView(grey, share >= ENOUGH, camera)

@@ -48,7 +48,7 @@ def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depth: F64, i
     if not sure.any():
         return depth
     view = views[index]
-    kept = np.ones(sure.shape, np.bool_) if view.mask is None else view.mask
+    kept = view.kept
     inverse = 1 / depth
     planes = [_planes(view, inverse, sure, kept, reach) for reach in REACHES]
     gathering = Gathering(view, kept)

@@ -79,7 +79,7 @@ def _on_rays(means: NDArray, depth: NDArray, camera: Camera, pose: F64, k: int) 
 def _detail(view: FittedView, k: int) -> NDArray[np.float32]:
     """(kH, kW, 3) what each pixel that the mask keeps has more than the mean of those in its square of k x k."""
     image = view.image.transpose(1, 2, 0)
-    kept = np.ones(image.shape[:2], np.float32) if view.mask is None else view.mask.astype(np.float32)
+    kept = view.kept.astype(np.float32)
     squares = (image.shape[0] // k, k, image.shape[1] // k, k)
     total = (image * kept[..., None]).reshape(*squares, 3).sum(axis=(1, 3))
     mean = total / np.maximum(kept.reshape(squares).sum(axis=(1, 3)), 1)[..., None]

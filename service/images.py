@@ -71,6 +71,11 @@ class FittedView:
     camera: Camera
     kept_share: float  # of the photograph's area inside the crop
 
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """(H, W) what the mask keeps: all where there is none."""
+        return np.ones(self.image.shape[1:], np.bool_) if self.mask is None else self.mask
+
     def pixels(self) -> NDArray[np.uint8]:
         """(H, W, 3) bytes, or (H, W, 4) with the mask as the last."""
         rgb = np.rint(self.image.transpose(1, 2, 0) * 255).astype(np.uint8)

@@ -40,8 +40,7 @@ def patch_mask(views: Sequence[FittedView], patch: int) -> NDArray[np.bool_]:
     rows = []
     for view in views:
         height, width = view.image.shape[1:]
-        mask = np.ones((height, width), dtype=np.bool_) if view.mask is None else view.mask
-        blocks = mask.reshape(height // patch, patch, width // patch, patch)
+        blocks = view.kept.reshape(height // patch, patch, width // patch, patch)
         rows.append(blocks.any(axis=(1, 3)).ravel())
     return np.stack(rows)
 
@@ -58,9 +57,7 @@ def kept_rows(
     dropped = {TRANSPARENT: int((~opaque).sum())}
     keep = opaque.copy()
     if any(view.mask is not None for view in views):
-        pixel = np.concatenate(
-            [np.ones(view.image[0].size, bool) if view.mask is None else view.mask.ravel() for view in views]
-        )
+        pixel = np.concatenate([view.kept.ravel() for view in views])
         count = len(pixel)
         keep[:count] &= pixel
         dropped[MASKED] = int((opaque[:count] & ~pixel).sum())

@@ -24,7 +24,7 @@ NOTHING = 1e-4  # of a difference, a fortieth of an 8-bit level: what gains less
 def features(view: FittedView) -> F32:
     """(H, W, 5) the colours and the slopes of grey across and down, 0 at the border and beside masked pixels."""
     grey = view.image.mean(axis=0)
-    kept = np.ones(grey.shape, np.bool_) if view.mask is None else view.mask
+    kept = view.kept
     slopes = np.zeros((2, *grey.shape), np.float32)
     slopes[0, :, 1:-1] = (kept[:, 2:] & kept[:, :-2]) * (grey[:, 2:] - grey[:, :-2]) / 2
     slopes[1, 1:-1] = (kept[2:] & kept[:-2]) * (grey[2:] - grey[:-2]) / 2

@@ -52,8 +52,7 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
     others has a depth or a best level within AGREEMENT_PX of it. Where the others are all from one place it must lie
     within PAIR_PX. What a mask leaves out stays. `threads` (all that are available) do not change a bit.
     """
-    kept = [np.ones(view.image.shape[1:], np.bool_) if view.mask is None else view.mask for view in views]
-    inverse = 1 / depths[np.stack(kept)]
+    inverse = 1 / depths[np.stack([view.kept for view in views])]
     places = [from_elsewhere(views, index, depth) for index, depth in enumerate(depths)]
     elsewhere = [_nearest(apart) for apart in places]
     if not inverse.size or not all(elsewhere):
@@ -80,7 +79,7 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
             near = np.abs(1 / found.depth - 1 / depths[index]) * way < PAIR_PX
             agreed |= seen.where & (close[0] | close[1]) & (near | (not pair))
         textured = contrast(view.image.mean(axis=0, dtype=np.float64), view.mask) > TEXTURE
-        taken = found.gains & agreed & textured & kept[index] & ~sure[index]
+        taken = found.gains & agreed & textured & view.kept & ~sure[index]
         result[index] = np.where(taken, found.depth, depths[index])
     return result
 
@@ -102,7 +101,7 @@ def _best(
     """Of the view `index`, whose z-depths are `depth` (H, W), over inverse depths between the `ends`; `pictures` are
     the features of all views, `elsewhere` has those that it is compared with, and px of parallax per unit of 1/z."""
     view, own = views[index], pictures[index]
-    kept = np.ones(depth.shape, np.bool_) if view.mask is None else view.mask
+    kept = view.kept
     steps = np.ceil((ends[1] - ends[0]) * max(elsewhere.values()) / STEP_PX)
     levels = np.linspace(*ends, int(np.clip(steps, 2, LEVELS)))
     sweeps = [_Sweep.of(view, own, views[other], pictures[other]) for other in elsewhere]
@@ -129,10 +128,9 @@ class _Sweep(NamedTuple):
     @classmethod
     def of(cls, view: FittedView, own: F32, other: FittedView, others: F32) -> _Sweep:
         camera, shape = other.camera, view.image.shape[1:]
-        hidden = np.zeros(other.image.shape[1:], np.bool_) if other.mask is None else ~other.mask
         return cls(
             own,
-            np.where(hidden[..., None], np.float32(np.nan), others),
+            np.where(other.kept[..., None], others, np.float32(np.nan)),
             turned(camera.rotation.T, view.camera.rays(pixel_grid(shape))).reshape(*shape, 3),
             camera.rotation.T @ (view.camera.center - camera.center),
             np.array([camera.fx, camera.fy, camera.cx, camera.cy]),

@@ -57,7 +57,7 @@ def self_check(
 def drawn_again(image: Render, view: FittedView, *, covered_only: bool = False) -> dict[str, float | None]:
     """PSNR, SSIM and share of holes over what the mask keeps; PSNR and SSIM `covered_only` where there is no hole."""
     picture = np.clip(image.rgb, 0.0, 1.0).transpose(2, 0, 1)
-    kept = np.ones(image.alpha.shape, bool) if view.mask is None else view.mask
+    kept = view.kept
     hole = image.alpha < HOLE
     holes = float(hole[kept].mean()) if kept.any() else math.nan
     compared = kept & ~hole if covered_only else kept
