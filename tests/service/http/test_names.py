@@ -42,6 +42,23 @@ def test_cameras_of_other_names_are_matched_by_order_and_it_is_said(client: Test
     assert any(warning["code"] == "names_differ" for warning in body["warnings"])
 
 
+def test_an_image_may_have_been_saved_as_another_kind_of_picture(client: TestClient) -> None:
+    body = post(client, cameras=named("a.HEIC", "b.jpg", "b.x.jpg"), names=["b.png", "a.png"]).json()
+    assert centres(body) == pytest.approx([0.2, 0.0])
+    assert body["paired_by"] == "name"
+    exact = post(client, cameras=named("a.jpg", "a.png"), names=["a.png", "a.jpg"]).json()
+    assert centres(exact) == pytest.approx([0.2, 0.0])
+
+
+def test_order_does_not_give_an_image_to_another_camera_than_the_one_that_names_it(client: TestClient) -> None:
+    answer = post(client, cameras=named("a.png", "b.png"), names=["b.png", "c.png"])
+    assert answer.status_code == 422
+    problem = answer.json()
+    assert (problem["field"], problem["index"]) == ("images", 0)
+    assert "'b.png' is named by camera 1, and by order would get camera 0, which names 'images/a.png'" in answer.text
+    assert post(client, cameras=named("a.png", "b.png"), names=["x.png", "b.png"]).json()["paired_by"] == "order"
+
+
 def test_a_second_client_gets_its_own_names(client: TestClient) -> None:
     """The same photographs and cameras under other names: one scene, and no name of the first client's in an answer."""
     first = post(client, cameras=named("secret_a.png", "secret_b.png"), names=["secret_a.png", "secret_b.png"])
