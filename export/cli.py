@@ -18,6 +18,7 @@ from gapmes.model.checkpoint import read_config, shipped_checkpoint
 from gapmes.model.config import PRESETS
 from gapmes.model.depthsplat.config import Compatibility
 from gapmes.model.weights_file import CheckpointError
+from gapmes.service.ending import ended_in_order
 from gapmes.service.errors import InputError
 from gapmes.service.terminal import ProgressBars, Quiet
 
@@ -90,6 +91,8 @@ def export(
     """
     if report is None and scene:
         raise typer.BadParameter("goes with --report", param_hint="--scene")
+    if quick and scene:
+        raise typer.BadParameter("is not measured with --quick, which has the sample scene alone", param_hint="--scene")
     if report is not None or stability is not None:
         given: dict[str, object] = {
             "--out": out,
@@ -105,7 +108,7 @@ def export(
             "--scale-max": scale_max,
             "--architecture": architecture != "gapmes",
         }
-        if wrong := [name for name, value in given.items() if value not in (None, False)]:
+        if wrong := [name for name, value in given.items() if value is not None and value is not False]:
             raise typer.BadParameter(
                 "nothing is exported with --report and --stability, which measure the shipped network",
                 param_hint=wrong[0],
@@ -219,7 +222,8 @@ def _show(result: Exported, as_json: bool, bars: ProgressBars) -> None:
 
 def main() -> None:
     """Entry point of `gapmes-export`."""
-    app()
+    with ended_in_order():
+        app()
 
 
 if __name__ == "__main__":

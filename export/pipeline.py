@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
 
 import onnx
 
 from gapmes.model.architectures import licence
 from gapmes.model.pretrained.fit import Fit
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.commands.output_file import check_output_file, check_output_folder
+from gapmes.service.commands.output_file import check_output_file, check_output_folder, named
+from gapmes.service.disk import replacing
+from gapmes.service.ending import unfinished
 from gapmes.service.errors import InputError
 from gapmes.service.progress import Listener, Stage, Stages, silent
 
@@ -72,14 +74,15 @@ def export_checkpoint(
     listener: Listener = silent,
 ) -> Exported:
     """Export, verify and write `out` with its report beside it (`NAME.report.json`), and what became of each tensor of
-    a checkpoint that is not ours (`NAME.checkpoint.json`). While it is verified it is `NAME.part.onnx`.
+    a checkpoint that is not ours (`NAME.checkpoint.json`). While it is verified it is in a folder of its own.
 
     Raises `ExportRejected` when a check fails: the file is then `NAME.rejected.onnx`, its report beside it, and `out`
-    is left as it was; before any work `InputError` where `out` cannot be written; `CheckpointError` and `ValueError`
+    is left as it was; before any work `InputError` where `out` or its report cannot be written, and where `out` is the
+    checkpoint; `CheckpointError` and `ValueError`
     for a wrong checkpoint or size; `VerificationBroken` when there is no verdict. The last, as an interrupt, leaves
     nothing behind.
     """
-    _check_place(out)
+    _check_place(out, checkpoint)
     stages = Stages(listener)
     with stages.stage("load checkpoint"):
         loaded = load_variant(checkpoint, variant)
@@ -108,34 +111,40 @@ def export_checkpoint(
     return _accept(model, out, report, loaded.fit, stages.timings)
 
 
-def _check_place(out: Path) -> None:
-    """Raises `InputError` where there can be no file at `out`; folders that are missing will be made."""
+def _check_place(out: Path, checkpoint: Path) -> None:
+    """Raises `InputError` where there can be no file at `out`, or no report; folders that are missing will be made."""
     check_output_folder(out.parent)
-    if out.parent.is_dir():
-        check_output_file(out)
-    if out.exists() and not out.is_file():
-        raise InputError(f"{out} is a pipe or device, need a file", field="output", cure="name another file")
+    for path in (out, _report_path(out)):
+        if out.parent.is_dir():
+            check_output_file(path)
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path} is a pipe or device, need a file", field="output", cure="name another file")
+        if path.exists() and checkpoint.exists() and path.samefile(checkpoint):
+            message = f"{path} would take the place of the checkpoint that it is made from"
+            raise InputError(message, field="output", cure="name another file")
 
 
 def _verified(
     model: onnx.ModelProto, out: Path, checkpoint: Path, quick: bool, on_case: Callable[[int, int], None]
 ) -> Report:
-    """The verdict on a file of another name, which goes whatever comes of it."""
-    candidate = out.with_name(f"{out.stem}.part.onnx")
-    try:
-        write_model(model, candidate)
+    """The verdict on a file in a folder of its own, which goes whatever comes of it."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f".{out.stem}-", dir=out.parent) as folder, unfinished(Path(folder)):
+        candidate = Path(folder) / out.name
+        with named(out):
+            write_model(model, candidate)
         return _verify_elsewhere(candidate, checkpoint, _report_path(candidate), quick, on_case)
-    finally:
-        remove_model(candidate)
-        _report_path(candidate).unlink(missing_ok=True)
 
 
 def _kept(model: onnx.ModelProto, path: Path, report: Report) -> tuple[Path, Report]:
     """Write the model and its report beside it: under this name its sum is another one."""
-    write_model(model, path)
+    report_path = _report_path(path)
+    with named(path):
+        write_model(model, path)
     report = Report(file_sha256(path), report.precision, report.versions, report.cases)
-    report.write(_report_path(path))
-    return _report_path(path), report
+    with named(report_path), replacing(report_path) as part:
+        report.write(part)
+    return report_path, report
 
 
 def _report_path(model: Path) -> Path:
@@ -160,7 +169,7 @@ def _verify_elsewhere(
     command += ["--checkpoint", str(checkpoint), "--report", str(report), *(["--quick"] if quick else [])]
     # a file for its warnings: a pipe that nobody empties would stop it when full
     with (
-        tempfile.TemporaryFile("w+") as errors,
+        TemporaryFile("w+") as errors,
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
     ):
         try:

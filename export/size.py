@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from gapmes.service.errors import InputError
 
-LEAST = 32
+LEAST, MOST = 32, 4096
 
 
 class Size(NamedTuple):
@@ -22,13 +22,16 @@ class Size(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Size:
-        """Raises `InputError` for what is neither a side nor HEIGHTxWIDTH, and below `LEAST`."""
+        """Raises `InputError` for what is neither a side nor HEIGHTxWIDTH, below `LEAST` and above `MOST`."""
         found = re.fullmatch(r"(\d+)(?:x(\d+))?", text)
         if not found:
             raise InputError(f"{text!r} is no size", field="size", cure="give a side, 256, or HEIGHTxWIDTH, 256x336")
         size = cls(int(found[1]), int(found[2] or found[1]))
         if min(size) < LEAST:
             raise InputError(f"is {size} px, need {LEAST} or more for each side", field="size")
+        if max(size) > MOST:
+            cure = "the network looks at small pictures: 256 is usual"
+            raise InputError(f"is {size} px, need {MOST} or less for each side", field="size", cure=cure)
         return size
 
     def misfit(self, step: int) -> str | None:

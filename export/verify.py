@@ -1,7 +1,7 @@
 """Verify an exported file against torch; run as a process of its own, since onnxruntime keeps its memory.
 
 `python -m gapmes.export.verify MODEL --checkpoint FILE --report FILE` prints one JSON event per case and exits with 0
-when every case passed, 3 when one did not.
+when every case passed, 3 when one did not. It ends with the process that started it.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from .report import CaseResult, Report
 from .routes import agreement, ambiguous, flipped_patches
 from .tolerance import TOLERANCES, Tolerance
 from .variant import Variant, load_variant
+from .with_parent import end_with_parent
 
 FAILED = 3
 
@@ -193,6 +194,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--report", type=Path, required=True)
     parser.add_argument("--quick", action="store_true", help="two view counts instead of five")
     options = parser.parse_args(arguments)
+    end_with_parent()
     model = onnx.load(options.model)
     metadata = {p.key: p.value for p in model.metadata_props}
     precision = metadata["gapmes.precision"]

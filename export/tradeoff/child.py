@@ -19,6 +19,8 @@ from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import Photo
 
+from ..with_parent import end_with_parent
+
 if TYPE_CHECKING:
     from gapmes.service.reconstruct import Reconstructor
 
@@ -95,6 +97,7 @@ def _in_child(work: Callable[..., Any], *arguments: object) -> Any:
 
 def answer(asked: str, told: str) -> None:
     """What a child does."""
+    end_with_parent()
     work, arguments = pickle.loads(Path(asked).read_bytes())
     Path(told).write_bytes(pickle.dumps(work(*arguments)))
 

@@ -58,6 +58,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("out", type=Path, help="file to write; replaced only when all is well")
     parser.add_argument("weights", type=Path, nargs="+", metavar="FILE", help="checkpoints of runs of one network")
     options = parser.parse_args(arguments)
+    files = [options.out, *options.weights]
+    places = [path.resolve() for path in files]
+    for place, path in enumerate(files):
+        if places[place] in places[:place]:
+            parser.error(f"{path} is given twice: it would count so in the mean, or be overwritten by it")
     try:
         model = averaged(options.weights)
     except CheckpointError as error:

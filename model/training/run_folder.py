@@ -53,7 +53,7 @@ def save_state(
     folder: Path, progress: dict[str, object], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
 ) -> None:
     """Everything that a later start needs but the frozen parts, which it gets as this one did; and the averaged weights
-    so far, whole."""
+    so far, whole. Raises `OSError`."""
     trained = trained_names(model)
     state = {
         **progress,
@@ -62,8 +62,15 @@ def save_state(
         "optimiser": optimiser.state_dict(),
     }
     part = folder / (STATE + ".part")
-    torch.save(state, part)
-    os.replace(part, folder / STATE)
+    try:
+        with part.open("wb") as file:
+            torch.save(state, file)
+        os.replace(part, folder / STATE)
+    except (OSError, RuntimeError) as error:
+        part.unlink(missing_ok=True)
+        if isinstance(error.__context__, OSError):  # what torch's writer stumbled over, of which it does not tell
+            raise OSError(error.__context__.errno, error.__context__.strerror, str(part)) from error
+        raise
     save_weights(folder, average, progress["step"])
 
 

@@ -48,6 +48,20 @@ def test_the_command_writes_a_checkpoint_that_says_what_went_in(
     assert read_metadata(out)[MEAN_OF].split(",") == [file_sha256(path) for path in runs]
 
 
+def test_a_file_that_is_given_twice_is_refused(
+    runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    link = tmp_path / "link.safetensors"
+    link.symlink_to(runs[0])
+    before = runs[0].read_bytes()
+    for files in ([runs[0], runs[0], runs[1]], [tmp_path / "out.safetensors", runs[0], link]):
+        with pytest.raises(SystemExit):
+            main(list(map(str, files)))
+        assert f"{files[-1] if files[-1] == link else runs[0]} is given twice" in capsys.readouterr().err
+    assert runs[0].read_bytes() == before
+    assert not (tmp_path / "out.safetensors").exists()
+
+
 def test_frozen_parts_stay_and_others_are_refused(tmp_path: Path) -> None:
     networks = [miniature(0), miniature(1)]
     frozen = {name: value for name, value in networks[0].named_parameters() if not value.requires_grad}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import resource
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import torch
 from test_training_loop import SMALL, one_thread, run
 
 from gapmes.model.config import preset
+from gapmes.model.network import GaPMeS
 from gapmes.model.training import loop, run_folder
 from gapmes.model.training.recipe import Phase
 from gapmes.model.training.workers import Worker
@@ -46,6 +49,24 @@ def test_a_run_of_another_number_of_threads_is_not_continued(tmp_path: Path) -> 
     torch.set_num_threads(2)
     with pytest.raises(run_folder.Refused, match="another thread count: 1, asked for 2; go on with what it began with"):
         run(one, tmp_path)
+
+
+def test_a_full_disk_is_said_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """torch says of it that a position is unexpected."""
+    run(SMALL, tmp_path)
+    before = (tmp_path / run_folder.STATE).read_bytes()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    again = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    network = GaPMeS(preset("tiny"))
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+        with pytest.raises(OSError, match=r"File too large: '.*state\.pt\.part'"):
+            run_folder.save_state(tmp_path, {"step": 1}, network, network, torch.optim.SGD(network.parameters(), 0.1))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, again)
+    assert (tmp_path / run_folder.STATE).read_bytes() == before
+    assert not (tmp_path / (run_folder.STATE + ".part")).exists()
 
 
 def test_a_state_that_lacks_a_part_is_not_continued(tmp_path: Path) -> None:

@@ -1,0 +1,122 @@
+"""Where an export writes: what is in the way is refused before the work, and nothing half done is left there."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import onnx
+import pytest
+from typer.testing import CliRunner
+
+from gapmes.export import pipeline
+from gapmes.export.cli import app
+from gapmes.export.report import CaseResult, Report
+from gapmes.service.errors import InputError
+
+QUICK = {"height": 64, "width": 64, "quick": True}
+
+
+def small() -> onnx.ModelProto:
+    """A graph that stands for the network's."""
+    value = onnx.helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [1])
+    node = onnx.helper.make_node("Identity", ["x"], ["y"])
+    result = onnx.helper.make_tensor_value_info("y", onnx.TensorProto.FLOAT, [1])
+    return onnx.helper.make_model(onnx.helper.make_graph([node], "small", [value], [result]))
+
+
+def said_of(model: Path) -> dict[str, str]:
+    return {entry.key: entry.value for entry in onnx.load(model).metadata_props}
+
+
+def verdict(model: Path, *_: object) -> Report:
+    return Report(pipeline.file_sha256(model), said_of(model)["gapmes.precision"], {}, [CaseResult("a", "b", 2)])
+
+
+@pytest.fixture
+def _stubbed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "export_graph", lambda *_: small())
+    monkeypatch.setattr(pipeline, "quantised", lambda model: model)
+    monkeypatch.setattr(pipeline, "_verify_elsewhere", verdict)
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_the_checkpoint_is_not_overwritten(checkpoint: Path, tmp_path: Path, link: bool) -> None:
+    mine = tmp_path / "mine.safetensors"
+    mine.write_bytes(checkpoint.read_bytes())
+    out = mine
+    if link:
+        out = tmp_path / "link.onnx"
+        out.symlink_to(mine)
+    result = CliRunner().invoke(app, ["--checkpoint", str(mine), "-o", str(out)], env={"COLUMNS": "400"})
+    assert result.exit_code == 1
+    assert f"{out} would take the place of the checkpoint that it is made from" in result.output
+    assert mine.read_bytes() == checkpoint.read_bytes()
+
+
+def test_a_folder_where_the_report_belongs_is_refused_before_any_work(checkpoint: Path, tmp_path: Path) -> None:
+    (tmp_path / "net.report.json").mkdir()
+    with pytest.raises(InputError, match=r"net\.report\.json is a folder, need a file"):
+        pipeline.export_checkpoint(checkpoint, tmp_path / "net.onnx", **QUICK)
+    assert not (tmp_path / "net.onnx").exists()
+
+
+@pytest.mark.usefixtures("_stubbed")
+def test_two_exports_to_one_place_do_not_meet(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While one is verified another one of other precision comes and goes: each is judged by its own file."""
+    out = tmp_path / "net.onnx"
+    inner = []
+
+    def with_another(model: Path, *_: object) -> Report:
+        monkeypatch.setattr(pipeline, "_verify_elsewhere", verdict)
+        inner.append(pipeline.export_checkpoint(checkpoint, out, precision="int8", **QUICK))
+        return verdict(model)
+
+    monkeypatch.setattr(pipeline, "_verify_elsewhere", with_another)
+    outer = pipeline.export_checkpoint(checkpoint, out, precision="fp32", **QUICK)
+    assert [inner[0].report.precision, outer.report.precision] == ["int8", "fp32"]
+    assert said_of(out)["gapmes.precision"] == Report.read(outer.report_path).precision == "fp32"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["net.onnx", "net.report.json"]
+
+
+@pytest.mark.usefixtures("_stubbed")
+def test_a_full_disk_is_said_of_the_file(checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pipeline, "write_model", full)
+    out = tmp_path / "net.onnx"
+    result = CliRunner().invoke(app, ["--checkpoint", str(checkpoint), "-o", str(out)], env={"COLUMNS": "400"})
+    assert result.exit_code == 1
+    assert f"No space left on device: '{out}'" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+ENDED = """
+import sys, time
+from gapmes.export import cli, pipeline
+from test_export_place import small
+pipeline.export_graph = lambda *_: small()
+def waits(model, *_):
+    print(model, flush=True)
+    time.sleep(600)
+pipeline._verify_elsewhere = waits
+sys.argv[1:] = ["--out", sys.argv[1], "--quiet"]
+cli.main()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_an_export_that_a_signal_ends_leaves_nothing(number: signal.Signals, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", ENDED, str(tmp_path / "net.onnx")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent) as process:
+        assert process.stdout is not None
+        candidate = Path(process.stdout.readline().strip())
+        assert candidate.is_file()
+        process.send_signal(number)
+        assert process.wait(120) == -number
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,51 @@
+"""A process that works for another one does not outlive it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+CHILD = """
+import time
+from gapmes.export.with_parent import end_with_parent
+end_with_parent()
+print("ready", flush=True)
+time.sleep(600)
+"""
+PARENT = """
+import subprocess, sys, time
+child = subprocess.Popen([sys.executable, "-c", sys.argv[1]], stdout=subprocess.PIPE)
+child.stdout.readline()
+print(child.pid, flush=True)
+time.sleep(600)
+"""
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return not _finished(pid)
+
+
+def _finished(pid: int) -> bool:
+    """Ended, and nobody has asked how: where nobody looks after orphans they stay so."""
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] == "Z"
+
+
+def test_it_ends_when_its_parent_is_killed() -> None:
+    with subprocess.Popen([sys.executable, "-c", PARENT, CHILD], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        time.sleep(2)
+        assert alive(child)  # as long as the parent is
+        parent.kill()
+    until = time.monotonic() + 120
+    while alive(child):
+        assert time.monotonic() < until
+        time.sleep(0.1)
