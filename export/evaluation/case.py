@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gapmes.model.training.scenes import SceneBatch, SceneSampler
 from gapmes.service.camera import Camera
+from gapmes.service.errors import ImageError
 from gapmes.service.images import FittedView, Photo, decode_image, fit_view, match_photo
 
 from .labels import shortest_names
@@ -66,13 +67,22 @@ def photograph_case(folder: Path, inputs: int, height: int, width: int, name: st
     """The `suggested` views of a scene folder, centre-cropped and resized to `height` x `width` px; the folder's own
     name unless another is given.
 
-    Raises `NoSuchViews`, and `InputError` for what is no scene folder and for views that are not there.
+    Raises `NoSuchViews`, and `InputError` for what is no scene folder, for views that are not there and for photographs
+    that cannot be decoded or have transparent pixels.
     """
     suggested = suggested_views(folder, inputs)
     scene = suggested.scene
 
     def load(index: int) -> tuple[Photo, Camera]:
-        photo = decode_image(scene.image_paths[index].read_bytes(), index=index)
+        path = scene.image_paths[index]
+        photo = decode_image(path.read_bytes(), index=index)
+        if photo.mask is not None:
+            raise ImageError(
+                f"{path} is transparent in {(~photo.mask).sum()} of {photo.mask.size} pixels, need 0: all are compared",
+                field="images",
+                index=index,
+                cure="save the scene's photographs without an alpha channel, or leave the scene out",
+            )
         return match_photo(photo, scene.file.views[index].camera, index=index)
 
     given, held_out = [load(i) for i in suggested.inputs], [load(i) for i in suggested.targets]

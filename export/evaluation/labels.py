@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
+
+GENERATED_STEM = re.compile(r"generated_\d+")  # of the pictures of generated scenes, which other scenes keep clear of
 
 
 def given_twice(paths: Sequence[Path]) -> Path | None:
@@ -19,15 +21,16 @@ def given_twice(paths: Sequence[Path]) -> Path | None:
     return None
 
 
-def shortest_names(paths: Sequence[Path]) -> list[str]:
-    """The last parts of each path, as many of all as tell them apart: one where the names differ.
+def shortest_names(paths: Sequence[Path], taken: Collection[str] = ()) -> list[str]:
+    """The last parts of each path, as many of all as tell them apart, and from the names `taken`: one where the names
+    differ.
 
     Raises `ValueError` where two are the same path.
     """
     parts = [Path(os.path.abspath(path)).parts for path in paths]
     for count in range(1, max(map(len, parts), default=0) + 1):
         names = [str(Path(*own[-count:])) for own in parts]
-        if len(set(names)) == len(names):
+        if len(set(names)) == len(names) and not set(names) & set(taken):
             return names
     if paths:
         raise ValueError(f"{', '.join(map(str, paths))}: the same path twice")
@@ -35,12 +38,13 @@ def shortest_names(paths: Sequence[Path]) -> list[str]:
 
 
 def file_stems(names: Iterable[str]) -> dict[str, str]:
-    """Each name as the start of a file's: blanks and slashes become _, and what would be the same is numbered."""
+    """Each name as the start of a file's: blanks and slashes become _, and what would be the same, or a
+    `GENERATED_STEM`, is numbered."""
     found: dict[str, str] = {}
     for name in names:
         plain = stem = re.sub(r"[\s/]", "_", name)
         number = 2
-        while stem in found.values():
+        while stem in found.values() or GENERATED_STEM.fullmatch(stem):
             stem, number = f"{plain}_{number}", number + 1
         found[name] = stem
     return found

@@ -20,6 +20,7 @@ from gapmes.service.shipped import shipped_model
 from ..pipeline import export_checkpoint
 from ..size import Size
 from .labels import given_twice, shortest_names
+from .scores import BASELINES, TRUE_DEPTH
 
 CHECKPOINT = ".safetensors"
 _BALANCES = {"experts": "mixture.gates.expert_balance", "tasks": "mixture.gates.task_balance"}
@@ -175,8 +176,10 @@ def gate_lambdas(checkpoint: Path) -> dict[str, float]:
 
 
 def _labels(files: Sequence[Path]) -> list[str]:
-    """The stems of the files, or as much of their paths as tells them apart. Raises `ModelError` for a file twice."""
+    """The stems of the files, or as much of their paths as tells them apart, from each other and from the baselines.
+    Raises `ModelError` for a file twice."""
     if (twice := given_twice(files)) is not None:
         raise ModelError(f"{twice} is given twice", field="model")
-    stems = [path.stem for path in files]
-    return stems if len(set(stems)) == len(stems) else shortest_names(files)
+    stems, taken = [path.stem for path in files], {*BASELINES, TRUE_DEPTH}
+    apart = len(set(stems)) == len(stems) and not set(stems) & taken
+    return stems if apart else shortest_names(files, taken)

@@ -31,9 +31,11 @@ def evaluation_plans(
     """Photographs first, large sizes first. What is not given: see the constants.
 
     Without scenes and number of generated ones, the scenes beside the checkout and `GENERATED`. Without sizes, those of
-    the ONNX `files`, where there are any. Raises `InputError` when that leaves nothing, for a scene given twice, and
-    for a seed without generated scenes.
+    the ONNX `files`, where there are any. Raises `InputError` when that leaves nothing, for a scene, a number of inputs
+    or a size given twice, and for a seed without generated scenes.
     """
+    _check_once("inputs", inputs)
+    _check_once("size", sizes)
     sizes = sizes or model_sizes(files)
     of_size = dict.fromkeys(sizes or (GENERATED_SIZE,), generated or 0)
     if not scenes and generated is None:
@@ -59,6 +61,12 @@ def evaluation_plans(
     if seed is not None and not any(plan.generated for plan in plans):
         raise InputError(f"is {seed}, but no scene is generated", field="seed", cure="add --generated 100")
     return plans
+
+
+def _check_once(field: str, values: Sequence[int | Size]) -> None:
+    for place, value in enumerate(values):
+        if value in values[:place]:
+            raise InputError(f"{value} is given twice and would count so in the means", field=field)
 
 
 def neighbouring_scenes() -> list[Path]:

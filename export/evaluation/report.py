@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gapmes.service.fade_passes import DEFAULT_PASSES
+from gapmes.service.streams import visible
 
 from .floors import Floor, floors
 from .models import Model
@@ -50,7 +51,7 @@ class Report:
             lines += ["## Difference between the models", "", *precision_table(self.groups, self.lpips is not None), ""]
         for group in self.groups:
             lines += group_section(group, self.lpips is not None)
-        return "\n".join(lines).rstrip() + "\n"
+        return "\n".join(map(visible, lines)).rstrip() + "\n"  # names of files may hold line ends
 
     def write(self, folder: Path) -> list[Path]:
         """report.json and report.md in `folder`."""

@@ -29,14 +29,14 @@ def routes_of(outputs: Arrays) -> Arrays:
 
 
 def routing_statistics(
-    routes: Sequence[Arrays], experts: int, lambdas: Mapping[str, float] | None
+    routes: Sequence[Arrays], experts: int | None, lambdas: Mapping[str, float] | None
 ) -> RoutingStatistics | None:
-    """Pool the patches of several scenes; None where the network has neither gate."""
+    """Pool the patches of several scenes; None where the network has neither gate, no shares without `experts`."""
     if not routes or not routes[0]:
         return None
     pooled = {name: np.concatenate([scene[name] for scene in routes]) for name in routes[0]}
     share: list[float] = []
-    if "expert_index" in pooled:
+    if "expert_index" in pooled and experts is not None:
         counts = np.bincount(pooled["expert_index"].ravel(), minlength=experts)
         share = [float(value) for value in counts / counts.sum()]
     mean, deviation = {}, {}

@@ -14,7 +14,7 @@ from gapmes.service.progress import Listener, Stages, silent
 
 from ..size import Size
 from .case import GENERATED_SEED, Case, generated_cases, photograph_case
-from .labels import file_stems
+from .labels import GENERATED_STEM, file_stems
 from .lpips import Lpips
 from .measure import Measured, measure
 from .models import Model, check_sizes, load_models
@@ -22,7 +22,7 @@ from .report import Report
 from .routing import routing_statistics
 from .scores import Group
 from .sheets import scene_sheet
-from .suggested import NoSuchViews, suggested_views
+from .suggested import NoSuchViews
 
 GENERATED_SHEETS = 8  # pictures: of the generated scenes the worst beside baselines, of photographs every one
 
@@ -96,7 +96,8 @@ def _group(
     ending = f"_{plan.inputs}views_{plan.size}px.png"
     if plan.generated:
         for earlier in out.glob(f"generated_*{ending}"):  # which scenes are worst depends on the model
-            earlier.unlink()
+            if GENERATED_STEM.fullmatch(earlier.name.removesuffix(ending)):
+                earlier.unlink()
     worst: list[tuple[Case, Measured]] = []
     stems = file_stems(plan.folders)
 
@@ -114,12 +115,12 @@ def _group(
         else:
             draw(case, measured)
         done(number)
-    stems |= file_stems(case.name for case, _ in worst)
+    stems |= {case.name: case.name.replace(" ", "_") for case, _ in worst}
     for case, measured in worst:
         draw(case, measured)
     statistics = {
         model.label: routing_statistics(
-            [scene[model.label] for scene in routes], model.engine.info.config["experts"], model.lambdas
+            [scene[model.label] for scene in routes], model.engine.info.config.get("experts"), model.lambdas
         )
         for model in models
     }
@@ -129,11 +130,12 @@ def _group(
 
 
 def _looked_at(plan: GroupPlan) -> GroupPlan:
-    """With the folders that can be measured; raises `InputError` where one is no scene folder, or none of them can."""
+    """With the folders that can be measured; raises `InputError` where one is no scene folder or has a photograph that
+    cannot be compared, or none of them can."""
     folders, left_out = {}, {}
     for name, folder in plan.folders.items():
         try:
-            suggested_views(folder, plan.inputs)
+            photograph_case(folder, plan.inputs, *plan.size)
             folders[name] = folder
         except NoSuchViews as refusal:
             left_out[name] = str(refusal)

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from gapmes.service.captures.capture import SceneFolder, load_scene_folder
+from gapmes.service.captures.files import FolderFiles, read_bounded
+from gapmes.service.captures.recognise import MAX_CAMERA_BYTES
 from gapmes.service.errors import InputError
 
 
@@ -80,8 +82,8 @@ def _check_indices(path: Path, name: str, views: Sequence[int], count: int) -> N
 
 def _suggested(path: Path) -> dict[str, list[int]]:
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+        document = json.loads(read_bounded(FolderFiles(path.parent), path.name, MAX_CAMERA_BYTES))
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is no JSON: {error}", field="SCENE_DIR") from error
     suggested: Any = document.get("suggested", {}) if isinstance(document, dict) else None
     lists = suggested.values() if isinstance(suggested, dict) else [None]

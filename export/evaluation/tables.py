@@ -13,9 +13,9 @@ SCENES_SHOWN = 20  # of a group; of more, each table says which
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A Markdown table; a | in a cell is escaped."""
-    lines = [list(head), ["---"] * len(head), *[[cell.replace("|", "\\|") for cell in row] for row in rows]]
-    return [f"| {' | '.join(line)} |" for line in lines]
+    """A Markdown table; in a cell a | is escaped, and the backslash that would escape the next one."""
+    escaped = [[cell.replace("\\", "\\\\").replace("|", "\\|") for cell in row] for row in (head, *rows)]
+    return [f"| {' | '.join(line)} |" for line in (escaped[0], ["---"] * len(head), *escaped[1:])]
 
 
 def floor_table(floors: Sequence[Floor]) -> list[str]:

@@ -27,6 +27,7 @@ from gapmes.export.size import Size
 from gapmes.model.training.validation import VALIDATION_SEED
 from gapmes.service import cli, extra_commands
 from gapmes.service.backends import choice
+from gapmes.service.contract import REQUIRED_OUTPUTS
 from gapmes.service.errors import ModelError
 from gapmes.service.shipped import sample_folder, shipped_model
 
@@ -253,6 +254,39 @@ def test_scenes_of_the_same_last_name_stay_apart(tmp_path: Path) -> None:
     assert sorted(path.name for path in out.glob("*.png")) == [f"{p}_room_2views_48x64px.png" for p in ("a", "b")]
 
 
+def test_pictures_of_photographs_stay_whatever_their_folders_are_called(tmp_path: Path) -> None:
+    """Of generated scenes a run removes those of the run before, which may have drawn others."""
+    names = ["generated_house", "generated 000"]
+    for name in names:
+        shutil.copytree(sample_folder(), tmp_path / name)
+    file = write_standin(tmp_path / "wide.onnx", {**METADATA, "config": json.dumps({"sh_degree": 1, "experts": 6})})
+    out = tmp_path / "report"
+    out.mkdir()
+    ending = "_2views_48x64px.png"
+    for name in ("generated_001", "generated_1000"):
+        (out / f"{name}{ending}").touch()
+    (out / "generated_001_3views_48x64px.png").touch()  # of another group
+    folders = [tmp_path / name for name in names]
+    assert run(*folders, "--generated", 1, "--inputs", 2, "--model", file, "--fade", 0, "--out", out) == 0
+    pictures = {path.name: path.stat().st_size > 0 for path in out.glob("*.png")}
+    assert pictures == {
+        f"generated_house{ending}": True,
+        f"generated_000_2{ending}": True,
+        f"generated_000{ending}": True,
+        "generated_001_3views_48x64px.png": False,
+    }
+
+
+def test_a_network_without_gates_is_measured(tmp_path: Path) -> None:
+    """As DepthSplat, whose configuration has no number of experts."""
+    file = write_standin(tmp_path / "plain.onnx", outputs=REQUIRED_OUTPUTS)
+    out = tmp_path / "report"
+    assert run("--generated", 1, "--model", file, "--fade", 0, "--out", out) == 0
+    (group,) = json.loads((out / "report.json").read_text())["groups"]
+    assert group["routing"] == {"plain": None}
+    assert "Routing of" not in (out / "report.md").read_text()
+
+
 def test_plans() -> None:
     folder = sample_folder()
     plans = evaluation_plans([folder], None, [], [], [])
@@ -383,3 +417,6 @@ def test_routing_statistics_by_hand() -> None:
     assert result.task_mean["mean"] == pytest.approx(values.mean())
     assert result.task_deviation["mean"] == pytest.approx(values.std())
     assert routing_statistics([{}], 4, None) is None
+    unnumbered = routing_statistics(routes, None, None)
+    assert unnumbered is not None
+    assert unnumbered.expert_share == []

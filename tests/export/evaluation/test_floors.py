@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from itertools import groupby
 
 import pytest
 
 from gapmes.export.evaluation.floors import Floor, floors
 from gapmes.export.evaluation.metrics import Figures
+from gapmes.export.evaluation.report import Report
 from gapmes.export.evaluation.routing import RoutingStatistics
 from gapmes.export.evaluation.scores import (
     NEAREST,
@@ -23,6 +26,8 @@ from gapmes.export.evaluation.scores import (
 )
 from gapmes.export.evaluation.tables import floor_table, group_section, precision_table
 from gapmes.export.size import Size
+
+SEPARATOR = re.compile(r"(?<!\\)(?:\\\\)*\|")  # of cells: after no backslash, or an even number of them
 
 
 def score(psnr: float) -> MethodScore:
@@ -136,3 +141,18 @@ def test_the_tables_show_every_method_scene_and_verdict() -> None:
     rows = precision_table([Group("photographs", 2, Size.square(64), "true depth", [pair], {})], lpips=False)
     assert "int8 - ours" in rows[-1]
     assert "-0.500" in rows[-1]
+
+
+def test_names_of_files_do_not_break_the_tables() -> None:
+    """Line ends, which would end a row, and what separates its cells; in the head too, where the models are."""
+    odd = scene("a|b\nc\\|d", 22.0, 20)
+    odd.models["net|1\r# 2"] = odd.models.pop("ours")
+    unusual = Group("photographs", 2, Size.square(64), "true depth", [odd], {"net|1\r# 2": None}, {"e\nf": "g\nh"})
+    lines = Report([], [unusual], None).markdown().splitlines()
+    assert "Left out: e f: g h" in lines
+    assert any(line.startswith("| a\\|b c\\\\\\|d | 22.00 |") for line in lines)
+    assert any(line.startswith("| net\\|1\\r# 2 | 22.00 | 0.800 |") for line in lines)
+    tables = [list(rows) for is_row, rows in groupby(lines, lambda line: line.startswith("|")) if is_row]
+    assert len(tables) == 4  # models, floors, means, scenes
+    for rows in tables:
+        assert len({len(SEPARATOR.findall(row)) for row in rows}) == 1

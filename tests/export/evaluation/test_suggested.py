@@ -7,15 +7,17 @@ import shutil
 from pathlib import Path
 
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from gapmes.export.cli import app as export_app
 from gapmes.export.evaluation import run as measuring
+from gapmes.export.evaluation import suggested as suggesting
 from gapmes.export.evaluation.case import photograph_case
 from gapmes.export.evaluation.suggested import NoSuchViews, suggested_views
 from gapmes.export.tradeoff import files
 from gapmes.service import cli
-from gapmes.service.errors import InputError
+from gapmes.service.errors import ImageError, InputError
 from gapmes.service.shipped import sample_folder
 
 GOOD = {"context2": [1, 5], "target2": [2, 3]}
@@ -63,6 +65,60 @@ def test_a_folder_without_suggested_views_is_named(tmp_path: Path) -> None:
         suggested_views(scene(tmp_path / "scene", target2=[]), 2)
     with pytest.raises(InputError, match=r"cameras\.json is not a file"):
         photograph_case(tmp_path, 2, 64, 64)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-32-be"])
+def test_cameras_are_read_in_every_encoding_of_json(tmp_path: Path, encoding: str) -> None:
+    path = scene(tmp_path / "scene") / "cameras.json"
+    path.write_bytes(path.read_text().encode(encoding))
+    assert suggested_views(path.parent, 2).targets == (2, 3)
+
+
+def test_json_that_is_too_deep_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "cameras.json"
+    path.write_text("[" * 100_000 + "]" * 100_000)
+    with pytest.raises(InputError, match=r"cameras\.json is no JSON: .*recursion"):
+        suggested_views(tmp_path, 2)
+    monkeypatch.setattr(suggesting, "MAX_CAMERA_BYTES", 1000)
+    with pytest.raises(InputError, match="200000 bytes or more, the limit is 1000"):
+        suggested_views(tmp_path, 2)
+
+
+def see_through(path: Path, width: int) -> None:
+    """An alpha channel that is 0 in the first columns and 255 in the others."""
+    with Image.open(path) as image:
+        image.putalpha(255)
+        image.paste((255, 0, 255, 0), (0, 0, width, image.height))
+        image.save(path)
+
+
+@pytest.mark.parametrize("view", [1, 3], ids=["input", "target"])
+def test_a_photograph_with_transparent_pixels_is_refused(tmp_path: Path, view: int) -> None:
+    """What a mask leaves out is no part of a scene, but would be compared; opaque alpha leaves nothing out."""
+    folder = scene(tmp_path / "scene")
+    opaque, picture = (folder / "images" / f"{number:03d}.png" for number in (5, view))
+    see_through(opaque, 0)
+    photograph_case(folder, 2, 64, 64)
+    see_through(picture, 3)
+    with pytest.raises(
+        ImageError, match=r"\.png is transparent in 768 of 65536 pixels, need 0.*without an alpha"
+    ) as caught:
+        photograph_case(folder, 2, 64, 64)
+    assert (caught.value.field, caught.value.index) == ("images", view)
+
+
+def test_evaluate_refuses_a_masked_scene_before_it_loads_a_model(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measuring, "load_models", None)
+    late = scene(tmp_path / "late")
+    see_through(late / "images" / "003.png", 3)
+    with pytest.raises(SystemExit) as end:
+        cli.main(["evaluate", str(sample_folder()), str(late), "--inputs", "2", "--out", str(tmp_path / "out")])
+    assert end.value.code == 1
+    (line,) = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error: ")]
+    assert f"view 3: images: {late / 'images' / '003.png'} is transparent" in line
+    assert not (tmp_path / "out").exists()
 
 
 def test_evaluate_refuses_a_later_scene_before_it_loads_a_model(
