@@ -103,7 +103,7 @@ def export_checkpoint(
     add_metadata(model, metadata | ({"keep_all": "true"} if variant.keep_all else {}))
     with stages.stage("verify"):
         report = _verified(model, out, checkpoint, quick, lambda done, total: listener(Stage("verify", done, total)))
-    rejected = out.with_name(f"{out.stem}.rejected.onnx")
+    rejected = _rejected_path(out)
     if not report.passed:
         raise ExportRejected(rejected, *_kept(model, rejected, report))
     remove_model(rejected)  # of an export before, with its report
@@ -114,7 +114,8 @@ def export_checkpoint(
 def _check_place(out: Path, checkpoint: Path) -> None:
     """Raises `InputError` where there can be no file at `out`, or no report; folders that are missing will be made."""
     check_output_folder(out.parent)
-    for path in (out, _report_path(out)):
+    rejected = _rejected_path(out)
+    for path in (out, _report_path(out), rejected, _report_path(rejected), _fit_path(out)):
         if out.parent.is_dir():
             check_output_file(path)
         if path.exists() and not path.is_file():
@@ -147,6 +148,14 @@ def _kept(model: onnx.ModelProto, path: Path, report: Report) -> tuple[Path, Rep
     return report_path, report
 
 
+def _rejected_path(out: Path) -> Path:
+    return out.with_name(f"{out.stem}.rejected.onnx")
+
+
+def _fit_path(out: Path) -> Path:
+    return out.with_name(f"{out.stem}.checkpoint.json")
+
+
 def _report_path(model: Path) -> Path:
     return model.with_name(f"{model.stem}.report.json")
 
@@ -154,7 +163,7 @@ def _report_path(model: Path) -> Path:
 def _accept(model: onnx.ModelProto, out: Path, report: Report, fit: Fit | None, timings: dict[str, float]) -> Exported:
     add_metadata(model, {"tolerance": json.dumps(report.worst(), sort_keys=True)})
     report_path, report = _kept(model, out, report)
-    fit_path = out.with_name(f"{out.stem}.checkpoint.json")
+    fit_path = _fit_path(out)
     if fit is None:
         fit_path.unlink(missing_ok=True)  # of a file that was here before
         return Exported(out, report_path, report, None, None, timings)

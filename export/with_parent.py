@@ -10,7 +10,7 @@ POLL_SECONDS = 1.0
 
 
 def end_with_parent() -> None:
-    """From now on this process ends when its parent does, however that ends."""
+    """From now on this process ends when its parent does, however that ends; one that has ended before is missed."""
     threading.Thread(target=_watch, args=(os.getppid(),), daemon=True).start()
 
 

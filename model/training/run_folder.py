@@ -68,8 +68,10 @@ def save_state(
         os.replace(part, folder / STATE)
     except (OSError, RuntimeError) as error:
         part.unlink(missing_ok=True)
-        if isinstance(error.__context__, OSError):  # what torch's writer stumbled over, of which it does not tell
-            raise OSError(error.__context__.errno, error.__context__.strerror, str(part)) from error
+        # what torch's writer stumbled over, of which it does not tell
+        cause = error if isinstance(error, OSError) else error.__context__
+        if isinstance(cause, OSError):
+            raise OSError(cause.errno, cause.strerror, str(part)) from error
         raise
     save_weights(folder, average, progress["step"])
 

@@ -9,8 +9,6 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from .files import joined
 
-# What photographs come as, before somebody makes files of another kind of them.
-PICTURE_SUFFIXES = (".bmp", ".dng", ".gif", ".heic", ".heif", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
 MOST_PARTS = 4  # of a name, from its end, by which a photograph is looked for where the whole is not there
 
 
@@ -23,18 +21,6 @@ def same_file(posted: str, wanted: str | None) -> bool:
     """Whether the last parts of both paths agree but for case; a wanted name without a suffix matches any."""
     have, want = (posixpath.basename(key(name or "")) for name in (posted, wanted))
     return bool(want) and (have == want or ("." not in want.strip(".") and posixpath.splitext(have)[0] == want))
-
-
-def without_suffix(name: str) -> str:
-    """The path without its last suffix, if pictures have such a one."""
-    stem, suffix = posixpath.splitext(joined(name))
-    return stem if suffix.lower() in PICTURE_SUFFIXES else name
-
-
-def same_but_for_suffix(posted: str, wanted: str | None) -> bool:
-    """Whether the last parts agree but for case and for what kind of picture they say it is."""
-    have, want = (posixpath.basename(without_suffix(key(name or ""))) for name in (posted, wanted))
-    return bool(want) and have == want
 
 
 def same_path(typed: str, name: str | None) -> bool:

@@ -9,7 +9,7 @@ from functools import cached_property
 from ..errors import CaptureError, ImageError, ImageUnreadable
 from ..image_files import MAX_PIXELS, image_size
 from .files import Files, joined, read_bounded
-from .names import Endings, key, without_suffix
+from .names import Endings, key
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG", ".WEBP")
 FOLDERS = ("images", "", "images_2", "images_4", "images_8", "input", "rgb")  # beside the cameras, in this order
@@ -33,13 +33,12 @@ class Photographs:
 
     def find(self, name: str | None, index: int) -> str:
         """Path of a photograph: at its name, else with a suffix that it lacks or in another case, else at the end of
-        its name that no other name has: `right/0.png` is not the 0.png that may be `left/0.png`; else all this with
-        another picture's suffix than its own. Raises `ImageError`.
+        its name that no other name has: `right/0.png` is not the 0.png that may be `left/0.png`. Raises `ImageError`.
         """
         if name is None:
             message = "the camera file names no photograph for this view"
             raise ImageError(message, field="views.image", index=index, cure="name one for each view")
-        found = self._named(name, self._endings) or self._named(without_suffix(name), self._stems)
+        found = self._at(name) or next(filter(None, map(self._at, self._endings.of(name))), None)
         if found is None:
             looked = ", ".join(place or "." for place in self._places[:3])
             cure = f"photographs are looked for in {looked} and the like, under the names that the cameras have"
@@ -84,13 +83,6 @@ class Photographs:
     @cached_property
     def _endings(self) -> Endings:
         return Endings(self._names)
-
-    @cached_property
-    def _stems(self) -> Endings:
-        return Endings([name and without_suffix(name) for name in self._names])
-
-    def _named(self, name: str, endings: Endings) -> str | None:
-        return self._at(name) or next(filter(None, map(self._at, endings.of(name))), None)
 
     def _at(self, name: str) -> str | None:
         suffixes = ("",) if name.endswith(SUFFIXES) else ("", *SUFFIXES)

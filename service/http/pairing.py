@@ -8,7 +8,7 @@ from typing import Any
 
 from ..camera import Camera
 from ..camera_fields import NamedView
-from ..captures.names import same_but_for_suffix, same_file, sorted_places
+from ..captures.names import same_file, sorted_places
 from ..errors import CameraError, InputError, ViewCountError
 from ..image_files import image_size
 
@@ -50,15 +50,16 @@ class Match:
 
 
 def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sorted_name: bool = False) -> Match:
-    """By name when every camera names its image and each posted name is the name of exactly one camera, if need be with
-    another picture's suffix: of names alone, so that the cameras which no image belongs to are never looked at.
+    """By name when every camera names its image and each posted name is the name of exactly one camera: of names alone,
+    so that the cameras which no image belongs to are never looked at.
 
     A camera file may then hold more cameras than images were posted. Otherwise the counts must agree and order decides:
     that of the images as they were sent, or with `by_sorted_name` that of their names. Raises `ViewCountError`, which
     names the first image without a camera of its own where others have one, and `InputError` for an image that order
     would give to another camera than the one that names it.
     """
-    named, found = all(cameras), [_named_by(image, cameras) for image in images]
+    named = all(cameras)
+    found = [[place for place, name in enumerate(cameras) if same_file(image, name)] for image in images]
     if named and all(len(places) == 1 for places in found):
         chosen = tuple(places[0] for places in found)
         if len(set(chosen)) == len(images):
@@ -85,14 +86,6 @@ def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sort
     return Match(tuple(range(len(images))), "order", warnings)
 
 
-def _named_by(image: str, cameras: Sequence[str | None]) -> list[int]:
-    """Places of the cameras that name it."""
-    for alike in (same_file, same_but_for_suffix):
-        if places := [place for place, name in enumerate(cameras) if alike(image, name)]:
-            return places
-    return []
-
-
 def _check_order(images: Sequence[str], cameras: Sequence[str | None], found: Sequence[Sequence[int]]) -> None:
     """Raises `InputError` where an image and the camera of the same place have names that contradict each other."""
     for place, places in enumerate(found):
@@ -116,7 +109,7 @@ class PostedSizes:
 
     def __call__(self, name: str | None, index: int) -> tuple[int, int]:
         """(width, height) in px of the image that the camera at `index` belongs to. Raises `CameraError`."""
-        places = [place for place, image in enumerate(self._images) if _named_by(image.name, [name])]
+        places = [place for place, image in enumerate(self._images) if same_file(image.name, name)]
         if len(places) != 1:
             places = [index] if index < len(self._images) else []
         if not places:

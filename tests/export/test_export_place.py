@@ -56,9 +56,10 @@ def test_the_checkpoint_is_not_overwritten(checkpoint: Path, tmp_path: Path, lin
     assert mine.read_bytes() == checkpoint.read_bytes()
 
 
-def test_a_folder_where_the_report_belongs_is_refused_before_any_work(checkpoint: Path, tmp_path: Path) -> None:
-    (tmp_path / "net.report.json").mkdir()
-    with pytest.raises(InputError, match=r"net\.report\.json is a folder, need a file"):
+@pytest.mark.parametrize("name", ["net.report.json", "net.rejected.onnx", "net.checkpoint.json"])
+def test_a_folder_where_a_file_belongs_is_refused_before_any_work(name: str, checkpoint: Path, tmp_path: Path) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(InputError, match=f"{name} is a folder, need a file"):
         pipeline.export_checkpoint(checkpoint, tmp_path / "net.onnx", **QUICK)
     assert not (tmp_path / "net.onnx").exists()
 
@@ -113,7 +114,12 @@ cli.main()
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_an_export_that_a_signal_ends_leaves_nothing(number: signal.Signals, tmp_path: Path) -> None:
     command = [sys.executable, "-c", ENDED, str(tmp_path / "net.onnx")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent) as process:
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it would be ignored, there and here
+    try:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    with process:
         assert process.stdout is not None
         candidate = Path(process.stdout.readline().strip())
         assert candidate.is_file()

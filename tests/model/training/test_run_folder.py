@@ -51,7 +51,8 @@ def test_a_run_of_another_number_of_threads_is_not_continued(tmp_path: Path) -> 
         run(one, tmp_path)
 
 
-def test_a_full_disk_is_said_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("room", [0, 10, 100_000])
+def test_a_full_disk_is_said_of_the_file(room: int, tmp_path: Path) -> None:
     """torch says of it that a position is unexpected."""
     run(SMALL, tmp_path)
     before = (tmp_path / run_folder.STATE).read_bytes()
@@ -59,7 +60,7 @@ def test_a_full_disk_is_said_of_the_file(tmp_path: Path, monkeypatch: pytest.Mon
     again = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     network = GaPMeS(preset("tiny"))
     try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
         with pytest.raises(OSError, match=r"File too large: '.*state\.pt\.part'"):
             run_folder.save_state(tmp_path, {"step": 1}, network, network, torch.optim.SGD(network.parameters(), 0.1))
     finally:

@@ -46,14 +46,6 @@ def test_as_much_of_a_name_counts_as_tells_it_from_the_others(tmp_path: Path, ab
     assert [capture.path_of(index) for index in range(8)] == [f"images/{name}" for name in RIG]
 
 
-def test_a_photograph_may_have_been_saved_as_another_kind_of_picture(tmp_path: Path) -> None:
-    named = ["left/0.HEIC", "right/0.HEIC", "right/1.png", "2.jpg", "3.v2.png", "3.png"]
-    there = ["right/0.png", "left/0.png", "1.png", "2.png", "3.png", "3.v2.png"]
-    capture = open_capture(capture_of(tmp_path, named, [f"images/{name}" for name in there]))
-    found = [f"images/{name}" for name in ("left/0.png", "right/0.png", "1.png", "2.png", "3.v2.png", "3.png")]
-    assert [capture.path_of(index) for index in range(6)] == found
-
-
 def test_a_photograph_belongs_to_one_view(tmp_path: Path) -> None:
     capture = open_capture(capture_of(tmp_path, ["a.png", "b.png", "a"], ["images/a.png", "images/b.png"]))
     with pytest.raises(ImageError, match=r"images/a\.png is the photograph of view 0 too") as caught:

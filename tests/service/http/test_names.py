@@ -42,14 +42,6 @@ def test_cameras_of_other_names_are_matched_by_order_and_it_is_said(client: Test
     assert any(warning["code"] == "names_differ" for warning in body["warnings"])
 
 
-def test_an_image_may_have_been_saved_as_another_kind_of_picture(client: TestClient) -> None:
-    body = post(client, cameras=named("a.HEIC", "b.jpg", "b.x.jpg"), names=["b.png", "a.png"]).json()
-    assert centres(body) == pytest.approx([0.2, 0.0])
-    assert body["paired_by"] == "name"
-    exact = post(client, cameras=named("a.jpg", "a.png"), names=["a.png", "a.jpg"]).json()
-    assert centres(exact) == pytest.approx([0.2, 0.0])
-
-
 def test_order_does_not_give_an_image_to_another_camera_than_the_one_that_names_it(client: TestClient) -> None:
     answer = post(client, cameras=named("a.png", "b.png"), names=["b.png", "c.png"])
     assert answer.status_code == 422
