@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -176,6 +177,7 @@ def _verify_elsewhere(
 ) -> Report:
     command = [sys.executable, "-m", "gapmes.export.verify", str(model)]
     command += ["--checkpoint", str(checkpoint), "--report", str(report), *(["--quick"] if quick else [])]
+    command += ["--parent", str(os.getpid())]
     # a file for its warnings: a pipe that nobody empties would stop it when full
     with (
         TemporaryFile("w+") as errors,

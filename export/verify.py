@@ -1,7 +1,7 @@
 """Verify an exported file against torch; run as a process of its own, since onnxruntime keeps its memory.
 
 `python -m gapmes.export.verify MODEL --checkpoint FILE --report FILE` prints one JSON event per case and exits with 0
-when every case passed, 3 when one did not. It ends with the process that started it.
+when every case passed, 3 when one did not. With `--parent` it ends when that process does.
 """
 
 from __future__ import annotations
@@ -193,8 +193,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--checkpoint", type=Path, required=True)
     parser.add_argument("--report", type=Path, required=True)
     parser.add_argument("--quick", action="store_true", help="two view counts instead of five")
+    parser.add_argument("--parent", type=int, help="number of the process that starts this one, to end with")
     options = parser.parse_args(arguments)
-    end_with_parent()
+    if options.parent is not None:
+        end_with_parent(options.parent)
     model = onnx.load(options.model)
     metadata = {p.key: p.value for p in model.metadata_props}
     precision = metadata["gapmes.precision"]

@@ -9,9 +9,9 @@ import time
 POLL_SECONDS = 1.0
 
 
-def end_with_parent() -> None:
-    """From now on this process ends when its parent does, however that ends; one that has ended before is missed."""
-    threading.Thread(target=_watch, args=(os.getppid(),), daemon=True).start()
+def end_with_parent(parent: int) -> None:
+    """From now on this process ends when its parent, of this number, does or has done, however that ends."""
+    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
 
 def _watch(parent: int) -> None:

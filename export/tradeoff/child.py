@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import resource
 import statistics
@@ -89,15 +90,16 @@ def _in_child(work: Callable[..., Any], *arguments: object) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         asked, told = Path(folder, "asked"), Path(folder, "told")
         asked.write_bytes(pickle.dumps((work, arguments)))
-        status = subprocess.run([sys.executable, "-c", CHILD, str(asked), str(told)], check=False).returncode
+        command = [sys.executable, "-c", CHILD, str(asked), str(told), str(os.getpid())]
+        status = subprocess.run(command, check=False).returncode
         if status:
             raise ChildFailed(f"the process that measures {work.__name__.strip('_')}", status)
         return pickle.loads(told.read_bytes())
 
 
-def answer(asked: str, told: str) -> None:
-    """What a child does."""
-    end_with_parent()
+def answer(asked: str, told: str, parent: str) -> None:
+    """What a child does, as long as its parent lives."""
+    end_with_parent(int(parent))
     work, arguments = pickle.loads(Path(asked).read_bytes())
     Path(told).write_bytes(pickle.dumps(work(*arguments)))
 

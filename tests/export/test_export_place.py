@@ -122,7 +122,23 @@ def test_an_export_that_a_signal_ends_leaves_nothing(number: signal.Signals, tmp
     with process:
         assert process.stdout is not None
         candidate = Path(process.stdout.readline().strip())
-        assert candidate.is_file()
-        process.send_signal(number)
-        assert process.wait(120) == -number
+        try:
+            assert candidate.is_file()
+            process.send_signal(number)
+            assert process.wait(120) == -number
+        finally:
+            process.kill()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--report", "out", "--top-k", "0"], "nothing is exported with --report and --stability"),
+        (["--report", "out", "--quick", "--scene", "room"], "is not measured with --quick, which has the sample scene"),
+    ],
+)
+def test_what_would_be_passed_over_is_wrong_usage(arguments: list[str], text: str) -> None:
+    result = CliRunner().invoke(app, arguments, env={"COLUMNS": "400"})
+    assert result.exit_code == 2
+    assert text in result.output

@@ -9,15 +9,15 @@ import time
 from pathlib import Path
 
 CHILD = """
-import time
+import sys, time
 from gapmes.export.with_parent import end_with_parent
-end_with_parent()
+end_with_parent(int(sys.argv[1]))
 print("ready", flush=True)
 time.sleep(600)
 """
 PARENT = """
-import subprocess, sys, time
-child = subprocess.Popen([sys.executable, "-c", sys.argv[1]], stdout=subprocess.PIPE)
+import os, subprocess, sys, time
+child = subprocess.Popen([sys.executable, "-c", sys.argv[1], str(os.getpid())], stdout=subprocess.PIPE)
 child.stdout.readline()
 print(child.pid, flush=True)
 time.sleep(600)
@@ -42,10 +42,19 @@ def test_it_ends_when_its_parent_is_killed() -> None:
     with subprocess.Popen([sys.executable, "-c", PARENT, CHILD], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         child = int(parent.stdout.readline())
-        time.sleep(2)
-        assert alive(child)  # as long as the parent is
-        parent.kill()
+        try:
+            time.sleep(2)
+            assert alive(child)  # as long as the parent is
+        finally:
+            parent.kill()
     until = time.monotonic() + 120
     while alive(child):
         assert time.monotonic() < until
         time.sleep(0.1)
+
+
+def test_it_ends_where_its_parent_has_ended_before() -> None:
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait(120)
+    child = subprocess.run([sys.executable, "-c", CHILD, str(ended.pid)], stdout=subprocess.PIPE, timeout=120)
+    assert child.returncode == 1
