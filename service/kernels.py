@@ -7,6 +7,8 @@ import functools
 import numpy as np
 
 from .camera import Camera
+from .choice.candidates import ABOUT, COUNT, KNOWN
+from .choice.network import shipped_choice
 from .gaussians import Gaussians
 from .plane_kernels import compare_level, compare_planes, mean_planes, spread_along_rows, spread_down_columns
 from .splat import Definition, leverage, render
@@ -32,6 +34,7 @@ def warm_up() -> None:
     compare_level(features, features, rays, rays[0, 0], lens, 1.0, 1.0, planes[0].copy())
     spread_along_rows(planes, planes[0, :, :1].copy(), planes.copy())
     spread_down_columns(planes, planes[0, :1], planes.copy())
+    shipped_choice().preferences(np.zeros((COUNT, KNOWN, 1)), np.zeros((ABOUT, 1)))
 
 
 def is_warm() -> bool:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from .allocator import freed_blocks_reused
 from .anchors import anchors
 from .backdrop import backdrop
+from .choice.chosen import chosen
+from .choice.network import shipped_choice
 from .confirmed import confirmed
 from .continued import continued
 from .continued_finely import continued_finely
@@ -61,16 +63,26 @@ def at_mended_depths(
     outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], threads: int | None = None
 ) -> Arrays:
     """The network's outputs with every pixel's Gaussian where the photographs match best: close to its depth, then
-    anywhere in the scene's range, then on the planes of what is confirmed."""
-    depths, count = frame.depths(outputs), len(views)
+    anywhere in the scene's range, then on the planes of what is confirmed; what nothing confirms where a small network
+    that was trained for it prefers it."""
+    network = frame.depths(outputs)
+    matched, depths = matched_depths(views, network, threads)
+    if len(views) == 2:  # of more, planes that photographs confirm do as well
+        depths = chosen(views, depths, (network, matched), shipped_choice())
+    return frame.at_depths(outputs, [view.camera for view in views], depths)
+
+
+def matched_depths(
+    views: Sequence[FittedView], depths: NDArray[np.float64], threads: int | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(V, H, W) z-depths from those of the network, as photographs match and then as planes go on."""
+    count = len(views)
     if count == 2:  # of more, others confirm most of what is seen, and planes gain nothing before the search
         depths = continued(views, depths)
-    depths = refined(views, searched(views, refined(views, depths), threads))
+    matched = refined(views, searched(views, refined(views, depths), threads))
     if count == 2:
-        depths = continued_finely(views, depths)
-    elif count <= CONTINUED_VIEWS:
-        depths = continued(views, depths)
-    return frame.at_depths(outputs, [view.camera for view in views], depths)
+        return matched, continued_finely(views, matched)
+    return matched, continued(views, matched) if count <= CONTINUED_VIEWS else matched
 
 
 @freed_blocks_reused()

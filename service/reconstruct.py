@@ -146,7 +146,7 @@ class Reconstructor:
             depths = narrowed(depths, seen)
         masks = patch_mask(seen, info.patch)
         with stages.stage("network"):
-            outputs, frame = self._run(seen, depths)
+            outputs, frame = self.run_network(seen, depths)
         if not is_warm():  # not before the network: they would be in memory beside it
             with stages.stage("kernels"):  # compiled the first time, then loaded
                 warm_up()
@@ -206,7 +206,7 @@ class Reconstructor:
         )
         return Scene(lean, cameras, view_cameras, tuple(view.pixels() for view in views), document)
 
-    def _run(self, views: Sequence[FittedView], depths: DepthRange) -> tuple[Arrays, WorldFrame]:
+    def run_network(self, views: Sequence[FittedView], depths: DepthRange) -> tuple[Arrays, WorldFrame]:
         """The network's outputs, and the frame that they are in."""
         cameras = [view.camera for view in views]
         frame = WorldFrame.of(cameras, depths)
@@ -234,7 +234,7 @@ class Reconstructor:
             row: dict[str, Any] = dict.fromkeys(("psnr", "ssim", "holes"))
             if chosen[index]:
                 others = [views[other] for other in chosen[index]]
-                outputs, frame = self._run(others, depths)
+                outputs, frame = self.run_network(others, depths)
                 if fade:
                     outputs = at_mended_depths(outputs, frame, others, self.engine.threads)
                 found = placed(outputs, frame, others, moved=fade > 0)

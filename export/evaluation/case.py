@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gapmes.model.training.generated_views import exact_views, generated_view
 from gapmes.model.training.scenes import SceneBatch, SceneSampler
 from gapmes.service.camera import Camera
 from gapmes.service.errors import ImageError
@@ -121,7 +122,7 @@ def _drawn_again(seed: int, index: int, batch: SceneBatch) -> LargerTargets:
     height, width = (2 * side for side in batch.images.shape[-2:])
     larger = _generated(seed, index, batch.inputs, height, width).images[0]
     intrinsics, poses = batch.intrinsics[0], batch.world_from_cam[0]
-    views = [_view(*parts) for parts in zip(larger, intrinsics, poses, strict=True)][batch.inputs :]
+    views = [generated_view(*parts) for parts in zip(larger, intrinsics, poses, strict=True)][batch.inputs :]
     return LargerTargets(tuple(views), min(height, width))
 
 
@@ -129,7 +130,7 @@ def _of_batch(batch: SceneBatch, name: str, at_twice: Callable[[], LargerTargets
     """The only scene of a batch; inputs are rounded to 8 bits, as a file would hold them."""
     v = batch.inputs
     depths = np.where(batch.background[0], np.float32(np.inf), batch.depths[0])
-    views = [_view(*parts) for parts in zip(batch.images[0], batch.intrinsics[0], batch.world_from_cam[0], strict=True)]
+    views = exact_views(batch)
     photos = tuple(
         Photo.from_array(np.rint(view.image.transpose(1, 2, 0) * 255).astype(np.uint8)) for view in views[:v]
     )
@@ -145,10 +146,3 @@ def _of_batch(batch: SceneBatch, name: str, at_twice: Callable[[], LargerTargets
         truth=TrueDepth(depths[:v], depths[v:], float(batch.near_far[0, 1])),
         at_twice=at_twice,
     )
-
-
-def _view(image: F32, normalized: NDArray[np.float64], pose: NDArray[np.float64]) -> FittedView:
-    height, width = image.shape[1:]
-    fx, fy = normalized[0, 0] * width, normalized[1, 1] * height
-    camera = Camera.make(width, height, fx, fy, normalized[0, 2] * width, normalized[1, 2] * height, pose)
-    return FittedView(image, None, camera, 1.0)

@@ -9,7 +9,7 @@ import pytest
 from plane_views import PATCH, SIDE, in_another_world, plane_depths, plane_views, with_wrong_patch
 
 from gapmes.service.confirmed import confirmed
-from gapmes.service.continued import EDGE, _planes, _spread, _steps, continued
+from gapmes.service.continued import _plane, continued
 from gapmes.service.correspondence import seen_by
 from gapmes.service.images import FittedView
 from gapmes.service.rotations import about_axis
@@ -120,45 +120,10 @@ def test_the_world_and_its_unit_do_not_matter(
     assert (np.abs(here / there - 1) > 1e-6).mean() < 2e-3  # rounding at a tie
 
 
-def test_a_plane_is_found_from_a_few_of_its_pixels(views: list[FittedView]) -> None:
-    """Inverse depth is linear in the position."""
-    y, x = np.mgrid[:SIDE, :SIDE] / SIDE
-    inverse = 0.5 + 0.2 * x - 0.1 * y
-    sure = np.random.default_rng(5).random((SIDE, SIDE)) < 0.3
-    flat = replace(views[0], image=np.full_like(views[0].image, 0.5))
-    found = _planes(flat, np.where(sure, inverse, 0.35 + 0.4 * (x > 0.5)), sure, np.ones_like(sure), 6.0)
-    assert np.abs(found - inverse)[8:-8, 8:-8].max() < 1e-3  # found: 1.3e-4: the ridge's share of the slope
-
-
 def test_a_plane_ends_where_the_view_does(views: list[FittedView]) -> None:
     """Slopes are not followed beyond the depths that there are."""
     inverse = np.broadcast_to(0.2 + 0.01 * np.minimum(np.arange(SIDE), 20), (SIDE, SIDE)).copy()
     sure = np.broadcast_to(np.arange(SIDE) < 20, (SIDE, SIDE))
     flat = replace(views[0], image=np.full_like(views[0].image, 0.5))
-    found = _planes(flat, inverse, sure, np.ones_like(sure), 6.0)
+    found = _plane(flat, inverse, sure, np.ones_like(sure), 6.0)
     assert found[:, -1] == pytest.approx(0.4)
-
-
-def test_an_edge_keeps_surfaces_apart(views: list[FittedView]) -> None:
-    left = np.arange(SIDE) < SIDE // 2
-    image = np.broadcast_to(np.where(left, 0.2, 0.8).astype(np.float32), (3, SIDE, SIDE))
-    inverse = np.broadcast_to(np.where(left, 1.0, 0.5), (SIDE, SIDE))
-    sure = np.random.default_rng(5).random((SIDE, SIDE)) < 0.3
-    found = _planes(replace(views[0], image=image), inverse.copy(), sure, np.ones_like(sure), 24.0)
-    assert np.abs(found - inverse).max() < 1e-4  # found: 6e-6
-
-
-def test_weights_are_their_definition() -> None:
-    """A single pixel spreads by exp(-sqrt(2) way / reach) along its row, then along columns."""
-    rng = np.random.default_rng(1)
-    image, reach = rng.random((3, 7, 9), dtype=np.float32), 5.0
-    point = np.zeros((7, 9))
-    point[3, 4] = 1
-    found = _spread(point, _steps(image, 2, reach), _steps(image, 1, reach))
-    for row, column in np.ndindex(7, 9):
-        way = 0.0
-        for a in range(min(column, 4), max(column, 4)):
-            way += 1 + reach / EDGE * np.abs(image[:, 3, a + 1].astype(float) - image[:, 3, a]).sum()
-        for b in range(min(row, 3), max(row, 3)):
-            way += 1 + reach / EDGE * np.abs(image[:, b + 1, column].astype(float) - image[:, b, column]).sum()
-        assert found[row, column] == pytest.approx(np.exp(-np.sqrt(2) * way / reach), rel=1e-9, abs=1e-300)

@@ -146,7 +146,7 @@ def test_without_a_pass_nothing_changes(views: list[FittedView], frame: WorldFra
 @pytest.mark.parametrize(
     ("count", "steps"),
     [
-        (2, ["continued", "refined", "searched", "refined", "continued_finely"]),
+        (2, ["continued", "refined", "searched", "refined", "continued_finely", "chosen"]),
         (3, ["refined", "searched", "refined", "continued"]),
         (4, ["refined", "searched", "refined"]),
     ],
@@ -157,13 +157,13 @@ def test_which_steps_depths_take(count: int, steps: list[str], monkeypatch: pyte
     taken: list[str] = []
 
     def recorded(name: str) -> None:
-        def step(_: object, depths: np.ndarray, *threads: int | None) -> np.ndarray:
+        def step(_: object, depths: np.ndarray, *others: object) -> np.ndarray:
             taken.append(name)
             return depths * 1.01
 
         monkeypatch.setattr(mending, name, step)
 
-    for name in ("continued", "refined", "searched", "continued_finely"):
+    for name in ("continued", "refined", "searched", "continued_finely", "chosen"):
         recorded(name)
     before = outputs(views, frame)
     after = at_mended_depths(before, frame, views, 1)

@@ -1,0 +1,159 @@
+"""`python -m gapmes.model.training.choice OUT.npz`: trains the small network that chooses among candidates for depths.
+
+It wants what a picture wants: a small cost of each pixel, the mean of |error| / (|error| + 1.5 px) over its candidates
+by its preferences, so that what is far off counts little more than what is somewhat off.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numba
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from gapmes.service import Reconstructor
+from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN
+from gapmes.service.choice.network import ChoiceNetwork
+from gapmes.service.progress import Stages
+from gapmes.service.terminal import ProgressBars
+
+from .arguments import seed as any_seed
+from .arguments import whole_number
+from .choice_data import Samples, joined, scene_samples
+
+HIDDEN = 32
+SCENES = 400
+STEPS, BATCH, RATE, WARM_UP, DECAY = 4_000, 2_048, 3e-3, 100, 1e-4
+SCALE = 1.5  # px: error that costs a half
+HELD_OUT = 8  # every eighth scene is for the figures alone
+
+
+class Choice(nn.Module):
+    """`service/choice/kernels.py` in torch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.known = nn.Linear(KNOWN, HIDDEN, bias=False)
+        self.about = nn.Linear(ABOUT, HIDDEN, bias=False)
+        self.place = nn.Parameter(torch.zeros(COUNT, HIDDEN))
+        self.own = nn.Linear(HIDDEN, HIDDEN)
+        self.shared = nn.Linear(HIDDEN, HIDDEN, bias=False)
+        self.out = nn.Linear(HIDDEN, 1, bias=False)
+        self.prior = nn.Parameter(torch.zeros(COUNT))
+
+    def forward(self, known: Tensor, about: Tensor) -> Tensor:
+        """(N, K) scores of known (N, K, F) and about (N, G)."""
+        first = F.relu(self.known(known) + self.about(about)[:, None] + self.place)
+        second = F.relu(self.own(first) + self.shared(first.mean(1))[:, None])
+        return self.out(second)[..., 0] + self.prior
+
+    def exported(self) -> ChoiceNetwork:
+        """The same for the service."""
+        values = (
+            self.known.weight.T, self.about.weight.T, self.place, self.own.weight.T, self.shared.weight.T,
+            self.own.bias, self.out.weight[0], self.prior,
+        )  # fmt: skip
+        return ChoiceNetwork(*(value.detach().numpy().astype(np.float32) for value in values))
+
+
+def cost(error: Tensor) -> Tensor:
+    """0 to 1, of px."""
+    return error.abs() / (error.abs() + SCALE)
+
+
+def trained(samples: Samples, seed: int, steps: int) -> Choice:
+    """From random numbers of `seed`; the scenes of the figures are left out."""
+    torch.manual_seed(seed)
+    torch.set_num_threads(1)  # sums in another order would round otherwise
+    network = Choice()
+    rows = np.flatnonzero(samples.scene % HELD_OUT != HELD_OUT - 1)
+    known = torch.from_numpy(np.ascontiguousarray(samples.known.transpose(2, 0, 1)))
+    about = torch.from_numpy(np.ascontiguousarray(samples.about.T))
+    costs = cost(torch.from_numpy(np.ascontiguousarray(samples.error.T)))
+    optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=DECAY)
+    rng = np.random.default_rng(seed)
+    for step in range(steps):
+        for group in optimiser.param_groups:
+            group["lr"] = RATE * min(1.0, (step + 1) / WARM_UP) * (1 - step / steps)
+        taken = rows[rng.integers(len(rows), size=BATCH)]
+        shares = network(known[taken].float(), about[taken].float()).softmax(1)
+        loss = (shares * costs[taken]).sum(1).mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    return network
+
+
+def figures(network: ChoiceNetwork, samples: Samples) -> dict[str, tuple[float, float]]:
+    """Mean cost, and share within a px, of the scenes that are left out: of the depth as it is, of what is preferred
+    and of the best candidate."""
+    held = samples.scene % HELD_OUT == HELD_OUT - 1
+    error = np.abs(samples.error[:, held])
+    best = network.preferences(samples.known[..., held], samples.about[:, held]).argmax(axis=0)
+    preferred = error[best, np.arange(len(best))]
+    rows = {"as it is": error[0], "preferred": preferred, "best": error.min(axis=0)}
+    return {name: (float(cost(torch.from_numpy(row)).mean()), float((row < 1).mean())) for name, row in rows.items()}
+
+
+_state: dict[str, Reconstructor] = {}
+
+
+def _begin() -> None:
+    """In each process: one thread, and a network of its own."""
+    torch.set_num_threads(1)
+    numba.set_num_threads(1)
+    _state["reconstructor"] = Reconstructor(None, threads=1)
+
+
+def _sampled(seed: int, number: int) -> Samples | None:
+    return scene_samples(_state["reconstructor"], seed, number)
+
+
+def _generated(seed: int, scenes: int, processes: int) -> Iterator[Samples | None]:
+    """The scenes' samples in their order, whatever the number of processes."""
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=spawn, initializer=_begin) as pool:
+        yield from pool.map(_sampled, [seed] * scenes, range(scenes))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m gapmes.model.training.choice", description=__doc__)
+    parser.add_argument("out", type=Path, help=".npz to write")
+    parser.add_argument("--scenes", type=whole_number(HELD_OUT), default=SCENES, help="default %(default)s")
+    parser.add_argument("--steps", type=whole_number(1), default=STEPS, help="default %(default)s")
+    parser.add_argument("--seed", type=any_seed(), default=1, help="of scenes and weights, default %(default)s")
+    parser.add_argument("--processes", type=whole_number(1), default=1, help="that make scenes; the result is the same")
+    parser.add_argument("--quiet", "-q", action="store_true", help="no progress")
+    options = parser.parse_args(arguments)
+    with ProgressBars(quiet=options.quiet) as bars:
+        stages = Stages(bars)
+        with stages.stage("scenes", options.scenes) as done:
+            parts = []
+            for number, part in enumerate(_generated(options.seed, options.scenes, options.processes), start=1):
+                parts += [] if part is None else [part]
+                done(number)
+        samples = joined(parts)
+        with stages.stage("train"):
+            network = trained(samples, options.seed, options.steps).exported()
+    try:
+        network.save(options.out)
+    except OSError as error:
+        sys.stderr.write(f"refused: {options.out} cannot be written: {error.strerror or error}; name another place\n")
+        return 1
+    count = len(samples.scene)
+    sys.stdout.write(f"{options.out}: {count} pixels of {len(parts)} scenes, every {HELD_OUT}th for these figures\n")
+    for name, (mean, near) in figures(network, samples).items():
+        sys.stdout.write(f"{name:10s} cost {mean:.4f}, within 1 px {near:.1%}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

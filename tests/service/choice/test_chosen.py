@@ -1,0 +1,80 @@
+"""What is chosen: the candidate that is preferred, where there is a choice, and never what would reveal the unseen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plane_views import PATCH, SIDE, plane_depths, plane_views, with_wrong_patch
+
+from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN
+from gapmes.service.choice.chosen import BACK_PX, chosen
+from gapmes.service.choice.network import ChoiceNetwork, shipped_choice
+from gapmes.service.confirmed import confirmed
+from gapmes.service.images import FittedView
+
+
+@pytest.fixture(scope="module")
+def views() -> list[FittedView]:
+    return plane_views()
+
+
+@pytest.fixture(scope="module")
+def spoiled(views: list[FittedView]) -> np.ndarray:
+    return with_wrong_patch(views, 1.2)
+
+
+def always(place: int) -> ChoiceNetwork:
+    """Prefers one candidate, whatever is known."""
+    zeros = [np.zeros(shape, np.float32) for shape in ((KNOWN, 1), (ABOUT, 1), (COUNT, 1), (1, 1), (1, 1), 1, 1)]
+    prior = np.zeros(COUNT, np.float32)
+    prior[place] = 20
+    return ChoiceNetwork(*zeros, prior)
+
+
+def test_the_preferred_candidate_is_taken_where_nothing_is_confirmed(
+    views: list[FittedView], spoiled: np.ndarray
+) -> None:
+    truth, sure = plane_depths(views), confirmed(views, spoiled)
+    found = chosen(views, spoiled, (truth, 1.1 * truth), always(1))
+    assert (found[sure] == spoiled[sure]).all()
+    assert found[~sure] == pytest.approx(truth[~sure])
+    assert (chosen(views, spoiled, (truth, truth), always(0)) == spoiled).all()
+
+
+def test_what_a_mask_leaves_out_stays(views: list[FittedView], spoiled: np.ndarray) -> None:
+    mask = np.ones((SIDE, SIDE), bool)
+    mask[PATCH] = False
+    masked = [replace(views[0], mask=mask), *views[1:]]
+    found = chosen(masked, spoiled, (2 * spoiled, spoiled), always(1))
+    assert (found[0] == spoiled[0])[~mask].all()
+    assert (found[0] != spoiled[0])[mask].any()
+
+
+def test_what_no_other_view_shows_does_not_go_far_away(views: list[FittedView]) -> None:
+    """Nearer it may come, and a little farther it may go."""
+    pair, truth = views[:2], plane_depths(views)[:2]
+    way = pair[0].camera.fx * np.linalg.norm(pair[0].camera.center - pair[1].camera.center)
+    sure = confirmed(pair, truth)
+    place, _ = pair[1].camera.project(pair[0].camera.unproject(_grid(), truth[0].ravel()))
+    outside = ~((place > 0) & (place < SIDE)).all(axis=1).reshape(SIDE, SIDE) & ~sure[0]
+    assert outside.mean() > 0.02
+    inverse = way / truth
+    for px, moves in ((-BACK_PX - 1, False), (-BACK_PX + 1, True), (20.0, True)):
+        other = way / np.maximum(inverse + px, 0.5)
+        found = chosen(pair, truth, (other, truth), always(1))
+        assert (found[0] != truth[0])[outside].all() == moves
+        assert (found[0] == truth[0])[outside].all() != moves
+
+
+def _grid() -> np.ndarray:
+    y, x = np.mgrid[:SIDE, :SIDE] + 0.5
+    return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+def test_the_shipped_network_brings_a_wrong_patch_back(views: list[FittedView], spoiled: np.ndarray) -> None:
+    truth = plane_depths(views)
+    found = chosen(views, spoiled, (spoiled, spoiled), shipped_choice())
+    wrong = [np.abs(depths[0] / truth[0] - 1)[PATCH] for depths in (spoiled, found)]
+    assert np.median(wrong[1]) < 0.1 * np.median(wrong[0])
