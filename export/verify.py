@@ -23,6 +23,7 @@ from gapmes.model.architectures import Network, config_from_json
 from gapmes.model.config import ModelConfig
 from gapmes.model.weights_file import file_sha256
 from gapmes.service.contract import INPUTS, REQUIRED_OUTPUTS
+from gapmes.service.with_parent import end_with_parent
 
 from .cases import Case, verification_cases
 from .deviations import LEFT, BesideFloat64, beside_float64, deviations, share_left, untouched_elements
@@ -33,7 +34,6 @@ from .report import CaseResult, Report
 from .routes import agreement, ambiguous, flipped_patches
 from .tolerance import TOLERANCES, Tolerance
 from .variant import Variant, load_variant
-from .with_parent import end_with_parent
 
 FAILED = 3
 

@@ -1,8 +1,4 @@
-"""Depths that no other view confirms, on the surfaces that go on from confirmed pixels where photographs match better.
-
-A wall or a floor goes on where its texture ends, or where one view alone shows it. The inverse depth of a plane is
-linear in the pixel's position, so that what is confirmed about it tells the rest.
-"""
+"""Depths that no other view confirms, on surfaces through confirmed pixels where photographs match better there."""
 
 from __future__ import annotations
 
@@ -29,10 +25,10 @@ def continued(views: Sequence[FittedView], depths: F64) -> F64:
     """(V, H, W) z-depths, from those of the network, in the cameras' units.
 
     For each unconfirmed pixel (`confirmed.py`) and each of REACHES there is a plane through the confirmed ones about it
-    (`surfaces.py`). Its inverse depth, within the range of the view, is taken where
-    another photograph differs less there than at the depth as it is (`match_cost.py`), by GAIN and by NOTHING more; of
-    several that with the largest gain. At a depth at which that photograph does not see the pixel it would differ by
-    SURE_MATCH. What is confirmed, what a mask leaves out and a view without a confirmed pixel stay.
+    (`surfaces.py`). Its inverse depth, within the range of the view, is taken where another photograph differs less
+    there than at the depth as it is (`match_cost.py`), by GAIN and by NOTHING more; of several that with the largest
+    gain. At a depth at which that photograph does not see the pixel it would differ by SURE_MATCH. What is confirmed,
+    what a mask leaves out and a view without a confirmed pixel stay.
     """
     sure, pictures = confirmed(views, depths), [features(view) for view in views]
     found = [_of_view(views, pictures, depths[index], index, sure[index]) for index in range(len(views))]
@@ -46,7 +42,7 @@ def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depth: F64, i
     view = views[index]
     kept = view.kept
     inverse = 1 / depth
-    planes = [_plane(view, inverse, sure, kept, reach) for reach in REACHES]
+    planes = [surface(view.image, inverse, sure, reach).within(inverse, kept) for reach in REACHES]
     gathering = Gathering(view, kept)
     least, chosen = np.full(inverse.shape, GAIN), depth
     for other in (other for other in range(len(views)) if other != index):
@@ -62,9 +58,3 @@ def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depth: F64, i
             better = kept & (share < least)
             least, chosen = np.where(better, share, least), np.where(better, 1 / plane, chosen)
     return chosen
-
-
-def _plane(view: FittedView, inverse: F64, sure: Mask, kept: Mask, reach: float) -> F64:
-    """(H, W) inverse depth of the plane through the confirmed pixels about each, within the range of the `kept`."""
-    found = surface(view.image, inverse, sure, reach)
-    return np.where(found.known, np.clip(found.inverse, inverse[kept].min(), inverse[kept].max()), inverse)

@@ -28,7 +28,8 @@ class Seen:
     column: F64  # (H, W) index of a pixel there, real-valued
     row: F64
     z: F64  # (H, W) z-depth there; 1 where it is not seen
-    where: Mask  # (H, W) in front of the other view, inside its picture, and in full on what its mask keeps
+    inside: Mask  # (H, W) in front of the other view and inside its picture
+    where: Mask  # (H, W) of these in full on what its mask keeps
 
     def value(self, picture: NDArray) -> NDArray:
         """(H, W, C) what `picture` (H, W, C) of the other view has at these places."""
@@ -39,11 +40,11 @@ def seen_by(view: FittedView, depth: F64, other: FittedView) -> Seen:
     """`depth` (H, W) are z-depths of the view's pixels in the cameras' units."""
     pixels, z = other.camera.project(view.camera.unproject(pixel_grid(depth.shape), depth.ravel()))
     place, z = np.nan_to_num(pixels, nan=-1.0).reshape(*depth.shape, 2), z.reshape(depth.shape)
-    where = (z > 0) & ((place > 0) & (place < (other.camera.width, other.camera.height))).all(axis=2)
+    inside = where = (z > 0) & ((place > 0) & (place < (other.camera.width, other.camera.height))).all(axis=2)
     column, row = place[..., 0] - 0.5, place[..., 1] - 0.5
     if other.mask is not None:
-        where &= bilinear(other.mask.astype(np.float32)[..., None], column, row)[..., 0] > KEPT
-    return Seen(column, row, np.where(where, z, 1.0), where)
+        where = inside & (bilinear(other.mask.astype(np.float32)[..., None], column, row)[..., 0] > KEPT)
+    return Seen(column, row, np.where(where, z, 1.0), inside, where)
 
 
 def disagreement(view: FittedView, seen: Seen, other: FittedView, other_depth: F64) -> F64:

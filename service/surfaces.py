@@ -26,28 +26,67 @@ class Surface(NamedTuple):
 
     inverse: F64  # (H, W) inverse depth at the pixel
     weight: F64  # (H, W) of all that is confirmed
-    spread: F64  # (H, W) standard deviation of its inverse depths from the plane
-    away: F64  # (H, W) from the pixel to its middle, in reaches
 
     @property
     def known(self) -> Mask:
         """(H, W) where anything confirmed is near enough."""
         return self.weight > LEAST
 
+    def within(self, inverse: F64, kept: Mask) -> F64:
+        """(H, W) inverse depth within the range of what is `kept` of `inverse` (H, W), and that where none is known."""
+        return np.where(self.known, np.clip(self.inverse, inverse[kept].min(), inverse[kept].max()), inverse)
+
+
+class Described(NamedTuple):
+    """A surface, and how far what it goes through is from it."""
+
+    surface: Surface
+    spread: F64  # (H, W) standard deviation of the confirmed inverse depths from the plane
+    away: F64  # (H, W) from the pixel to their middle, in reaches
+
+
+class _Moments(NamedTuple):
+    """(H, W) each, of the confirmed pixels about every one, but for the steps."""
+
+    steps: tuple[F64, F64]
+    level: F64  # mean of their inverse depths
+    beside: F64  # from their middle to the pixel, px
+    below: F64
+    explained: F64  # variance of their inverse depths that the plane has
+
 
 def surface(picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: float, *, edges: bool = True) -> Surface:
     """Planes fitted to the inverse depths (H, W) of the pixels that are `sure` (H, W), by least squares.
 
     They weigh by their distance along rows and columns, with `reach` px as the standard deviation; `edges` of `picture`
-    (3, H, W) lengthen the way (domain transform, Gastal and Oliveira 2011). The unit of `spread` is that of `inverse`.
+    (3, H, W) lengthen the way (domain transform, Gastal and Oliveira 2011).
     """
+    return _fitted(picture, inverse, sure, reach, edges)[0]
+
+
+def described_surface(
+    picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: float, *, edges: bool = True
+) -> Described:
+    """The same with what it goes through; the unit of `spread` is that of `inverse`."""
+    found, moments = _fitted(picture, inverse, sure, reach, edges)
+    squares = _spread(inverse * inverse * sure, *moments.steps)
+    squares /= np.maximum(found.weight, LEAST)
+    squares -= moments.level**2
+    squares -= moments.explained
+    spread = np.sqrt(np.maximum(squares, 0))
+    return Described(found, spread, np.hypot(moments.beside, moments.below) / reach)
+
+
+def _fitted(
+    picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: float, edges: bool
+) -> tuple[Surface, _Moments]:
     y, x = (np.arange(count, dtype=np.float64) for count in inverse.shape)
     y, one, d = y[:, None], np.ones((1, 1)), inverse
-    terms = ((one, one), (x, one), (y, one), (x, x), (x, y), (y, y), (d, one), (d, x), (d, y), (d, d))
+    terms = ((one, one), (x, one), (y, one), (x, x), (x, y), (y, y), (d, one), (d, x), (d, y))
     steps = _steps(picture, 2, reach, edges), _steps(picture, 1, reach, edges)
-    mass, mean_x, mean_y, xx, xy, yy, level, xd, yd, dd = (_spread(a * b * sure, *steps) for a, b in terms)
+    mass, mean_x, mean_y, xx, xy, yy, level, xd, yd = (_spread(a * b * sure, *steps) for a, b in terms)
     ridge = RIDGE * reach**2
-    for total in (mean_x, mean_y, xx, xy, yy, level, xd, yd, dd):  # all in place: of a finer grid this is much memory
+    for total in (mean_x, mean_y, xx, xy, yy, level, xd, yd):  # all in place: of a finer grid this is much memory
         total /= np.maximum(mass, LEAST)
     for spread, mean in ((xx, mean_x), (yy, mean_y)):
         spread -= mean**2
@@ -56,12 +95,10 @@ def surface(picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: floa
     xy -= mean_x * mean_y
     xd -= mean_x * level
     yd -= mean_y * level
-    dd -= level**2
     across, down, size = yy * xd - xy * yd, xx * yd - xy * xd, xx * yy - xy**2
     beside, below = x - mean_x, y - mean_y
     found = level + (across * beside + down * below) / size
-    dd -= (across * xd + down * yd) / size
-    return Surface(found, mass, np.sqrt(np.maximum(dd, 0)), np.hypot(beside, below) / reach)
+    return Surface(found, mass), _Moments(steps, level, beside, below, (across * xd + down * yd) / size)
 
 
 def _spread(plane: F64, across: F64, down: F64) -> F64:

@@ -19,8 +19,7 @@ from gapmes.service.camera import Camera
 from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.images import Photo
-
-from ..with_parent import end_with_parent
+from gapmes.service.with_parent import end_with_parent
 
 if TYPE_CHECKING:
     from gapmes.service.reconstruct import Reconstructor

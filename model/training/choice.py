@@ -8,26 +8,32 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from pathlib import Path
 
 import numba
 import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from gapmes.service import Reconstructor
 from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN
 from gapmes.service.choice.network import ChoiceNetwork
 from gapmes.service.progress import Stages
-from gapmes.service.terminal import ProgressBars
+from gapmes.service.terminal import QUIET_HELP, ProgressBars
+from gapmes.service.with_parent import end_with_parent
 
 from .arguments import seed as any_seed
 from .arguments import whole_number
 from .choice_data import Samples, joined, scene_samples
+from .run_folder import Refused
 
 HIDDEN = 32
 SCENES = 400
@@ -69,12 +75,28 @@ def cost(error: Tensor) -> Tensor:
     return error.abs() / (error.abs() + SCALE)
 
 
+def held_out(samples: Samples) -> NDArray[np.bool_]:
+    """(N,) which pixels are of scenes that are for the figures alone."""
+    return samples.scene % HELD_OUT == HELD_OUT - 1
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Sums in another order would round otherwise."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@_one_thread()
 def trained(samples: Samples, seed: int, steps: int) -> Choice:
     """From random numbers of `seed`; the scenes of the figures are left out."""
     torch.manual_seed(seed)
-    torch.set_num_threads(1)  # sums in another order would round otherwise
     network = Choice()
-    rows = np.flatnonzero(samples.scene % HELD_OUT != HELD_OUT - 1)
+    rows = np.flatnonzero(~held_out(samples))
     known = torch.from_numpy(np.ascontiguousarray(samples.known.transpose(2, 0, 1)))
     about = torch.from_numpy(np.ascontiguousarray(samples.about.T))
     costs = cost(torch.from_numpy(np.ascontiguousarray(samples.error.T)))
@@ -95,7 +117,7 @@ def trained(samples: Samples, seed: int, steps: int) -> Choice:
 def figures(network: ChoiceNetwork, samples: Samples) -> dict[str, tuple[float, float]]:
     """Mean cost, and share within a px, of the scenes that are left out: of the depth as it is, of what is preferred
     and of the best candidate."""
-    held = samples.scene % HELD_OUT == HELD_OUT - 1
+    held = held_out(samples)
     error = np.abs(samples.error[:, held])
     best = network.preferences(samples.known[..., held], samples.about[:, held]).argmax(axis=0)
     preferred = error[best, np.arange(len(best))]
@@ -106,8 +128,9 @@ def figures(network: ChoiceNetwork, samples: Samples) -> dict[str, tuple[float, 
 _state: dict[str, Reconstructor] = {}
 
 
-def _begin() -> None:
+def _begin(parent: int) -> None:
     """In each process: one thread, and a network of its own."""
+    end_with_parent(parent)
     torch.set_num_threads(1)
     numba.set_num_threads(1)
     _state["reconstructor"] = Reconstructor(None, threads=1)
@@ -120,36 +143,73 @@ def _sampled(seed: int, number: int) -> Samples | None:
 def _generated(seed: int, scenes: int, processes: int) -> Iterator[Samples | None]:
     """The scenes' samples in their order, whatever the number of processes."""
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=spawn, initializer=_begin) as pool:
-        yield from pool.map(_sampled, [seed] * scenes, range(scenes))
+    with ProcessPoolExecutor(processes, mp_context=spawn, initializer=_begin, initargs=(os.getpid(),)) as pool:
+        try:
+            yield from pool.map(_sampled, [seed] * scenes, range(scenes))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)  # or it would make all the others before it ends
+            raise
+
+
+@contextmanager
+def _writing(out: Path) -> Iterator[None]:
+    """What the system refuses is refused in words."""
+    try:
+        yield
+    except OSError as error:
+        raise Refused(f"{out} cannot be written: {error.strerror or error}; name another place") from error
+
+
+def _check_place(out: Path) -> None:
+    """Before the work: raises `Refused` where nothing can be written."""
+    if out.is_dir():
+        raise Refused(f"{out} is a folder; name a file")
+    part = out.with_name(out.name + ".part")
+    with _writing(out):
+        part.touch()
+        part.unlink()
+
+
+def _collected(options: argparse.Namespace) -> tuple[Samples, int]:
+    """All samples, and of how many scenes; raises `Refused` where there is nothing to train by, or to tell by."""
+    with ProgressBars(quiet=options.quiet) as bars, Stages(bars).stage("scenes", options.scenes) as done:
+        parts = []
+        for number, part in enumerate(_generated(options.seed, options.scenes, options.processes), start=1):
+            parts += [] if part is None else [part]
+            done(number)
+    held = [held_out(part) for part in parts]
+    lacking = {"training": all(each.all() for each in held), "the figures": not any(each.any() for each in held)}
+    if which := next((name for name, lacks in lacking.items() if lacks), None):
+        raise Refused(f"{len(parts)} of {options.scenes} scenes have a choice, none of those for {which}: take more")
+    return joined(parts), len(parts)
 
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gapmes.model.training.choice", description=__doc__)
-    parser.add_argument("out", type=Path, help=".npz to write")
+    parser.add_argument("out", type=Path, help=".npz to write; replaced only when all is well")
     parser.add_argument("--scenes", type=whole_number(HELD_OUT), default=SCENES, help="default %(default)s")
     parser.add_argument("--steps", type=whole_number(1), default=STEPS, help="default %(default)s")
     parser.add_argument("--seed", type=any_seed(), default=1, help="of scenes and weights, default %(default)s")
     parser.add_argument("--processes", type=whole_number(1), default=1, help="that make scenes; the result is the same")
-    parser.add_argument("--quiet", "-q", action="store_true", help="no progress")
+    parser.add_argument("--quiet", "-q", action="store_true", help=QUIET_HELP)
     options = parser.parse_args(arguments)
-    with ProgressBars(quiet=options.quiet) as bars:
-        stages = Stages(bars)
-        with stages.stage("scenes", options.scenes) as done:
-            parts = []
-            for number, part in enumerate(_generated(options.seed, options.scenes, options.processes), start=1):
-                parts += [] if part is None else [part]
-                done(number)
-        samples = joined(parts)
-        with stages.stage("train"):
-            network = trained(samples, options.seed, options.steps).exported()
     try:
-        network.save(options.out)
-    except OSError as error:
-        sys.stderr.write(f"refused: {options.out} cannot be written: {error.strerror or error}; name another place\n")
+        _check_place(options.out)
+        samples, scenes = _collected(options)
+        network = trained(samples, options.seed, options.steps).exported()
+        with _writing(options.out):
+            network.save(options.out)
+    except Refused as error:
+        sys.stderr.write(f"refused: {error}\n")
         return 1
+    except BrokenProcessPool:
+        sys.stderr.write("refused: a process that makes scenes was ended from outside, such as by lack of memory\n")
+        return 1
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped; nothing is kept\n")
+        return 130
     count = len(samples.scene)
-    sys.stdout.write(f"{options.out}: {count} pixels of {len(parts)} scenes, every {HELD_OUT}th for these figures\n")
+    sys.stdout.write(f"{options.out}: {count} pixels of {scenes} scenes, every {HELD_OUT}th for these figures\n")
     for name, (mean, near) in figures(network, samples).items():
         sys.stdout.write(f"{name:10s} cost {mean:.4f}, within 1 px {near:.1%}\n")
     return 0

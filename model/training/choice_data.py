@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from gapmes.service import Reconstructor
 from gapmes.service.choice.candidates import Candidates, Matched
 from gapmes.service.depth_range import depth_range
-from gapmes.service.depth_sweep import narrowed
-from gapmes.service.errors import InputError
 from gapmes.service.mending import matched_depths
 
 from .generated_views import input_views
@@ -38,25 +36,18 @@ def joined(parts: list[Samples]) -> Samples:
     return Samples(*(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
 
 
-def scene_samples(reconstructor: Reconstructor, seed: int, number: int) -> Samples | None:
-    """Of scene `number`, which has two views; nothing where the service refuses it or everything is confirmed."""
+def scene_batch(seed: int, number: int) -> SceneBatch:
+    """Two inputs and a target, which is not used."""
     sampler = SceneSampler(seed, "train", first=number)
-    batch = sampler.batch(
-        1,
-        2,
-        1,
-        SIZE,
-        baseline=BASELINE,
-        field_of_view=FIELD_OF_VIEW,
-        close_share=CLOSE_SHARE,
-    )
+    return sampler.batch(1, 2, 1, SIZE, baseline=BASELINE, field_of_view=FIELD_OF_VIEW, close_share=CLOSE_SHARE)
+
+
+def scene_samples(reconstructor: Reconstructor, seed: int, number: int) -> Samples | None:
+    """Of scene `number`, which has two views and a given depth range; nothing where nearly everything is confirmed."""
+    batch = scene_batch(seed, number)
     views = input_views(batch)
     near, far = map(float, batch.near_far[0])
-    try:
-        depths = narrowed(depth_range([view.camera for view in views], near, far), views)
-    except InputError:
-        return None
-    outputs, frame = reconstructor.run_network(views, depths)
+    outputs, frame = reconstructor.run_network(views, depth_range([view.camera for view in views], near, far))
     network = frame.depths(outputs)
     matched, planed = matched_depths(views, network, 1)
     rng = np.random.default_rng((seed, number))
@@ -64,13 +55,13 @@ def scene_samples(reconstructor: Reconstructor, seed: int, number: int) -> Sampl
     found = []
     for index in range(len(views)):
         one = together.candidates(index)
-        if one is not None and one.open.sum() >= FEWEST:
+        if one is not None and one.undecided.sum() >= FEWEST:
             found.append(_of_view(one, batch, index, number, rng))
     return joined(found) if found else None
 
 
 def _of_view(one: Candidates, batch: SceneBatch, index: int, number: int, rng: np.random.Generator) -> Samples:
-    places = np.flatnonzero(one.open)
+    places = np.flatnonzero(one.undecided)
     taken = np.sort(rng.choice(len(places), min(PIXELS, len(places)), replace=False))
     background, depth = batch.background[0, index].ravel(), batch.depths[0, index].ravel().astype(np.float64)
     inverse = np.where(background, 0, 1 / depth)[places[taken]]

@@ -12,7 +12,7 @@ from ..confirmed import confirmed
 from ..correspondence import from_elsewhere, seen_by
 from ..images import FittedView
 from ..match_cost import LIMIT, Gathering, difference, features
-from ..surfaces import LEAST, surface
+from ..surfaces import LEAST, Described, described_surface
 from ..window_match import contrast
 
 F64 = NDArray[np.float64]
@@ -41,7 +41,7 @@ class Candidates(NamedTuple):
     inverse: F64  # (COUNT, H, W)
     known: NDArray[np.float16]  # (COUNT, KNOWN, N)
     about: NDArray[np.float16]  # (ABOUT, N)
-    open: Mask  # (H, W) which pixels have a choice: kept ones that nothing confirms
+    undecided: Mask  # (H, W) which pixels have a choice: kept ones that nothing confirms
     outside: Mask  # (H, W) which of all pixels no other view has in its picture, at the depth as it is
     way: float  # px per unit of inverse depth
 
@@ -53,46 +53,45 @@ class Matched:
         self.views, self.depths, self.others = views, depths, others
         self.sure = confirmed(views, depths)
         self.pictures = [features(view) for view in views]
+        self.surfaces = [np.stack([1 / depth, sure], axis=-1) for depth, sure in zip(depths, self.sure, strict=True)]
 
     def candidates(self, index: int) -> Candidates | None:
         """Of view `index`; nothing where nothing in it is confirmed, or no other view is elsewhere."""
         view, depth, sure = self.views[index], self.depths[index], self.sure[index]
-        ways, choice = from_elsewhere(self.views, index, depth), view.kept & ~sure
-        if not ways or not sure.any() or not choice.any():
+        ways, undecided = from_elsewhere(self.views, index, depth), view.kept & ~sure
+        if not ways or not sure.any() or not undecided.any():
             return None
         way = max(ways.values())
-        known = np.zeros((COUNT, KNOWN, int(choice.sum())), np.float16)
+        known = np.zeros((COUNT, KNOWN, int(undecided.sum())), np.float16)
         inverse = np.empty((COUNT, *depth.shape))
         inverse[:FREE] = way / np.stack([depth, *(stack[index] for stack in self.others)])
         for place, (reach, edges) in enumerate(REACHES, start=FREE):
-            inverse[place], known[place, 4:7] = _of_surface(view, inverse[0], sure, choice, reach, edges)
-        outside = self._compared(index, ways, inverse, choice, known)
-        return Candidates(inverse, known, _about(view, inverse, choice), choice, outside, way)
+            found = described_surface(view.image, inverse[0], sure, reach, edges=edges)
+            inverse[place] = found.surface.within(inverse[0], view.kept)
+            known[place, 4:7] = _of_surface(found, undecided)
+        outside = self._compared(index, ways, inverse, undecided, known)
+        return Candidates(inverse, known, _about(view, inverse, undecided), undecided, outside, way)
 
     def _compared(
-        self, index: int, ways: Mapping[int, float], inverse: F64, choice: Mask, known: NDArray[np.float16]
+        self, index: int, ways: Mapping[int, float], inverse: F64, undecided: Mask, known: NDArray[np.float16]
     ) -> Mask:
         """Fills in what of `known` tells candidates apart; returns which pixels no other view has in its picture."""
         gathering, middle = Gathering(self.views[index], self.views[index].kept), np.median(inverse, axis=0)
-        outside = choice
         for place, own in enumerate(inverse):
-            depth = max(ways.values()) / np.maximum(own, np.finfo(np.float64).tiny)
-            cost, share, front, sure = self._seen(index, ways, depth, gathering)
-            if place == 0:
-                outside = share == 0
+            cost, share, front, sure = self._seen(index, ways, max(ways.values()) / own, gathering)
             apart = [np.tanh((own - other) / scale) for other in inverse[:2] for scale in (NEAR, FAR)]
             alike = np.mean([np.abs(other - own) < ALIKE for other in inverse], axis=0)
             rest = (cost / LIMIT, share, np.tanh(front / 2), sure, np.tanh((own - middle) / NEAR), alike)
-            size = np.log1p(np.maximum(own, 0)) / 5
-            for number, plane in zip((0, 1, 2, 3, *range(7, KNOWN)), (*apart, *rest, size), strict=True):
-                known[place, number] = plane[choice]
-        return outside
+            for number, plane in zip((*range(4), *range(7, KNOWN)), (*apart, *rest, np.log1p(own) / 5), strict=True):
+                known[place, number] = plane[undecided]
+        depth = self.depths[index]
+        return ~np.any([seen_by(self.views[index], depth, self.views[other]).inside for other in ways], axis=0)
 
     def _seen(
         self, index: int, ways: Mapping[int, float], depth: F64, gathering: Gathering
     ) -> tuple[F64, F64, F64, F64]:
-        """(H, W) each, of all other views: least gathered difference of the photographs; share of them that have the
-        point in their picture; by how many px it stands in front of their surface, the most; whether that is sure."""
+        """(H, W) each, of all other views: least gathered difference of the photographs; share of them that see the
+        point; by how many px it stands in front of their surface, the most; whether that is sure."""
         view, own = self.views[index], self.pictures[index]
         cost, share = np.full(depth.shape, LIMIT), np.zeros(depth.shape)
         front, sure = np.full(depth.shape, -MOST), np.zeros(depth.shape)
@@ -101,27 +100,21 @@ class Matched:
             now = view.kept * difference(view, own, depth, self.views[other], self.pictures[other])
             cost = np.minimum(cost, gathering.of(now))
             share += seen.where / len(ways)
-            theirs = seen.value(np.stack([1 / self.depths[other], self.sure[other]], axis=-1))
+            theirs = seen.value(self.surfaces[other])
             gap = np.where(seen.where, np.clip((1 / seen.z - theirs[..., 0]) * way, -MOST, MOST), -MOST)
             sure = np.where(gap > front, theirs[..., 1], sure)
             front = np.maximum(front, gap)
         return cost, share, np.where(share > 0, front, 0.0), np.where(share > 0, sure, 0.0)
 
 
-def _of_surface(
-    view: FittedView, inverse: F64, sure: Mask, choice: Mask, reach: float, edges: bool
-) -> tuple[F64, NDArray[np.float64]]:
-    """(H, W) within the range of what is kept, the depth as it is where no surface is near; and (3, N) of the choice:
-    how much is confirmed about it, how far that lies off the plane and how far away."""
-    low, high = inverse[view.kept].min(), inverse[view.kept].max()
-    found = surface(view.image, inverse, sure, reach, edges=edges)
-    known = found.known[choice]
-    weight = np.log10(np.maximum(found.weight[choice], LEAST)) / -np.log10(LEAST)
-    says = weight, np.tanh(found.spread[choice] / 2) * known, np.tanh(found.away[choice] / 2) * known
-    return np.where(found.known, np.clip(found.inverse, low, high), inverse), np.stack(says)
+def _of_surface(found: Described, undecided: Mask) -> NDArray[np.float64]:
+    """(3, N) how much is confirmed about each pixel, how far that lies off the plane and how far away."""
+    known = found.surface.known[undecided]
+    weight = np.log10(np.maximum(found.surface.weight[undecided], LEAST)) / -np.log10(LEAST)
+    return np.stack([weight, np.tanh(found.spread[undecided] / 2) * known, np.tanh(found.away[undecided] / 2) * known])
 
 
-def _about(view: FittedView, inverse: F64, choice: Mask) -> NDArray[np.float16]:
+def _about(view: FittedView, inverse: F64, undecided: Mask) -> NDArray[np.float16]:
     """(ABOUT, N)"""
     now, network, middle = inverse[0], inverse[1], np.median(inverse, axis=0)
     y, x = (np.arange(count) for count in now.shape)
@@ -133,8 +126,8 @@ def _about(view: FittedView, inverse: F64, choice: Mask) -> NDArray[np.float16]:
         np.minimum(texture, 2),
         np.tanh((middle - now) / NEAR),
         np.tanh(inverse.std(axis=0) / NEAR),
-        np.full(now.shape, 1 - choice.sum() / view.kept.sum()),
+        np.full(now.shape, 1 - undecided.sum() / view.kept.sum()),
         (now - low) / max(high - low, np.finfo(np.float64).tiny),
         np.tanh((now - network) / NEAR),
     )
-    return np.stack([plane[choice] for plane in about]).astype(np.float16)
+    return np.stack([plane[undecided] for plane in about]).astype(np.float16)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ..guided_filter import GuidedFilter
 from ..images import FittedView
-from ..match_cost import SEEN
 from .candidates import COUNT, Candidates, Matched
 from .network import ChoiceNetwork
 
@@ -40,14 +39,13 @@ def _of_view(matched: Matched, index: int, network: ChoiceNetwork) -> F64:
     best = preferred(matched.views[index], found, network)
     inverse = np.take_along_axis(found.inverse, best[None], axis=0)[0]
     stays = found.outside & (inverse <= found.inverse[0] - BACK_PX)
-    moves = found.open & (best > 0) & ~stays & (inverse > 0)
+    moves = found.undecided & (best > 0) & ~stays
     return np.where(moves, found.way / np.where(moves, inverse, 1), depth)
 
 
 def preferred(view: FittedView, found: Candidates, network: ChoiceNetwork) -> NDArray[np.intp]:
-    """(H, W) place of the candidate that each open pixel and those about it prefer."""
-    preferences = np.zeros((COUNT, *found.open.shape))
-    preferences[:, found.open] = network.preferences(found.known, found.about)
+    """(H, W) place of the candidate that each undecided pixel and those about it prefer."""
+    preferences = np.zeros((COUNT, *found.undecided.shape))
+    preferences[:, found.undecided] = network.preferences(found.known, found.about)
     smooth = GuidedFilter(view.image.mean(axis=0, dtype=np.float64))
-    share = np.maximum(smooth.of(found.open.astype(np.float64)), SEEN)
-    return np.stack([smooth.of(plane) / share for plane in preferences]).argmax(axis=0)
+    return np.stack([smooth.of(plane) for plane in preferences]).argmax(axis=0)

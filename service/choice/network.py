@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -34,8 +35,14 @@ class ChoiceNetwork:
             return ChoiceNetwork(**{field.name: file[field.name] for field in fields(ChoiceNetwork)})
 
     def save(self, path: Path) -> None:
-        """As .npz, the same bytes again for the same weights."""
-        np.savez(path, **{field.name: getattr(self, field.name) for field in fields(self)})
+        """As .npz, whole or not at all, the same bytes again for the same weights."""
+        part = path.with_name(path.name + ".part")
+        try:
+            with part.open("wb") as file:
+                np.savez(file, **{field.name: getattr(self, field.name) for field in fields(self)})
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
 
     def preferences(self, known: NDArray[np.floating], about: NDArray[np.floating]) -> F32:
         """(K, N) shares, of each pixel 1 in all, for candidates `known` (K, F, N) of pixels `about` (G, N)."""

@@ -9,7 +9,7 @@ import pytest
 from plane_views import PATCH, SIDE, in_another_world, plane_depths, plane_views, with_wrong_patch
 
 from gapmes.service.confirmed import confirmed
-from gapmes.service.continued import _plane, continued
+from gapmes.service.continued import continued
 from gapmes.service.correspondence import seen_by
 from gapmes.service.images import FittedView
 from gapmes.service.rotations import about_axis
@@ -118,12 +118,3 @@ def test_the_world_and_its_unit_do_not_matter(
     moved = in_another_world(views, turn, shift, unit)
     here, there = continued(views, spoiled), continued(moved, unit * spoiled) / unit
     assert (np.abs(here / there - 1) > 1e-6).mean() < 2e-3  # rounding at a tie
-
-
-def test_a_plane_ends_where_the_view_does(views: list[FittedView]) -> None:
-    """Slopes are not followed beyond the depths that there are."""
-    inverse = np.broadcast_to(0.2 + 0.01 * np.minimum(np.arange(SIDE), 20), (SIDE, SIDE)).copy()
-    sure = np.broadcast_to(np.arange(SIDE) < 20, (SIDE, SIDE))
-    flat = replace(views[0], image=np.full_like(views[0].image, 0.5))
-    found = _plane(flat, inverse, sure, np.ones_like(sure), 6.0)
-    assert found[:, -1] == pytest.approx(0.4)

@@ -12,13 +12,22 @@ from plane_views import SIDE, floaters, on_the_plane, plane_depths, plane_views
 from gapmes.service import mending
 from gapmes.service.anchors import anchors
 from gapmes.service.backdrop import OPACITY, backdrop
+from gapmes.service.choice.network import shipped_choice
 from gapmes.service.confirmed import confirmed
 from gapmes.service.depth_range import DepthRange
 from gapmes.service.fading import BEHIND_KEEPS
 from gapmes.service.gaussians import Gaussians, joined
 from gapmes.service.images import FittedView
 from gapmes.service.masks import MASKED, REPLACED, TRANSPARENT
-from gapmes.service.mending import SMOOTHING, Placed, at_finer_depths, at_mended_depths, mended, placed
+from gapmes.service.mending import (
+    SMOOTHING,
+    Placed,
+    at_finer_depths,
+    at_mended_depths,
+    matched_depths,
+    mended,
+    placed,
+)
 from gapmes.service.scene_views import SceneViews
 from gapmes.service.world_frame import WorldFrame
 
@@ -172,6 +181,31 @@ def test_which_steps_depths_take(count: int, steps: list[str], monkeypatch: pyte
     taken.clear()
     at_finer_depths(before, frame, views)
     assert taken == (["continued", "refined"] if count == 2 else ["refined"])
+
+
+def test_the_choice_is_between_what_is_found_the_networks_own_and_that_before_planes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In the order in which its weights were trained."""
+    views = plane_views()[:2]
+    frame = WorldFrame.of([view.camera for view in views], DepthRange(NEAR, FAR, "given"))
+    heard: list[tuple[np.ndarray, ...]] = []
+
+    def listening(_: object, depths: np.ndarray, others: tuple[np.ndarray, ...], network: object) -> np.ndarray:
+        heard.append((depths, *others))
+        assert network is shipped_choice()
+        return depths
+
+    monkeypatch.setattr(mending, "chosen", listening)
+    given = outputs(views, frame)
+    given["depth"] *= 1.07
+    at_mended_depths(given, frame, views, 1)
+    matched, planed = matched_depths(views, frame.depths(given), 1)
+    assert not (matched == planed).all()
+    ((first, second, third),) = heard
+    assert (first == planed).all()
+    assert (second == frame.depths(given)).all()
+    assert (third == matched).all()
 
 
 @pytest.mark.parametrize("count", [2, 3])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gapmes.service.surfaces import EDGE, LEAST, RIDGE, _spread, _steps, surface
+from gapmes.service.surfaces import EDGE, LEAST, RIDGE, _spread, _steps, described_surface, surface
 
 SIDE = 64
 FLAT = np.full((3, SIDE, SIDE), 0.5, np.float32)
@@ -25,11 +25,11 @@ def test_an_edge_keeps_surfaces_apart() -> None:
     image = np.broadcast_to(np.where(left, 0.2, 0.8).astype(np.float32), (3, SIDE, SIDE))
     inverse = np.broadcast_to(np.where(left, 1.0, 0.5), (SIDE, SIDE))
     sure = np.random.default_rng(5).random((SIDE, SIDE)) < 0.3
-    found = surface(image, inverse.copy(), sure, 24.0)
-    assert np.abs(found.inverse - inverse).max() < 1e-4  # found: 6e-6
+    found = described_surface(image, inverse.copy(), sure, 24.0)
+    assert np.abs(found.surface.inverse - inverse).max() < 1e-4  # found: 6e-6
     assert found.spread.max() < 0.01
-    across = surface(image, inverse.copy(), sure, 24.0, edges=False)
-    assert np.abs(across.inverse - inverse)[:, SIDE // 2 - 4 : SIDE // 2 + 4].min() > 0.05
+    across = described_surface(image, inverse.copy(), sure, 24.0, edges=False)
+    assert np.abs(across.surface.inverse - inverse)[:, SIDE // 2 - 4 : SIDE // 2 + 4].min() > 0.05
     assert across.spread[:, SIDE // 2].min() > 0.1
 
 
@@ -54,7 +54,9 @@ def test_a_surface_is_a_weighted_fit_by_least_squares() -> None:
     rng = np.random.default_rng(2)
     height, width, reach, (row, column) = 9, 12, 4.0, (2, 7)
     inverse, sure = rng.uniform(1, 2, (height, width)), rng.random((height, width)) < 0.4
+    told = described_surface(np.full((3, height, width), 0.3), inverse, sure, reach)
     found = surface(np.full((3, height, width), 0.3), inverse, sure, reach)
+    assert all((a == b).all() for a, b in zip(found, told.surface, strict=True))
     y, x = np.mgrid[:height, :width].astype(float)
     weight = sure * np.exp(-np.sqrt(2) / reach * (np.abs(y - row) + np.abs(x - column)))
     mean_x, mean_y, mean = ((weight * values).sum() / weight.sum() for values in (x, y, inverse))
@@ -66,15 +68,26 @@ def test_a_surface_is_a_weighted_fit_by_least_squares() -> None:
     assert found.inverse[row, column] == pytest.approx(mean + slopes @ [column - mean_x, row - mean_y])
     explained = slopes @ (terms.T @ (share * (inverse.ravel() - mean)))
     spread = np.sqrt((share * (inverse.ravel() - mean) ** 2).sum() - explained)
-    assert found.spread[row, column] == pytest.approx(spread)
-    assert found.away[row, column] == pytest.approx(np.hypot(column - mean_x, row - mean_y) / reach)
+    assert told.spread[row, column] == pytest.approx(spread)
+    assert told.away[row, column] == pytest.approx(np.hypot(column - mean_x, row - mean_y) / reach)
 
 
 def test_where_nothing_sure_is_near_nothing_is_known() -> None:
     sure = np.zeros((SIDE, SIDE), bool)
     sure[:4, :4] = True
-    found = surface(FLAT, np.ones((SIDE, SIDE)), sure, 2.0)
+    told = described_surface(FLAT, np.ones((SIDE, SIDE)), sure, 2.0)
+    found = told.surface
     assert found.known[:8, :8].all()
     assert not found.known[-8:, -8:].any()
     assert (found.weight[-8:, -8:] <= LEAST).all()
-    assert all(np.isfinite(plane).all() for plane in found)
+    assert all(np.isfinite(plane).all() for plane in (*found, told.spread, told.away))
+    assert (found.within(np.full((SIDE, SIDE), 0.7), sure)[-8:, -8:] == 0.7).all()
+
+
+def test_a_plane_ends_where_the_view_does() -> None:
+    """Slopes are not followed beyond the depths that there are."""
+    inverse = np.broadcast_to(0.2 + 0.01 * np.minimum(np.arange(SIDE), 20), (SIDE, SIDE)).copy()
+    sure = np.broadcast_to(np.arange(SIDE) < 20, (SIDE, SIDE))
+    found = surface(FLAT, inverse, sure, 6.0)
+    assert found.inverse[:, -1].min() > 0.45
+    assert found.within(inverse, np.ones_like(sure))[:, -1] == pytest.approx(0.4)

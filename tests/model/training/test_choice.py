@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pytest
 import torch
 
-from gapmes.model.training import choice
-from gapmes.model.training.choice_data import PIXELS, SIZE, Samples, scene_samples
-from gapmes.model.training.scenes import SceneSampler
+from gapmes.model.training import choice, choice_data
+from gapmes.model.training.choice import held_out
+from gapmes.model.training.choice_data import PIXELS, Samples, scene_batch, scene_samples
+from gapmes.model.training.generated_views import input_views
+from gapmes.model.training.scenes import SceneBatch
 from gapmes.service import Reconstructor
-from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN
+from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN, Candidates, Matched
 from gapmes.service.choice.network import ChoiceNetwork
+from gapmes.service.depth_range import depth_range
+from gapmes.service.images import FittedView
+from gapmes.service.mending import matched_depths
 
 
 def made_up(count: int, seed: int) -> Samples:
@@ -60,25 +68,64 @@ def test_samples_of_a_scene_are_open_pixels_and_how_far_off_their_candidates_are
     assert samples.known.shape[:2] == (COUNT, KNOWN)
     assert len(samples.about) == ABOUT
     assert (samples.scene == number).all()
-    # what the first two numbers and the third and fourth say of two candidates' distance, the errors say as well
-    apart = samples.error[1] - samples.error[0]
-    assert np.tanh(apart / 32) == pytest.approx(samples.known[1, 1].astype(float), abs=2e-3)
-    assert np.median(np.abs(samples.error).min(axis=0)) < np.median(np.abs(samples.error[0]))
 
 
-def test_background_is_infinitely_far() -> None:
-    """In a scene with a sky no candidate of a pixel that shows it lies beyond: all errors are parallaxes, 0 or more."""
+def test_candidates_are_those_of_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the order of `mending.py`: what is found, the network's own, that before planes."""
+    heard: list[tuple[np.ndarray, ...]] = []
+
+    class Listening(Matched):
+        def __init__(self, views: list[FittedView], depths: np.ndarray, others: tuple[np.ndarray, ...]) -> None:
+            heard.append((depths, *others))
+            super().__init__(views, depths, others)
+
+    monkeypatch.setattr(choice_data, "Matched", Listening)
     reconstructor = Reconstructor(None, threads=1)
-    for number in range(30):
-        batch = SceneSampler(5, "train", first=number).batch(
-            1, 2, 1, SIZE, baseline=(0.08, 0.8), field_of_view=(30.0, 80.0), close_share=0.4
-        )
-        if batch.background[0, :2].mean() > 0.3:
-            samples = scene_samples(reconstructor, 5, number)
-            assert samples is not None
-            assert ((samples.error >= -1e-6).all(axis=0)).mean() > 0.1
-            return
-    pytest.fail("no scene with a sky")
+    scene_samples(reconstructor, 3, 2)
+    ((planed, network, matched),) = heard
+    batch = scene_batch(3, 2)
+    views, (near, far) = input_views(batch), map(float, batch.near_far[0])
+    outputs, frame = reconstructor.run_network(views, depth_range([view.camera for view in views], near, far))
+    assert (network == frame.depths(outputs)).all()
+    expected = matched_depths(views, network, 1)
+    assert (matched == expected[0]).all()
+    assert (planed == expected[1]).all()
+    assert not (matched == planed).all()
+
+
+def with_a_sky() -> SceneBatch:
+    return next(batch for batch in map(partial(scene_batch, 5), range(30)) if batch.background[0, :2].mean() > 0.3)
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_errors_are_px_of_parallax_from_the_true_depth_and_a_sky_is_infinitely_far(index: int) -> None:
+    batch, way = with_a_sky(), 37.0
+    sky, depth = batch.background[0, index], batch.depths[0, index].astype(np.float64)
+    true = np.array([0.0 if there else way / z for there, z in zip(sky.ravel(), depth.ravel(), strict=True)])
+    undecided = np.zeros(sky.shape, bool)
+    undecided[40:200, 30:90] = True
+    apart = np.linspace(-3, 4, COUNT)
+    number = np.arange(undecided.sum())
+    known = np.broadcast_to(number % 1000, (COUNT, KNOWN, len(number))).astype(np.float16)
+    about = np.broadcast_to(number // 1000, (ABOUT, len(number))).astype(np.float16)
+    inverse = (true + apart[:, None]).reshape(COUNT, *sky.shape)
+    one = Candidates(inverse, known, about, undecided, ~undecided, way)
+    found = choice_data._of_view(one, batch, index, 4, np.random.default_rng(0))
+    assert found.error.shape == (COUNT, PIXELS)
+    assert found.error == pytest.approx(np.broadcast_to(apart[:, None], found.error.shape), abs=1e-4)  # of float32
+    taken = found.about[0].astype(int) * 1000 + found.known[0, 0].astype(int)
+    assert (np.diff(taken) > 0).all()
+    assert sky[undecided][taken].any()
+    assert (found.scene == 4).all()
+
+
+def test_scenes_of_the_figures_teach_nothing() -> None:
+    samples = made_up(4_000, 5)
+    spoiled = samples._replace(error=np.where(held_out(samples), 5.0, samples.error).astype(np.float32))
+    networks = [choice.trained(each, 1, 20).exported() for each in (samples, spoiled)]
+    assert all((value == getattr(networks[1], name)).all() for name, value in vars(networks[0]).items())
+    assert choice.figures(networks[0], spoiled)["best"][1] == 0
+    assert held_out(samples).mean() == pytest.approx(1 / 8)
 
 
 def test_the_command_writes_the_network_and_its_figures(
@@ -97,5 +144,63 @@ def test_the_command_writes_the_network_and_its_figures(
     assert told.startswith(f"{out}: 2000 pixels of 1 scenes, every 8th for these figures\n")
     assert [line.split(" cost ")[0].strip() for line in told.splitlines()[1:]] == ["as it is", "preferred", "best"]
     assert len(ChoiceNetwork.load(out).prior) == COUNT
-    assert choice.main([str(tmp_path / "missing" / "choice.npz"), *arguments]) == 1
-    assert "cannot be written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [out]
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"), [("missing/choice.npz", "cannot be written"), ("folder", "is a folder; name a file")]
+)
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(
+    name: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(choice, "_generated", lambda *_: pytest.fail("worked"))
+    (tmp_path / "folder").mkdir()
+    assert choice.main([str(tmp_path / name), "--quiet"]) == 1
+    assert reason in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("parts", "reason"),
+    [
+        ([None, None], "0 of 16 scenes have a choice, none of those for training"),
+        ([7], "1 of 16 scenes have a choice, none of those for training"),
+        ([1, None, 2], "2 of 16 scenes have a choice, none of those for the figures"),
+        (KeyboardInterrupt, "stopped; nothing is kept"),
+        (BrokenProcessPool, "was ended from outside"),
+    ],
+)
+def test_without_scenes_nothing_is_written(
+    parts: list[int | None] | type[BaseException],
+    reason: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def generated(*_: int) -> Iterator[Samples | None]:
+        if isinstance(parts, type):
+            raise parts
+        for part in parts:
+            yield None if part is None else made_up(50, part)._replace(scene=np.full(50, part))
+
+    monkeypatch.setattr(choice, "_generated", generated)
+    code = choice.main([str(tmp_path / "out.npz"), "--scenes", "16", "--quiet"])
+    assert code == (130 if parts is KeyboardInterrupt else 1)
+    assert reason in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_leaves_the_weights_that_there_were(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(file: IO[bytes], **_: np.ndarray) -> None:
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    out = tmp_path / "choice.npz"
+    out.write_bytes(b"before")
+    monkeypatch.setattr(choice, "_generated", lambda *_: iter([made_up(2_000, 3)]))
+    monkeypatch.setattr(np, "savez", full)
+    assert choice.main([str(out), "--steps", "1", "--quiet"]) == 1
+    assert f"{out} cannot be written: No space left on device" in capsys.readouterr().err
+    assert out.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [out]

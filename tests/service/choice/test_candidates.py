@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 from plane_views import PATCH, SIDE, in_another_world, plane_depths, plane_views, with_wrong_patch
 
-from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN, Candidates, Matched
+from gapmes.service.bilinear import bilinear
+from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN, REACHES, Candidates, Matched
 from gapmes.service.confirmed import confirmed
+from gapmes.service.correspondence import pixels_per_inverse_depth
 from gapmes.service.images import FittedView
+from gapmes.service.match_cost import Gathering, difference, features
 from gapmes.service.rotations import about_axis
+from gapmes.service.surfaces import described_surface
+from gapmes.service.window_match import contrast
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +37,8 @@ def of_first(views: list[FittedView], depths: np.ndarray, *others: np.ndarray) -
 
 def placed(found: Candidates, candidate: int, number: int) -> np.ndarray:
     """(H, W) one number of one candidate, NaN where there is no choice."""
-    plane = np.full(found.open.shape, np.nan)
-    plane[found.open] = found.known[candidate, number]
+    plane = np.full(found.undecided.shape, np.nan)
+    plane[found.undecided] = found.known[candidate, number]
     return plane
 
 
@@ -41,8 +46,8 @@ def test_they_are_the_depths_that_were_given_and_surfaces(views: list[FittedView
     truth = plane_depths(views)
     found = of_first(views, spoiled, 1.1 * truth, 1.3 * truth)
     assert found.inverse.shape == (COUNT, SIDE, SIDE)
-    assert found.known.shape == (COUNT, KNOWN, found.open.sum())
-    assert found.about.shape == (ABOUT, found.open.sum())
+    assert found.known.shape == (COUNT, KNOWN, found.undecided.sum())
+    assert found.about.shape == (ABOUT, found.undecided.sum())
     for place, depths in enumerate((spoiled, 1.1 * truth, 1.3 * truth)):
         assert found.inverse[place] == pytest.approx(found.way / depths[0])
     for place in range(3, COUNT):  # the patch lies in the plane that is confirmed about it
@@ -52,11 +57,11 @@ def test_they_are_the_depths_that_were_given_and_surfaces(views: list[FittedView
 
 
 def test_open_is_what_is_kept_and_not_confirmed(views: list[FittedView], spoiled: np.ndarray) -> None:
-    assert (of_first(views, spoiled).open == ~confirmed(views, spoiled)[0]).all()
+    assert (of_first(views, spoiled).undecided == ~confirmed(views, spoiled)[0]).all()
     mask = np.ones((SIDE, SIDE), bool)
     mask[20:30] = False
     masked = [replace(views[0], mask=mask), *views[1:]]
-    assert (of_first(masked, spoiled).open == (mask & ~confirmed(masked, spoiled)[0])).all()
+    assert (of_first(masked, spoiled).undecided == (mask & ~confirmed(masked, spoiled)[0])).all()
 
 
 def test_a_true_depth_is_known_by_its_match_and_a_wrong_one_by_the_surface_behind_it(
@@ -80,12 +85,86 @@ def test_outside_is_what_no_other_view_has_in_its_picture(views: list[FittedView
     inside = ((place > 0) & (place < SIDE)).all(axis=1).reshape(SIDE, SIDE)
     assert 0 < found.outside.mean() < 1
     assert (found.outside == ~inside).all()
-    assert (found.known[0, 8] == inside[found.open]).all()
+    assert (found.known[0, 8] == inside[found.undecided]).all()
 
 
 def _grid() -> np.ndarray:
     y, x = np.mgrid[:SIDE, :SIDE] + 0.5
     return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+def test_a_masked_place_is_inside_a_picture(views: list[FittedView]) -> None:
+    """A depth that leads into another view's mask is wrong, and may go away as far as it must."""
+    truth, mask = plane_depths(views)[:2], np.ones((SIDE, SIDE), bool)
+    mask[:, : SIDE // 2] = False
+    bare, masked = views[:2], [views[0], replace(views[1], mask=mask)]
+    assert (of_first(masked, truth).outside == of_first(bare, truth).outside).all()
+    assert placed(of_first(masked, truth), 0, 8)[of_first(masked, truth).undecided].min() == 0
+
+
+def by_definition(views: list[FittedView], stacks: list[np.ndarray], row: int, column: int) -> tuple[list, list]:
+    """What is known of one pixel of the first of two views, from the definitions: nothing of whole pictures but the
+    surfaces and gathered differences, which have tests of their own."""
+    view, other = views
+    sure = confirmed(views, stacks[0])
+    way = pixels_per_inverse_depth(view, other)
+    inverse = [way / stack[0] for stack in stacks]
+    told = [described_surface(view.image, inverse[0], sure[0], reach, edges=edges) for reach, edges in REACHES]
+    inverse += [one.surface.within(inverse[0], view.kept) for one in told]
+    own, others = features(view), features(other)
+    place, middle = (row, column), np.median([plane[row, column] for plane in inverse])
+    known = []
+    for candidate, plane in enumerate(inverse):
+        cost = Gathering(view, view.kept).of(difference(view, own, way / plane, other, others))[place]
+        point = view.camera.unproject(np.array([[column + 0.5, row + 0.5]]), np.array([way / plane[place]]))
+        (px,), (z,) = other.camera.project(point)
+        seen = bool(z > 0 and (px > 0).all() and (px < SIDE).all())
+        theirs, certain = (
+            bilinear(values[..., None], *(np.array([[value]]) for value in px - 0.5))[0, 0, 0]
+            for values in (1 / stacks[0][1], sure[1].astype(float))
+        )
+        front = np.clip((1 / z - theirs) * way, -16, 16)
+        one = [np.tanh((plane[place] - inverse[from_][place]) / scale) for from_ in (0, 1) for scale in (4, 32)]
+        if candidate < 3:
+            one += [0.0, 0.0, 0.0]
+        else:
+            about = told[candidate - 3]
+            weight = max(about.surface.weight[place], 1e-9)
+            near = float(about.surface.weight[place] > 1e-9)
+            one += [
+                np.log10(weight) / 9,
+                near * np.tanh(about.spread[place] / 2),
+                near * np.tanh(about.away[place] / 2),
+            ]
+        one += [cost / 0.25, float(seen), seen * np.tanh(front / 2), seen * certain]
+        one += [np.tanh((plane[place] - middle) / 4)]
+        one += [np.mean([abs(plane[place] - each[place]) < 1.5 for each in inverse]), np.log1p(plane[place]) / 5]
+        known.append(one)
+    low, high = inverse[0].min(), inverse[0].max()
+    texture = contrast(view.image.mean(axis=0, dtype=np.float64), None)[place] / 0.05
+    about_pixel = [
+        np.log1p(min(row, column, SIDE - 1 - row, SIDE - 1 - column)) / 4,
+        min(texture, 2),
+        np.tanh((middle - inverse[0][place]) / 4),
+        np.tanh(np.std([plane[place] for plane in inverse]) / 4),
+        sure[0].mean(),
+        (inverse[0][place] - low) / (high - low),
+        np.tanh((inverse[0][place] - inverse[1][place]) / 4),
+    ]
+    return known, about_pixel
+
+
+def test_every_number_is_its_definition(views: list[FittedView]) -> None:
+    """The shipped weights were trained by these numbers, in this order."""
+    pair, rng = views[:2], np.random.default_rng(8)
+    depths = with_wrong_patch(pair, 1.15)
+    stacks = [depths, depths * rng.uniform(0.9, 1.1, depths.shape), depths * rng.uniform(0.95, 1.05, depths.shape)]
+    found = of_first(pair, *stacks)
+    rows, columns = np.nonzero(found.undecided)
+    for number in rng.choice(len(rows), 40, replace=False):
+        known, about = by_definition(pair, stacks, rows[number], columns[number])
+        assert found.known[..., number].astype(float) == pytest.approx(np.array(known), abs=2e-3)  # of float16
+        assert found.about[:, number].astype(float) == pytest.approx(np.array(about), abs=2e-3)
 
 
 def test_views_without_anything_to_choose_by_have_none(views: list[FittedView]) -> None:

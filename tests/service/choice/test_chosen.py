@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from plane_views import PATCH, SIDE, plane_depths, plane_views, with_wrong_patch
 
-from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN
-from gapmes.service.choice.chosen import BACK_PX, chosen
+from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN, Matched
+from gapmes.service.choice.chosen import BACK_PX, chosen, preferred
 from gapmes.service.choice.network import ChoiceNetwork, shipped_choice
 from gapmes.service.confirmed import confirmed
 from gapmes.service.images import FittedView
@@ -66,6 +66,40 @@ def test_what_no_other_view_shows_does_not_go_far_away(views: list[FittedView]) 
         found = chosen(pair, truth, (other, truth), always(1))
         assert (found[0] != truth[0])[outside].all() == moves
         assert (found[0] == truth[0])[outside].all() != moves
+
+
+def test_what_a_mask_of_the_other_view_hides_goes_as_far_as_it_must(views: list[FittedView]) -> None:
+    """A depth that leads there is wrong; that the other view does not see it is no reason to keep it."""
+    pair, truth = views[:2], plane_depths(views)[:2]
+    near = truth.copy()
+    near[0][PATCH] /= 1.9
+    place, _ = pair[1].camera.project(pair[0].camera.unproject(_grid(), near[0].ravel()))
+    column, row = (place.reshape(SIDE, SIDE, 2)[PATCH].reshape(-1, 2).T).astype(int)
+    mask = np.ones((SIDE, SIDE), bool)
+    mask[max(row.min() - 1, 0) : row.max() + 2, max(column.min() - 1, 0) : column.max() + 2] = False
+    masked = [pair[0], replace(pair[1], mask=mask)]
+    way = pair[0].camera.fx * np.linalg.norm(pair[0].camera.center - pair[1].camera.center)
+    assert np.median((way / near - way / truth)[0][PATCH]) > BACK_PX + 1
+    found = chosen(masked, near, (truth, truth), always(1))
+    assert np.median(np.abs(found[0] / truth[0] - 1)[PATCH]) < 1e-6
+
+
+def test_a_single_pixel_is_outvoted_by_those_about_it(
+    views: list[FittedView], spoiled: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = Matched(views, spoiled, (spoiled, spoiled)).candidates(0)
+    assert found is not None
+    alone = np.flatnonzero(found.undecided).tolist().index(32 * SIDE + 32)
+
+    def preferences(self: ChoiceNetwork, known: np.ndarray, about: np.ndarray) -> np.ndarray:
+        shares = np.zeros((COUNT, known.shape[2]))
+        shares[4] = 1
+        shares[4, alone], shares[2, alone] = 0, 1
+        return shares
+
+    monkeypatch.setattr(ChoiceNetwork, "preferences", preferences)
+    flat = replace(views[0], image=np.full_like(views[0].image, 0.4))
+    assert (preferred(flat, found, shipped_choice())[found.undecided] == 4).all()
 
 
 def _grid() -> np.ndarray:
