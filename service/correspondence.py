@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bilinear import bilinear
+from .camera import Camera
 from .coarse_views import pixel_grid
 from .images import FittedView
+from .place_kernels import sample_places, see_pixels
 from .rotations import turned
 
 F64 = NDArray[np.float64]
@@ -33,18 +35,27 @@ class Seen:
 
     def value(self, picture: NDArray) -> NDArray:
         """(H, W, C) what `picture` (H, W, C) of the other view has at these places."""
-        return bilinear(picture, self.column, self.row)
+        values = np.ascontiguousarray(picture)
+        found = np.empty((*self.z.shape, picture.shape[2]), picture.dtype)
+        sample_places(values, self.column, self.row, found)
+        return found
 
 
 def seen_by(view: FittedView, depth: F64, other: FittedView) -> Seen:
     """`depth` (H, W) are z-depths of the view's pixels in the cameras' units."""
-    pixels, z = other.camera.project(view.camera.unproject(pixel_grid(depth.shape), depth.ravel()))
-    place, z = np.nan_to_num(pixels, nan=-1.0).reshape(*depth.shape, 2), z.reshape(depth.shape)
-    inside = where = (z > 0) & ((place > 0) & (place < (other.camera.width, other.camera.height))).all(axis=2)
-    column, row = place[..., 0] - 0.5, place[..., 1] - 0.5
+    column, row, z = (np.empty(depth.shape) for _ in range(3))
+    inside = where = np.empty(depth.shape, np.bool_)
+    (lens, pose), (other_lens, other_pose) = _parts(view.camera), _parts(other.camera)
+    size = np.array([other.camera.width, other.camera.height], np.float64)
+    depth = np.ascontiguousarray(depth, np.float64)
+    see_pixels(depth, lens, pose, other_lens, other_pose, size, column, row, z, inside.view(np.uint8))
     if other.mask is not None:
         where = inside & (bilinear(other.mask.astype(np.float32)[..., None], column, row)[..., 0] > KEPT)
     return Seen(column, row, np.where(where, z, 1.0), inside, where)
+
+
+def _parts(camera: Camera) -> tuple[F64, F64]:
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy]), np.ascontiguousarray(camera.world_from_cam[:3])
 
 
 def disagreement(view: FittedView, seen: Seen, other: FittedView, other_depth: F64) -> F64:

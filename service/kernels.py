@@ -10,6 +10,7 @@ from .camera import Camera
 from .choice.candidates import ABOUT, COUNT, KNOWN
 from .choice.network import shipped_choice
 from .gaussians import Gaussians
+from .place_kernels import sample_places, see_pixels
 from .plane_kernels import compare_level, compare_planes, mean_planes, spread_along_rows, spread_down_columns
 from .splat import Definition, leverage, render
 
@@ -34,6 +35,10 @@ def warm_up() -> None:
     compare_level(features, features, rays, rays[0, 0], lens, 1.0, 1.0, planes[0].copy())
     spread_along_rows(planes, planes[0, :, :1].copy(), planes.copy())
     spread_down_columns(planes, planes[0, :1], planes.copy())
+    seen, place = np.ones((2, 2), np.uint8), planes[0].copy()
+    see_pixels(planes[0], lens, np.eye(4)[:3], lens, np.eye(4)[:3], lens[:2], place, place, place, seen)
+    for values in (features, planes[0][..., None]):
+        sample_places(values, place, place, values.copy())
     shipped_choice().preferences(np.zeros((COUNT, KNOWN, 1)), np.zeros((ABOUT, 1)))
 
 

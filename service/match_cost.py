@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .correspondence import seen_by
+from .correspondence import Seen, seen_by
 from .guided_filter import GuidedFilter
 from .images import FittedView
 from .plane_kernels import compare_planes
@@ -34,7 +34,12 @@ def features(view: FittedView) -> F32:
 def difference(view: FittedView, own: F32, depth: F64, other: FittedView, others: F32) -> F64:
     """(H, W) mean absolute difference of the `features` of both views at z-depths (H, W) in the cameras' units; LIMIT
     at most, and LIMIT where the other view does not see the point."""
-    seen, cost = seen_by(view, depth, other), np.empty(depth.shape)
+    return difference_there(own, seen_by(view, depth, other), others)
+
+
+def difference_there(own: F32, seen: Seen, others: F32) -> F64:
+    """The same at the places where the pixels are `seen` in the other view."""
+    cost = np.empty(seen.z.shape)
     compare_planes(own, others, seen.column, seen.row, seen.where.view(np.uint8), LIMIT, cost)
     return cost
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..confirmed import confirmed
 from ..correspondence import from_elsewhere, seen_by
 from ..images import FittedView
-from ..match_cost import LIMIT, Gathering, difference, features
+from ..match_cost import LIMIT, Gathering, difference_there, features
 from ..surfaces import LEAST, Described, described_surface
 from ..window_match import contrast
 
@@ -69,23 +69,29 @@ class Matched:
             found = described_surface(view.image, inverse[0], sure, reach, edges=edges)
             inverse[place] = found.surface.within(inverse[0], view.kept)
             known[place, 4:7] = _of_surface(found, undecided)
-        outside = self._compared(index, ways, inverse, undecided, known)
-        return Candidates(inverse, known, _about(view, inverse, undecided), undecided, outside, way)
+        self._compared(index, ways, inverse, undecided, known)
+        about = _about(view, inverse, undecided)
+        return Candidates(inverse, known, about, undecided, self._outside(index, ways), way)
 
     def _compared(
         self, index: int, ways: Mapping[int, float], inverse: F64, undecided: Mask, known: NDArray[np.float16]
-    ) -> Mask:
-        """Fills in what of `known` tells candidates apart; returns which pixels no other view has in its picture."""
-        gathering, middle = Gathering(self.views[index], self.views[index].kept), np.median(inverse, axis=0)
-        for place, own in enumerate(inverse):
-            cost, share, front, sure = self._seen(index, ways, max(ways.values()) / own, gathering)
-            apart = [np.tanh((own - other) / scale) for other in inverse[:2] for scale in (NEAR, FAR)]
-            alike = np.mean([np.abs(other - own) < ALIKE for other in inverse], axis=0)
+    ) -> None:
+        """Fills in what of `known` tells candidates apart."""
+        gathering, of_all = Gathering(self.views[index], self.views[index].kept), inverse[:, undecided]
+        middle = np.median(of_all, axis=0)
+        for place, own in enumerate(of_all):
+            seen = self._seen(index, ways, max(ways.values()) / inverse[place], gathering)
+            cost, share, front, sure = (plane[undecided] for plane in seen)
+            apart = [np.tanh((own - other) / scale) for other in of_all[:2] for scale in (NEAR, FAR)]
+            alike = np.mean(np.abs(of_all - own) < ALIKE, axis=0)
             rest = (cost / LIMIT, share, np.tanh(front / 2), sure, np.tanh((own - middle) / NEAR), alike)
-            for number, plane in zip((*range(4), *range(7, KNOWN)), (*apart, *rest, np.log1p(own) / 5), strict=True):
-                known[place, number] = plane[undecided]
-        depth = self.depths[index]
-        return ~np.any([seen_by(self.views[index], depth, self.views[other]).inside for other in ways], axis=0)
+            for number, values in zip((*range(4), *range(7, KNOWN)), (*apart, *rest, np.log1p(own) / 5), strict=True):
+                known[place, number] = values
+
+    def _outside(self, index: int, ways: Mapping[int, float]) -> Mask:
+        """(H, W) which pixels no other view has in its picture."""
+        view, depth = self.views[index], self.depths[index]
+        return ~np.any([seen_by(view, depth, self.views[other]).inside for other in ways], axis=0)
 
     def _seen(
         self, index: int, ways: Mapping[int, float], depth: F64, gathering: Gathering
@@ -97,7 +103,7 @@ class Matched:
         front, sure = np.full(depth.shape, -MOST), np.zeros(depth.shape)
         for other, way in ways.items():
             seen = seen_by(view, depth, self.views[other])
-            now = view.kept * difference(view, own, depth, self.views[other], self.pictures[other])
+            now = view.kept * difference_there(own, seen, self.pictures[other])
             cost = np.minimum(cost, gathering.of(now))
             share += seen.where / len(ways)
             theirs = seen.value(self.surfaces[other])
@@ -116,18 +122,19 @@ def _of_surface(found: Described, undecided: Mask) -> NDArray[np.float64]:
 
 def _about(view: FittedView, inverse: F64, undecided: Mask) -> NDArray[np.float16]:
     """(ABOUT, N)"""
-    now, network, middle = inverse[0], inverse[1], np.median(inverse, axis=0)
-    y, x = (np.arange(count) for count in now.shape)
+    y, x = (np.arange(count) for count in undecided.shape)
     border = np.minimum(np.minimum(y, y[::-1])[:, None], np.minimum(x, x[::-1]))
-    low, high = now[view.kept].min(), now[view.kept].max()
+    low, high = inverse[0][view.kept].min(), inverse[0][view.kept].max()
     texture = contrast(view.image.mean(axis=0, dtype=np.float64), view.mask) / CONTRAST
+    of_all = inverse[:, undecided]
+    now, network, middle = of_all[0], of_all[1], np.median(of_all, axis=0)
     about = (
-        np.log1p(border) / 4,
-        np.minimum(texture, 2),
+        np.log1p(border[undecided]) / 4,
+        np.minimum(texture[undecided], 2),
         np.tanh((middle - now) / NEAR),
-        np.tanh(inverse.std(axis=0) / NEAR),
+        np.tanh(of_all.std(axis=0) / NEAR),
         np.full(now.shape, 1 - undecided.sum() / view.kept.sum()),
         (now - low) / max(high - low, np.finfo(np.float64).tiny),
         np.tanh((now - network) / NEAR),
     )
-    return np.stack([plane[undecided] for plane in about]).astype(np.float16)
+    return np.stack(about).astype(np.float16)
