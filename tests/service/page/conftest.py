@@ -57,13 +57,13 @@ def scene(address: str) -> str:
 @pytest.fixture
 def held_network(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     """The network waits until the event is set."""
-    go, run = threading.Event(), Reconstructor._run
+    go, run = threading.Event(), Reconstructor.run_network
 
     def held(self: Reconstructor, *arguments: Any) -> Any:
         assert go.wait(120)
         return run(self, *arguments)
 
-    monkeypatch.setattr(Reconstructor, "_run", held)
+    monkeypatch.setattr(Reconstructor, "run_network", held)
     yield go
     go.set()
 
