@@ -33,8 +33,8 @@ class Seen:
     inside: Mask  # (H, W) in front of the other view and inside its picture
     where: Mask  # (H, W) of these in full on what its mask keeps
 
-    def value(self, picture: NDArray) -> NDArray:
-        """(H, W, C) what `picture` (H, W, C) of the other view has at these places."""
+    def value(self, picture: NDArray[np.floating]) -> NDArray[np.floating]:
+        """(H, W, C) what `picture` (h, w, C) of the other view has at these places, in its own precision."""
         values = np.ascontiguousarray(picture)
         found = np.empty((*self.z.shape, picture.shape[2]), picture.dtype)
         sample_places(values, self.column, self.row, found)
@@ -44,11 +44,12 @@ class Seen:
 def seen_by(view: FittedView, depth: F64, other: FittedView) -> Seen:
     """`depth` (H, W) are z-depths of the view's pixels in the cameras' units."""
     column, row, z = (np.empty(depth.shape) for _ in range(3))
-    inside = where = np.empty(depth.shape, np.bool_)
+    inside = np.empty(depth.shape, np.bool_)
     (lens, pose), (other_lens, other_pose) = _parts(view.camera), _parts(other.camera)
     size = np.array([other.camera.width, other.camera.height], np.float64)
     depth = np.ascontiguousarray(depth, np.float64)
     see_pixels(depth, lens, pose, other_lens, other_pose, size, column, row, z, inside.view(np.uint8))
+    where = inside
     if other.mask is not None:
         where = inside & (bilinear(other.mask.astype(np.float32)[..., None], column, row)[..., 0] > KEPT)
     return Seen(column, row, np.where(where, z, 1.0), inside, where)

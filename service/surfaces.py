@@ -52,27 +52,31 @@ class _Moments(NamedTuple):
     level: F64  # mean of their inverse depths
     beside: F64  # from their middle to the pixel, px
     below: F64
-    explained: F64  # variance of their inverse depths that the plane has
+    across: F64  # slopes of the plane, times `size`
+    down: F64
+    size: F64
+    along_x: F64  # how inverse depths vary with positions
+    along_y: F64
 
 
-def surface(picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: float, *, edges: bool = True) -> Surface:
+def surface(picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: float) -> Surface:
     """Planes fitted to the inverse depths (H, W) of the pixels that are `sure` (H, W), by least squares.
 
-    They weigh by their distance along rows and columns, with `reach` px as the standard deviation; `edges` of `picture`
+    They weigh by their distance along rows and columns, with `reach` px as the standard deviation; edges of `picture`
     (3, H, W) lengthen the way (domain transform, Gastal and Oliveira 2011).
     """
-    return _fitted(picture, inverse, sure, reach, edges)[0]
+    return _fitted(picture, inverse, sure, reach, edges=True)[0]
 
 
 def described_surface(
     picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: float, *, edges: bool = True
 ) -> Described:
-    """The same with what it goes through; the unit of `spread` is that of `inverse`."""
+    """The same with what it goes through, where `edges` need not matter; the unit of `spread` is that of `inverse`."""
     found, moments = _fitted(picture, inverse, sure, reach, edges)
     squares = _spread(inverse * inverse * sure, *moments.steps)
     squares /= np.maximum(found.weight, LEAST)
     squares -= moments.level**2
-    squares -= moments.explained
+    squares -= (moments.across * moments.along_x + moments.down * moments.along_y) / moments.size
     spread = np.sqrt(np.maximum(squares, 0))
     return Described(found, spread, np.hypot(moments.beside, moments.below) / reach)
 
@@ -98,7 +102,7 @@ def _fitted(
     across, down, size = yy * xd - xy * yd, xx * yd - xy * xd, xx * yy - xy**2
     beside, below = x - mean_x, y - mean_y
     found = level + (across * beside + down * below) / size
-    return Surface(found, mass), _Moments(steps, level, beside, below, (across * xd + down * yd) / size)
+    return Surface(found, mass), _Moments(steps, level, beside, below, across, down, size, xd, yd)
 
 
 def _spread(plane: F64, across: F64, down: F64) -> F64:

@@ -10,7 +10,7 @@ import argparse
 import multiprocessing
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -92,8 +92,8 @@ def _one_thread() -> Iterator[None]:
 
 
 @_one_thread()
-def trained(samples: Samples, seed: int, steps: int) -> Choice:
-    """From random numbers of `seed`; the scenes of the figures are left out."""
+def trained(samples: Samples, seed: int, steps: int, done: Callable[[int], None] = lambda _: None) -> Choice:
+    """From random numbers of `seed`; the scenes of the figures are left out. `done` hears the steps."""
     torch.manual_seed(seed)
     network = Choice()
     rows = np.flatnonzero(~held_out(samples))
@@ -111,6 +111,7 @@ def trained(samples: Samples, seed: int, steps: int) -> Choice:
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
+        done(step + 1)
     return network
 
 
@@ -162,17 +163,17 @@ def _writing(out: Path) -> Iterator[None]:
 
 def _check_place(out: Path) -> None:
     """Before the work: raises `Refused` where nothing can be written."""
-    if out.is_dir():
-        raise Refused(f"{out} is a folder; name a file")
     part = out.with_name(out.name + ".part")
     with _writing(out):
+        if out.is_dir():
+            raise Refused(f"{out} is a folder; name a file")
         part.touch()
         part.unlink()
 
 
-def _collected(options: argparse.Namespace) -> tuple[Samples, int]:
+def _collected(options: argparse.Namespace, stages: Stages) -> tuple[Samples, int]:
     """All samples, and of how many scenes; raises `Refused` where there is nothing to train by, or to tell by."""
-    with ProgressBars(quiet=options.quiet) as bars, Stages(bars).stage("scenes", options.scenes) as done:
+    with stages.stage("scenes", options.scenes) as done:
         parts = []
         for number, part in enumerate(_generated(options.seed, options.scenes, options.processes), start=1):
             parts += [] if part is None else [part]
@@ -195,15 +196,18 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         _check_place(options.out)
-        samples, scenes = _collected(options)
-        network = trained(samples, options.seed, options.steps).exported()
+        with ProgressBars(quiet=options.quiet) as bars:
+            stages = Stages(bars)
+            samples, scenes = _collected(options, stages)
+            with stages.stage("train", options.steps) as done:
+                network = trained(samples, options.seed, options.steps, done).exported()
         with _writing(options.out):
             network.save(options.out)
     except Refused as error:
         sys.stderr.write(f"refused: {error}\n")
         return 1
     except BrokenProcessPool:
-        sys.stderr.write("refused: a process that makes scenes was ended from outside, such as by lack of memory\n")
+        sys.stderr.write("refused: a process that makes scenes ended, by lack of memory or by the error above\n")
         return 1
     except KeyboardInterrupt:
         sys.stderr.write("stopped; nothing is kept\n")

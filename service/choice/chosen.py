@@ -14,9 +14,10 @@ from .network import ChoiceNetwork
 
 F64 = NDArray[np.float64]
 
-# px of parallax that a pixel moves away at most which no other view has in its picture: that something stands close at
-# the border, such as a door frame, the large network has learned, while surfaces behind it seem to go on.
-BACK_PX = 8.0
+# Parallax, of the shorter side, by which a pixel that no other view has in its picture does not move away: that
+# something stands close at the border, such as a door frame, the large network has learned, while surfaces behind it
+# seem to go on.
+BACK = 1 / 32
 
 
 def chosen(views: Sequence[FittedView], depths: F64, others: Sequence[F64], network: ChoiceNetwork) -> F64:
@@ -25,7 +26,7 @@ def chosen(views: Sequence[FittedView], depths: F64, others: Sequence[F64], netw
 
     Of the candidates of each pixel (`candidates.py`) the one with the largest preference, once preferences are smoothed
     within surfaces by a guided filter. What is confirmed, what a mask leaves out and a view without a confirmed pixel
-    stay, and so does what no other view has in its picture and would move away by BACK_PX or more.
+    stay, and so does what no other view has in its picture and would move away by BACK or more.
     """
     matched = Matched(views, depths, others)
     return np.stack([_of_view(matched, index, network) for index in range(len(views))])
@@ -38,7 +39,7 @@ def _of_view(matched: Matched, index: int, network: ChoiceNetwork) -> F64:
         return depth
     best = preferred(matched.views[index], found, network)
     inverse = np.take_along_axis(found.inverse, best[None], axis=0)[0]
-    stays = found.outside & (inverse <= found.inverse[0] - BACK_PX)
+    stays = found.outside & (inverse <= found.inverse[0] - BACK * min(depth.shape))
     moves = found.undecided & (best > 0) & ~stays
     return np.where(moves, found.way / np.where(moves, inverse, 1), depth)
 

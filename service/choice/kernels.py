@@ -45,8 +45,10 @@ def choose_rows(known, about, into, of_pixel, of_place, own, shared, bias, out, 
 
 @kernel()
 def _add_product(values, at, count, weights, sums, start):
-    """Adds `count` of `values` from `at` on, times `weights` (count, h), to `sums` from `start` on; four rows at a time,
-    so that sums are read and written a quarter as often, in the order of one at a time."""
+    """Adds `count` of `values` from `at` on, times `weights` (count, h), to `sums` from `start` on.
+
+    Four rows at a time, so that sums are read and written a quarter as often, in the order of one at a time.
+    """
     hidden = weights.shape[1]
     whole = count // 4 * 4
     for i in range(0, whole, 4):

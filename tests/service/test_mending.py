@@ -12,12 +12,14 @@ from plane_views import SIDE, floaters, on_the_plane, plane_depths, plane_views
 from gapmes.service import mending
 from gapmes.service.anchors import anchors
 from gapmes.service.backdrop import OPACITY, backdrop
+from gapmes.service.choice.kernels import choose_rows
 from gapmes.service.choice.network import shipped_choice
 from gapmes.service.confirmed import confirmed
 from gapmes.service.depth_range import DepthRange
 from gapmes.service.fading import BEHIND_KEEPS
 from gapmes.service.gaussians import Gaussians, joined
 from gapmes.service.images import FittedView
+from gapmes.service.kernels import warm_up
 from gapmes.service.masks import MASKED, REPLACED, TRANSPARENT
 from gapmes.service.mending import (
     SMOOTHING,
@@ -28,6 +30,7 @@ from gapmes.service.mending import (
     mended,
     placed,
 )
+from gapmes.service.place_kernels import sample_places, see_pixels
 from gapmes.service.scene_views import SceneViews
 from gapmes.service.world_frame import WorldFrame
 
@@ -206,6 +209,14 @@ def test_the_choice_is_between_what_is_found_the_networks_own_and_that_before_pl
     assert (first == planed).all()
     assert (second == frame.depths(given)).all()
     assert (third == matched).all()
+
+
+def test_nothing_is_compiled_while_depths_are_mended(frame: WorldFrame) -> None:
+    warm_up()
+    views = plane_views()[:2]
+    at_mended_depths(outputs(views, frame), frame, views, 1)
+    loops = (see_pixels, 1), (sample_places, 2), (choose_rows, 1)  # of pictures in float32, and of depths in float64
+    assert [len(loop.signatures) for loop, _ in loops] == [count for _, count in loops]
 
 
 @pytest.mark.parametrize("count", [2, 3])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,13 +15,14 @@ from gapmes.service.place_kernels import FARTHEST, sample_places
 from gapmes.service.rotations import about_axis
 
 WIDTH, HEIGHT = 24, 17
+LENS = (WIDTH, HEIGHT, 21.3, 19.7, 11.1, 8.9)
+OTHER = (19, 29, 17.2, 18.9, 10.3, 13.7)
 
 
-def view(turn: float, shift: tuple[float, float, float]) -> FittedView:
+def view(turn: float, shift: tuple[float, float, float], lens: tuple = LENS) -> FittedView:
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = about_axis(np.array([0.36, 0.48, -0.8]), turn), shift
-    camera = Camera.make(WIDTH, HEIGHT, 21.3, 19.7, 11.1, 8.9, pose)
-    return FittedView(np.zeros((3, HEIGHT, WIDTH), np.float32), None, camera, 1.0)
+    return FittedView(np.zeros((3, lens[1], lens[0]), np.float32), None, Camera.make(*lens, pose), 1.0)
 
 
 def by_camera(here: FittedView, depth: np.ndarray, there: FittedView) -> tuple[np.ndarray, np.ndarray]:
@@ -33,12 +36,12 @@ def by_camera(here: FittedView, depth: np.ndarray, there: FittedView) -> tuple[n
 @pytest.mark.parametrize("offset", [0.0, 1e5])
 @pytest.mark.parametrize(("turn", "ahead"), [(0.2, 0.1), (0.9, 2.0), (3.0, 0.0)])
 def test_places_are_those_of_the_cameras(turn: float, ahead: float, offset: float) -> None:
-    here, there = view(-0.1, (offset, 0.2, 0.0)), view(turn, (offset + 0.4, -0.1, ahead))
+    here, there = view(-0.1, (offset, 0.2, 0.0)), view(turn, (offset + 0.4, -0.1, ahead), OTHER)
     depth = np.random.default_rng(1).uniform(0.5, 4, (HEIGHT, WIDTH))
     found: Seen = seen_by(here, depth, there)
     pixels, z = by_camera(here, depth, there)
     before = z > 0
-    inside = before & ((pixels > 0) & (pixels < (WIDTH, HEIGHT))).all(axis=2)
+    inside = before & ((pixels > 0) & (pixels < OTHER[:2])).all(axis=2)
     assert (found.inside == inside).all()
     assert (found.where == inside).all()
     assert (found.z == np.where(inside, z, 1.0)).all()
@@ -47,6 +50,26 @@ def test_places_are_those_of_the_cameras(turn: float, ahead: float, offset: floa
     assert (found.column[~before] == -1.5).all()
     assert before.mean() > 0 or turn == 3.0
     assert np.isfinite(found.column).all()
+
+
+def test_a_mask_hides_what_is_inside() -> None:
+    here, there = view(-0.1, (0.0, 0.2, 0.0)), view(0.1, (0.4, -0.1, 0.1), OTHER)
+    depth = np.random.default_rng(1).uniform(0.5, 4, (HEIGHT, WIDTH))
+    mask = np.ones((OTHER[1], OTHER[0]), bool)
+    mask[:14] = False
+    bare, masked = seen_by(here, depth, there), seen_by(here, depth, replace(there, mask=mask))
+    assert (masked.inside == bare.inside).all()
+    assert (masked.where == bare.inside & (bare.row >= 14)).all()  # in full on what the mask keeps
+    assert 0 < masked.where.sum() < bare.inside.sum()
+    assert (masked.z == np.where(masked.where, bare.z, 1.0)).all()
+
+
+@pytest.mark.parametrize("depth", [np.nan, np.inf, -np.inf, 0.0])
+def test_depths_that_are_none_stay_outside(depth: float) -> None:
+    """Of 0 is the place of the camera itself, behind the other here."""
+    found = seen_by(view(0.0, (0.0, 0.0, 0.0)), np.full((HEIGHT, WIDTH), depth), view(0.0, (0.3, 0.0, 0.5)))
+    assert not found.inside.any()
+    assert np.isfinite([found.column, found.row, found.z]).all()
 
 
 def test_a_point_beside_the_other_camera_is_far_off_its_picture() -> None:

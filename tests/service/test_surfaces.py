@@ -55,8 +55,7 @@ def test_a_surface_is_a_weighted_fit_by_least_squares() -> None:
     height, width, reach, (row, column) = 9, 12, 4.0, (2, 7)
     inverse, sure = rng.uniform(1, 2, (height, width)), rng.random((height, width)) < 0.4
     told = described_surface(np.full((3, height, width), 0.3), inverse, sure, reach)
-    found = surface(np.full((3, height, width), 0.3), inverse, sure, reach)
-    assert all((a == b).all() for a, b in zip(found, told.surface, strict=True))
+    found = told.surface
     y, x = np.mgrid[:height, :width].astype(float)
     weight = sure * np.exp(-np.sqrt(2) / reach * (np.abs(y - row) + np.abs(x - column)))
     mean_x, mean_y, mean = ((weight * values).sum() / weight.sum() for values in (x, y, inverse))

@@ -56,7 +56,7 @@ def test_it_learns_which_candidate_is_right_and_the_same_again() -> None:
     assert found["best"] == pytest.approx((0.1 / 1.6, 1.0), rel=1e-4)
 
 
-def test_samples_of_a_scene_are_open_pixels_and_how_far_off_their_candidates_are() -> None:
+def test_samples_of_a_scene_have_their_shapes_and_are_the_same_again() -> None:
     number = 2
     reconstructor = Reconstructor(None, threads=1)
     samples = scene_samples(reconstructor, 3, number)
@@ -166,7 +166,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(
         ([7], "1 of 16 scenes have a choice, none of those for training"),
         ([1, None, 2], "2 of 16 scenes have a choice, none of those for the figures"),
         (KeyboardInterrupt, "stopped; nothing is kept"),
-        (BrokenProcessPool, "was ended from outside"),
+        (BrokenProcessPool, "ended, by lack of memory or"),
     ],
 )
 def test_without_scenes_nothing_is_written(

@@ -9,7 +9,7 @@ import pytest
 from plane_views import PATCH, SIDE, plane_depths, plane_views, with_wrong_patch
 
 from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN, Matched
-from gapmes.service.choice.chosen import BACK_PX, chosen, preferred
+from gapmes.service.choice.chosen import BACK, chosen, preferred
 from gapmes.service.choice.network import ChoiceNetwork, shipped_choice
 from gapmes.service.confirmed import confirmed
 from gapmes.service.images import FittedView
@@ -23,6 +23,11 @@ def views() -> list[FittedView]:
 @pytest.fixture(scope="module")
 def spoiled(views: list[FittedView]) -> np.ndarray:
     return with_wrong_patch(views, 1.2)
+
+
+def _grid() -> np.ndarray:
+    y, x = np.mgrid[:SIDE, :SIDE] + 0.5
+    return np.stack([x.ravel(), y.ravel()], axis=1)
 
 
 def always(place: int) -> ChoiceNetwork:
@@ -61,7 +66,7 @@ def test_what_no_other_view_shows_does_not_go_far_away(views: list[FittedView]) 
     outside = ~((place > 0) & (place < SIDE)).all(axis=1).reshape(SIDE, SIDE) & ~sure[0]
     assert outside.mean() > 0.02
     inverse = way / truth
-    for px, moves in ((-BACK_PX - 1, False), (-BACK_PX + 1, True), (20.0, True)):
+    for px, moves in ((-BACK * SIDE - 1, False), (-BACK * SIDE + 1, True), (20.0, True)):
         other = way / np.maximum(inverse + px, 0.5)
         found = chosen(pair, truth, (other, truth), always(1))
         assert (found[0] != truth[0])[outside].all() == moves
@@ -79,7 +84,7 @@ def test_what_a_mask_of_the_other_view_hides_goes_as_far_as_it_must(views: list[
     mask[max(row.min() - 1, 0) : row.max() + 2, max(column.min() - 1, 0) : column.max() + 2] = False
     masked = [pair[0], replace(pair[1], mask=mask)]
     way = pair[0].camera.fx * np.linalg.norm(pair[0].camera.center - pair[1].camera.center)
-    assert np.median((way / near - way / truth)[0][PATCH]) > BACK_PX + 1
+    assert np.median((way / near - way / truth)[0][PATCH]) > BACK * SIDE + 1
     found = chosen(masked, near, (truth, truth), always(1))
     assert np.median(np.abs(found[0] / truth[0] - 1)[PATCH]) < 1e-6
 
@@ -100,11 +105,6 @@ def test_a_single_pixel_is_outvoted_by_those_about_it(
     monkeypatch.setattr(ChoiceNetwork, "preferences", preferences)
     flat = replace(views[0], image=np.full_like(views[0].image, 0.4))
     assert (preferred(flat, found, shipped_choice())[found.undecided] == 4).all()
-
-
-def _grid() -> np.ndarray:
-    y, x = np.mgrid[:SIDE, :SIDE] + 0.5
-    return np.stack([x.ravel(), y.ravel()], axis=1)
 
 
 def test_the_shipped_network_brings_a_wrong_patch_back(views: list[FittedView], spoiled: np.ndarray) -> None:
