@@ -30,7 +30,7 @@ def scene_sheet(case: Case, measured: Measured, model: str) -> Image.Image:
             _cell(truth, "truth"),
             _cell(ours, f"{model}  {psnr(ours, truth):.2f} dB"),
             _cell(theirs, f"{best}  {psnr(theirs, truth):.2f} dB"),
-            _cell(error.astype(np.uint8), f"error of {model} x {ERROR_GAIN}"),
+            _cell(error.astype(np.uint8), f"error of {model} x {ERROR_GAIN}; blue: not seen"),
         ]
         rows.append(Row(f"target {index}", cells))
     return contact_sheet(rows)
