@@ -87,12 +87,13 @@ def leverage(
     if onto is not None and len(onto.slope) != len(gaussians):
         raise InputError(f"is of {len(onto.slope)} Gaussians, need {len(gaussians)} as the set", field="onto")
     with sight(gaussians, camera, rule, degree, threads) as view:
-        planes = judge(draw(view, ("alpha",), None, checked_background(None)))
-        return _weighed(view, planes, Leverage.of(len(gaussians)) if onto is None else onto)
+        states = _tiled(view, judge(draw(view, ("alpha",), None, checked_background(None))))
+        return _weighed(view, states, Leverage.of(len(gaussians)) if onto is None else onto)
 
 
-def _weighed(view: Sight, given: Planes, found: Leverage) -> Leverage:
-    size, count, rule = (view.camera.height, view.camera.width), len(view.gaussians), view.definition
+def _tiled(view: Sight, given: Planes) -> F32:
+    """(tiles, floats of a tile) what was judged, which itself needs no memory from now on."""
+    size = (view.camera.height, view.camera.width)
     for name, plane in zip(("picture", "residual", "weight"), given, strict=True):
         need = size if name == "weight" else (*size, 3)
         if plane.shape != need:
@@ -102,6 +103,11 @@ def _weighed(view: Sight, given: Planes, found: Leverage) -> Leverage:
         # One layout for every caller: numba would compile the kernel again for others.
         planes = [np.require(plane, np.float32, ["C", "W"]) for plane in given]
     fill_tiles(*planes, view.grid.columns, states)
+    return states
+
+
+def _weighed(view: Sight, states: F32, found: Leverage) -> Leverage:
+    count, rule = len(view.gaussians), view.definition
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
     sums = np.zeros((PARTS, count, SUMS), np.float32)
     records = view.projection.space.records
