@@ -67,7 +67,7 @@ def at_mended_depths(
     that was trained for it prefers it."""
     network = frame.depths(outputs)
     matched, depths = matched_depths(views, network, threads)
-    if len(views) == 2:  # of more, planes that photographs confirm do as well
+    if len(views) == 2:  # of more, others confirm most of what is seen, and photographs lose by it
         depths = chosen(views, depths, (network, matched), shipped_choice())
     return frame.at_depths(outputs, [view.camera for view in views], depths)
 

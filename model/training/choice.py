@@ -26,6 +26,8 @@ from torch import Tensor, nn
 from gapmes.service import Reconstructor
 from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN
 from gapmes.service.choice.network import ChoiceNetwork
+from gapmes.service.commands.output_file import check_output_file, named
+from gapmes.service.errors import InputError
 from gapmes.service.progress import Stages
 from gapmes.service.terminal import QUIET_HELP, ProgressBars
 from gapmes.service.with_parent import end_with_parent
@@ -152,25 +154,6 @@ def _generated(seed: int, scenes: int, processes: int) -> Iterator[Samples | Non
             raise
 
 
-@contextmanager
-def _writing(out: Path) -> Iterator[None]:
-    """What the system refuses is refused in words."""
-    try:
-        yield
-    except OSError as error:
-        raise Refused(f"{out} cannot be written: {error.strerror or error}; name another place") from error
-
-
-def _check_place(out: Path) -> None:
-    """Before the work: raises `Refused` where nothing can be written."""
-    part = out.with_name(out.name + ".part")
-    with _writing(out):
-        if out.is_dir():
-            raise Refused(f"{out} is a folder; name a file")
-        part.touch()
-        part.unlink()
-
-
 def _collected(options: argparse.Namespace, stages: Stages) -> tuple[Samples, int]:
     """All samples, and of how many scenes; raises `Refused` where there is nothing to train by, or to tell by."""
     with stages.stage("scenes", options.scenes) as done:
@@ -195,15 +178,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--quiet", "-q", action="store_true", help=QUIET_HELP)
     options = parser.parse_args(arguments)
     try:
-        _check_place(options.out)
+        check_output_file(options.out)
         with ProgressBars(quiet=options.quiet) as bars:
             stages = Stages(bars)
             samples, scenes = _collected(options, stages)
             with stages.stage("train", options.steps) as done:
                 network = trained(samples, options.seed, options.steps, done).exported()
-        with _writing(options.out):
+        with named(options.out):
             network.save(options.out)
-    except Refused as error:
+    except (Refused, InputError, OSError) as error:
         sys.stderr.write(f"refused: {error}\n")
         return 1
     except BrokenProcessPool:

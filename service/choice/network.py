@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..disk import replacing
 
 F32 = NDArray[np.float32]
 
@@ -36,13 +37,8 @@ class ChoiceNetwork:
 
     def save(self, path: Path) -> None:
         """As .npz, whole or not at all, the same bytes again for the same weights."""
-        part = path.with_name(path.name + ".part")
-        try:
-            with part.open("wb") as file:
-                np.savez(file, **{field.name: getattr(self, field.name) for field in fields(self)})
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
+        with replacing(path) as part, part.open("wb") as file:
+            np.savez(file, **{field.name: getattr(self, field.name) for field in fields(self)})
 
     def preferences(self, known: NDArray[np.floating], about: NDArray[np.floating]) -> F32:
         """(K, N) shares, of each pixel 1 in all, for candidates `known` (K, F, N) of pixels `about` (G, N)."""

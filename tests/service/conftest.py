@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 from plane_scene import PlaneScene
+from plane_views import plane_views, with_wrong_patch
 from standin_model import write_standin
 
 from gapmes.service.engine import Engine
+from gapmes.service.images import FittedView
 
 
 @pytest.fixture(scope="session")
@@ -27,6 +29,18 @@ def engine(standin_model: Path) -> Engine:
 def plane_scene() -> PlaneScene:
     """Three photographs of a textured plane."""
     return PlaneScene.make(np.random.default_rng(7))
+
+
+@pytest.fixture(scope="module")
+def views() -> list[FittedView]:
+    """Three photographs of a textured plane as the network's inputs."""
+    return plane_views()
+
+
+@pytest.fixture(scope="module")
+def spoiled(views: list[FittedView]) -> np.ndarray:
+    """The plane's depths, (V, H, W), but for a patch of the first view that is a fifth too far."""
+    return with_wrong_patch(views, 1.2)
 
 
 @pytest.fixture

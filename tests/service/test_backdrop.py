@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_views import SIDE, in_another_world, plane_depths, plane_views
+from plane_views import SIDE, in_another_world, plane_depths
 
 from gapmes.service.backdrop import CELL, MARGIN, PUSH_BACK, RINGS, backdrop
 from gapmes.service.harmonics import C0
@@ -17,11 +17,6 @@ from gapmes.service.splat import render
 CELLS = SIDE // CELL
 SHEET = (CELLS + 2 * sum(MARGIN)) ** 2
 AROUND = (CELLS + 2 * len(MARGIN) + 2 * len(RINGS)) ** 2 - SHEET
-
-
-@pytest.fixture(scope="module")
-def views() -> list[FittedView]:
-    return plane_views()
 
 
 @pytest.fixture(scope="module")

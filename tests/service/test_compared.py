@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_views import SIDE, floaters, joined, on_the_plane, plane_views
+from plane_views import SIDE, floaters, joined, on_the_plane
 
 from gapmes.service.camera import Camera
 from gapmes.service.compared import Compared
@@ -28,11 +28,6 @@ def splat(opacity: float, colour: np.ndarray = COLOUR) -> Gaussians:
 
 def bits(sums: Leverage) -> list[bytes]:
     return [getattr(sums, name).tobytes() for name in NAMES]
-
-
-@pytest.fixture(scope="module")
-def views() -> list[FittedView]:
-    return plane_views()
 
 
 @pytest.fixture(scope="module")

@@ -7,18 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plane_scene import DEPTH, photograph
-from plane_views import SIDE, in_another_world, plane_depths, plane_views
+from plane_views import SIDE, in_another_world, plane_depths
 
 from gapmes.service.camera import Camera
 from gapmes.service.confirmed import AGREEMENT_PX, GOOD_MATCH, PARALLAX_PX, SAME_COLOUR, TEXTURE, confirmed
 from gapmes.service.correspondence import parallax, seen_by
 from gapmes.service.images import FittedView, Photo, fit_view
 from gapmes.service.rotations import about_axis
-
-
-@pytest.fixture(scope="module")
-def views() -> list[FittedView]:
-    return plane_views()
 
 
 def reference(views: list[FittedView], depths: np.ndarray, index: int, x: int, y: int) -> tuple[bool, float]:

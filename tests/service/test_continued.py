@@ -6,23 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_views import PATCH, SIDE, in_another_world, plane_depths, plane_views, with_wrong_patch
+from plane_views import PATCH, SIDE, in_another_world, plane_depths
 
 from gapmes.service.confirmed import confirmed
 from gapmes.service.continued import continued
 from gapmes.service.correspondence import seen_by
 from gapmes.service.images import FittedView
 from gapmes.service.rotations import about_axis
-
-
-@pytest.fixture(scope="module")
-def views() -> list[FittedView]:
-    return plane_views()
-
-
-@pytest.fixture(scope="module")
-def spoiled(views: list[FittedView]) -> np.ndarray:
-    return with_wrong_patch(views, 1.2)
 
 
 def test_a_wrong_patch_returns_to_the_plane(views: list[FittedView], spoiled: np.ndarray) -> None:

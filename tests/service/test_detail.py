@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plane_scene import PlaneScene
-from plane_views import SIDE, on_the_plane, plane_depths, plane_views
+from plane_views import SIDE, on_the_plane, plane_depths
 
 from gapmes.service.depth_range import DepthRange
 from gapmes.service.detail import finer
@@ -22,11 +22,6 @@ from gapmes.service.splat import render
 from gapmes.service.world_frame import WorldFrame
 
 EXTRA = 5  # Gaussians that belong to no pixel
-
-
-@pytest.fixture(scope="module")
-def views() -> list[FittedView]:
-    return plane_views()
 
 
 @pytest.fixture(scope="module")

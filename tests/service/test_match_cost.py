@@ -5,17 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from plane_views import SIDE, plane_depths, plane_views
+from plane_views import SIDE, plane_depths
 
 from gapmes.service.correspondence import seen_by
 from gapmes.service.images import FittedView
 from gapmes.service.match_cost import GRADIENT, LIMIT, Gathering, difference, features
-
-
-@pytest.fixture(scope="module")
-def views() -> list[FittedView]:
-    return plane_views()
 
 
 def test_features_are_colours_and_slopes(views: list[FittedView]) -> None:

@@ -39,11 +39,6 @@ NEAR, FAR = 2.0, 8.0
 
 
 @pytest.fixture(scope="module")
-def views() -> list[FittedView]:
-    return plane_views()
-
-
-@pytest.fixture(scope="module")
 def cameras(views: list[FittedView]) -> SceneViews:
     return SceneViews(tuple(view.camera for view in views), NEAR, FAR)
 

@@ -6,18 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_views import SIDE, in_another_world, plane_depths, plane_views
+from plane_views import SIDE, in_another_world, plane_depths
 
 from gapmes.service.correspondence import disagreement, pixels_per_inverse_depth, seen_by
 from gapmes.service.images import FittedView
 from gapmes.service.match_cost import GAIN, NOTHING
 from gapmes.service.refined import OFFSETS_PX, RANGE, _least, refined
 from gapmes.service.rotations import about_axis
-
-
-@pytest.fixture(scope="module")
-def views() -> list[FittedView]:
-    return plane_views()
 
 
 def off_by(views: list[FittedView], depths: np.ndarray, pixels: np.ndarray | float) -> np.ndarray:

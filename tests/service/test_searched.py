@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plane_scene import WAVES, photograph
-from plane_views import PATCH, SIDE, in_another_world, plane_depths, plane_views, with_wrong_patch
+from plane_views import PATCH, SIDE, in_another_world, plane_depths, with_wrong_patch
 
 from gapmes.service.camera import Camera
 from gapmes.service.confirmed import confirmed
@@ -17,11 +17,6 @@ from gapmes.service.rotations import about_axis
 from gapmes.service.searched import PAIR_PX, searched
 
 FAR = 1.8  # times as far as it is: 6 to 12 px of parallax
-
-
-@pytest.fixture(scope="module")
-def views() -> list[FittedView]:
-    return plane_views()
 
 
 @pytest.fixture(scope="module")

@@ -148,7 +148,8 @@ def test_the_command_writes_the_network_and_its_figures(
 
 
 @pytest.mark.parametrize(
-    ("name", "reason"), [("missing/choice.npz", "cannot be written"), ("folder", "is a folder; name a file")]
+    ("name", "reason"),
+    [("missing/choice.npz", "missing is not a folder (make it first)"), ("folder", "is a folder, need a file")],
 )
 def test_a_place_that_cannot_be_written_is_refused_before_the_work(
     name: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -201,6 +202,6 @@ def test_a_full_disk_leaves_the_weights_that_there_were(
     monkeypatch.setattr(choice, "_generated", lambda *_: iter([made_up(2_000, 3)]))
     monkeypatch.setattr(np, "savez", full)
     assert choice.main([str(out), "--steps", "1", "--quiet"]) == 1
-    assert f"{out} cannot be written: No space left on device" in capsys.readouterr().err
+    assert f"No space left on device: '{out}'" in capsys.readouterr().err
     assert out.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [out]

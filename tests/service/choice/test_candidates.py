@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_views import PATCH, SIDE, in_another_world, plane_depths, plane_views, with_wrong_patch
+from plane_views import PATCH, SIDE, in_another_world, plane_depths, with_wrong_patch
 
 from gapmes.service.bilinear import bilinear
 from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN, REACHES, Candidates, Matched
@@ -17,16 +17,6 @@ from gapmes.service.match_cost import Gathering, difference, features
 from gapmes.service.rotations import about_axis
 from gapmes.service.surfaces import described_surface
 from gapmes.service.window_match import contrast
-
-
-@pytest.fixture(scope="module")
-def views() -> list[FittedView]:
-    return plane_views()
-
-
-@pytest.fixture(scope="module")
-def spoiled(views: list[FittedView]) -> np.ndarray:
-    return with_wrong_patch(views, 1.2)
 
 
 def of_first(views: list[FittedView], depths: np.ndarray, *others: np.ndarray) -> Candidates:

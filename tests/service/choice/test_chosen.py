@@ -6,23 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_views import PATCH, SIDE, plane_depths, plane_views, with_wrong_patch
+from plane_views import PATCH, SIDE, plane_depths
 
 from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN, Matched
 from gapmes.service.choice.chosen import BACK, chosen, preferred
 from gapmes.service.choice.network import ChoiceNetwork, shipped_choice
 from gapmes.service.confirmed import confirmed
 from gapmes.service.images import FittedView
-
-
-@pytest.fixture(scope="module")
-def views() -> list[FittedView]:
-    return plane_views()
-
-
-@pytest.fixture(scope="module")
-def spoiled(views: list[FittedView]) -> np.ndarray:
-    return with_wrong_patch(views, 1.2)
 
 
 def _grid() -> np.ndarray:
