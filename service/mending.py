@@ -28,6 +28,7 @@ from .refined import refined
 from .scene_views import SceneViews
 from .searched import searched
 from .stride import thinned
+from .unlit import unlit
 from .world_frame import WorldFrame
 
 MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
@@ -60,16 +61,16 @@ class Placed:
 
 @freed_blocks_reused()
 def at_mended_depths(
-    outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], threads: int | None = None
+    outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], far: float, threads: int | None = None
 ) -> Arrays:
     """The network's outputs with every pixel's Gaussian where the photographs match best: close to its depth, then
     anywhere in the scene's range, then on the planes of what is confirmed; what nothing confirms where a small network
-    that was trained for it prefers it."""
+    that was trained for it prefers it; a black backdrop at `far`, the scene's end, a z-depth in the caller's units."""
     network = frame.depths(outputs)
     matched, depths = matched_depths(views, network, threads)
     if len(views) == 2:  # of more, others confirm most of what is seen, and photographs lose by it
         depths = chosen(views, depths, (network, matched), shipped_choice())
-    return frame.at_depths(outputs, [view.camera for view in views], depths)
+    return frame.at_depths(outputs, [view.camera for view in views], unlit(views, depths, far))
 
 
 def matched_depths(

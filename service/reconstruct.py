@@ -152,7 +152,7 @@ class Reconstructor:
                 warm_up()
         if fade:
             with stages.stage("refine"):
-                outputs = at_mended_depths(outputs, frame, seen, self.engine.threads)
+                outputs = at_mended_depths(outputs, frame, seen, depths.far, self.engine.threads)
         if detail > 1:
             with stages.stage("detail"):
                 outputs = finer(outputs, frame, seen, views)
@@ -236,7 +236,7 @@ class Reconstructor:
                 others = [views[other] for other in chosen[index]]
                 outputs, frame = self.run_network(others, depths)
                 if fade:
-                    outputs = at_mended_depths(outputs, frame, others, self.engine.threads)
+                    outputs = at_mended_depths(outputs, frame, others, depths.far, self.engine.threads)
                 found = placed(outputs, frame, others, moved=fade > 0)
                 gaussians = mended(found, others, scene, fade, self.engine.threads).gaussians
                 options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}

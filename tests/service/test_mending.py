@@ -153,9 +153,9 @@ def test_without_a_pass_nothing_changes(views: list[FittedView], frame: WorldFra
 @pytest.mark.parametrize(
     ("count", "steps"),
     [
-        (2, ["continued", "refined", "searched", "refined", "continued_finely", "chosen"]),
-        (3, ["refined", "searched", "refined", "continued"]),
-        (4, ["refined", "searched", "refined"]),
+        (2, ["continued", "refined", "searched", "refined", "continued_finely", "chosen", "unlit"]),
+        (3, ["refined", "searched", "refined", "continued", "unlit"]),
+        (4, ["refined", "searched", "refined", "unlit"]),
     ],
 )
 def test_which_steps_depths_take(count: int, steps: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -166,14 +166,15 @@ def test_which_steps_depths_take(count: int, steps: list[str], monkeypatch: pyte
     def recorded(name: str) -> None:
         def step(_: object, depths: np.ndarray, *others: object) -> np.ndarray:
             taken.append(name)
+            assert name != "unlit" or others == (FAR,)
             return depths * 1.01
 
         monkeypatch.setattr(mending, name, step)
 
-    for name in ("continued", "refined", "searched", "continued_finely", "chosen"):
+    for name in ("continued", "refined", "searched", "continued_finely", "chosen", "unlit"):
         recorded(name)
     before = outputs(views, frame)
-    after = at_mended_depths(before, frame, views, 1)
+    after = at_mended_depths(before, frame, views, FAR, 1)
     assert taken == steps
     assert frame.depths(after) == pytest.approx(frame.depths(before) * 1.01 ** len(steps), rel=1e-6)
     taken.clear()
@@ -197,7 +198,7 @@ def test_the_choice_is_between_what_is_found_the_networks_own_and_that_before_pl
     monkeypatch.setattr(mending, "chosen", listening)
     given = outputs(views, frame)
     given["depth"] *= 1.07
-    at_mended_depths(given, frame, views, 1)
+    at_mended_depths(given, frame, views, FAR, 1)
     matched, planed = matched_depths(views, frame.depths(given), 1)
     assert not (matched == planed).all()
     ((first, second, third),) = heard
@@ -209,7 +210,7 @@ def test_the_choice_is_between_what_is_found_the_networks_own_and_that_before_pl
 def test_nothing_is_compiled_while_depths_are_mended(frame: WorldFrame) -> None:
     warm_up()
     views = plane_views()[:2]
-    at_mended_depths(outputs(views, frame), frame, views, 1)
+    at_mended_depths(outputs(views, frame), frame, views, FAR, 1)
     loops = (see_pixels, 1), (sample_places, 2), (choose_rows, 1)  # of pictures in float32, and of depths in float64
     assert [len(loop.signatures) for loop, _ in loops] == [count for _, count in loops]
 
@@ -223,7 +224,7 @@ def test_wrong_depths_move_towards_the_truth(count: int) -> None:
     wrong = truth * 1.04
     wrong[0, 24:40, 24:40] *= 1.2
     before = frame.at_depths(outputs(views, frame), cameras, wrong)
-    after = at_mended_depths(before, frame, views)
+    after = at_mended_depths(before, frame, views, FAR)
     errors = [np.median(np.abs(frame.depths(one) / truth - 1)) for one in (before, after)]
     assert errors[1] < 0.05 * errors[0]  # found: 0.024 and 0.023
     patch = np.median(np.abs(frame.depths(after) / truth - 1)[0, 24:40, 24:40])

@@ -1,0 +1,233 @@
+"""A black backdrop goes to the far end where photographs contradict its depths; what else is black stays."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plane_scene import DEPTH
+from plane_views import SIDE, in_another_world, plane_depths, plane_views
+
+from gapmes.service import unlit as unlit_module
+from gapmes.service.images import FittedView
+from gapmes.service.rotations import about_axis
+from gapmes.service.unlit import BLACK, CONTRADICTED, EVEN, LEAST_SHARE, unlit
+
+FAR = 2 * DEPTH
+BEFORE = 0.75 * DEPTH  # where the network puts the black between poster and cameras
+
+
+def points(view: FittedView) -> np.ndarray:
+    """(H, W, 2) where rays meet the plane of the poster."""
+    grid = np.stack(np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5), -1).reshape(-1, 2)
+    rays = view.camera.rays(grid)
+    met = view.camera.center + rays * ((DEPTH - view.camera.center[2]) / rays[:, 2])[:, None]
+    return met[:, :2].reshape(SIDE, SIDE, 2)
+
+
+def posters(count: int = 2, dark: float = 0.02) -> tuple[list[FittedView], np.ndarray]:
+    """A textured poster before black with noise up to `dark`, and (V, H, W) which pixels are black."""
+    rng, views, black = np.random.default_rng(3), [], []
+    for view in plane_views()[:count]:
+        outside = (np.abs(points(view) - (0.1, 0.1)) > (0.9, 0.6)).any(axis=-1)
+        noise = rng.uniform(0, dark, view.image.shape).astype(np.float32)
+        lit = np.maximum(view.image, np.float32(0.2))
+        views.append(replace(view, image=np.where(outside, noise, lit)))
+        black.append(outside)
+    return views, np.stack(black)
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def scene(request: pytest.FixtureRequest) -> tuple[list[FittedView], np.ndarray]:
+    return posters(request.param)
+
+
+def with_black_at(views: list[FittedView], black: np.ndarray, depth: float) -> np.ndarray:
+    return np.where(black, depth, plane_depths(views))
+
+
+def test_black_that_covers_what_others_see_goes_to_the_far_end(scene: tuple[list[FittedView], np.ndarray]) -> None:
+    views, black = scene
+    depths = with_black_at(views, black, BEFORE)
+    found = unlit(views, depths, FAR)
+    assert (found[black] == FAR).all()
+    assert (found[~black] == depths[~black]).all()
+    assert (depths[black] == BEFORE).all()  # what was given is left
+
+
+def test_black_at_its_own_depth_stays(scene: tuple[list[FittedView], np.ndarray]) -> None:
+    views, black = scene
+    for depth in (FAR, 0.9 * FAR):
+        depths = with_black_at(views, black, depth)
+        assert unlit(views, depths, FAR) is depths
+
+
+def test_what_is_farther_than_far_stays_there() -> None:
+    views, black = posters()
+    depths = with_black_at(views, black, BEFORE)
+    corner = np.zeros_like(black)
+    corner[:, :4, :4] = True
+    assert black[corner].all()
+    depths[corner] = 3 * FAR
+    found = unlit(views, depths, FAR)
+    assert (found[corner] == 3 * FAR).all()
+    assert (found[black & ~corner] == FAR).all()
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e6])
+def test_world_and_unit_change_nothing(unit: float) -> None:
+    views, black = posters()
+    turn = about_axis(np.array([0.3, 1.0, -0.2]), 1.1)
+    moved = in_another_world(views, turn, unit * np.array([5.0, -3.0, 2.0]), unit)
+    found = unlit(moved, unit * with_black_at(views, black, BEFORE), unit * FAR)
+    assert (found[black] == unit * FAR).all()
+    right = unit * with_black_at(views, black, FAR)
+    assert unlit(moved, right, unit * FAR) is right
+
+
+def test_dark_things_have_shades_and_stay() -> None:
+    """Evenly spread over levels to twice BLACK, a quarter is below half of it."""
+    views, black = posters(dark=2 * BLACK)
+    depths = with_black_at(views, black, BEFORE)
+    assert unlit(views, depths, FAR) is depths
+
+
+def test_black_inside_the_picture_stays() -> None:
+    """A frame of brighter pixels parts it from the border."""
+    views, black = posters()
+    framed = []
+    for view in views:
+        image = view.image.copy()
+        image[:, [0, -1]] = image[:, :, [0, -1]] = 0.5
+        framed.append(replace(view, image=image))
+    depths = with_black_at(views, black, BEFORE)
+    assert unlit(framed, depths, FAR) is depths
+
+
+def test_masked_black_is_nobodys_and_stays() -> None:
+    views, black = posters()
+    masked = [replace(view, mask=~of_view) for view, of_view in zip(views, black, strict=True)]
+    depths = with_black_at(views, black, BEFORE)
+    assert unlit(masked, depths, FAR) is depths
+    half = black[0].copy()
+    half[:, SIDE // 2 :] = False
+    views[0] = replace(views[0], mask=~half)
+    found = unlit(views, depths, FAR)
+    assert (found[0][half] == BEFORE).all()
+    assert (found[0][black[0] & ~half] == FAR).all()
+
+
+def test_little_black_stays() -> None:
+    views, black = posters()
+    rows = np.arange(SIDE)[:, None] < LEAST_SHARE * SIDE / 2
+    little = [
+        replace(view, image=np.where(of_view & ~rows, np.float32(0.3), view.image))
+        for view, of_view in zip(views, black, strict=True)
+    ]
+    depths = with_black_at(views, black, BEFORE)
+    assert unlit(little, depths, FAR) is depths
+
+
+def test_views_from_one_place_tell_nothing() -> None:
+    view, black = (one[0] for one in posters())
+    depths = with_black_at([view, view], np.stack([black, black]), BEFORE)
+    assert unlit([view, view], depths, FAR) is depths
+
+
+@pytest.mark.parametrize(
+    ("now", "then", "moves"),
+    [
+        (CONTRADICTED, 2 * CONTRADICTED, True),
+        (0.99 * CONTRADICTED, 0.0, False),
+        (0.05, 0.0, True),
+        (0.05, 0.051 + CONTRADICTED, False),
+    ],
+)
+def test_both_limits(now: float, then: float, moves: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    views, black = posters()
+    depths, shares = with_black_at(views, black, BEFORE), iter([now, then])
+    monkeypatch.setattr(unlit_module, "_contradicted", lambda *_: next(shares))
+    assert (unlit(views, depths, FAR) is not depths) == moves
+
+
+@pytest.mark.parametrize(("share", "moves"), [(EVEN + 0.05, True), (EVEN - 0.05, False)])
+def test_so_much_of_the_dark_must_be_black(share: float, moves: bool) -> None:
+    """Of the black pixels that share below half of BLACK, the others just below twice."""
+    views, black = posters()
+    rng, shaded = np.random.default_rng(4), []
+    for view, of_view in zip(views, black, strict=True):
+        image = view.image.copy()
+        grey = of_view & (rng.uniform(size=of_view.shape) > share)
+        image[:, of_view], image[:, grey] = BLACK / 2 - 0.001, 2 * BLACK - 0.001
+        shaded.append(replace(view, image=image))
+    depths = with_black_at(views, black, BEFORE)
+    found = unlit(shaded, depths, FAR)
+    assert (found != depths).any() == moves
+
+
+@pytest.mark.parametrize("share", [0.3, 0.55, 0.65, 0.95, 1.0])
+def test_what_is_joined_to_the_border_is_what_a_walk_from_there_reaches(share: float) -> None:
+    rng = np.random.default_rng(int(100 * share))
+    for shape in ((23, 31), (1, 9), (9, 1)):
+        black = rng.uniform(size=shape) < share
+        reached = np.zeros(shape, np.bool_)
+        rows, columns = shape
+        steps = deque(
+            (j, i) for j in range(rows) for i in range(columns) if j in (0, rows - 1) or i in (0, columns - 1)
+        )
+        while steps:
+            j, i = steps.popleft()
+            if 0 <= j < rows and 0 <= i < columns and black[j, i] and not reached[j, i]:
+                reached[j, i] = True
+                steps.extend([(j - 1, i), (j + 1, i), (j, i - 1), (j, i + 1)])
+        assert (unlit_module._from_border(black) == reached).all()
+
+
+def test_a_spiral_is_followed_to_its_end() -> None:
+    black = np.zeros((25, 25), np.bool_)
+    j, i, dj, di = 0, 0, 0, 1
+    black[j, i] = True
+    for length in (24, 24, 24, 22, 22, 20, 20, 18, 18, 16, 16, 14, 14, 12, 12, 10, 10, 8, 8, 6, 6, 4, 4):
+        for _ in range(length):
+            j, i = j + dj, i + di
+            black[j, i] = True
+        dj, di = di, -dj
+    assert (unlit_module._from_border(black) == black).all()
+
+
+def test_contradictions_are_what_the_definition_says() -> None:
+    """Pixel by pixel through the cameras' own projections; what is within rounding of a limit is not compared."""
+    views, black = posters(3)
+    rng = np.random.default_rng(9)
+    depths = with_black_at(views, black, BEFORE) * rng.uniform(0.9, 1.1, black.shape)
+    seen_both = 0
+    for index, view in enumerate(views):
+        found = unlit_module._contradictions(view, index, views, depths)
+        for y, x in rng.integers(0, SIDE, (150, 2)):
+            ray = view.camera.rays(np.array([[x + 0.5, y + 0.5]]))[0]
+            point = view.camera.center + depths[index, y, x] * ray
+            expected, margin = False, np.inf
+            for other, second in enumerate(views):
+                if other == index:
+                    continue
+                (place,), (z,) = second.camera.project(point[None])
+                if z <= 0 or not (0 < place[0] < SIDE and 0 < place[1] < SIDE):
+                    continue
+                u, v = np.clip(place - 0.5, 0, SIDE - 1)
+                i, j = int(u), int(v)
+                k, n = min(i + 1, SIDE - 1), min(j + 1, SIDE - 1)
+                weights = (1 - v + j) * (1 - u + i), (1 - v + j) * (u - i), (v - j) * (1 - u + i), (v - j) * (u - i)
+                corners = (j, i), (j, k), (n, i), (n, k)
+                colour = sum(w * second.image[:, a, b] for w, (a, b) in zip(weights, corners, strict=True))
+                theirs = sum(w / depths[other, a, b] for w, (a, b) in zip(weights, corners, strict=True))
+                way = np.linalg.norm(view.camera.center - second.camera.center) * second.camera.fx
+                differs = np.abs(colour - view.image[:, y, x]).mean() - 0.1
+                open_way = 1 - (theirs - 1 / z) * way
+                expected |= bool(differs > 0 and open_way > 0)
+                margin = min(margin, abs(differs), abs(open_way))
+            if margin > 0.02:  # a lens whose pixels are not square moves what lies ahead a little less
+                seen_both += expected
+                assert found[y, x] == expected
+    assert seen_both > 20
