@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .allocator import freed_blocks_reused
 from .anchors import anchors
 from .backdrop import backdrop
+from .blank import blank_moved
 from .choice.chosen import chosen
 from .choice.network import shipped_choice
 from .confirmed import confirmed
@@ -28,7 +29,6 @@ from .refined import refined
 from .scene_views import SceneViews
 from .searched import searched
 from .stride import thinned
-from .unlit import unlit
 from .world_frame import WorldFrame
 
 MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
@@ -65,12 +65,12 @@ def at_mended_depths(
 ) -> Arrays:
     """The network's outputs with every pixel's Gaussian where the photographs match best: close to its depth, then
     anywhere in the scene's range, then on the planes of what is confirmed; what nothing confirms where a small network
-    that was trained for it prefers it; a black backdrop at `far`, the scene's end, a z-depth in the caller's units."""
+    that was trained for it prefers it; a blank backdrop at `far`, the scene's end, a z-depth in the caller's units."""
     network = frame.depths(outputs)
     matched, depths = matched_depths(views, network, threads)
     if len(views) == 2:  # of more, others confirm most of what is seen, and photographs lose by it
         depths = chosen(views, depths, (network, matched), shipped_choice())
-    return frame.at_depths(outputs, [view.camera for view in views], unlit(views, depths, far))
+    return frame.at_depths(outputs, [view.camera for view in views], blank_moved(views, depths, far))
 
 
 def matched_depths(

@@ -153,9 +153,9 @@ def test_without_a_pass_nothing_changes(views: list[FittedView], frame: WorldFra
 @pytest.mark.parametrize(
     ("count", "steps"),
     [
-        (2, ["continued", "refined", "searched", "refined", "continued_finely", "chosen", "unlit"]),
-        (3, ["refined", "searched", "refined", "continued", "unlit"]),
-        (4, ["refined", "searched", "refined", "unlit"]),
+        (2, ["continued", "refined", "searched", "refined", "continued_finely", "chosen", "blank_moved"]),
+        (3, ["refined", "searched", "refined", "continued", "blank_moved"]),
+        (4, ["refined", "searched", "refined", "blank_moved"]),
     ],
 )
 def test_which_steps_depths_take(count: int, steps: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -166,12 +166,12 @@ def test_which_steps_depths_take(count: int, steps: list[str], monkeypatch: pyte
     def recorded(name: str) -> None:
         def step(_: object, depths: np.ndarray, *others: object) -> np.ndarray:
             taken.append(name)
-            assert name != "unlit" or others == (FAR,)
+            assert name != "blank_moved" or others == (FAR,)
             return depths * 1.01
 
         monkeypatch.setattr(mending, name, step)
 
-    for name in ("continued", "refined", "searched", "continued_finely", "chosen", "unlit"):
+    for name in ("continued", "refined", "searched", "continued_finely", "chosen", "blank_moved"):
         recorded(name)
     before = outputs(views, frame)
     after = at_mended_depths(before, frame, views, FAR, 1)

@@ -1,4 +1,4 @@
-"""A black backdrop goes to the far end where photographs contradict its depths; what else is black stays."""
+"""A blank backdrop goes to the far end where photographs contradict its depths; what else is black or white stays."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pytest
 from plane_scene import DEPTH
 from plane_views import SIDE, in_another_world, plane_depths, plane_views
 
-from gapmes.service import unlit as unlit_module
+from gapmes.service import blank as module
+from gapmes.service.blank import BLANK, CONTRADICTED, EVEN, LEAST_SHARE, blank_moved
 from gapmes.service.images import FittedView
 from gapmes.service.rotations import about_axis
-from gapmes.service.unlit import BLACK, CONTRADICTED, EVEN, LEAST_SHARE, unlit
 
 FAR = 2 * DEPTH
 BEFORE = 0.75 * DEPTH  # where the network puts the black between poster and cameras
@@ -39,9 +39,16 @@ def posters(count: int = 2, dark: float = 0.02) -> tuple[list[FittedView], np.nd
     return views, np.stack(black)
 
 
-@pytest.fixture(scope="module", params=[2, 3])
+def inverted(views: list[FittedView]) -> list[FittedView]:
+    """The same before white."""
+    return [replace(view, image=1 - view.image) for view in views]
+
+
+@pytest.fixture(scope="module", params=[(2, False), (3, False), (2, True)], ids=["two", "three", "two, before white"])
 def scene(request: pytest.FixtureRequest) -> tuple[list[FittedView], np.ndarray]:
-    return posters(request.param)
+    count, white = request.param
+    views, black = posters(count)
+    return inverted(views) if white else views, black
 
 
 def with_black_at(views: list[FittedView], black: np.ndarray, depth: float) -> np.ndarray:
@@ -51,7 +58,7 @@ def with_black_at(views: list[FittedView], black: np.ndarray, depth: float) -> n
 def test_black_that_covers_what_others_see_goes_to_the_far_end(scene: tuple[list[FittedView], np.ndarray]) -> None:
     views, black = scene
     depths = with_black_at(views, black, BEFORE)
-    found = unlit(views, depths, FAR)
+    found = blank_moved(views, depths, FAR)
     assert (found[black] == FAR).all()
     assert (found[~black] == depths[~black]).all()
     assert (depths[black] == BEFORE).all()  # what was given is left
@@ -61,7 +68,7 @@ def test_black_at_its_own_depth_stays(scene: tuple[list[FittedView], np.ndarray]
     views, black = scene
     for depth in (FAR, 0.9 * FAR):
         depths = with_black_at(views, black, depth)
-        assert unlit(views, depths, FAR) is depths
+        assert blank_moved(views, depths, FAR) is depths
 
 
 def test_what_is_farther_than_far_stays_there() -> None:
@@ -71,9 +78,28 @@ def test_what_is_farther_than_far_stays_there() -> None:
     corner[:, :4, :4] = True
     assert black[corner].all()
     depths[corner] = 3 * FAR
-    found = unlit(views, depths, FAR)
+    found = blank_moved(views, depths, FAR)
     assert (found[corner] == 3 * FAR).all()
     assert (found[black & ~corner] == FAR).all()
+
+
+def test_black_and_white_are_moved_apart() -> None:
+    """What is blank in the left third is white: each goes to the far end by itself, while the other is there."""
+    views, black = posters()
+    left = np.zeros_like(black)
+    left[:, :, : SIDE // 3] = True
+    white = black & left
+    both = [
+        replace(view, image=np.where(of_view, np.float32(0.99), view.image))
+        for view, of_view in zip(views, white, strict=True)
+    ]
+    depths = with_black_at(views, black & ~white, BEFORE)
+    depths[white] = FAR
+    found = blank_moved(both, depths, FAR)
+    assert (found[black] == FAR).all()
+    depths[white], depths[black & ~white] = BEFORE, FAR
+    found = blank_moved(both, depths, FAR)
+    assert (found[black] == FAR).all()
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e6])
@@ -81,17 +107,19 @@ def test_world_and_unit_change_nothing(unit: float) -> None:
     views, black = posters()
     turn = about_axis(np.array([0.3, 1.0, -0.2]), 1.1)
     moved = in_another_world(views, turn, unit * np.array([5.0, -3.0, 2.0]), unit)
-    found = unlit(moved, unit * with_black_at(views, black, BEFORE), unit * FAR)
+    found = blank_moved(moved, unit * with_black_at(views, black, BEFORE), unit * FAR)
     assert (found[black] == unit * FAR).all()
     right = unit * with_black_at(views, black, FAR)
-    assert unlit(moved, right, unit * FAR) is right
+    assert blank_moved(moved, right, unit * FAR) is right
 
 
-def test_dark_things_have_shades_and_stay() -> None:
-    """Evenly spread over levels to twice BLACK, a quarter is below half of it."""
-    views, black = posters(dark=2 * BLACK)
+@pytest.mark.parametrize("white", [False, True])
+def test_dark_and_bright_things_have_shades_and_stay(white: bool) -> None:
+    """Evenly spread over levels to twice BLANK, a quarter is below half of it."""
+    views, black = posters(dark=2 * BLANK)
+    views = inverted(views) if white else views
     depths = with_black_at(views, black, BEFORE)
-    assert unlit(views, depths, FAR) is depths
+    assert blank_moved(views, depths, FAR) is depths
 
 
 def test_black_inside_the_picture_stays() -> None:
@@ -103,18 +131,18 @@ def test_black_inside_the_picture_stays() -> None:
         image[:, [0, -1]] = image[:, :, [0, -1]] = 0.5
         framed.append(replace(view, image=image))
     depths = with_black_at(views, black, BEFORE)
-    assert unlit(framed, depths, FAR) is depths
+    assert blank_moved(framed, depths, FAR) is depths
 
 
 def test_masked_black_is_nobodys_and_stays() -> None:
     views, black = posters()
     masked = [replace(view, mask=~of_view) for view, of_view in zip(views, black, strict=True)]
     depths = with_black_at(views, black, BEFORE)
-    assert unlit(masked, depths, FAR) is depths
+    assert blank_moved(masked, depths, FAR) is depths
     half = black[0].copy()
     half[:, SIDE // 2 :] = False
     views[0] = replace(views[0], mask=~half)
-    found = unlit(views, depths, FAR)
+    found = blank_moved(views, depths, FAR)
     assert (found[0][half] == BEFORE).all()
     assert (found[0][black[0] & ~half] == FAR).all()
 
@@ -127,13 +155,13 @@ def test_little_black_stays() -> None:
         for view, of_view in zip(views, black, strict=True)
     ]
     depths = with_black_at(views, black, BEFORE)
-    assert unlit(little, depths, FAR) is depths
+    assert blank_moved(little, depths, FAR) is depths
 
 
 def test_views_from_one_place_tell_nothing() -> None:
     view, black = (one[0] for one in posters())
     depths = with_black_at([view, view], np.stack([black, black]), BEFORE)
-    assert unlit([view, view], depths, FAR) is depths
+    assert blank_moved([view, view], depths, FAR) is depths
 
 
 @pytest.mark.parametrize(
@@ -148,22 +176,22 @@ def test_views_from_one_place_tell_nothing() -> None:
 def test_both_limits(now: float, then: float, moves: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     views, black = posters()
     depths, shares = with_black_at(views, black, BEFORE), iter([now, then])
-    monkeypatch.setattr(unlit_module, "_contradicted", lambda *_: next(shares))
-    assert (unlit(views, depths, FAR) is not depths) == moves
+    monkeypatch.setattr(module, "_contradicted", lambda *_: next(shares))
+    assert (blank_moved(views, depths, FAR) is not depths) == moves
 
 
 @pytest.mark.parametrize(("share", "moves"), [(EVEN + 0.05, True), (EVEN - 0.05, False)])
 def test_so_much_of_the_dark_must_be_black(share: float, moves: bool) -> None:
-    """Of the black pixels that share below half of BLACK, the others just below twice."""
+    """Of the black pixels that share below half of BLANK, the others just below twice."""
     views, black = posters()
     rng, shaded = np.random.default_rng(4), []
     for view, of_view in zip(views, black, strict=True):
         image = view.image.copy()
         grey = of_view & (rng.uniform(size=of_view.shape) > share)
-        image[:, of_view], image[:, grey] = BLACK / 2 - 0.001, 2 * BLACK - 0.001
+        image[:, of_view], image[:, grey] = BLANK / 2 - 0.001, 2 * BLANK - 0.001
         shaded.append(replace(view, image=image))
     depths = with_black_at(views, black, BEFORE)
-    found = unlit(shaded, depths, FAR)
+    found = blank_moved(shaded, depths, FAR)
     assert (found != depths).any() == moves
 
 
@@ -182,7 +210,7 @@ def test_what_is_joined_to_the_border_is_what_a_walk_from_there_reaches(share: f
             if 0 <= j < rows and 0 <= i < columns and black[j, i] and not reached[j, i]:
                 reached[j, i] = True
                 steps.extend([(j - 1, i), (j + 1, i), (j, i - 1), (j, i + 1)])
-        assert (unlit_module._from_border(black) == reached).all()
+        assert (module._from_border(black) == reached).all()
 
 
 def test_a_spiral_is_followed_to_its_end() -> None:
@@ -194,7 +222,7 @@ def test_a_spiral_is_followed_to_its_end() -> None:
             j, i = j + dj, i + di
             black[j, i] = True
         dj, di = di, -dj
-    assert (unlit_module._from_border(black) == black).all()
+    assert (module._from_border(black) == black).all()
 
 
 def test_contradictions_are_what_the_definition_says() -> None:
@@ -204,7 +232,7 @@ def test_contradictions_are_what_the_definition_says() -> None:
     depths = with_black_at(views, black, BEFORE) * rng.uniform(0.9, 1.1, black.shape)
     seen_both = 0
     for index, view in enumerate(views):
-        found = unlit_module._contradictions(view, index, views, depths)
+        found = module._contradictions(view, index, views, depths)
         for y, x in rng.integers(0, SIDE, (150, 2)):
             ray = view.camera.rays(np.array([[x + 0.5, y + 0.5]]))[0]
             point = view.camera.center + depths[index, y, x] * ray
