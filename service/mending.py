@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .allocator import freed_blocks_reused
 from .anchors import anchors
 from .backdrop import backdrop
-from .blank import blank_moved
+from .blank import blank_held, blank_moved
 from .choice.chosen import chosen
 from .choice.network import shipped_choice
 from .confirmed import confirmed
@@ -87,13 +87,12 @@ def matched_depths(
 
 
 @freed_blocks_reused()
-def at_finer_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView]) -> Arrays:
+def at_finer_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], far: float) -> Arrays:
     """The same where outputs at mended depths were made finer (`detail.py`): only close to their depths, and on planes
-    of two views."""
-    depths = frame.depths(outputs)
-    if len(views) == 2:
-        depths = continued(views, depths)
-    return frame.at_depths(outputs, [view.camera for view in views], refined(views, depths))
+    of two views; a blank backdrop stays at `far`."""
+    before = frame.depths(outputs)
+    depths = refined(views, continued(views, before) if len(views) == 2 else before)
+    return frame.at_depths(outputs, [view.camera for view in views], blank_held(views, before, depths, far))
 
 
 @freed_blocks_reused()

@@ -157,7 +157,7 @@ class Reconstructor:
             with stages.stage("detail"):
                 outputs = finer(outputs, frame, seen, views)
                 if fade:
-                    outputs = at_finer_depths(outputs, frame, views)
+                    outputs = at_finer_depths(outputs, frame, views, depths.far)
         with stages.stage("gaussians"):
             found = placed(outputs, frame, views, stride=budget.stride, moved=fade > 0, coarse=seen)
             outputs = {name: value for name, value in outputs.items() if name not in MOVED}

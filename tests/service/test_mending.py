@@ -178,8 +178,26 @@ def test_which_steps_depths_take(count: int, steps: list[str], monkeypatch: pyte
     assert taken == steps
     assert frame.depths(after) == pytest.approx(frame.depths(before) * 1.01 ** len(steps), rel=1e-6)
     taken.clear()
-    at_finer_depths(before, frame, views)
+    at_finer_depths(before, frame, views, FAR)
     assert taken == (["continued", "refined"] if count == 2 else ["refined"])
+
+
+def test_a_finer_grid_leaves_a_blank_backdrop_at_the_far_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    views = plane_views()[:2]
+    frame = WorldFrame.of([view.camera for view in views], DepthRange(NEAR, FAR, "given"))
+    left = np.s_[:, :, : SIDE // 4]
+    black = []
+    for view in views:
+        image = np.maximum(view.image, np.float32(0.3))
+        image[left] = 0
+        black.append(replace(view, image=image))
+    depths = plane_depths(views)
+    depths[left] = FAR
+    given = frame.at_depths(outputs(views, frame), [view.camera for view in views], depths)
+    monkeypatch.setattr(mending, "refined", lambda _, found: 0.9 * found)
+    after = frame.depths(at_finer_depths(given, frame, black, FAR))
+    assert after[left] == pytest.approx(FAR, rel=1e-6)
+    assert (after[:, :, SIDE // 4 :] < 0.95 * FAR).all()
 
 
 def test_the_choice_is_between_what_is_found_the_networks_own_and_that_before_planes(
