@@ -243,10 +243,10 @@ def test_contradictions_are_what_the_definition_says() -> None:
     [
         ((0.0594, 0.0594, 0.0594), True),
         ((0.0606, 0.0606, 0.0606), False),
-        ((0.0, 0.0, 0.2), False),
+        ((0.0, 0.0, 0.15), False),
         ((0.941, 0.941, 0.941), True),
         ((0.939, 0.939, 0.939), False),
-        ((1.0, 1.0, 0.8), False),
+        ((1.0, 1.0, 0.85), False),
     ],
 )
 def test_what_is_blank(colour: tuple[float, ...], blank: bool) -> None:
