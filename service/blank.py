@@ -19,7 +19,7 @@ Mask = NDArray[np.bool_]
 BLANK = 0.06  # from black or from white, of the channel that is farthest from it
 EVEN = 2 / 3  # of what is blank up to twice that, this share at least is so up to half of it: things have shades
 LEAST_SHARE = 0.02  # of all pixels: less changes little
-CONTRADICTED = 0.015  # share of the blank pixels; as generated scenes are found, where they are right, at most 0.011
+CONTRADICTED = 0.015  # share of the blank pixels; on generated scenes, whose backdrops are found right, at most 0.011
 ROUNDED = 1e-6  # of a depth, when it has been float32
 
 
