@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import logging
 import warnings
 from collections.abc import Iterator
@@ -42,7 +43,7 @@ def export_graph(network: Network, height: int, width: int) -> onnx.ModelProto:
     shapes = {name: {0: views} for name in INPUTS}
     shapes["near_far"] = {}
     constants = folded_position_embeddings(network, height, width)
-    with torch.no_grad(), constants, deployed_linear_layers(network), _quiet_exporter():
+    with torch.no_grad(), constants, deployed_linear_layers(network), _quiet_exporter(), _uncollected():
         program = torch.onnx.export(
             graph,
             example.tensors(),
@@ -76,6 +77,19 @@ def _quiet_exporter() -> Iterator[None]:
             yield
     finally:
         logger.setLevel(level)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Hardly anything that the exporter makes is garbage before it is done: looking for some takes a twentieth of its
+    time or more (81 s for `tiny`, 74 and 78 without) and frees 60 MB of 860."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
 
 
 def strip_tracing_notes(model: onnx.ModelProto) -> None:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from .cost_volume import Views
-from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, warp_points
+from .geometry import other_views, repeat_for_pairs
 from .layers import sample_with_repeated_border
 
 CUES = 4  # channels of `agreement_cues`
@@ -30,11 +30,9 @@ def agreement_cues(inverse: Tensor, colours: Tensor, views: Views) -> Tensor:
     inverse, colours = inverse.detach(), colours.detach()
     n, _, h, w = inverse.shape
     others = views.count - 1
-    reference_k, source_k, motion = views.pairs()
-    rays = camera_rays(pixel_grid(h, w, inverse.device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
     depths = views.inverse_depth(inverse).reshape(-1, views.count, 1, h * w)
     depths = repeat_for_pairs(depths, others).reshape(-1, 1, h * w)
-    grid, inside, expected = warp_points(rays.flatten(2).unsqueeze(2), depths, source_k, motion)
+    grid, inside, expected = views.warp(h, w).points(depths)
 
     maps = torch.cat([inverse, colours], dim=1)
     per_view = maps.reshape(-1, views.count, 4, h, w)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, rigid_inverse, warp_positions
+from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, rigid_inverse
 from .layers import replicate_pad
+from .warp import Warp
 
 # The correlation map of one pair is (h*w)^2 numbers: 67 MB at 64 x 64. Rows of the reference are taken in this many
 # pieces, one after the other, which divides the peak memory and changes no number.
@@ -24,6 +25,7 @@ class Views:
     world_from_cam: Tensor
     inverse_far: Tensor
     inverse_near: Tensor
+    _warps: dict[tuple[int, int], Warp] = field(default_factory=dict, repr=False, compare=False)  # by height and width
 
     @staticmethod
     def make(intrinsics: Tensor, world_from_cam: Tensor, near_far: Tensor) -> Views:
@@ -43,16 +45,18 @@ class Views:
         low, high = self.per_view(self.inverse_far), self.per_view(self.inverse_near)
         return low + (high - low) * normalised
 
-    def pairs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Reference K, source K (m, 3, 3) and source_from_reference (m, 4, 4) of all m = B*V*(V-1) ordered pairs."""
-        others = self.count - 1
-        reference_pose = repeat_for_pairs(self.world_from_cam, others).reshape(-1, 4, 4)
-        source_pose = other_views(self.world_from_cam).reshape(-1, 4, 4)
-        return (
-            repeat_for_pairs(self.intrinsics, others).reshape(-1, 3, 3),
-            other_views(self.intrinsics).reshape(-1, 3, 3),
-            rigid_inverse(source_pose) @ reference_pose,
-        )
+    def warp(self, height: int, width: int) -> Warp:
+        """Pixels of height x width, rays (m, 1, height * width), in all m = B*V*(V-1) ordered pairs of views."""
+        if (height, width) not in self._warps:
+            others = self.count - 1
+            reference_pose = repeat_for_pairs(self.world_from_cam, others).reshape(-1, 4, 4)
+            source_pose = other_views(self.world_from_cam).reshape(-1, 4, 4)
+            reference_k = repeat_for_pairs(self.intrinsics, others).reshape(-1, 3, 3)
+            source_k = other_views(self.intrinsics).reshape(-1, 3, 3)
+            grid = pixel_grid(height, width, reference_k.device).expand(reference_k.shape[0], -1, -1, -1)
+            rays = camera_rays(grid, reference_k).flatten(2).unsqueeze(2)
+            self._warps[height, width] = Warp.make(rays, source_k, rigid_inverse(source_pose) @ reference_pose)
+        return self._warps[height, width]
 
 
 class PatchDescriptor(nn.Module):
@@ -79,8 +83,7 @@ def sweep(features: list[Tensor], views: Views, planes: int) -> tuple[list[Tenso
     Returns one (B*V, D, h, w) per feature tensor, averaged over the views that see the point, and the share of them.
     """
     n, _, h, w = features[0].shape
-    reference_k, source_k, motion = views.pairs()
-    rays = camera_rays(pixel_grid(h, w, features[0].device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
+    warp = views.warp(h, w).turned()
     bins = torch.linspace(0, 1, planes, device=features[0].device).reshape(1, planes, 1, 1)
     inverse = views.inverse_depth(bins)[:, :, 0, 0]  # (B*V, D)
     others = views.count - 1
@@ -93,9 +96,8 @@ def sweep(features: list[Tensor], views: Views, planes: int) -> tuple[list[Tenso
     insides: list[Tensor] = []
     for start in range(0, h, -(-h // SWEEP_PIECES)):
         stop = min(h, start + -(-h // SWEEP_PIECES))
-        rows = rays[:, :, start:stop].flatten(2).unsqueeze(3)
-        grid, inside = warp_positions(rows, inverse, source_k, motion)
-        insides.append(inside.to(rows.dtype))
+        grid, inside = warp.part(start * w, stop * w).positions(inverse)
+        insides.append(inside.to(grid.dtype))
         for number, (ref, src) in enumerate(zip(reference, source, strict=True)):
             correlation = ref[:, :, start:stop].flatten(2).transpose(1, 2) @ src.flatten(2)
             sampled = F.grid_sample(
@@ -105,7 +107,7 @@ def sweep(features: list[Tensor], views: Views, planes: int) -> tuple[list[Tenso
                 padding_mode="zeros",
                 align_corners=False,
             )
-            pieces[number].append(sampled.reshape(-1, rows.shape[2], planes) * insides[-1])
+            pieces[number].append(sampled.reshape(-1, (stop - start) * w, planes) * insides[-1])
     seen = torch.cat(insides, dim=1).reshape(-1, others, h * w, planes).sum(1)
     volumes = []
     for parts in pieces:
@@ -122,11 +124,9 @@ def local_matching(features: list[Tensor], candidates: Tensor, views: Views) -> 
     """
     n, count, h, w = candidates.shape
     others = views.count - 1
-    reference_k, source_k, motion = views.pairs()
-    rays = camera_rays(pixel_grid(h, w, candidates.device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
     inverse = views.inverse_depth(candidates).reshape(-1, views.count, count, h * w)
     inverse = repeat_for_pairs(inverse, others).reshape(-1, count, h * w)
-    grid, inside = warp_positions(rays.flatten(2).unsqueeze(2), inverse, source_k, motion)
+    grid, inside = views.warp(h, w).positions(inverse)
     mask = inside.to(candidates.dtype)
     seen = mask.reshape(-1, others, count, h * w).sum(1)
     widths = [feature.shape[1] for feature in features]

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from .cost_volume import SWEEP_PIECES, Views
-from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, warp_positions
+from .geometry import other_views, repeat_for_pairs
 from .layers import sample_with_repeated_border
 from .windows import mean_with_repeated_border
 
@@ -32,23 +32,22 @@ def matching_evidence(images: Tensor, views: Views, planes: int, *, sparse: bool
     """
     n, _, h, w = images.shape
     others = views.count - 1
-    reference_k, source_k, motion = views.pairs()
-    rays = camera_rays(pixel_grid(h, w, images.device).expand(reference_k.shape[0], -1, -1, -1), reference_k)
-    rays = rays.flatten(2).unsqueeze(2)
+    warp = views.warp(h, w)
     bins = torch.linspace(0, 1, planes, device=images.device).reshape(1, planes, 1, 1)
     inverse = views.inverse_depth(bins)[:, :, 0, 0].reshape(-1, views.count, planes)
     inverse = repeat_for_pairs(inverse, others).reshape(-1, planes, 1)
     per_view = images.reshape(-1, views.count, 3, h, w)
     # variances are differences of mean squares: about the scene's mean, and scores about 0.5, less of them cancels
     per_view = per_view - per_view.mean((1, 2, 3, 4), keepdim=True)
-    reference = repeat_for_pairs(per_view, others).reshape(-1, 3, h, w)
+    own = _with_statistics(per_view.reshape(n, 3, h, w)).reshape(-1, views.count, 6, h, w)
+    reference = repeat_for_pairs(own, others).reshape(-1, 6, h, w)
     source = other_views(per_view).reshape(-1, 3, h, w)
     guide = _Guide(per_view.mean(2).reshape(n, 1, h, w))
     pieces = []
     step = -(-planes // SWEEP_PIECES)
     for start in range(0, planes, step):
         some = inverse[:, start : start + step]
-        grid, inside = warp_positions(rays, some, source_k, motion)
+        grid, inside = warp.positions(some)
         count = some.shape[1]
         grid = grid.reshape(-1, count * h, w, 2)
         seen = inside.reshape(-1, count, h, w)
@@ -65,22 +64,34 @@ def matching_evidence(images: Tensor, views: Views, planes: int, *, sparse: bool
     return torch.cat(pieces, dim=1) + 0.5
 
 
+def _with_statistics(pictures: Tensor) -> Tensor:
+    """(n, 6, h, w): colours (n, 3, h, w), their grey, and its mean and variance in windows."""
+    grey = pictures.mean(1, keepdim=True)
+    mean = mean_with_repeated_border(grey, WINDOW_RADIUS)
+    return torch.cat([pictures, grey, mean, _variance(grey, mean)], dim=1)
+
+
+def _variance(grey: Tensor, mean: Tensor) -> Tensor:
+    return (mean_with_repeated_border(grey.square(), WINDOW_RADIUS) - mean.square()).clamp(min=0)
+
+
 def _compared(reference: Tensor, source: Tensor, grid: Tensor) -> Tensor:
-    """(m, D, h, w) of pictures (m, 3, h, w) and where each plane's pixels lie in the other's, grid (m, D*h, w, 2)."""
+    """(m, D, h, w) of pictures `_with_statistics` (m, 6, h, w) and where each plane's pixels lie in the other's
+    (m, 3, h, w), grid (m, D*h, w, 2)."""
     h, w = reference.shape[-2:]
     colours = sample_with_repeated_border(source, grid)
     return _similarity(reference, colours.reshape(colours.shape[0], 3, grid.shape[1] // h, h, w))
 
 
 def _similarity(reference: Tensor, colours: Tensor) -> Tensor:
-    """(m, D, h, w) in 0..1 of pictures (m, 3, h, w) and warped ones (m, 3, D, h, w)."""
-    a, b = reference.mean(1, keepdim=True), colours.mean(1)
-    mean_a, mean_b = mean_with_repeated_border(a, WINDOW_RADIUS), mean_with_repeated_border(b, WINDOW_RADIUS)
-    var_a = (mean_with_repeated_border(a.square(), WINDOW_RADIUS) - mean_a.square()).clamp(min=0)
-    var_b = (mean_with_repeated_border(b.square(), WINDOW_RADIUS) - mean_b.square()).clamp(min=0)
+    """(m, D, h, w) in 0..1 of pictures `_with_statistics` (m, 6, h, w) and warped ones (m, 3, D, h, w)."""
+    own, a, mean_a, var_a = reference.split([3, 1, 1, 1], dim=1)
+    b = colours.mean(1)
+    mean_b = mean_with_repeated_border(b, WINDOW_RADIUS)
+    var_b = _variance(b, mean_b)
     covariance = mean_with_repeated_border(a * b, WINDOW_RADIUS) - mean_a * mean_b
     correlation = (covariance / (var_a * var_b).sqrt().clamp(min=FLAT)).clamp(-1, 1)
-    difference = (colours - reference.unsqueeze(2)).abs().mean(1).clamp(max=COLOUR_LIMIT) / COLOUR_LIMIT
+    difference = (colours - own.unsqueeze(2)).abs().mean(1).clamp(max=COLOUR_LIMIT) / COLOUR_LIMIT
     return 0.5 * (1 + correlation) / 2 + 0.5 * (1 - difference)
 
 

@@ -1,4 +1,4 @@
-"""Camera geometry in torch, written so that it exports: rays, pairwise warps, quaternions, other-view gathers."""
+"""Camera geometry in torch, written so that it exports: rays, quaternions, other-view gathers."""
 
 from __future__ import annotations
 
@@ -42,40 +42,6 @@ def other_views(values: Tensor) -> Tensor:
 def repeat_for_pairs(values: Tensor, pairs_per_view: int) -> Tensor:
     """(B, V, ...) -> (B, V, V-1, ...): each view's own values once for every other view."""
     return values.unsqueeze(2).expand(-1, -1, pairs_per_view, *values.shape[2:])
-
-
-def warp_positions(
-    rays: Tensor, inverse_depth: Tensor, source_intrinsics: Tensor, source_from_reference: Tensor
-) -> tuple[Tensor, Tensor]:
-    """`warp_points` without the depths."""
-    return warp_points(rays, inverse_depth, source_intrinsics, source_from_reference)[:2]
-
-
-def warp_points(
-    rays: Tensor, inverse_depth: Tensor, source_intrinsics: Tensor, source_from_reference: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Where reference pixels at given inverse depths fall in a source view, and how deep they lie there.
-
-    rays (m, 3, a, b) with z = 1, inverse_depth (m, c, d), K (m, 3, 3) normalised, motion (m, 4, 4); the shapes (a, b)
-    and (c, d) broadcast to the (A, B) of what returns: rays in rows and depths in columns, or the other way round.
-    A point is ray / d, so up to the positive factor d it is R ray + t d: no division by a small depth.
-    Returns sampling positions in [-1, 1] grid units (m, A, B, 2), outside the image wherever the point lies behind
-    the source camera or anything is not finite, a mask (m, A, B) of samples that fall inside, and the inverse depth
-    of the point in the source camera (m, A, B), 0 behind it.
-    """
-    rotated = (source_from_reference[:, :3, :3] @ rays.flatten(2)).reshape(rays.shape)
-    translation = source_from_reference[:, :3, 3, None, None]
-    z = rotated[:, 2] + translation[:, 2] * inverse_depth
-    front = z > FRONT
-    safe = torch.where(front, z, torch.ones_like(z))
-    axes = []
-    for axis in (0, 1):  # each by itself: onnxruntime is slow where the last axis has two or three numbers
-        focal, centre = source_intrinsics[:, axis, axis, None, None], source_intrinsics[:, axis, 2, None, None]
-        at = (2 * focal * rotated[:, axis] + 2 * focal * translation[:, axis] * inverse_depth) / safe + (2 * centre - 1)
-        # 4 lies outside every image of at least two pixels; backends disagree on samples that are huge or not finite
-        axes.append(torch.where(front & (at.abs() < 4), at, torch.full_like(at, 4.0)))
-    inside = (axes[0].abs() < 1) & (axes[1].abs() < 1)
-    return torch.stack(axes, dim=-1), inside, torch.where(front, inverse_depth / safe, torch.zeros_like(z))
 
 
 def quaternion_to_matrix(wxyz: Tensor) -> Tensor:

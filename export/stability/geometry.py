@@ -12,8 +12,8 @@ import torch
 from mpmath import mp
 
 from gapmes.model.cost_volume import Views
-from gapmes.model.geometry import warp_points
 from gapmes.model.heads import unit_quaternions
+from gapmes.model.warp import Warp
 from gapmes.service.camera import Camera
 from gapmes.service.depth_range import DepthRange
 from gapmes.service.gaussians import Gaussians, normalized_quaternions
@@ -82,8 +82,10 @@ def other_lens() -> Row:
         exact = (points @ lens.T)[:, :2] / points[:, 2:]
         motion = np.eye(4)
         motion[:3, :3], motion[:3, 3] = turn, shift
-        tensors = [torch.from_numpy(a).float()[None] for a in (rays.T[:, :, None], inverse[:, None], lens, motion)]
-        grid, inside, _ = warp_points(*tensors)
+        given, depths, *camera = (
+            torch.from_numpy(a).float()[None] for a in (rays.T[:, :, None], inverse[:, None], lens, motion)
+        )
+        grid, inside = Warp.make(given, *camera).positions(depths)
         found = (grid[0, :, 0].numpy() + 1) / 2
         seen = inside[0, :, 0].numpy()
         worst = max(worst, float(256 * np.abs(found - exact)[seen].max()))

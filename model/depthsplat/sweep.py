@@ -7,7 +7,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..cost_volume import Views
-from ..geometry import FRONT, camera_rays, pixel_grid, rigid_inverse, warp_points
+from ..geometry import FRONT, camera_rays, pixel_grid, rigid_inverse
+from ..warp import OUTSIDE, Warp
 from .config import Compatibility
 from .neighbours import neighbour_rows
 
@@ -34,6 +35,7 @@ def plane_sweep(
     grid = pixel_grid(h, w, features.device).unsqueeze(0) - half_cell / size.reshape(1, 2, 1, 1)
     rays = camera_rays(grid.expand(reference_k.shape[0], -1, -1, -1), reference_k)
     target_k = reference_k if compatibility.reference_intrinsics else source_k
+    warp = Warp.make(rays.flatten(2).unsqueeze(3), target_k, motion)
     per_cell = inverse.shape[-1] > 1
     source = features.index_select(0, rows).flatten(2)  # (n * m, C, h * w)
     pieces = []
@@ -43,10 +45,9 @@ def plane_sweep(
         cells = (stop - start) * w
         depths = inverse[:, :, start:stop].flatten(2) if per_cell else inverse.flatten(2)
         depths = depths.transpose(1, 2).unsqueeze(1).expand(-1, count, -1, -1).flatten(0, 1)
-        piece = rays[:, :, start:stop].flatten(2).unsqueeze(3)
-        at, _, _ = warp_points(piece, depths, target_k, motion)
+        at, _ = warp.part(start * w, stop * w).positions(depths)
         if compatibility.clamped_depths:
-            at = _clamped(at, piece, depths, target_k, motion)
+            at = _clamped(at, rays[:, :, start:stop].flatten(2).unsqueeze(3), depths, target_k, motion)
         at = at + 2 * half_cell / size
         reference = features[:, :, start:stop].flatten(2).transpose(1, 2)  # (n, cells, C)
         reference = reference.unsqueeze(1).expand(-1, count, -1, -1).reshape(-1, cells, channels)
@@ -63,7 +64,7 @@ def plane_sweep(
 
 
 def _clamped(at: Tensor, rays: Tensor, inverse: Tensor, target_k: Tensor, motion: Tensor) -> Tensor:
-    """The positions of `warp_points`, where that gives none divided by a depth of `LEAST_DEPTH` at least."""
+    """The positions of `Warp`, where that gives none divided by a depth of `LEAST_DEPTH` at least."""
     rotated = (motion[:, :3, :3] @ rays.flatten(2)).reshape(rays.shape)
     x, y, z = (rotated[:, axis] + motion[:, axis, 3, None, None] * inverse for axis in range(3))
     least = LEAST_DEPTH * inverse  # like x, y and z times the inverse depth
@@ -72,7 +73,7 @@ def _clamped(at: Tensor, rays: Tensor, inverse: Tensor, target_k: Tensor, motion
     for axis, offset in enumerate((x, y)):
         focal, centre = target_k[:, axis, axis, None, None], target_k[:, axis, 2, None, None]
         clamped = 2 * (focal * offset + centre * z) / depth - 1
-        axes.append(torch.where(clamped.abs() < 4, clamped, torch.full_like(clamped, 4.0)))
+        axes.append(torch.where(clamped.abs() < OUTSIDE, clamped, OUTSIDE))
     return torch.where(((z < least) | (z <= FRONT)).unsqueeze(-1), torch.stack(axes, dim=-1), at)
 
 

@@ -8,7 +8,7 @@ import torch
 
 from gapmes.model.agreement import CONFIRMED, CUES, SHARPNESS, agreement_cues, confirmation
 from gapmes.model.cost_volume import Views
-from gapmes.model.geometry import warp_points
+from gapmes.model.warp import Warp
 
 SIZE = 24
 NEAR, FAR = 1.0, 8.0
@@ -104,7 +104,7 @@ def test_inverse_depths_in_the_source_against_float64() -> None:
     c, s = 0.96, 0.28
     motion[0, :3, :3] = torch.tensor([[c, 0, s], [0, 1, 0], [-s, 0, c]])
     motion[0, :3, 3] = torch.tensor([0.3, -0.2, 0.4])
-    _, _, got = warp_points(rays.unsqueeze(3), inverse, torch.eye(3)[None], motion)
+    _, _, got = Warp.make(rays.unsqueeze(3), torch.eye(3)[None], motion).points(inverse)
     points = rays[0].double() / inverse[0, :, 0].double()
     z = (motion[0, :3, :3].double() @ points + motion[0, :3, 3:].double())[2]
     expected = torch.where(z > 0, 1 / z, torch.zeros_like(z))

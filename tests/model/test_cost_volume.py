@@ -8,7 +8,8 @@ import torch.nn.functional as F
 from small_networks import scene
 
 from gapmes.model.cost_volume import PatchDescriptor, Views, local_matching, sweep
-from gapmes.model.geometry import camera_rays, other_views, pixel_grid, warp_positions
+from gapmes.model.geometry import camera_rays, other_views, pixel_grid
+from gapmes.model.warp import Warp
 
 
 def direct_sweep(features: torch.Tensor, views: Views, planes: int) -> torch.Tensor:
@@ -28,9 +29,8 @@ def direct_sweep(features: torch.Tensor, views: Views, planes: int) -> torch.Ten
                     continue
                 s = b * views.count + j
                 motion = torch.linalg.inv(poses[s]) @ poses[r]
-                grid, inside = warp_positions(
-                    rays.unsqueeze(3), inverse.expand(1, 1, planes), intrinsics[s : s + 1], motion[None]
-                )
+                warp = Warp.make(rays.unsqueeze(3), intrinsics[s : s + 1], motion[None])
+                grid, inside = warp.positions(inverse.expand(1, 1, planes))
                 sampled = F.grid_sample(features[s : s + 1], grid, align_corners=False)[0]
                 total += (features[r].flatten(1)[:, :, None] * sampled).sum(0) * inside[0]
                 seen += inside[0]
@@ -76,7 +76,7 @@ def test_local_matching_equals_direct_sampling_of_each_feature_map() -> None:
         totals, count = [torch.zeros(140, 4) for _ in features], torch.zeros(140, 4)
         for s in (s for s in range(r // 3 * 3, r // 3 * 3 + 3) if s != r):
             there = (torch.linalg.inv(motion[s]) @ motion[r])[None]
-            grid, inside = warp_positions(rays.unsqueeze(3), inverse[r].T[None], k[s : s + 1], there)
+            grid, inside = Warp.make(rays.unsqueeze(3), k[s : s + 1], there).positions(inverse[r].T[None])
             count += inside[0]
             for total, feature in zip(totals, features, strict=True):
                 sampled = F.grid_sample(feature[s : s + 1], grid, align_corners=False)[0]

@@ -16,8 +16,8 @@ from gapmes.model.geometry import (
     quaternion_product,
     quaternion_to_matrix,
     rigid_inverse,
-    warp_positions,
 )
+from gapmes.model.warp import Warp
 
 
 def axis_angle(axis: torch.Tensor, angle: float) -> torch.Tensor:
@@ -71,7 +71,7 @@ def warp_case(translation: list[float]) -> tuple[torch.Tensor, ...]:
 @pytest.mark.case("P7")
 def test_warp_follows_a_point_through_both_lenses() -> None:
     rays, inverse, source_k, motion = warp_case([0.3, -0.1, 0.2])
-    grid, inside = warp_positions(rays.unsqueeze(3), inverse, source_k, motion)
+    grid, inside = Warp.make(rays.unsqueeze(3), source_k, motion).positions(inverse)
     d = inverse.double().unsqueeze(-1)
     point = (motion[0, :3, :3].double() @ rays[0].double()).T[None, :, None] + motion[0, :3, 3].double() * d
     x = source_k[0, 0, 0].double() * point[..., 0] / point[..., 2] + source_k[0, 0, 2].double()
@@ -85,11 +85,11 @@ def test_warp_follows_a_point_through_both_lenses() -> None:
 
 def test_rays_and_depths_broadcast_either_way_round() -> None:
     rays, inverse, source_k, motion = warp_case([0.3, -0.1, 0.2])
-    grid, inside = warp_positions(rays.unsqueeze(3), inverse, source_k, motion)
+    grid, inside = Warp.make(rays.unsqueeze(3), source_k, motion).positions(inverse)
     assert grid.shape == (1, 80, 7, 2)
     shared = inverse[:, :1]  # every ray has the same depths here
     for depths, turned in ((shared, False), (shared.transpose(1, 2), True), (inverse.transpose(1, 2), True)):
-        other, within = warp_positions(rays.unsqueeze(2 if turned else 3), depths, source_k, motion)
+        other, within = Warp.make(rays.unsqueeze(2 if turned else 3), source_k, motion).positions(depths)
         assert torch.equal(other.transpose(1, 2) if turned else other, grid)
         assert torch.equal(within.transpose(1, 2) if turned else within, inside)
 
@@ -97,7 +97,7 @@ def test_rays_and_depths_broadcast_either_way_round() -> None:
 @pytest.mark.case("P4")
 def test_points_behind_the_source_are_never_sampled() -> None:
     rays, inverse, source_k, motion = warp_case([0.0, 0.0, -3.0])
-    grid, inside = warp_positions(rays.unsqueeze(3), inverse, source_k, motion)
+    grid, inside = Warp.make(rays.unsqueeze(3), source_k, motion).positions(inverse)
     behind = (motion[0, :3, :3] @ rays[0]).T[None, :, None, 2] + motion[0, 2, 3] * inverse <= 0
     assert behind.any()
     assert not inside[behind].any()

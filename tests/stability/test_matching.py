@@ -16,7 +16,8 @@ from small_networks import scene, tiny
 
 from gapmes.model.cost_volume import Views, sweep
 from gapmes.model.evidence import matching_evidence
-from gapmes.model.geometry import camera_rays, pixel_grid, warp_points, warp_positions
+from gapmes.model.geometry import camera_rays, pixel_grid
+from gapmes.model.warp import Warp
 from gapmes.service.camera import Camera
 from gapmes.service.depth_range import DepthRange
 from gapmes.service.images import FittedView
@@ -204,7 +205,7 @@ def test_lenses_of_one_to_a_hundred(reference: float, source: float) -> None:
     motion[0, :3, :3] = torch.tensor([[c, 0, s], [0, 1, 0], [-s, 0, c]])
     motion[0, :3, 3] = torch.tensor([0.02, -0.01, 0.03]) / max(1.0, source)
     inverse = torch.linspace(0.1, 1.0, 7).reshape(1, 1, 7).expand(1, 1024, 7)
-    grid, inside = warp_positions(rays.unsqueeze(3), inverse, other, motion)
+    grid, inside = Warp.make(rays.unsqueeze(3), other, motion).positions(inverse)
     pixels = positions[0].double()
     l64 = lens[0].double()
     exact = torch.stack([(pixels[0] - l64[0, 2]) / l64[0, 0], (pixels[1] - l64[1, 2]) / l64[1, 1], torch.ones(1024)])
@@ -249,7 +250,7 @@ def test_any_point_is_sampled_alike_by_both_runtimes(height: int, width: int, va
     for place in ((0, 3), (1, 3), (2, 3), (2, 2), (0, 0)):
         motion = torch.eye(4)[None].clone()
         motion[0, *place] = value
-        grid, inside, depth = warp_points(rays.unsqueeze(3), inverse, lens, motion)
+        grid, inside, depth = Warp.make(rays.unsqueeze(3), lens, motion).points(inverse)
         assert torch.isfinite(grid).all()
         assert torch.isfinite(depth).all()
         point = (motion[0, :3, :3] @ rays[0]).T[:, None] + motion[0, :3, 3] * inverse[0, :, :, None]
