@@ -1,4 +1,4 @@
-"""`GET /models`: which networks a request may name, what they are, and which are in memory."""
+"""`GET /models`: which networks a request may name, what they are, which are in memory, and the most detail."""
 
 from __future__ import annotations
 
@@ -17,4 +17,5 @@ router = APIRouter(tags=["operations"])
 @router.get("/models", response_model=ModelList)
 def list_models(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
     """The configured models, the default one first; `loaded` is that of the process that answers."""
-    return json_response(runtime.models.document(), headers={"Cache-Control": "no-store"})
+    document = runtime.models.document() | {"max_detail": runtime.settings.max_detail}
+    return json_response(document, headers={"Cache-Control": "no-store"})

@@ -211,6 +211,7 @@ class ModelList(BaseModel):
     default: str
     loaded_bytes: int
     budget_bytes: int | None
+    max_detail: int = Field(description="of a scene, which a request may ask for")
 
 
 class Ready(BaseModel):

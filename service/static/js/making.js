@@ -40,7 +40,9 @@ export function prepareMaking(open) {
 }
 
 export async function prepareModels() {
-  const { models } = await askJson("/models");
+  const { models, max_detail } = await askJson("/models");
+  $("detail-row").hidden = max_detail < 2;
+  $("detail").checked &&= max_detail > 1; // browsers remember what was ticked
   $("model").replaceChildren(...models.map((model) => make("option", { value: model.name }, `${model.name}: ${model.preset}, ${model.width} × ${model.height} px`)));
   $("model-row").hidden = models.length < 2;
 }

@@ -243,6 +243,7 @@ def test_a_service_may_allow_no_more_detail(standin_model: Path, tmp_path: Path)
         wait_until_ready(other)
         body = assert_problem(post(other, detail="2"), 422, "invalid_input", "detail")
         assert body["detail"] == "is 2, the limit is 1"
+        assert other.get("/models").json()["max_detail"] == 1
         assert post(other, detail="1").status_code == 201
 
 

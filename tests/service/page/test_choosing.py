@@ -43,6 +43,20 @@ def test_what_the_budget_saved_is_told(tab: Tab, tmp_path: Path) -> None:
         page.wait_for_selector(f"#about:has-text('{told}')")
 
 
+def test_a_sharper_scene_is_offered_where_the_service_makes_one(tab: Tab) -> None:
+    page = tab.open()
+    answer = httpx.get(f"{tab.address}/models").json()
+    assert answer["max_detail"] == 2
+    page.click("summary:has-text('Options')")
+    page.wait_for_selector("#detail")
+    page.route("**/models", lambda route: route.fulfill(json=answer | {"max_detail": 1}))
+    page.reload()
+    page.wait_for_selector("#state:has-text('Network')")
+    page.click("summary:has-text('Options')")
+    page.wait_for_selector("#trust_poses")
+    page.wait_for_selector("#detail", state="hidden")
+
+
 def test_a_sharper_scene_is_made_when_asked_for(tab: Tab, tmp_path: Path) -> None:
     page = tab.open()
     choose_two(page, tmp_path, seed=140)
