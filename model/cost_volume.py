@@ -25,7 +25,7 @@ class Views:
     world_from_cam: Tensor
     inverse_far: Tensor
     inverse_near: Tensor
-    _warps: dict[tuple[int, int], Warp] = field(default_factory=dict, repr=False, compare=False)  # by height and width
+    _warps: dict[tuple[int, int], Warp] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @staticmethod
     def make(intrinsics: Tensor, world_from_cam: Tensor, near_far: Tensor) -> Views:
@@ -45,8 +45,10 @@ class Views:
         low, high = self.per_view(self.inverse_far), self.per_view(self.inverse_near)
         return low + (high - low) * normalised
 
+    @torch.no_grad()
     def warp(self, height: int, width: int) -> Warp:
-        """Pixels of height x width, rays (m, 1, height * width), in all m = B*V*(V-1) ordered pairs of views."""
+        """Pixels of height x width, rays (m, 1, height * width), in all m = B*V*(V-1) ordered pairs of views; made once
+        for each size. No gradient flows to the cameras."""
         if (height, width) not in self._warps:
             others = self.count - 1
             reference_pose = repeat_for_pairs(self.world_from_cam, others).reshape(-1, 4, 4)

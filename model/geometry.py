@@ -5,8 +5,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-FRONT = 1e-4  # as shares of its depth in one view, what a point must lie before another at least to be seen there
-
 
 def pixel_grid(height: int, width: int, device: torch.device) -> Tensor:
     """(2, H, W) normalised pixel centres (x, y) in (0, 1)."""

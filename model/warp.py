@@ -7,11 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .geometry import FRONT
-
-OUTSIDE = (
-    4.0  # lies outside every image of at least two pixels; backends disagree on samples that are huge or not finite
-)
+FRONT = 1e-4  # as shares of its depth in one view, what a point must lie before another at least to be seen there
+OUTSIDE = 4.0  # of every image of two pixels or more; backends disagree on samples that are huge or not finite
 
 
 @dataclass(frozen=True)
@@ -70,7 +67,7 @@ class Warp:
 
     def _positions(self, inverse_depth: Tensor, safe: Tensor, front: Tensor) -> tuple[Tensor, Tensor]:
         axes = []
-        for ray, shift, centre in zip(self.rays, self.shifts, self.centres, strict=False):
+        for ray, shift, centre in zip(self.rays[:2], self.shifts[:2], self.centres, strict=True):
             at = (ray + shift * inverse_depth) / safe + centre
             axes.append(torch.where(front & (at.abs() < OUTSIDE), at, OUTSIDE))
         inside = (axes[0].abs() < 1) & (axes[1].abs() < 1)

@@ -7,8 +7,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..cost_volume import Views
-from ..geometry import FRONT, camera_rays, pixel_grid, rigid_inverse
-from ..warp import OUTSIDE, Warp
+from ..geometry import camera_rays, pixel_grid, rigid_inverse
+from ..warp import FRONT, OUTSIDE, Warp
 from .config import Compatibility
 from .neighbours import neighbour_rows
 

@@ -211,7 +211,7 @@ class ModelList(BaseModel):
     default: str
     loaded_bytes: int
     budget_bytes: int | None
-    max_detail: int = Field(description="of a scene, which a request may ask for")
+    max_detail: int = Field(description="the most `detail` that a request may ask for")
 
 
 class Ready(BaseModel):

@@ -76,6 +76,11 @@ DEPTHSPLAT = {
 }
 
 
+def given_to(value: object) -> dict[str, object]:
+    """The fields that a dataclass was made of, without what it has computed of them since."""
+    return {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
+
+
 def tensors(value: object) -> list[torch.Tensor]:
     """Those in nested tuples, mappings and dataclasses, in order."""
     if isinstance(value, torch.Tensor):
@@ -83,7 +88,7 @@ def tensors(value: object) -> list[torch.Tensor]:
     if isinstance(value, dict):
         value = list(value.values())
     elif dataclasses.is_dataclass(value):
-        value = [getattr(value, field.name) for field in dataclasses.fields(value)]
+        value = list(given_to(value).values())
     return [tensor for item in value for tensor in tensors(item)] if isinstance(value, list | tuple) else []
 
 
@@ -114,8 +119,7 @@ def cast(value: object, dtype: torch.dtype) -> object:
     if isinstance(value, list | tuple):
         return type(value)(cast(item, dtype) for item in value)
     if dataclasses.is_dataclass(value):
-        fields = {field.name: cast(getattr(value, field.name), dtype) for field in dataclasses.fields(value)}
-        return dataclasses.replace(value, **fields)
+        return dataclasses.replace(value, **{name: cast(item, dtype) for name, item in given_to(value).items()})
     return value
 
 

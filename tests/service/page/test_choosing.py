@@ -49,12 +49,14 @@ def test_a_sharper_scene_is_offered_where_the_service_makes_one(tab: Tab) -> Non
     assert answer["max_detail"] == 2
     page.click("summary:has-text('Options')")
     page.wait_for_selector("#detail")
+    page.check("#detail")
     page.route("**/models", lambda route: route.fulfill(json=answer | {"max_detail": 1}))
     page.reload()
     page.wait_for_selector("#state:has-text('Network')")
     page.click("summary:has-text('Options')")
     page.wait_for_selector("#trust_poses")
     page.wait_for_selector("#detail", state="hidden")
+    assert not page.is_checked("#detail")
 
 
 def test_a_sharper_scene_is_made_when_asked_for(tab: Tab, tmp_path: Path) -> None:
