@@ -46,9 +46,8 @@ def _measured(
     report: Path | None, stability: Path | None, scenes: Sequence[Path], quick: bool, quiet: bool
 ) -> tuple[dict[str, Any], int]:
     """What was found, in numbers, and how many cases are beyond tolerance."""
+    from gapmes.model.training.lpips import default_weights
     from gapmes.service.shipped import sample_folder
-
-    from .evaluation.lpips import default_weights
 
     failed = 0
     document: dict[str, Any] = {}

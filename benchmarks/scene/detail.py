@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gapmes.export.evaluation.case import Case, generated_cases, photograph_case
-from gapmes.export.evaluation.lpips import Lpips, default_weights
 from gapmes.export.evaluation.metrics import Figures, figures, mean_figures
+from gapmes.model.training.lpips import Lpips, default_weights
 from gapmes.service.detail_level import DETAILS
 from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.images import FittedView

@@ -58,11 +58,11 @@ def evaluate(
 
     import torch
 
+    from gapmes.model.training.lpips import default_weights
     from gapmes.model.weights_file import CheckpointError
 
     from ..pipeline import ExportRejected, VerificationBroken
     from ..size import Size
-    from .lpips import default_weights
     from .models import checked_engines
     from .plans import evaluation_plans
     from .run import evaluate as run

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
 
+from gapmes.model.training.lpips import Lpips
 from gapmes.service import picture_error
 from gapmes.service.camera import Camera
 from gapmes.service.errors import GapmesError
@@ -21,7 +22,6 @@ from gapmes.service.splat import Render, render
 
 from .case import Case, LargerTargets
 from .covisible import PREDICTED_TOLERANCE, TRUE_TOLERANCE, Mask, covisible
-from .lpips import Lpips
 from .metrics import Figures, figures, mean_figures
 from .models import Model
 from .pixel_splats import drawn_over, pixel_gaussians

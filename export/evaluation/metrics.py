@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gapmes.model.training.lpips import Lpips
 from gapmes.service.picture_error import psnr, ssim
-
-from .lpips import Lpips
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from gapmes.model.training.lpips import Lpips
 from gapmes.service.backends.choice import DEFAULT_ENGINE, EngineName
 from gapmes.service.errors import InputError
 from gapmes.service.fade_passes import DEFAULT_PASSES
@@ -15,7 +16,6 @@ from gapmes.service.progress import Listener, Stages, silent
 from ..size import Size
 from .case import GENERATED_SEED, Case, generated_cases, photograph_case
 from .labels import GENERATED_STEM, file_stems
-from .lpips import Lpips
 from .measure import Measured, measure
 from .models import Model, check_sizes, load_models
 from .report import Report

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from gapmes.model.checkpoint import shipped_checkpoint
+from gapmes.model.training.lpips import Lpips
 from gapmes.service.camera import Camera
 from gapmes.service.contract import GAUSSIAN_OUTPUTS
 from gapmes.service.engine import Engine
@@ -21,7 +22,6 @@ from gapmes.service.scene_views import NEAR_PLANE_SHARE
 from gapmes.service.splat import Definition, render, render_reference
 
 from ..cases import sample_scene
-from ..evaluation.lpips import Lpips
 from ..graph import evaluated
 from ..variant import load_variant
 from .files import ModelFile

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gapmes.model.training.lpips import Lpips
 from gapmes.service.budget import KEEP_ALL
 from gapmes.service.camera import Camera
 from gapmes.service.effort import draw
@@ -23,7 +24,6 @@ from gapmes.service.pruning import BAND_NORMS, colour_range
 from gapmes.service.scene_views import NEAR_PLANE_SHARE
 
 from ..evaluation.labels import given_twice, shortest_names
-from ..evaluation.lpips import Lpips
 from . import files, knobs
 from .child import Timed, timed
 from .errors import alpha_cut_bound, drawn, model_error, network_rounding, setting_error, splatter_rounding

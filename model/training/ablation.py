@@ -19,9 +19,12 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from gapmes.service.errors import InputError
+
 from . import arguments as kinds
-from .ablation_runs import FIGURES, VARIANTS, WIDE, Budget, Run, run_in, write_whole
+from .ablation_runs import VARIANTS, WIDE, Budget, Run, by_scene, run_in, write_whole
 from .ablation_table import Scores, check_same_scenes, tables, with_tables
+from .lpips import Lpips, default_weights
 
 RESULT, TABLES = "ablation.json", "ablation.md"
 POLL_SECONDS = 1.0
@@ -78,20 +81,28 @@ class Board:
             self._console.print(f"{text}  {left}", markup=False)
 
 
-def ablate(out: Path, names: Sequence[str], seeds: Sequence[int], budget: Budget, console: Console) -> Results:
+def ablate(
+    out: Path,
+    names: Sequence[str],
+    seeds: Sequence[int],
+    budget: Budget,
+    console: Console,
+    lpips: Lpips | None = None,
+) -> Results:
     """Run what is not finished, all variants of a seed before the next seed; results are written after every run.
 
-    They hold every finished run below `out`, also those that were not asked for now. Raises `ValueError` when `out`
+    With `lpips`, what was scored without it is scored again, not trained again. The results hold every finished run
+    below `out`, also those that were not asked for now. Raises `ValueError` when `out`
     holds runs of another budget, or of a generator that drew other validation scenes.
     """
     runs = [run_in(out, name, seed, budget) for seed in dict.fromkeys(seeds) for name in dict.fromkeys(names)]
     results = finished(out, budget)
-    open_runs = [run for run in runs if run.seed not in results[run.name]]
+    open_runs = [run for run in runs if _lacks(results[run.name].get(run.seed), lpips)]
     console.print(f"{len(runs)} runs, {len(runs) - len(open_runs)} of them finished before", markup=False)
     board, batches = Board(console, open_runs), budget.batches()
     for run in open_runs:
         with board.watch(run):
-            results[run.name][run.seed] = scores = run.execute(batches)
+            results[run.name][run.seed] = scores = run.execute(batches, lpips)
         check_same_scenes(results)
         console.print(
             f"{run.name} (seed {run.seed}): {scores.psnr.mean():.2f} dB, SSIM {scores.ssim.mean():.4f}, "
@@ -101,6 +112,10 @@ def ablate(out: Path, names: Sequence[str], seeds: Sequence[int], budget: Budget
         write_results(out, results, budget)
     write_results(out, results, budget)
     return results
+
+
+def _lacks(scores: Scores | None, lpips: Lpips | None) -> bool:
+    return scores is None or (lpips is not None and scores.lpips is None)
 
 
 def finished(out: Path, budget: Budget) -> Results:
@@ -128,8 +143,7 @@ def write_results(out: Path, results: Results, budget: Budget) -> None:
         name: {
             "changes": VARIANTS[name],
             "runs": [
-                {"seed": seed, "parameters": scores.parameters, "minutes": scores.minutes}
-                | {figure: getattr(scores, figure).tolist() for figure in FIGURES}
+                {"seed": seed, "parameters": scores.parameters, "minutes": scores.minutes, **by_scene(scores)}
                 for seed, scores in sorted(runs.items())
             ],
         }
@@ -162,6 +176,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--threads", type=kinds.threads(), default=1, help="one thread per process is fastest on shared cores"
     )
+    parser.add_argument(
+        "--lpips", type=Path, metavar="FILE", help="weights for LPIPS; default: those in shared/weights, if there are"
+    )
     parser.add_argument("--page", type=Path, help="a Markdown page whose tables, between its markers, are replaced")
     options = parser.parse_args(arguments)
     torch.set_num_threads(options.threads)
@@ -170,11 +187,13 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if options.page:
             with_tables(options.page.read_text(encoding="utf-8"), "")  # said before the work, not after it
-        ablate(options.out, options.only, options.seeds, Budget(steps=options.steps), console)
+        weights = options.lpips or default_weights()
+        lpips = Lpips.load(weights) if weights else None
+        ablate(options.out, options.only, options.seeds, Budget(steps=options.steps), console, lpips)
         text = (options.out / TABLES).read_text(encoding="utf-8")
         if options.page:
             write_whole(options.page, with_tables(options.page.read_text(encoding="utf-8"), text))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, InputError) as error:
         console.print(f"refused: {error}", markup=False)
         return 1
     except KeyboardInterrupt:

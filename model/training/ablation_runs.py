@@ -17,6 +17,7 @@ from .ablation_table import COMPLETE, Scores
 from .differences import differences
 from .log_rows import read_rows
 from .loop import train
+from .lpips import Lpips
 from .precision import coarse_pays
 from .recipe import Phase, Recipe
 from .run_folder import LOG
@@ -39,6 +40,7 @@ SCORES = "scores.json"
 AGAIN = "remove the file, and the run is scored again"
 WIDE = (0.18, 0.5)  # baseline of the validation scenes, in units of the scene's median depth
 FIGURES = ("psnr", "ssim", "depth_error", "copy_psnr")
+PERCEIVED = "lpips"  # one more, where there are weights for it
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,8 @@ class Run:
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
             kept = {key: found[key] for key in self._identity()}
-            figures = {name: np.array(found["scores"][name], np.float64) for name in FIGURES}
+            names = [*FIGURES, *([PERCEIVED] if PERCEIVED in found["scores"] else [])]
+            figures = {name: np.array(found["scores"][name], np.float64) for name in names}
             scores = Scores(int(found["parameters"]), float(found["minutes"]), **figures)
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no scores of a run: {error!r}; {AGAIN}") from error
@@ -114,15 +117,19 @@ class Run:
         rows = read_rows(path) if path.is_file() else []
         return int(rows[-1]["step"]) if rows else 0
 
-    def execute(self, batches: Sequence[TensorBatch]) -> Scores:
+    def execute(self, batches: Sequence[TensorBatch], lpips: Lpips | None = None) -> Scores:
         """Train, going on where a killed run stopped, and score; raises `ValueError` as `train` does."""
         every = max(1, self.budget.steps // self.budget.log_rows)
         # the small validation of the log is for watching only, the scores come from `batches`
         recipe = self.budget.recipe(self.seed)
         model = train(self.config, recipe, self.folder, validate_every=every, validation_scenes=2)
-        scores = scene_scores(model, batches, float(read_rows(self.folder / LOG)[-1]["minutes"]))
-        figures = {name: getattr(scores, name).tolist() for name in FIGURES}
-        body = {**self._identity(), "parameters": scores.parameters, "minutes": scores.minutes, "scores": figures}
+        scores = scene_scores(model, batches, float(read_rows(self.folder / LOG)[-1]["minutes"]), lpips)
+        body = {
+            **self._identity(),
+            "parameters": scores.parameters,
+            "minutes": scores.minutes,
+            "scores": by_scene(scores),
+        }
         write_whole(self.folder / SCORES, json.dumps(body) + "\n")
         return scores
 
@@ -141,11 +148,18 @@ def run_in(out: Path, name: str, seed: int, budget: Budget) -> Run:
     return Run(name, seed, budget, out / f"{name}-seed{seed}")
 
 
-def scene_scores(model: GaPMeS, batches: Sequence[TensorBatch], minutes: float) -> Scores:
+def scene_scores(model: GaPMeS, batches: Sequence[TensorBatch], minutes: float, lpips: Lpips | None = None) -> Scores:
     """Figures scene by scene, so that variants can be compared on the same ones; every batch holds one scene."""
-    rows = [validate(model, [batch]) for batch in batches]
-    figures = {name: np.array([row[name] for row in rows], np.float64) for name in FIGURES}
+    rows = [validate(model, [batch], lpips) for batch in batches]
+    names = [*FIGURES, *([PERCEIVED] if lpips is not None else [])]
+    figures = {name: np.array([row[name] for row in rows], np.float64) for name in names}
     return Scores(sum(p.numel() for p in model.parameters()), minutes, **figures)
+
+
+def by_scene(scores: Scores) -> dict[str, list[float]]:
+    """Every figure that the scores hold, one number per scene."""
+    figures = {name: getattr(scores, name) for name in (*FIGURES, PERCEIVED)}
+    return {name: values.tolist() for name, values in figures.items() if values is not None}
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -27,6 +27,9 @@ PAPER: dict[str, dict[str, str]] = {
         "top-1": "SSIM 0.691, so -2.5 %",
     },
 }
+# what is compared: field of `Scores`, how tables call it, digits
+SHOWN = (("psnr", "PSNR", 2), ("ssim", "SSIM", 4), ("lpips", "LPIPS", 4), ("depth_error", "depth error", 4))
+NONE = "–"  # in the place of a figure that a run was scored without
 SAME_SCENE_DB = 1e-3  # figures are kept to 1e-4 dB; another number of threads may round the last of these otherwise
 BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
 
@@ -41,6 +44,7 @@ class Scores:
     ssim: F64
     depth_error: F64  # mean absolute error of normalised inverse depth
     copy_psnr: F64  # dB, the nearer input shown as it is
+    lpips: F64 | None = None  # None where it was scored without
 
 
 @dataclass(frozen=True)
@@ -74,9 +78,10 @@ def _standard_error(values: F64) -> float:
 Runs = Mapping[int, Scores]
 
 
-def stacked(runs: Runs, seeds: Sequence[int], field: str) -> F64:
-    """(seeds, scenes) of one field of `Scores`."""
-    return np.stack([getattr(runs[seed], field) for seed in seeds])
+def stacked(runs: Runs, seeds: Sequence[int], field: str) -> F64 | None:
+    """(seeds, scenes) of one field of `Scores`; None where a run was scored without it."""
+    values = [getattr(runs[seed], field) for seed in seeds]
+    return None if any(value is None for value in values) else np.stack(values)
 
 
 def check_same_scenes(results: Mapping[str, Runs]) -> None:
@@ -103,44 +108,59 @@ def tables(results: Mapping[str, Runs], caption: str) -> str:
     Variants that have no run yet are left out; differences take the seeds that both have.
     """
     found = {name: runs for name, runs in results.items() if runs}
-    lines = [caption, "", *_reached(found)]
+    scores = [scores for runs in found.values() for scores in runs.values()]
+    shown = [figure for figure in SHOWN if any(getattr(one, figure[0]) is not None for one in scores)]
+    lines = [caption, "", *_reached(found, shown)]
     for title, rows in PAPER.items():
         names = [name for name in rows if name in found]
         if COMPLETE in found and names:
-            lines += ["", f"### {title}", "", *_differences(found, {name: rows[name] for name in names})]
+            lines += ["", f"### {title}", "", *_differences(found, {name: rows[name] for name in names}, shown)]
     return "\n".join(lines) + "\n"
 
 
-def _reached(results: Mapping[str, Runs]) -> list[str]:
-    lines = ["| variant | seeds | parameters | minutes | PSNR | SSIM | depth error |", "|---|---|---|---|---|---|---|"]
+# of `SHOWN`, those that at least one run has
+Shown = Sequence[tuple[str, str, int]]
+
+
+def _reached(results: Mapping[str, Runs], shown: Shown) -> list[str]:
+    lines = _head(["variant", "seeds", "parameters", "minutes", *(title for _, title, _ in shown)])
     for name, runs in results.items():
         seeds = sorted(runs)
-        mean = {field: float(stacked(runs, seeds, field).mean()) for field in ("psnr", "ssim", "depth_error")}
         minutes = sum(runs[seed].minutes for seed in seeds) / len(seeds)
-        lines.append(
-            f"| {name} | {len(seeds)} | {runs[seeds[0]].parameters:,} | {minutes:.1f} "
-            f"| {mean['psnr']:.2f} | {mean['ssim']:.4f} | {mean['depth_error']:.4f} |"
-        )
+        cells = [name, str(len(seeds)), f"{runs[seeds[0]].parameters:,}", f"{minutes:.1f}"]
+        for field, _, digits in shown:
+            values = stacked(runs, seeds, field)
+            cells.append(NONE if values is None else f"{values.mean():.{digits}f}")
+        lines.append(_row(cells))
     return lines
 
 
-def _differences(results: Mapping[str, Runs], rows: Mapping[str, str]) -> list[str]:
-    lines = [
-        "| variant | PSNR, dB | SSIM | depth error | PSNR, relative | SSIM, relative | the paper |",
-        "|---|---|---|---|---|---|---|",
-    ]
+def _differences(results: Mapping[str, Runs], rows: Mapping[str, str], shown: Shown) -> list[str]:
+    titles = [title + (", dB" if field == "psnr" else "") for field, title, _ in shown]
+    lines = _head(["variant", *titles, "PSNR, relative", "SSIM, relative", "the paper"])
     for name, paper in rows.items():
         seeds = sorted(set(results[name]) & set(results[COMPLETE]))
         if not seeds:
             continue
-        cells, relative = [], {}
-        for field, digits in (("psnr", 2), ("ssim", 4), ("depth_error", 4)):
-            reference = stacked(results[COMPLETE], seeds, field)
-            difference = paired(stacked(results[name], seeds, field), reference)
+        cells, relative = [name], {}
+        for field, _, digits in shown:
+            values, reference = (stacked(results[variant], seeds, field) for variant in (name, COMPLETE))
+            if values is None or reference is None:
+                cells.append(NONE)
+                continue
+            difference = paired(values, reference)
             cells.append(_cell(difference, digits))
             relative[field] = f"{_signed(100 * difference.mean / float(reference.mean()), 1)} %"
-        lines.append(f"| {name} | {' | '.join(cells)} | {relative['psnr']} | {relative['ssim']} | {paper} |")
+        lines.append(_row([*cells, relative["psnr"], relative["ssim"], paper]))
     return lines
+
+
+def _head(titles: Sequence[str]) -> list[str]:
+    return [_row(titles), "|" + "---|" * len(titles)]
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
 
 
 def _cell(difference: Paired, digits: int) -> str:

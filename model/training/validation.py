@@ -1,4 +1,4 @@
-"""Figures on generated scenes that training never sees: PSNR, SSIM, depth error, holes, expert shares."""
+"""Figures on generated scenes that training never sees: PSNR, SSIM, LPIPS, depth error, holes, expert shares."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import torch
 
 from ..network import GaPMeS
 from .losses import gaussian_ssim, psnr
+from .lpips import Lpips
 from .scenes import SceneSampler
 from .step import TensorBatch, predict_and_draw, to_tensors
 
@@ -19,17 +20,23 @@ def validation_batches(size: int, count: int, baseline: tuple[float, float]) -> 
 
 
 @torch.no_grad()
-def validate(model: GaPMeS, batches: list[TensorBatch]) -> dict[str, object]:
-    """Means over all targets; `copy` is the PSNR of the nearer input shown as it is, the least that counts."""
+def validate(model: GaPMeS, batches: list[TensorBatch], lpips: Lpips | None = None) -> dict[str, object]:
+    """Means over all targets; `copy_psnr` is that of the nearer input shown as it is, the least that counts.
+
+    `lpips` adds a figure of that name.
+    """
     was_training = model.training
     model.eval()
-    scores, structure, depth, holes, copies, shares = [], [], [], [], [], []
+    scores, structure, perceived, depth, holes, copies, shares = [], [], [], [], [], [], []
     device = next(model.parameters()).device
     for batch in (batch.to(device) for batch in batches):
         prediction, rgb, alpha = predict_and_draw(model, batch)
         rgb, truth = rgb.clamp(0, 1).flatten(0, 1), batch.targets.flatten(0, 1)
         scores += psnr(rgb, truth).tolist()
         structure += gaussian_ssim(rgb, truth).tolist()
+        if lpips is not None:
+            pairs = zip(rgb.cpu().numpy(), truth.cpu().numpy(), strict=True)
+            perceived += [lpips.distance(drawn, true) for drawn, true in pairs]
         holes.append(float((alpha < 0.5).float().mean()))
         truth_depth = batch.depth[:, :, 0]
         inverse = prediction.final_inverse.reshape(truth_depth.shape)
@@ -49,6 +56,8 @@ def validate(model: GaPMeS, batches: list[TensorBatch]) -> dict[str, object]:
         "holes": _mean(holes),
         "copy_psnr": _mean(copies),
     }
+    if lpips is not None:
+        result["lpips"] = _mean(perceived)
     if shares:
         result["expert_share"] = [round(float(x), 3) for x in torch.stack(shares).mean(0)]
     return result

@@ -1,4 +1,4 @@
-"""The figures against brute force in float64: PSNR and SSIM under masks, and what any LPIPS must obey."""
+"""The figures against brute force in float64: PSNR and SSIM under masks."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from gapmes.export.evaluation.lpips import LAYERS, Lpips, default_weights
 from gapmes.export.evaluation.metrics import Figures, figures, mean_figures
 from gapmes.model.training import losses
-from gapmes.service.errors import InputError
 from gapmes.service.picture_error import psnr, ssim
 
 RNG = np.random.default_rng(5)
@@ -84,82 +82,3 @@ def test_equal_pictures_and_empty_masks() -> None:
     assert mean_figures([Figures(10, 0.5, None), Figures(None, None, None), Figures(20, 0.7, None)]) == Figures(
         15, pytest.approx(0.6), None
     )
-
-
-def random_weights() -> dict[str, torch.Tensor]:
-    """Of the right shapes; the linear layers are positive, as those of LPIPS are."""
-    generator = torch.Generator().manual_seed(3)
-    weights = {}
-    for i, ((out, channels, kernel), _, _) in enumerate(LAYERS):
-        spread = (channels * kernel**2) ** -0.5
-        weights[f"net.{i}.weight"] = spread * torch.randn(out, channels, kernel, kernel, generator=generator)
-        weights[f"net.{i}.bias"] = 0.1 * torch.randn(out, generator=generator)
-        weights[f"NetLinLayer_{i}.0.weight"] = torch.rand(1, out, 1, 1, generator=generator)
-    return weights
-
-
-@pytest.fixture(scope="module", params=["random", "trained"])
-def lpips(request: pytest.FixtureRequest) -> Lpips:
-    if request.param == "random":
-        return Lpips(random_weights())
-    path = default_weights()
-    if path is None:
-        pytest.skip("no LPIPS weights beside the checkout")
-    return Lpips.load(path)
-
-
-def blurred(picture: np.ndarray, radius: int) -> np.ndarray:
-    padded = F.pad(torch.from_numpy(picture)[None], (radius,) * 4, mode="replicate")
-    return F.avg_pool2d(padded, 2 * radius + 1, 1)[0].numpy()
-
-
-def test_lpips_is_a_distance_that_grows_with_blur(lpips: Lpips) -> None:
-    sharp = np.kron(RNG.random((3, 24, 24)), np.ones((1, 4, 4))).astype(np.float32)
-    assert lpips.distance(sharp, sharp) == 0
-    distances = [lpips.distance(sharp, blurred(sharp, radius)) for radius in (1, 2, 4, 8)]
-    assert distances == sorted(distances)
-    assert distances[0] > 0
-    other = blurred(sharp, 3)
-    assert lpips.distance(sharp, other) == pytest.approx(lpips.distance(other, sharp), rel=1e-6)
-    assert lpips.distance(sharp, other, np.ones((96, 96), dtype=bool)) == pytest.approx(lpips.distance(sharp, other))
-
-
-def test_lpips_under_a_mask_leaves_out_what_is_far_from_it(lpips: Lpips) -> None:
-    a = RNG.random((3, 512, 128)).astype(np.float32)
-    b = a.copy()
-    b[:, 384:] = 0.5  # the deepest features see 195 px: none of the upper 128 rows reaches down to it
-    mask = np.zeros((512, 128), dtype=bool)
-    mask[:128] = True
-    assert lpips.distance(a, b, mask) == 0
-    assert lpips.distance(a, b, ~mask) > lpips.distance(a, b) > 0
-
-
-def test_lpips_by_a_second_road(lpips: Lpips) -> None:
-    """The published definition written out with a module per layer, in float64."""
-    a, b = pictures(64, 80)
-    weights = {name: value.double() for name, value in lpips._weights.items()}
-    shift, scale = torch.tensor([-0.030, -0.088, -0.188]).double(), torch.tensor([0.458, 0.448, 0.450]).double()
-    total = 0.0
-    x, y = (((2 * torch.from_numpy(p).double() - 1).permute(1, 2, 0) - shift) / scale for p in (a, b))
-    x, y = x.permute(2, 0, 1)[None], y.permute(2, 0, 1)[None]
-    for i, (stride, padding, pooled) in enumerate(((4, 2, 0), (1, 2, 1), (1, 1, 1), (1, 1, 0), (1, 1, 0))):
-        layer = torch.nn.Conv2d(
-            *weights[f"net.{i}.weight"].shape[1::-1], weights[f"net.{i}.weight"].shape[2], stride, padding
-        )
-        layer = layer.double()
-        layer.load_state_dict({"weight": weights[f"net.{i}.weight"], "bias": weights[f"net.{i}.bias"]})
-        pool = torch.nn.MaxPool2d(3, 2) if pooled else torch.nn.Identity()
-        with torch.no_grad():
-            x, y = (layer(pool(v)).relu() for v in (x, y))
-        u, v = (F.normalize(z, dim=1, eps=1e-10) for z in (x, y))
-        total += float(((u - v) ** 2 * weights[f"NetLinLayer_{i}.0.weight"]).sum(dim=1).mean())
-    assert lpips.distance(a, b) == pytest.approx(total, rel=1e-4)  # float32 against float64, measured 2e-6
-
-
-def test_lpips_names_a_wrong_tensor() -> None:
-    weights = random_weights()
-    weights["net.2.bias"] = torch.zeros(7)
-    with pytest.raises(InputError, match=r"net\.2\.bias is \(7,\), need \(384,\)"):
-        Lpips(weights)
-    with pytest.raises(InputError, match="32"):
-        Lpips(random_weights()).distance(*pictures(24, 24))

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 import pytest
 import torch
+from random_lpips import random_weights
 from rich.console import Console
 
 from gapmes.model.config import ModelConfig, preset
@@ -28,6 +29,7 @@ from gapmes.model.training.ablation_table import (
     tables,
     with_tables,
 )
+from gapmes.model.training.lpips import Lpips
 
 SMALL = Budget(steps=2, size=32, training_scenes=1, validation_scenes=2, log_rows=2)
 NAMES = [COMPLETE, "without-experts"]
@@ -128,6 +130,27 @@ def test_tables_show_differences_over_the_seeds_that_both_have() -> None:
     assert "Table 5" not in text
 
 
+def test_tables_say_which_runs_were_scored_without_lpips() -> None:
+    random = np.random.default_rng(3)
+    plain, other = drawn_scores(random, 8), drawn_scores(random, 8)
+    with_lpips = replace(plain, lpips=random.random(8)), replace(other, lpips=random.random(8))
+    assert "LPIPS" not in tables({COMPLETE: {1: plain}, "top-1": {1: other}}, "caption")
+    text = tables({COMPLETE: {1: with_lpips[0]}, "top-1": {1: with_lpips[1]}, "tau-0.4": {1: other}}, "caption")
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")]
+    reached, differences = rows[:5], rows[5:]
+    assert [row[reached[0].index("LPIPS")] for row in reached[2:]] == [
+        f"{with_lpips[0].lpips.mean():.4f}",
+        f"{with_lpips[1].lpips.mean():.4f}",
+        "–",
+    ]
+    column = differences[0].index("LPIPS")
+    by_name = {row[0]: row[column] for row in differences[2:]}
+    expected = paired(with_lpips[1].lpips[None], with_lpips[0].lpips[None])
+    assert by_name["tau-0.4"] == "–"
+    assert by_name["top-1"] == f"{expected.mean:+.4f} ± {expected.scene_error:.4f}"
+    assert {len(row) for row in differences} == {len(differences[0])}
+
+
 def test_runs_on_different_scenes_are_not_compared() -> None:
     random = np.random.default_rng(2)
     same, other = drawn_scores(random, 4), drawn_scores(random, 4)
@@ -194,6 +217,26 @@ def test_an_interrupted_study_resumes_and_repeats_nothing(tmp_path: Path, monkey
         ablation.ablate(tmp_path, NAMES, [1], Budget(**{**asdict(SMALL), "steps": 3}), quiet())
 
 
+def test_what_was_scored_without_lpips_is_scored_again_and_not_trained_again(tmp_path: Path) -> None:
+    before = ablation.ablate(tmp_path, [COMPLETE], [1], SMALL, quiet())[COMPLETE][1]
+    assert before.lpips is None
+    log = (tmp_path / "complete-seed1" / "log.jsonl").read_text()
+    distance = Lpips(random_weights())
+    after = ablation.ablate(tmp_path, [COMPLETE], [1], SMALL, quiet(), distance)[COMPLETE][1]
+    assert (tmp_path / "complete-seed1" / "log.jsonl").read_text() == log
+    assert after.psnr.tolist() == before.psnr.tolist()
+    assert after.lpips.shape == (SMALL.validation_scenes,)
+    assert (after.lpips > 0).all()
+    assert len(set(after.lpips.tolist())) == SMALL.validation_scenes
+    # what is there stays, asked for or not
+    for asked in (None, distance):
+        kept = ablation.ablate(tmp_path, [COMPLETE], [1], SMALL, quiet(), asked)[COMPLETE][1]
+        assert kept.lpips.tolist() == after.lpips.tolist()
+    assert "LPIPS" in (tmp_path / ablation.TABLES).read_text()
+    body = json.loads((tmp_path / ablation.RESULT).read_text())
+    assert body["variants"][COMPLETE]["runs"][0]["lpips"] == after.lpips.tolist()
+
+
 def test_a_half_written_log_is_read_to_its_last_whole_row(tmp_path: Path) -> None:
     run = Run(COMPLETE, 1, SMALL, tmp_path)
     assert run.step() == 0
@@ -206,5 +249,7 @@ def test_the_command_refuses_before_it_works(tmp_path: Path, capsys: pytest.Capt
     page.write_text("no markers")
     assert ablation.main([str(tmp_path / "out"), "--page", str(page)]) == 1
     assert ablation.main([str(tmp_path / "out"), "--steps", "0"]) == 1
-    assert not (tmp_path / "out").exists()
     assert "steps is 0, need at least 1" in capsys.readouterr().err
+    assert ablation.main([str(tmp_path / "out"), "--lpips", str(page)]) == 1
+    assert "page.md cannot be read as safetensors" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
