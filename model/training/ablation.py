@@ -21,9 +21,10 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from gapmes.service.errors import InputError
 
+from ..weights_file import CheckpointError
 from . import arguments as kinds
 from .ablation_runs import VARIANTS, WIDE, Budget, Run, by_scene, run_in, write_whole
-from .ablation_table import Scores, check_same_scenes, tables, with_tables
+from .ablation_table import Scores, check_comparable, tables, with_tables
 from .lpips import Lpips, default_weights
 
 RESULT, TABLES = "ablation.json", "ablation.md"
@@ -91,19 +92,26 @@ def ablate(
 ) -> Results:
     """Run what is not finished, all variants of a seed before the next seed; results are written after every run.
 
-    With `lpips`, what was scored without it is scored again, not trained again. The results hold every finished run
-    below `out`, also those that were not asked for now. Raises `ValueError` when `out`
+    With `lpips`, what was scored without it, or with other weights, is scored again and not trained again. The results
+    hold every finished run below `out`, also those that were not asked for now. Raises `ValueError` when `out`
     holds runs of another budget, or of a generator that drew other validation scenes.
     """
     runs = [run_in(out, name, seed, budget) for seed in dict.fromkeys(seeds) for name in dict.fromkeys(names)]
     results = finished(out, budget)
-    open_runs = [run for run in runs if _lacks(results[run.name].get(run.seed), lpips)]
+    open_runs = [run for run in runs if run.seed not in results[run.name]]
     console.print(f"{len(runs)} runs, {len(runs) - len(open_runs)} of them finished before", markup=False)
-    board, batches = Board(console, open_runs), budget.batches()
+    batches = budget.batches()
+    for run in runs:
+        scores = results[run.name].get(run.seed)
+        if lpips is not None and scores is not None and scores.lpips_weights != lpips.fingerprint:
+            results[run.name][run.seed] = run.perceive(scores, batches, lpips)
+            console.print(f"{run.name} (seed {run.seed}): finished before, LPIPS added", markup=False)
+    check_comparable(results)
+    board = Board(console, open_runs)
     for run in open_runs:
         with board.watch(run):
             results[run.name][run.seed] = scores = run.execute(batches, lpips)
-        check_same_scenes(results)
+        check_comparable(results)
         console.print(
             f"{run.name} (seed {run.seed}): {scores.psnr.mean():.2f} dB, SSIM {scores.ssim.mean():.4f}, "
             f"depth error {scores.depth_error.mean():.4f}, {scores.minutes:.1f} min",
@@ -114,19 +122,14 @@ def ablate(
     return results
 
 
-def _lacks(scores: Scores | None, lpips: Lpips | None) -> bool:
-    return scores is None or (lpips is not None and scores.lpips is None)
-
-
 def finished(out: Path, budget: Budget) -> Results:
-    """Scores of all finished runs below `out`, by variant and seed; raises `ValueError` as `ablate` does."""
+    """Scores of all finished runs below `out`, by variant and seed; raises `ValueError` for one of another budget."""
     results: Results = {name: {} for name in VARIANTS}
     for name in VARIANTS:
         for seed in _seeds(out, name):
             scores = run_in(out, name, seed, budget).scores()
             if scores is not None:
                 results[name][seed] = scores
-    check_same_scenes(results)
     return results
 
 
@@ -193,7 +196,7 @@ def main(arguments: list[str] | None = None) -> int:
         text = (options.out / TABLES).read_text(encoding="utf-8")
         if options.page:
             write_whole(options.page, with_tables(options.page.read_text(encoding="utf-8"), text))
-    except (ValueError, OSError, InputError) as error:
+    except (ValueError, OSError, InputError, CheckpointError) as error:
         console.print(f"refused: {error}", markup=False)
         return 1
     except KeyboardInterrupt:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checkpoint import load_checkpoint
 from ..config import ModelConfig, preset
 from ..network import GaPMeS
 from .ablation_table import COMPLETE, Scores
@@ -20,7 +21,7 @@ from .loop import train
 from .lpips import Lpips
 from .precision import coarse_pays
 from .recipe import Phase, Recipe
-from .run_folder import LOG
+from .run_folder import LOG, WEIGHTS
 from .step import TensorBatch
 from .validation import validate, validation_batches
 
@@ -41,6 +42,9 @@ AGAIN = "remove the file, and the run is scored again"
 WIDE = (0.18, 0.5)  # baseline of the validation scenes, in units of the scene's median depth
 FIGURES = ("psnr", "ssim", "depth_error", "copy_psnr")
 PERCEIVED = "lpips"  # one more, where there are weights for it
+SAME_WEIGHTS_DB = (
+    0.05  # one run scored twice: another number of threads rounds otherwise and may send a patch elsewhere
+)
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,9 @@ class Run:
             kept = {key: found[key] for key in self._identity()}
             names = [*FIGURES, *([PERCEIVED] if PERCEIVED in found["scores"] else [])]
             figures = {name: np.array(found["scores"][name], np.float64) for name in names}
-            scores = Scores(int(found["parameters"]), float(found["minutes"]), **figures)
+            scores = Scores(
+                int(found["parameters"]), float(found["minutes"]), **figures, lpips_weights=found.get("lpips_weights")
+            )
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no scores of a run: {error!r}; {AGAIN}") from error
         for key, asked in self._identity().items():
@@ -124,14 +130,38 @@ class Run:
         recipe = self.budget.recipe(self.seed)
         model = train(self.config, recipe, self.folder, validate_every=every, validation_scenes=2)
         scores = scene_scores(model, batches, float(read_rows(self.folder / LOG)[-1]["minutes"]), lpips)
+        self._keep(scores)
+        return scores
+
+    def perceive(self, scores: Scores, batches: Sequence[TensorBatch], lpips: Lpips) -> Scores:
+        """Add LPIPS to the scores of a finished run, from the weights that it left; nothing is trained.
+
+        Raises `ValueError` when these weights do not have the PSNR that the scores tell, and `CheckpointError` when
+        they are gone or damaged.
+        """
+        path = self.folder / WEIGHTS
+        again = scene_scores(load_checkpoint(path), batches, scores.minutes, lpips)
+        for field in ("copy_psnr", "psnr"):
+            before, now = getattr(scores, field), getattr(again, field)
+            if (different := np.abs(now - before) > SAME_WEIGHTS_DB).any():
+                scene = int(different.argmax())
+                raise ValueError(
+                    f"{path} has {field} {now[scene]:.2f} dB in scene {scene}, {SCORES} says {before[scene]:.2f} dB; was "
+                    "the code changed since? use a new folder"
+                )
+        scores = replace(scores, lpips=again.lpips, lpips_weights=again.lpips_weights)
+        self._keep(scores)
+        return scores
+
+    def _keep(self, scores: Scores) -> None:
         body = {
             **self._identity(),
             "parameters": scores.parameters,
             "minutes": scores.minutes,
             "scores": by_scene(scores),
+            "lpips_weights": scores.lpips_weights,
         }
         write_whole(self.folder / SCORES, json.dumps(body) + "\n")
-        return scores
 
     def _identity(self) -> dict[str, Any]:
         parts = {
@@ -153,7 +183,8 @@ def scene_scores(model: GaPMeS, batches: Sequence[TensorBatch], minutes: float, 
     rows = [validate(model, [batch], lpips) for batch in batches]
     names = [*FIGURES, *([PERCEIVED] if lpips is not None else [])]
     figures = {name: np.array([row[name] for row in rows], np.float64) for name in names}
-    return Scores(sum(p.numel() for p in model.parameters()), minutes, **figures)
+    weights = None if lpips is None else lpips.fingerprint
+    return Scores(sum(p.numel() for p in model.parameters()), minutes, **figures, lpips_weights=weights)
 
 
 def by_scene(scores: Scores) -> dict[str, list[float]]:

@@ -31,7 +31,7 @@ PAPER: dict[str, dict[str, str]] = {
 SHOWN = (("psnr", "PSNR", 2), ("ssim", "SSIM", 4), ("lpips", "LPIPS", 4), ("depth_error", "depth error", 4))
 NONE = "–"  # in the place of a figure that a run was scored without
 SAME_SCENE_DB = 1e-3  # figures are kept to 1e-4 dB; another number of threads may round the last of these otherwise
-BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
+TABLES = "tables"  # the marker of a page that these tables go to
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +45,7 @@ class Scores:
     depth_error: F64  # mean absolute error of normalised inverse depth
     copy_psnr: F64  # dB, the nearer input shown as it is
     lpips: F64 | None = None  # None where it was scored without
+    lpips_weights: str | None = None  # the fingerprint of `Lpips`
 
 
 @dataclass(frozen=True)
@@ -84,8 +85,9 @@ def stacked(runs: Runs, seeds: Sequence[int], field: str) -> F64 | None:
     return None if any(value is None for value in values) else np.stack(values)
 
 
-def check_same_scenes(results: Mapping[str, Runs]) -> None:
-    """Raise `ValueError` when two runs were scored on different scenes, as they are after a change of the generator.
+def check_comparable(results: Mapping[str, Runs]) -> None:
+    """Raise `ValueError` when two runs were scored on different scenes, as they are after a change of the generator, or
+    with different weights for LPIPS.
 
     What the nearer input scores depends on the scenes alone, so it tells.
     """
@@ -99,6 +101,13 @@ def check_same_scenes(results: Mapping[str, Runs]) -> None:
                 f"{first} and {name} were scored on different scenes: in scene {scene} the nearer input has "
                 f"{reference.copy_psnr[scene]:.2f} and {scores.copy_psnr[scene]:.2f} dB; was the code changed between "
                 "them? use a new folder"
+            )
+    perceived = [(name, scores.lpips_weights) for name, scores in runs if scores.lpips is not None]
+    for name, weights in perceived[1:]:
+        first, reference = perceived[0]
+        if weights != reference:
+            raise ValueError(
+                f"{first} and {name} were scored with different weights for LPIPS; ask for all of them with one --lpips"
             )
 
 
@@ -123,7 +132,7 @@ Shown = Sequence[tuple[str, str, int]]
 
 
 def _reached(results: Mapping[str, Runs], shown: Shown) -> list[str]:
-    lines = _head(["variant", "seeds", "parameters", "minutes", *(title for _, title, _ in shown)])
+    lines = head(["variant", "seeds", "parameters", "minutes", *(title for _, title, _ in shown)])
     for name, runs in results.items():
         seeds = sorted(runs)
         minutes = sum(runs[seed].minutes for seed in seeds) / len(seeds)
@@ -131,13 +140,13 @@ def _reached(results: Mapping[str, Runs], shown: Shown) -> list[str]:
         for field, _, digits in shown:
             values = stacked(runs, seeds, field)
             cells.append(NONE if values is None else f"{values.mean():.{digits}f}")
-        lines.append(_row(cells))
+        lines.append(row(cells))
     return lines
 
 
 def _differences(results: Mapping[str, Runs], rows: Mapping[str, str], shown: Shown) -> list[str]:
     titles = [title + (", dB" if field == "psnr" else "") for field, title, _ in shown]
-    lines = _head(["variant", *titles, "PSNR, relative", "SSIM, relative", "the paper"])
+    lines = head(["variant", *titles, "PSNR, relative", "SSIM, relative", "the paper"])
     for name, paper in rows.items():
         seeds = sorted(set(results[name]) & set(results[COMPLETE]))
         if not seeds:
@@ -149,21 +158,23 @@ def _differences(results: Mapping[str, Runs], rows: Mapping[str, str], shown: Sh
                 cells.append(NONE)
                 continue
             difference = paired(values, reference)
-            cells.append(_cell(difference, digits))
+            cells.append(cell(difference, digits))
             relative[field] = f"{_signed(100 * difference.mean / float(reference.mean()), 1)} %"
-        lines.append(_row([*cells, relative["psnr"], relative["ssim"], paper]))
+        lines.append(row([*cells, relative["psnr"], relative["ssim"], paper]))
     return lines
 
 
-def _head(titles: Sequence[str]) -> list[str]:
-    return [_row(titles), "|" + "---|" * len(titles)]
+def head(titles: Sequence[str]) -> list[str]:
+    """First two lines of a Markdown table."""
+    return [row(titles), "|" + "---|" * len(titles)]
 
 
-def _row(cells: Sequence[str]) -> str:
+def row(cells: Sequence[str]) -> str:
+    """A line of a Markdown table."""
     return f"| {' | '.join(cells)} |"
 
 
-def _cell(difference: Paired, digits: int) -> str:
+def cell(difference: Paired, digits: int) -> str:
     """`-0.31 ± 0.04`, and `(seeds ± 0.10)` where there are several."""
     text = _signed(difference.mean, digits)
     if not math.isnan(difference.scene_error):
@@ -178,10 +189,14 @@ def _signed(value: float, digits: int) -> str:
     return f"{round(value, digits) + 0.0:+.{digits}f}"
 
 
-def with_tables(page: str, text: str) -> str:
-    """The page with `text` between its markers; raises `ValueError` unless it has each of them once, in order."""
-    counts = page.count(BEGIN), page.count(END)
-    if counts != (1, 1) or page.index(BEGIN) > page.index(END):
-        raise ValueError(f"the page has {counts[0]} x {BEGIN} and {counts[1]} x {END}, need one of each, in this order")
-    head, rest = page.split(BEGIN)
-    return f"{head}{BEGIN}\n{text}{END}{rest.split(END)[1]}"
+def with_tables(page: str, text: str, marker: str = TABLES) -> str:
+    """The page with `text` between its `<!-- marker: begin -->` and `<!-- marker: end -->`.
+
+    Raises `ValueError` unless the page has each of them once, in order.
+    """
+    begin, end = f"<!-- {marker}: begin -->", f"<!-- {marker}: end -->"
+    counts = page.count(begin), page.count(end)
+    if counts != (1, 1) or page.index(begin) > page.index(end):
+        raise ValueError(f"the page has {counts[0]} x {begin} and {counts[1]} x {end}, need one of each, in this order")
+    before, rest = page.split(begin)
+    return f"{before}{begin}\n{text}{end}{rest.split(end)[1]}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,10 @@ class Lpips:
                 if found != shape:
                     raise InputError(f"{name} is {found}, need {shape}", field="lpips")
         self._weights = {name: value.float() for name, value in weights.items()}
+        digest = hashlib.sha256()
+        for name, value in sorted(self._weights.items()):
+            digest.update(name.encode() + value.contiguous().numpy().tobytes())
+        self.fingerprint = digest.hexdigest()  # equal for equal weights, whatever file they came from
 
     @classmethod
     def load(cls, path: Path) -> Lpips:

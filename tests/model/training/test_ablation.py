@@ -19,19 +19,19 @@ from gapmes.model.config import ModelConfig, preset
 from gapmes.model.training import ablation, ablation_runs
 from gapmes.model.training.ablation_runs import VARIANTS, Budget, Run, run_in
 from gapmes.model.training.ablation_table import (
-    BEGIN,
     COMPLETE,
-    END,
     PAPER,
     Scores,
-    check_same_scenes,
+    check_comparable,
     paired,
     tables,
     with_tables,
 )
 from gapmes.model.training.lpips import Lpips
+from gapmes.model.weights_file import CheckpointError
 
 SMALL = Budget(steps=2, size=32, training_scenes=1, validation_scenes=2, log_rows=2)
+BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
 NAMES = [COMPLETE, "without-experts"]
 
 
@@ -154,10 +154,18 @@ def test_tables_say_which_runs_were_scored_without_lpips() -> None:
 def test_runs_on_different_scenes_are_not_compared() -> None:
     random = np.random.default_rng(2)
     same, other = drawn_scores(random, 4), drawn_scores(random, 4)
-    check_same_scenes({COMPLETE: {1: same, 2: other}, "top-1": {1: other}, "tau-0.4": {}})
+    check_comparable({COMPLETE: {1: same, 2: other}, "top-1": {1: other}, "tau-0.4": {}})
     other = replace(other, copy_psnr=same.copy_psnr + np.array([0, 0, 0.002, 0]))
     with pytest.raises(ValueError, match=r"complete \(seed 1\) and top-1 \(seed 3\).*scene 2"):
-        check_same_scenes({COMPLETE: {1: same}, "top-1": {3: other}})
+        check_comparable({COMPLETE: {1: same}, "top-1": {3: other}})
+
+
+def test_runs_with_lpips_of_different_weights_are_not_compared() -> None:
+    plain = drawn_scores(np.random.default_rng(2), 4)
+    one, two = (replace(plain, lpips=np.ones(4), lpips_weights=name) for name in ("a", "b"))
+    check_comparable({COMPLETE: {1: one, 2: one}, "top-1": {1: plain}})
+    with pytest.raises(ValueError, match=r"complete \(seed 1\) and top-1 \(seed 2\).*different weights for LPIPS"):
+        check_comparable({COMPLETE: {1: one}, "top-1": {1: plain, 2: two}})
 
 
 def test_tables_take_the_place_between_the_markers() -> None:
@@ -217,13 +225,19 @@ def test_an_interrupted_study_resumes_and_repeats_nothing(tmp_path: Path, monkey
         ablation.ablate(tmp_path, NAMES, [1], Budget(**{**asdict(SMALL), "steps": 3}), quiet())
 
 
-def test_what_was_scored_without_lpips_is_scored_again_and_not_trained_again(tmp_path: Path) -> None:
+def test_what_was_scored_without_lpips_is_scored_again_and_not_trained_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = ablation.ablate(tmp_path, [COMPLETE], [1], SMALL, quiet())[COMPLETE][1]
     assert before.lpips is None
-    log = (tmp_path / "complete-seed1" / "log.jsonl").read_text()
-    distance = Lpips(random_weights())
+    folder, distance = tmp_path / "complete-seed1", Lpips(random_weights())
+    (folder / "state.pt").unlink()  # without it a training would begin anew
+
+    def trains(*_: object, **__: object) -> None:
+        raise AssertionError("trained again")
+
+    monkeypatch.setattr(ablation_runs, "train", trains)
     after = ablation.ablate(tmp_path, [COMPLETE], [1], SMALL, quiet(), distance)[COMPLETE][1]
-    assert (tmp_path / "complete-seed1" / "log.jsonl").read_text() == log
     assert after.psnr.tolist() == before.psnr.tolist()
     assert after.lpips.shape == (SMALL.validation_scenes,)
     assert (after.lpips > 0).all()
@@ -235,6 +249,19 @@ def test_what_was_scored_without_lpips_is_scored_again_and_not_trained_again(tmp
     assert "LPIPS" in (tmp_path / ablation.TABLES).read_text()
     body = json.loads((tmp_path / ablation.RESULT).read_text())
     assert body["variants"][COMPLETE]["runs"][0]["lpips"] == after.lpips.tolist()
+
+    other = {name: 1.5 * value for name, value in random_weights().items()}
+    again = ablation.ablate(tmp_path, [COMPLETE], [1], SMALL, quiet(), Lpips(other))[COMPLETE][1]
+    assert again.lpips.tolist() != after.lpips.tolist()
+    # scores that the weights do not have are not mixed with what the weights have
+    path = folder / ablation_runs.SCORES
+    whole = json.loads(path.read_text())
+    path.write_text(json.dumps(whole | {"scores": whole["scores"] | {"psnr": [1.0, 2.0]}}))
+    with pytest.raises(ValueError, match=r"weights\.safetensors has psnr .* in scene 0, scores\.json says 1\.00 dB"):
+        ablation.ablate(tmp_path, [COMPLETE], [1], SMALL, quiet(), distance)
+    (folder / "weights.safetensors").unlink()
+    with pytest.raises(CheckpointError, match="no such file"):
+        ablation.ablate(tmp_path, [COMPLETE], [1], SMALL, quiet(), distance)
 
 
 def test_a_half_written_log_is_read_to_its_last_whole_row(tmp_path: Path) -> None:

@@ -36,10 +36,15 @@ def test_scores_that_are_damaged_are_named(tmp_path: Path) -> None:
     lacking, wide = json.loads(whole), json.loads(whole)
     del lacking["scores"]["ssim"]
     wide["scores"]["ssim"] = [1.0]
+    flat = json.loads(whole)
+    flat["scores"]["lpips"] = [1.0, 2.0, 3.0]
     for text in ("", "{}", "[]", whole[:-20], json.dumps(lacking)):
         path.write_text(text)
         with pytest.raises(ValueError, match=r"seed1/scores\.json holds no scores of a run: .*; remove the file"):
             run.scores()
+    path.write_text(json.dumps(flat))
+    with pytest.raises(ValueError, match=r"scores\.json has lpips of shape \(3,\), need one number for each of the 2"):
+        run.scores()
     path.write_text(json.dumps(wide))
     with pytest.raises(ValueError, match=r"scores\.json has ssim of shape \(1,\), need one number for each of the 2"):
         run.scores()

@@ -1,0 +1,169 @@
+"""`python -m gapmes.model.training.silenced`: what a trained network loses when one part of it falls silent.
+
+Nothing is trained. The ablation study asks what a network is worth that never had the part; this asks how much the
+network that has it leans on it, after any length of training. What others could have learnt instead it cannot say.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numba
+import torch
+from rich.console import Console
+from torch import Tensor
+
+from gapmes.service.errors import InputError
+
+from ..checkpoint import load_checkpoint, shipped_checkpoint
+from ..network import GaPMeS
+from ..routing import Routing
+from ..weights_file import CheckpointError
+from . import arguments as kinds
+from .ablation_runs import WIDE, scene_scores, write_whole
+from .ablation_table import SHOWN as FIGURES
+from .ablation_table import Scores, cell, head, paired, row, with_tables
+from .lpips import Lpips, default_weights
+from .validation import validation_batches
+
+WHOLE, MARKER = "nothing", "silenced"
+SHUFFLE_SEED = 0
+Reroute = Callable[[Routing], Routing]
+
+
+def _no_experts(routing: Routing) -> Routing:
+    return replace(routing, expert_weight=_present(routing.expert_weight) * 0)
+
+
+def _shuffled(routing: Routing) -> Routing:
+    """Every patch takes the experts and weights of another one: the load of each stays, the choice means nothing."""
+    index, weight = _present(routing.expert_index), _present(routing.expert_weight)
+    other = torch.randperm(len(index), generator=torch.Generator().manual_seed(SHUFFLE_SEED)).to(index.device)
+    return replace(routing, expert_index=index[other], expert_weight=weight[other])
+
+
+def _no_tasks(routing: Routing) -> Routing:
+    return replace(routing, task_weight=_present(routing.task_weight) * 0)
+
+
+def _even_tasks(routing: Routing) -> Routing:
+    """Every patch has the mean weights, which leaves the tasks' mean shares and takes the choice."""
+    weight = _present(routing.task_weight)
+    return replace(routing, task_weight=weight.mean(0, keepdim=True).expand_as(weight))
+
+
+def _present(value: Tensor | None) -> Tensor:
+    if value is None:
+        raise ValueError("the network was built without this part: there is nothing to silence")
+    return value
+
+
+# what stands in the table: what is done to the gates' routing
+GATES: dict[str, Reroute] = {
+    "experts": _no_experts,
+    "choice of experts": _shuffled,
+    "task weights": _no_tasks,
+    "choice of task weights": _even_tasks,
+}
+
+
+def parts(model: GaPMeS) -> list[str]:
+    """Names of what can be silenced in this network: its streams, then what its gates decide."""
+    config = model.config
+    lacking = [name for name in GATES if "experts" in name and config.without_experts]
+    lacking += [name for name in GATES if "task" in name and config.without_tasks]
+    return [f"{stream} stream" for stream in config.streams] + [name for name in GATES if name not in lacking]
+
+
+@contextmanager
+def silenced(model: GaPMeS, part: str) -> Iterator[None]:
+    """The network without what one of `parts` adds while the block lasts; raises `KeyError` for another name.
+
+    A silenced stream reaches the mixture as zeros (its alignment's bias stays); depth is estimated as ever.
+    """
+    if part not in parts(model):
+        raise KeyError(f"{part!r} is no part of this network, which has {', '.join(parts(model))}")
+    if part in GATES:
+        reroute = GATES[part]
+        gates = model.mixture.get_submodule("gates")
+        handle = gates.register_forward_hook(lambda _module, _inputs, routing: reroute(routing))
+    else:
+        name = part.removesuffix(" stream")
+        aligned = model.mixture.align[name]
+        handle = aligned.register_forward_pre_hook(lambda _module, inputs: (torch.zeros_like(inputs[0]),))
+    try:
+        yield
+    finally:
+        handle.remove()
+
+
+def measure(model: GaPMeS, size: int, scenes: int, lpips: Lpips | None, console: Console) -> dict[str, Scores]:
+    """Figures of the network as it is, under `WHOLE`, and with each part silenced, on the same scenes."""
+    batches = validation_batches(size, scenes, WIDE)
+    found: dict[str, Scores] = {}
+    names = [WHOLE, *parts(model)]
+    for number, name in enumerate(names, 1):
+        if name == WHOLE:
+            found[name] = scene_scores(model, batches, 0.0, lpips)
+        else:
+            with silenced(model, name):
+                found[name] = scene_scores(model, batches, 0.0, lpips)
+        console.print(f"{number} of {len(names)}  {name} silenced: {found[name].psnr.mean():.2f} dB", markup=False)
+    return found
+
+
+def table(found: dict[str, Scores], caption: str) -> str:
+    """Markdown: the figures of the whole network, then the differences to them with their errors over scenes."""
+    shown = [figure for figure in FIGURES if getattr(found[WHOLE], figure[0]) is not None]
+    lines = [caption, "", *head(["silenced", *(title for _, title, _ in shown)])]
+    lines.append(row([WHOLE, *(f"{getattr(found[WHOLE], field).mean():.{digits}f}" for field, _, digits in shown)]))
+    for name, scores in found.items():
+        if name != WHOLE:
+            differences = [
+                cell(paired(getattr(scores, field)[None], getattr(found[WHOLE], field)[None]), digits)
+                for field, _, digits in shown
+            ]
+            lines.append(row([name, *differences]))
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m gapmes.model.training.silenced", description=__doc__)
+    parser.add_argument("--weights", type=Path, metavar="FILE", help="checkpoint; default: the shipped tiny one")
+    parser.add_argument("--scenes", type=kinds.whole_number(1), default=64)
+    parser.add_argument("--size", type=kinds.whole_number(32), default=128, help="px, a multiple of 32")
+    parser.add_argument("--lpips", type=Path, metavar="FILE", help="weights; default: those in shared/weights, if any")
+    parser.add_argument("--threads", type=kinds.threads(), default=1)
+    parser.add_argument("--page", type=Path, help="a Markdown page whose table, between its markers, is replaced")
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(options.threads)
+    numba.set_num_threads(options.threads)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    try:
+        if options.page:
+            with_tables(options.page.read_text(encoding="utf-8"), "", MARKER)  # said before the work, not after it
+        path = options.weights or shipped_checkpoint("tiny")
+        weights = options.lpips or default_weights()
+        lpips = Lpips.load(weights) if weights else None
+        found = measure(load_checkpoint(path), options.size, options.scenes, lpips, console)
+        caption = (
+            f"`{path.name}` on {options.scenes} scenes at {options.size} px with a baseline of {WIDE[0]} to {WIDE[1]} "
+            f"of their depth; the nearer input shown as it is has {found[WHOLE].copy_psnr.mean():.2f} dB there."
+        )
+        text = table(found, caption)
+        if options.page:
+            write_whole(options.page, with_tables(options.page.read_text(encoding="utf-8"), text, MARKER))
+    except (ValueError, OSError, InputError, CheckpointError) as error:
+        console.print(f"refused: {error}", markup=False)
+        return 1
+    sys.stdout.write(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
