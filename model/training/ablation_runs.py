@@ -146,8 +146,8 @@ class Run:
             if (different := np.abs(now - before) > SAME_WEIGHTS_DB).any():
                 scene = int(different.argmax())
                 raise ValueError(
-                    f"{path} has {field} {now[scene]:.2f} dB in scene {scene}, {SCORES} says {before[scene]:.2f} dB; was "
-                    "the code changed since? use a new folder"
+                    f"{path} has {field} {now[scene]:.2f} dB in scene {scene}, {SCORES} says {before[scene]:.2f} dB; "
+                    "was the code changed since? use a new folder"
                 )
         scores = replace(scores, lpips=again.lpips, lpips_weights=again.lpips_weights)
         self._keep(scores)

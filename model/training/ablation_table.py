@@ -104,8 +104,8 @@ def check_comparable(results: Mapping[str, Runs]) -> None:
             )
     perceived = [(name, scores.lpips_weights) for name, scores in runs if scores.lpips is not None]
     for name, weights in perceived[1:]:
-        first, reference = perceived[0]
-        if weights != reference:
+        first, first_weights = perceived[0]
+        if weights != first_weights:
             raise ValueError(
                 f"{first} and {name} were scored with different weights for LPIPS; ask for all of them with one --lpips"
             )

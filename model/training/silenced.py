@@ -32,6 +32,7 @@ from .lpips import Lpips, default_weights
 from .validation import validation_batches
 
 WHOLE, MARKER = "nothing", "silenced"
+ALL_STREAMS = "all streams"
 SHUFFLE_SEED = 0
 Reroute = Callable[[Routing], Routing]
 
@@ -77,7 +78,8 @@ def parts(model: GaPMeS) -> list[str]:
     config = model.config
     lacking = [name for name in GATES if "experts" in name and config.without_experts]
     lacking += [name for name in GATES if "task" in name and config.without_tasks]
-    return [f"{stream} stream" for stream in config.streams] + [name for name in GATES if name not in lacking]
+    streams = [f"{stream} stream" for stream in config.streams]
+    return [*streams, ALL_STREAMS, *(name for name in GATES if name not in lacking)]
 
 
 @contextmanager
@@ -91,15 +93,18 @@ def silenced(model: GaPMeS, part: str) -> Iterator[None]:
     if part in GATES:
         reroute = GATES[part]
         gates = model.mixture.get_submodule("gates")
-        handle = gates.register_forward_hook(lambda _module, _inputs, routing: reroute(routing))
+        handles = [gates.register_forward_hook(lambda _module, _inputs, routing: reroute(routing))]
     else:
-        name = part.removesuffix(" stream")
-        aligned = model.mixture.align[name]
-        handle = aligned.register_forward_pre_hook(lambda _module, inputs: (torch.zeros_like(inputs[0]),))
+        handles = [
+            align.register_forward_pre_hook(lambda _module, inputs: (torch.zeros_like(inputs[0]),))
+            for name, align in model.mixture.align.items()
+            if part in (f"{name} stream", ALL_STREAMS)
+        ]
     try:
         yield
     finally:
-        handle.remove()
+        for handle in handles:
+            handle.remove()
 
 
 def measure(model: GaPMeS, size: int, scenes: int, lpips: Lpips | None, console: Console) -> dict[str, Scores]:

@@ -20,7 +20,7 @@ from gapmes.model.training.ablation_table import Scores
 from gapmes.model.training.lpips import Lpips
 from gapmes.model.training.silenced import WHOLE, measure, parts, silenced, table
 
-STREAMS = ["depth stream", "texture stream", "semantic stream"]
+STREAMS = ["depth stream", "texture stream", "semantic stream", "all streams"]
 GATED = ["experts", "choice of experts", "task weights", "choice of task weights"]
 
 
@@ -65,6 +65,8 @@ def test_a_silent_stream_has_no_influence(name: str) -> None:
         assert same(mixed(model), mixed(model, loud=name))
         other = next(stream for stream in model.config.streams if stream != name)
         assert not same(mixed(model), mixed(model, loud=other))
+    with silenced(model, "all streams"):
+        assert same(mixed(model), mixed(model, seed=1))
 
 
 def test_silent_experts_and_tasks_are_those_of_a_network_that_never_had_them() -> None:
@@ -131,7 +133,7 @@ def test_the_command_measures_a_checkpoint_and_fills_its_page(
     assert module.main(few) == 0
     printed = capsys.readouterr()
     assert page.read_text() == f"before\n<!-- silenced: begin -->\n{printed.out}<!-- silenced: end -->\nafter\n"
-    assert "6 of 6  choice of task weights silenced" in printed.err
+    assert "7 of 7  choice of task weights silenced" in printed.err
     assert [line.split("|")[1].strip() for line in printed.out.splitlines()[4:]] == [WHOLE, *parts(model)]
     assert module.main(["--weights", str(tmp_path / "none.safetensors")]) == 1
     assert "no such file" in capsys.readouterr().err
