@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from threading import Event, Thread
 
@@ -21,11 +21,11 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from gapmes.service.errors import InputError
 
-from ..weights_file import CheckpointError
 from . import arguments as kinds
 from .ablation_runs import VARIANTS, WIDE, Budget, Run, by_scene, run_in, write_whole
 from .ablation_table import Scores, check_comparable, tables, with_tables
 from .lpips import Lpips, default_weights
+from .step import TensorBatch
 
 RESULT, TABLES = "ablation.json", "ablation.md"
 POLL_SECONDS = 1.0
@@ -94,18 +94,16 @@ def ablate(
 
     With `lpips`, what was scored without it, or with other weights, is scored again and not trained again. The results
     hold every finished run below `out`, also those that were not asked for now. Raises `ValueError` when `out`
-    holds runs of another budget, or of a generator that drew other validation scenes.
+    holds runs of another budget, of a generator that drew other validation scenes, with LPIPS of other weights that
+    were not asked for now, or without the weights that LPIPS is to be added from.
     """
     runs = [run_in(out, name, seed, budget) for seed in dict.fromkeys(seeds) for name in dict.fromkeys(names)]
     results = finished(out, budget)
     open_runs = [run for run in runs if run.seed not in results[run.name]]
     console.print(f"{len(runs)} runs, {len(runs) - len(open_runs)} of them finished before", markup=False)
     batches = budget.batches()
-    for run in runs:
-        scores = results[run.name].get(run.seed)
-        if lpips is not None and scores is not None and scores.lpips_weights != lpips.fingerprint:
-            results[run.name][run.seed] = run.perceive(scores, batches, lpips)
-            console.print(f"{run.name} (seed {run.seed}): finished before, LPIPS added", markup=False)
+    if lpips is not None:
+        _add_lpips(results, runs, batches, lpips, console)
     check_comparable(results)
     board = Board(console, open_runs)
     for run in open_runs:
@@ -120,6 +118,24 @@ def ablate(
         write_results(out, results, budget)
     write_results(out, results, budget)
     return results
+
+
+def _add_lpips(
+    results: Results, runs: Sequence[Run], batches: Sequence[TensorBatch], lpips: Lpips, console: Console
+) -> None:
+    """To those of `runs` that are finished; nothing is written when the others have it from other weights."""
+    lacking = {
+        (run.name, run.seed): run
+        for run in runs
+        if run.seed in results[run.name] and results[run.name][run.seed].lpips_weights != lpips.fingerprint
+    }
+    planned = {name: dict(by_seed) for name, by_seed in results.items()}
+    for name, seed in lacking:
+        planned[name][seed] = replace(results[name][seed], lpips_weights=lpips.fingerprint)
+    check_comparable(planned)
+    for number, ((name, seed), run) in enumerate(lacking.items(), 1):
+        results[name][seed] = run.perceive(results[name][seed], batches, lpips)
+        console.print(f"LPIPS {number} of {len(lacking)}  {name} (seed {seed}) was finished before", markup=False)
 
 
 def finished(out: Path, budget: Budget) -> Results:
@@ -196,7 +212,7 @@ def main(arguments: list[str] | None = None) -> int:
         text = (options.out / TABLES).read_text(encoding="utf-8")
         if options.page:
             write_whole(options.page, with_tables(options.page.read_text(encoding="utf-8"), text))
-    except (ValueError, OSError, InputError, CheckpointError) as error:
+    except (ValueError, OSError, InputError) as error:
         console.print(f"refused: {error}", markup=False)
         return 1
     except KeyboardInterrupt:

@@ -102,7 +102,7 @@ def check_comparable(results: Mapping[str, Runs]) -> None:
                 f"{reference.copy_psnr[scene]:.2f} and {scores.copy_psnr[scene]:.2f} dB; was the code changed between "
                 "them? use a new folder"
             )
-    perceived = [(name, scores.lpips_weights) for name, scores in runs if scores.lpips is not None]
+    perceived = [(name, scores.lpips_weights) for name, scores in runs if scores.lpips_weights is not None]
     for name, weights in perceived[1:]:
         first, first_weights = perceived[0]
         if weights != first_weights:

@@ -12,25 +12,26 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numba
 import torch
 from rich.console import Console
-from torch import Tensor
+from torch import Tensor, nn
 
 from gapmes.service.errors import InputError
 
 from ..checkpoint import load_checkpoint, shipped_checkpoint
+from ..experts import chosen_experts
 from ..network import GaPMeS
 from ..routing import Routing
-from ..weights_file import CheckpointError
 from . import arguments as kinds
 from .ablation_runs import WIDE, scene_scores, write_whole
-from .ablation_table import SHOWN as FIGURES
-from .ablation_table import Scores, cell, head, paired, row, with_tables
+from .ablation_table import SHOWN, Scores, cell, head, paired, row, with_tables
 from .lpips import Lpips, default_weights
 from .validation import validation_batches
 
+LARGEST = 512  # px; the memory of a training step grows with the square, and scenes are drawn that large
 WHOLE, MARKER = "nothing", "silenced"
 ALL_STREAMS = "all streams"
 SHUFFLE_SEED = 0
@@ -38,30 +39,29 @@ Reroute = Callable[[Routing], Routing]
 
 
 def _no_experts(routing: Routing) -> Routing:
-    return replace(routing, expert_weight=_present(routing.expert_weight) * 0)
+    return replace(routing, expert_weight=chosen_experts(routing)[1] * 0)
 
 
 def _shuffled(routing: Routing) -> Routing:
     """Every patch takes the experts and weights of another one: the load of each stays, the choice means nothing."""
-    index, weight = _present(routing.expert_index), _present(routing.expert_weight)
+    index, weight = chosen_experts(routing)
     other = torch.randperm(len(index), generator=torch.Generator().manual_seed(SHUFFLE_SEED)).to(index.device)
     return replace(routing, expert_index=index[other], expert_weight=weight[other])
 
 
 def _no_tasks(routing: Routing) -> Routing:
-    return replace(routing, task_weight=_present(routing.task_weight) * 0)
+    return replace(routing, task_weight=_task_weight(routing) * 0)
 
 
 def _even_tasks(routing: Routing) -> Routing:
     """Every patch has the mean weights, which leaves the tasks' mean shares and takes the choice."""
-    weight = _present(routing.task_weight)
+    weight = _task_weight(routing)
     return replace(routing, task_weight=weight.mean(0, keepdim=True).expand_as(weight))
 
 
-def _present(value: Tensor | None) -> Tensor:
-    if value is None:
-        raise ValueError("the network was built without this part: there is nothing to silence")
-    return value
+def _task_weight(routing: Routing) -> Tensor:
+    """Of gates that have tasks: `parts` names none where there are none."""
+    return cast(Tensor, routing.task_weight)
 
 
 # what stands in the table: what is done to the gates' routing
@@ -71,6 +71,11 @@ GATES: dict[str, Reroute] = {
     "task weights": _no_tasks,
     "choice of task weights": _even_tasks,
 }
+
+
+def _flat(_align: nn.Module, inputs: tuple[Tensor]) -> tuple[Tensor]:
+    """Features (n, C, h, w) of a stream, the mean of each image in all places."""
+    return (inputs[0].mean((-2, -1), keepdim=True).expand_as(inputs[0]),)
 
 
 def parts(model: GaPMeS) -> list[str]:
@@ -86,7 +91,8 @@ def parts(model: GaPMeS) -> list[str]:
 def silenced(model: GaPMeS, part: str) -> Iterator[None]:
     """The network without what one of `parts` adds while the block lasts; raises `KeyError` for another name.
 
-    A silenced stream reaches the mixture as zeros (its alignment's bias stays); depth is estimated as ever.
+    A silenced stream tells the mixture nothing but its means over each image, the same everywhere; depth is estimated
+    as ever.
     """
     if part not in parts(model):
         raise KeyError(f"{part!r} is no part of this network, which has {', '.join(parts(model))}")
@@ -96,7 +102,7 @@ def silenced(model: GaPMeS, part: str) -> Iterator[None]:
         handles = [gates.register_forward_hook(lambda _module, _inputs, routing: reroute(routing))]
     else:
         handles = [
-            align.register_forward_pre_hook(lambda _module, inputs: (torch.zeros_like(inputs[0]),))
+            align.register_forward_pre_hook(_flat)
             for name, align in model.mixture.align.items()
             if part in (f"{name} stream", ALL_STREAMS)
         ]
@@ -124,7 +130,7 @@ def measure(model: GaPMeS, size: int, scenes: int, lpips: Lpips | None, console:
 
 def table(found: dict[str, Scores], caption: str) -> str:
     """Markdown: the figures of the whole network, then the differences to them with their errors over scenes."""
-    shown = [figure for figure in FIGURES if getattr(found[WHOLE], figure[0]) is not None]
+    shown = [figure for figure in SHOWN if getattr(found[WHOLE], figure[0]) is not None]
     lines = [caption, "", *head(["silenced", *(title for _, title, _ in shown)])]
     lines.append(row([WHOLE, *(f"{getattr(found[WHOLE], field).mean():.{digits}f}" for field, _, digits in shown)]))
     for name, scores in found.items():
@@ -141,7 +147,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gapmes.model.training.silenced", description=__doc__)
     parser.add_argument("--weights", type=Path, metavar="FILE", help="checkpoint; default: the shipped tiny one")
     parser.add_argument("--scenes", type=kinds.whole_number(1), default=64)
-    parser.add_argument("--size", type=kinds.whole_number(32), default=128, help="px, a multiple of 32")
+    parser.add_argument("--size", type=kinds.whole_number(32, LARGEST), default=128, help="px")
     parser.add_argument("--lpips", type=Path, metavar="FILE", help="weights; default: those in shared/weights, if any")
     parser.add_argument("--threads", type=kinds.threads(), default=1)
     parser.add_argument("--page", type=Path, help="a Markdown page whose table, between its markers, is replaced")
@@ -155,7 +161,10 @@ def main(arguments: list[str] | None = None) -> int:
         path = options.weights or shipped_checkpoint("tiny")
         weights = options.lpips or default_weights()
         lpips = Lpips.load(weights) if weights else None
-        found = measure(load_checkpoint(path), options.size, options.scenes, lpips, console)
+        model = load_checkpoint(path)
+        if options.size % (step := model.config.size_step):
+            raise ValueError(f"--size is {options.size}, need a multiple of {step} for these weights")
+        found = measure(model, options.size, options.scenes, lpips, console)
         caption = (
             f"`{path.name}` on {options.scenes} scenes at {options.size} px with a baseline of {WIDE[0]} to {WIDE[1]} "
             f"of their depth; the nearer input shown as it is has {found[WHOLE].copy_psnr.mean():.2f} dB there."
@@ -163,7 +172,7 @@ def main(arguments: list[str] | None = None) -> int:
         text = table(found, caption)
         if options.page:
             write_whole(options.page, with_tables(options.page.read_text(encoding="utf-8"), text, MARKER))
-    except (ValueError, OSError, InputError, CheckpointError) as error:
+    except (ValueError, OSError, InputError) as error:
         console.print(f"refused: {error}", markup=False)
         return 1
     sys.stdout.write(text)

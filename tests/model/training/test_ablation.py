@@ -253,6 +253,15 @@ def test_what_was_scored_without_lpips_is_scored_again_and_not_trained_again(
     other = {name: 1.5 * value for name, value in random_weights().items()}
     again = ablation.ablate(tmp_path, [COMPLETE], [1], SMALL, quiet(), Lpips(other))[COMPLETE][1]
     assert again.lpips.tolist() != after.lpips.tolist()
+    # what was not asked for would keep the others': refused before anything is written
+    top = run_in(tmp_path, "top-1", 1, SMALL)
+    top.folder.mkdir()
+    top._keep(again)
+    for asked, weights in ((["top-1"], distance), ([COMPLETE], distance)):
+        with pytest.raises(ValueError, match="different weights for LPIPS"):
+            ablation.ablate(tmp_path, asked, [1], SMALL, quiet(), weights)
+        assert run_in(tmp_path, asked[0], 1, SMALL).scores().lpips_weights == again.lpips_weights
+    (top.folder / ablation_runs.SCORES).unlink()
     # scores that the weights do not have are not mixed with what the weights have
     path = folder / ablation_runs.SCORES
     whole = json.loads(path.read_text())
