@@ -13,9 +13,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from threading import Event, Thread
 
-import numba
 import numpy as np
-import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
@@ -23,11 +21,13 @@ from gapmes.service.errors import InputError
 
 from . import arguments as kinds
 from .ablation_runs import VARIANTS, WIDE, Budget, Run, by_scene, run_in, write_whole
-from .ablation_table import Scores, check_comparable, tables, with_tables
-from .lpips import Lpips, default_weights
+from .ablation_table import Scores, check_comparable, tables
+from .lpips import Lpips
 from .step import TensorBatch
+from .study import asked_lpips, check_page, fill_page, parse
 
 RESULT, TABLES = "ablation.json", "ablation.md"
+MARKER = "tables"  # of the page
 POLL_SECONDS = 1.0
 Results = dict[str, dict[int, Scores]]
 
@@ -192,26 +192,16 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=Budget.steps, help="of every variant")
     parser.add_argument("--seeds", type=kinds.seed(), nargs="+", default=[1], metavar="SEED", help="training seeds")
     parser.add_argument("--only", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME", help="variants")
-    parser.add_argument(
-        "--threads", type=kinds.threads(), default=1, help="one thread per process is fastest on shared cores"
-    )
-    parser.add_argument(
-        "--lpips", type=Path, metavar="FILE", help="weights for LPIPS; default: those in shared/weights, if there are"
-    )
-    parser.add_argument("--page", type=Path, help="a Markdown page whose tables, between its markers, are replaced")
-    options = parser.parse_args(arguments)
-    torch.set_num_threads(options.threads)
-    numba.set_num_threads(options.threads)
+    options = parse(parser, arguments)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     try:
         if options.page:
-            with_tables(options.page.read_text(encoding="utf-8"), "")  # said before the work, not after it
-        weights = options.lpips or default_weights()
-        lpips = Lpips.load(weights) if weights else None
-        ablate(options.out, options.only, options.seeds, Budget(steps=options.steps), console, lpips)
+            check_page(options.page, MARKER)
+        budget = Budget(steps=options.steps)
+        ablate(options.out, options.only, options.seeds, budget, console, asked_lpips(options))
         text = (options.out / TABLES).read_text(encoding="utf-8")
         if options.page:
-            write_whole(options.page, with_tables(options.page.read_text(encoding="utf-8"), text))
+            fill_page(options.page, text, MARKER)
     except (ValueError, OSError, InputError) as error:
         console.print(f"refused: {error}", markup=False)
         return 1

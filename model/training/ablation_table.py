@@ -31,7 +31,6 @@ PAPER: dict[str, dict[str, str]] = {
 SHOWN = (("psnr", "PSNR", 2), ("ssim", "SSIM", 4), ("lpips", "LPIPS", 4), ("depth_error", "depth error", 4))
 NONE = "–"  # in the place of a figure that a run was scored without
 SAME_SCENE_DB = 1e-3  # figures are kept to 1e-4 dB; another number of threads may round the last of these otherwise
-TABLES = "tables"  # the marker of a page that these tables go to
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +188,7 @@ def _signed(value: float, digits: int) -> str:
     return f"{round(value, digits) + 0.0:+.{digits}f}"
 
 
-def with_tables(page: str, text: str, marker: str = TABLES) -> str:
+def with_tables(page: str, text: str, marker: str) -> str:
     """The page with `text` between its `<!-- marker: begin -->` and `<!-- marker: end -->`.
 
     Raises `ValueError` unless the page has each of them once, in order.

@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-import numba
 import torch
 from rich.console import Console
 from torch import Tensor, nn
@@ -26,12 +25,13 @@ from ..experts import chosen_experts
 from ..network import GaPMeS
 from ..routing import Routing
 from . import arguments as kinds
-from .ablation_runs import WIDE, scene_scores, write_whole
-from .ablation_table import SHOWN, Scores, cell, head, paired, row, with_tables
-from .lpips import Lpips, default_weights
+from .ablation_runs import WIDE, scene_scores
+from .ablation_table import SHOWN, Scores, cell, head, paired, row
+from .lpips import Lpips
+from .study import asked_lpips, check_page, fill_page, parse
 from .validation import validation_batches
 
-LARGEST = 512  # px; the memory of a training step grows with the square, and scenes are drawn that large
+LARGEST = 512  # px; time and memory grow with the square, and nothing is trained at more than 256
 WHOLE, MARKER = "nothing", "silenced"
 ALL_STREAMS = "all streams"
 SHUFFLE_SEED = 0
@@ -148,30 +148,23 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--weights", type=Path, metavar="FILE", help="checkpoint; default: the shipped tiny one")
     parser.add_argument("--scenes", type=kinds.whole_number(1), default=64)
     parser.add_argument("--size", type=kinds.whole_number(32, LARGEST), default=128, help="px")
-    parser.add_argument("--lpips", type=Path, metavar="FILE", help="weights; default: those in shared/weights, if any")
-    parser.add_argument("--threads", type=kinds.threads(), default=1)
-    parser.add_argument("--page", type=Path, help="a Markdown page whose table, between its markers, is replaced")
-    options = parser.parse_args(arguments)
-    torch.set_num_threads(options.threads)
-    numba.set_num_threads(options.threads)
+    options = parse(parser, arguments)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     try:
         if options.page:
-            with_tables(options.page.read_text(encoding="utf-8"), "", MARKER)  # said before the work, not after it
+            check_page(options.page, MARKER)
         path = options.weights or shipped_checkpoint("tiny")
-        weights = options.lpips or default_weights()
-        lpips = Lpips.load(weights) if weights else None
         model = load_checkpoint(path)
         if options.size % (step := model.config.size_step):
             raise ValueError(f"--size is {options.size}, need a multiple of {step} for these weights")
-        found = measure(model, options.size, options.scenes, lpips, console)
+        found = measure(model, options.size, options.scenes, asked_lpips(options), console)
         caption = (
             f"`{path.name}` on {options.scenes} scenes at {options.size} px with a baseline of {WIDE[0]} to {WIDE[1]} "
             f"of their depth; the nearer input shown as it is has {found[WHOLE].copy_psnr.mean():.2f} dB there."
         )
         text = table(found, caption)
         if options.page:
-            write_whole(options.page, with_tables(options.page.read_text(encoding="utf-8"), text, MARKER))
+            fill_page(options.page, text, MARKER)
     except (ValueError, OSError, InputError) as error:
         console.print(f"refused: {error}", markup=False)
         return 1

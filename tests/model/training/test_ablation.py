@@ -170,17 +170,18 @@ def test_runs_with_lpips_of_different_weights_are_not_compared() -> None:
 
 def test_tables_take_the_place_between_the_markers() -> None:
     page = f"before\n{BEGIN}\nold\n{END}\nafter\n"
-    once = with_tables(page, "| new |\n")
+    once = with_tables(page, "| new |\n", "tables")
     assert once == f"before\n{BEGIN}\n| new |\n{END}\nafter\n"
-    assert with_tables(once, "| new |\n") == once
+    assert with_tables(once, "| new |\n", "tables") == once
     for broken in ("no markers", page + BEGIN, f"{END}{BEGIN}"):
         with pytest.raises(ValueError, match="need one of each"):
-            with_tables(broken, "")
+            with_tables(broken, "", "tables")
 
 
 def test_the_documented_page_can_be_filled_and_names_every_variant() -> None:
     page = (Path(__file__).parents[3] / "docs" / "ablations.md").read_text(encoding="utf-8")
-    with_tables(page, "")
+    with_tables(page, "", "tables")
+    with_tables(page, "", "silenced")
     assert all(f"`{name}`" in page for name in VARIANTS)
 
 

@@ -16,6 +16,7 @@ from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.streams import TaskMaps
 from gapmes.model.training import silenced as module
+from gapmes.model.training import study
 from gapmes.model.training.ablation_runs import WIDE, scene_scores
 from gapmes.model.training.ablation_table import Scores
 from gapmes.model.training.lpips import Lpips
@@ -130,7 +131,7 @@ def test_the_table_tells_the_whole_and_the_differences() -> None:
 def test_the_command_measures_a_checkpoint_and_fills_its_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "default_weights", lambda: None)
+    monkeypatch.setattr(study, "default_weights", lambda: None)
     model, weights, page = network(without_experts=True), tmp_path / "w.safetensors", tmp_path / "page.md"
     save_checkpoint(weights, model)
     few = ["--weights", str(weights), "--scenes", "2", "--size", "32", "--page", str(page)]
