@@ -4,7 +4,8 @@ A Gaussian of one view whose depth is wrong hides in another view what that one 
 its inputs' cameras; where a picture differs from its photograph, the Gaussians whose absence would mend that lose
 opacity. None rises above the network's own: no splat that nothing else supports becomes opaque for the one photograph
 that it fits. Colours follow one pass behind: what should go is not first given the colour that it hides. Between the
-inputs, where there is no photograph, pictures of what two views confirm (`anchors.py`) stand in for one.
+inputs, where there is no photograph, pictures of what two views confirm (`anchors.py`) stand in for one. At the end the
+photographs are compared at another size as well: what suits one grid of pixels alone shows in every other picture.
 """
 
 from __future__ import annotations
@@ -22,17 +23,18 @@ from .fade_passes import DEFAULT_PASSES, checked_passes
 from .gaussians import Gaussians
 from .harmonics import C0
 from .heavy_ball import HeavyBall
-from .images import FittedView
-from .splat import Definition
+from .images import FittedView, PackedView
+from .splat import Definition, Leverage
 
 STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
 DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
 # Of its opacity, at least: it is there for views that nobody has asked for. One sheet of 0.97 alone then stops more
 # than half of the light, and is no hole.
 BEHIND_KEEPS = 0.55
-ANCHORED = 2.0  # weight of a pixel of what is sure: between the inputs a few pictures stand for all views there
-COLOUR_STEP = 1.2  # of the mean that the pixels which show a Gaussian have too much: those share it with others
+COLOUR_STEP = 1.8  # of the mean that the pixels which show a Gaussian have too much: those share it with others
 COLOUR_DAMPING = 0.05  # of a pixel; a Gaussian of which less is to be seen in all keeps most of its colour
+RESIZED_ROUNDS = 3  # of the drawing, the last: as good as all of them, and the others cost less
+RESIZED_SHARE = 0.375  # of the sums, what the photographs at another size have
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +65,7 @@ def faded(
     passes: int = DEFAULT_PASSES,
     *,
     behind: NDArray[np.bool_] | None = None,
+    resized: Sequence[PackedView] = (),
     anchors: Anchors | None = None,
     near: float | None = None,
     threads: int | None = None,
@@ -80,21 +83,24 @@ def faded(
     Gilbert 1972): also of what stands behind, which new views see past the edges of what hides it. Both keep some of
     their way (`HeavyBall`). A Gaussian too faint to be drawn is not seen again, and stays so.
 
-    For the Gaussians that `anchors` says, the sums of a pass go over its pictures as well, with ANCHORED as their
-    weight; colours follow photographs alone. `near` is that of `render`; `done` hears how many rounds of drawing are
-    done, passes + 1 in all. The bits do not depend on the number of threads.
+    In the last RESIZED_ROUNDS of the drawing the sums go over `resized` as well: the same photographs on another grid,
+    one size for all. They then have RESIZED_SHARE of the weight, those of `views` the rest, by area.
+
+    For the Gaussians that `anchors` says, the sums of a pass go over its pictures as well; colours follow photographs
+    alone. `near` is that of `render`; `done` hears how many rounds of drawing are done, passes + 1 in all. The bits do
+    not depend on the number of threads.
 
     Raises `InputError` for a number of passes that is out of range.
     """
     checked_passes(passes)
     before, own = gaussians.opacities, _base_colours(gaussians)
     opacities = HeavyBall(before, 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0), before)
-    colours = HeavyBall(own, np.minimum(own, 0), np.maximum(own, 1))
-    given, sure = Compared(views), Compared(() if anchors is None else anchors.pictures)
+    colours = HeavyBall(own, 0.0, 1.0)
+    given, sure = _Photographs(views, resized), Compared(() if anchors is None else anchors.pictures)
     for number in range(passes + 1 if passes else 0):
         now = _changed(gaussians, opacities.now, colours.now - own)
         between = (0.0, 0.0) if number == passes else _between(now, anchors, sure, near, threads)
-        sums = given.sums(now, near, threads)
+        sums = given.sums(now, near, threads, at_both=number > passes - RESIZED_ROUNDS)
         if number:
             colours.move(-_finite(COLOUR_STEP * sums.excess, (sums.shown + COLOUR_DAMPING)[:, None]))
         if number < passes:
@@ -114,6 +120,26 @@ def faded(
         (_mean(before), _mean(after)),
         _mean(np.abs(colours.now - own)),
     )
+
+
+class _Photographs:
+    """What the scene should show from its inputs' cameras, at one size or at both."""
+
+    def __init__(self, views: Sequence[FittedView], resized: Sequence[PackedView]) -> None:
+        self._given, self._resized = Compared(views), Compared(resized)
+        # Of one pixel there, so that both sizes have the same sums for the same differences
+        self._area = _pixels(views[0]) / _pixels(resized[0]) if views and resized else 0.0
+
+    def sums(self, now: Gaussians, near: float | None, threads: int | None, *, at_both: bool) -> Leverage:
+        """Over the photographs, and those of the other size where there are any and `at_both` asks for them."""
+        if not (at_both and self._resized.views):
+            return self._given.sums(now, near, threads)
+        sums = self._given.sums(now, near, threads, share=1 - RESIZED_SHARE)
+        return self._resized.sums(now, near, threads, share=RESIZED_SHARE * self._area, onto=sums)
+
+
+def _pixels(view: FittedView | PackedView) -> int:
+    return view.camera.width * view.camera.height
 
 
 def _base_colours(gaussians: Gaussians) -> NDArray[np.float32]:
@@ -141,7 +167,7 @@ def _between(
     if anchors is None or not sure.views:
         return 0.0, 0.0
     sums = sure.sums(now, near, threads)
-    slope, moved = (np.where(anchors.may_fade, ANCHORED * values, 0.0) for values in (sums.slope, sums.moved))
+    slope, moved = (np.where(anchors.may_fade, values, 0.0) for values in (sums.slope, sums.moved))
     return slope, moved
 
 

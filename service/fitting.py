@@ -22,10 +22,10 @@ Picture = NDArray[np.uint8] | Photo | EncodedPhoto | str | PathLike[str] | bytes
 
 
 def fitted(
-    image: Picture, camera: Camera, index: int, info: ModelInfo, detail: int = 1
+    image: Picture, camera: Camera, index: int, info: ModelInfo, detail: int = 1, finer: int = 1
 ) -> tuple[FittedView, FittedView, list[Notice]]:
-    """The photograph of view `index` as the network of `info` sees it, the same crop with `detail` times the pixels
-    each way, and the warnings that belong to it.
+    """The photograph of view `index` as the network of `info` sees it, the same crop with `finer` times the pixels
+    each way, and the warnings that belong to it in a scene of this `detail`.
 
     A path is read, bytes are those of a file. At full size it lives in here only. Raises `ImageError` where it is none,
     too small, of another shape than its camera, or its mask keeps nothing of the crop.
@@ -35,9 +35,9 @@ def fitted(
     if isinstance(image, bytes):
         image = EncodedPhoto(image)
     if isinstance(image, EncodedPhoto):
-        return _fitted(image.decode(index=index), camera, image.lens, index, info, detail)
+        return _fitted(image.decode(index=index), camera, image.lens, index, info, detail, finer)
     photo = image if isinstance(image, Photo) else Photo.from_array(image, index=index)
-    return _fitted(photo, camera, None, index, info, detail)
+    return _fitted(photo, camera, None, index, info, detail, finer)
 
 
 def _read(path: str | PathLike[str], index: int) -> bytes:
@@ -63,7 +63,7 @@ def fit_notices(
 
 
 def _fitted(
-    photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo, detail: int
+    photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo, detail: int, finer: int = 1
 ) -> tuple[FittedView, FittedView, list[Notice]]:
     notices = _notices(photo, camera, lens, index)
     if lens is not None:
@@ -72,9 +72,9 @@ def _fitted(
     view = fit_view(photo, camera, info.height, info.width)
     check_kept(view, index)
     notices += _too_small(photo.width, photo.height, info, detail, index)
-    if detail == 1:
+    if finer == 1:
         return view, view, notices
-    return view, _within(fit_view(photo, camera, detail * info.height, detail * info.width), view.mask), notices
+    return view, _within(fit_view(photo, camera, finer * info.height, finer * info.width), view.mask), notices
 
 
 def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> list[Notice]:

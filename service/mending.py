@@ -22,7 +22,7 @@ from .contract import GAUSSIAN_OUTPUTS
 from .engine import Arrays
 from .fading import Fading, faded
 from .gaussians import Gaussians, joined
-from .images import FittedView
+from .images import FittedView, PackedView
 from .masks import REPLACED, kept_rows
 from .ply_write import as_stored
 from .refined import refined
@@ -34,7 +34,7 @@ from .world_frame import WorldFrame
 MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
 CONTINUED_VIEWS = 3  # of more, others confirm nearly all that is seen, and planes lose
 ANCHORED_VIEWS = 3  # of more, photographs contradict what floats, and things that none of them confirms would fade
-SMOOTHING = 0.1  # px^2 in the input, added to all three variances
+SMOOTHING = 0.07  # px^2 in the input, added to all three variances
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,9 +148,12 @@ def mended(
     passes: int,
     threads: int | None,
     done: Callable[[int], None] | None = None,
+    *,
+    resized: Sequence[PackedView] = (),
 ) -> Fading:
-    """Faded and recoloured; what stands behind the scene keeps more than half of its opacity, since it is there for
-    views that nobody has asked for, what stands around it nothing."""
+    """Faded and recoloured by `views`, in the end by the same at another size too (`resized`, as for `faded`); what
+    stands behind the scene keeps more than half of its opacity, since it is there for views that nobody has asked for,
+    what stands around it nothing."""
     options: dict[str, Any] = {"threads": threads, **cameras.near_plane}
     of_pixel = scene.of_pixel
     sure = np.zeros(len(scene.rows), np.bool_)
@@ -158,4 +161,4 @@ def mended(
         sure[of_pixel] = confirmed(views, scene.depths).ravel()[scene.rows[of_pixel]]
     kept = anchors(scene.gaussians, sure, of_pixel & ~sure, [view.camera for view in views], **options)
     behind = ~of_pixel & (scene.rows < scene.around)
-    return faded(scene.gaussians, views, passes, behind=behind, anchors=kept, done=done, **options)
+    return faded(scene.gaussians, views, passes, behind=behind, resized=resized, anchors=kept, done=done, **options)

@@ -17,7 +17,7 @@ from .camera import Camera
 from .depth_range import DepthRange, depth_range
 from .depth_sweep import narrowed
 from .detail import finer
-from .detail_level import checked_detail
+from .detail_level import DETAILS, checked_detail
 from .document import scene_document
 from .engine import Arrays, Engine
 from .errors import CameraError, InputError, ViewCountError
@@ -25,7 +25,7 @@ from .fade_passes import DEFAULT_PASSES, checked_passes
 from .fitting import Picture, fitted
 from .foretold import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
 from .gaussians import Gaussians
-from .images import FittedView
+from .images import FittedView, PackedView
 from .kernels import is_warm, warm_up
 from .left_out import leave_out, table
 from .masks import FADED, patch_mask
@@ -136,10 +136,13 @@ class Reconstructor:
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
             seen: list[FittedView] = []  # by the network
             views: list[FittedView] = []  # the same crops as the scene shows them
+            fine: list[PackedView] = []  # and on the finest grid, where anything looks at them
             for number, image, camera in zip(numbers, images, cameras, strict=True):
-                small, view, notices = fitted(image, camera, number, info, detail)
+                finest = max(DETAILS) if fade or detail > 1 else 1
+                small, large, notices = fitted(image, camera, number, info, detail, finest)
                 seen.append(small)
-                views.append(view)
+                views.append(large if detail > 1 else small)
+                fine.append(PackedView.of(large))
                 warnings += notices
                 done(len(seen))
             warnings += check_photos(seen, depths, trust_poses=trust_poses, numbers=numbers)
@@ -164,7 +167,8 @@ class Reconstructor:
         view_cameras = tuple(view.camera for view in views)
         scene = SceneViews(view_cameras, depths.near, depths.far)
         with stages.stage("fade", fade + 1) as done:
-            fading = mended(found, views, scene, fade, self.engine.threads, done)
+            resized = [PackedView.of(view) for view in seen] if detail > 1 else fine
+            fading = mended(found, views, scene, fade, self.engine.threads, done, resized=resized)
         dropped = {**found.dropped, FADED: int(fading.gone.sum())} if fading.gone.any() else found.dropped
         gaussians = fading.gaussians[~fading.gone]
         with stages.stage("leave out"):
@@ -184,7 +188,7 @@ class Reconstructor:
                 near, every = depths.near, range(len(views))
                 chosen = [nearest_others(cameras, index, leave_one_out, near) for index in every]
                 warnings += [not_foretold(cameras, i, near, numbers[i]) for i in every if not chosen[i]]
-                check["leave_one_out"] = self._foretold(seen, depths, scene, chosen, fade, done)
+                check["leave_one_out"] = self._foretold(seen, fine, depths, scene, chosen, fade, done)
         document = scene_document(
             info=info,
             made_by=self.engine.made_by,
@@ -222,13 +226,15 @@ class Reconstructor:
     def _foretold(
         self,
         views: Sequence[FittedView],
+        fine: Sequence[PackedView],
         depths: DepthRange,
         scene: SceneViews,
         chosen: Sequence[Sequence[int]],
         fade: int,
         done: Callable[[int], None],
     ) -> list[dict[str, Any]]:
-        """Each view drawn from a reconstruction of the `chosen` others, null figures where these are none."""
+        """Each view drawn from a reconstruction of the `chosen` others, null figures where these are none; mended by
+        the `fine` ones as well."""
         rows: list[dict[str, Any]] = []
         for index, view in enumerate(views):
             row: dict[str, Any] = dict.fromkeys(("psnr", "ssim", "holes"))
@@ -238,7 +244,8 @@ class Reconstructor:
                 if fade:
                     outputs = at_mended_depths(outputs, frame, others, depths.far, self.engine.threads)
                 found = placed(outputs, frame, others, moved=fade > 0)
-                gaussians = mended(found, others, scene, fade, self.engine.threads).gaussians
+                larger = [fine[other] for other in chosen[index]]
+                gaussians = mended(found, others, scene, fade, self.engine.threads, resized=larger).gaussians
                 options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
                 row = drawn_again(render(gaussians, view.camera, outputs=("alpha",), **options), view)
             rows.append({"from": list(chosen[index]), **row})

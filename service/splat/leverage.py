@@ -109,22 +109,27 @@ def _tiled(view: Sight, given: Planes) -> F32:
 def _weighed(view: Sight, states: F32, found: Leverage) -> Leverage:
     count, rule = len(view.gaussians), view.definition
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
-    sums = np.zeros((PARTS, count, SUMS), np.float32)
-    records = view.projection.space.records
-    for lists in view.lists():
-        walk = partial(_walk_part, lists, view.grid.columns, records, records.view(np.float32), states, cuts, sums)
-        run_ranges(walk, range(PARTS + 1), view.threads)
     opacities = np.maximum(view.gaussians.opacities.astype(np.float64), rule.alpha_min)  # fainter ones are not drawn
-    add_parts(sums, opacities, found.slope, found.moved, found.shown, found.excess)
+    at_once = min(view.threads, PARTS)
+    sums, records = np.empty((at_once, count, SUMS), np.float32), view.projection.space.records
+    for first in range(0, PARTS, at_once):
+        sums[:] = 0
+        parts = range(first, min(first + at_once, PARTS))
+        for lists in view.lists():
+            walk = partial(_walk_part, lists, view.grid.columns, records, states, cuts, sums, first)
+            run_ranges(walk, range(parts.start, parts.stop + 1), view.threads)
+        for own in sums[: len(parts)]:  # in their order, however many there were at once
+            add_part(own, opacities, found.slope, found.moved, found.shown, found.excess)
     return found
 
 
 def _walk_part(
-    lists: TileLists, columns: int, records: NDArray[np.float64], narrow: F32, states: F32, cuts: F32, sums: F32,
+    lists: TileLists, columns: int, records: NDArray[np.float64], states: F32, cuts: F32, sums: F32, start: int,
     part: int, _: int,
 ) -> None:  # fmt: skip
     first, last = (len(states) * edge // PARTS for edge in (part, part + 1))
-    leverage_tiles(first, last, columns, lists.offsets, lists.members, records, narrow, states, cuts, sums[part])
+    narrow, own = records.view(np.float32), sums[part - start]
+    leverage_tiles(first, last, columns, lists.offsets, lists.members, records, narrow, states, cuts, own)
 
 
 @kernel()
@@ -148,24 +153,15 @@ def fill_tiles(picture, residual, weight, columns, states):
 
 
 @kernel()
-def add_parts(parts, opacities, slope, moved, shown, excess):
-    """Add the sums of all parts (PARTS, N, SUMS), by the unit that each is in."""
-    count = opacities.size
-    for i in range(count):
-        opacity = get(opacities, i)
-        for which in range(SUMS):
-            total = 0.0
-            for part in range(PARTS):
-                total += get(parts, (part * count + i) * SUMS + which)
-            if which == SLOPE:
-                put(slope, i, get(slope, i) + total / opacity)
-            elif which == MOVED:
-                put(moved, i, get(moved, i) + total / (opacity * opacity))
-            elif which == SHOWN:
-                put(shown, i, get(shown, i) + total)
-            else:
-                at = 3 * i + which - EXCESS
-                put(excess, at, get(excess, at) + total)
+def add_part(part, opacities, slope, moved, shown, excess):
+    """Add the sums of a part (N, SUMS), by the unit that each is in."""
+    for i in range(opacities.size):
+        opacity, at = get(opacities, i), i * SUMS
+        put(slope, i, get(slope, i) + get(part, at + SLOPE) / opacity)
+        put(moved, i, get(moved, i) + get(part, at + MOVED) / (opacity * opacity))
+        put(shown, i, get(shown, i) + get(part, at + SHOWN))
+        for channel in range(3):
+            put(excess, 3 * i + channel, get(excess, 3 * i + channel) + get(part, at + EXCESS + channel))
 
 
 @kernel()

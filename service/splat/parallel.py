@@ -39,11 +39,11 @@ def run_ranges(work: Callable[[int, int], T], bounds: Iterable[int], threads: in
     results: dict[int, T] = {}
     if threads == 1 or len(ranges) < 2:
         return [work(start, stop) for start, stop in ranges]
-    todo = iter(range(len(ranges)))
+    todo, works = iter(range(len(ranges))), [work]
 
     def drain(todo: Iterator[int]) -> None:
         for item in todo:
-            results[item] = work(*ranges[item])
+            results[item] = works[0](*ranges[item])
 
     helpers = [_pool().submit(drain, todo) for _ in range(min(threads, len(ranges)) - 1)]
     try:
@@ -51,6 +51,7 @@ def run_ranges(work: Callable[[int, int], T], bounds: Iterable[int], threads: in
     finally:
         started = [helper for helper in helpers if not helper.cancel()]
         wait(started)
+        works.clear()  # those that were cancelled lie in the pool's queue for a while, and would keep its arrays
     for helper in started:
         helper.result()
     return [results[item] for item in range(len(ranges))]

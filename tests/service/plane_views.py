@@ -18,11 +18,11 @@ SIDE = 64
 PATCH = np.s_[24:40, 24:40]
 
 
-def plane_views() -> list[FittedView]:
-    """Three photographs of the plane, SIDE px square."""
+def plane_views(side: int = SIDE) -> list[FittedView]:
+    """Three photographs of the plane, `side` px square."""
     scene = PlaneScene.make(np.random.default_rng(5), turn=0.3)
     return [
-        fit_view(Photo(image), camera, SIDE, SIDE) for image, camera in zip(scene.images, scene.cameras, strict=True)
+        fit_view(Photo(image), camera, side, side) for image, camera in zip(scene.images, scene.cameras, strict=True)
     ]
 
 

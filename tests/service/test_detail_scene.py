@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from plane_scene import PlaneScene
 
-from gapmes.service import reconstruct
+from gapmes.service import fitting, reconstruct
 from gapmes.service.budget import KEEP_ALL, Budget
+from gapmes.service.camera import Camera
 from gapmes.service.detail_level import checked_detail
 from gapmes.service.engine import Engine
 from gapmes.service.errors import InputError
 from gapmes.service.harmonics import C0
+from gapmes.service.images import FittedView, Photo, fit_view
 from gapmes.service.reconstruct import Reconstructor
 
 PLANE = {"near": 2.0, "far": 8.0}
@@ -80,6 +82,46 @@ def test_which_grid_each_step_works_on(engine: Engine, monkeypatch: pytest.Monke
         "mended": [large, *three],
         "self_check": [small],
     }
+
+
+@pytest.mark.parametrize("detail", [1, 2])
+def test_the_other_size_that_mends_at_last(detail: int, engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The network's where the scene has twice as many pixels, else twice as many; of a view's others those others'."""
+    sharp = PlaneScene.make(np.random.default_rng(7), size=(192, 144))
+    heard: list[tuple[list[np.ndarray], list[np.ndarray]]] = []
+    own = reconstruct.mended
+
+    def listening(*given: Any, resized: Any, **options: Any) -> Any:
+        heard.append(([view.image for view in given[1]], [view.image for view in resized]))
+        return own(*given, resized=resized, **options)
+
+    monkeypatch.setattr(reconstruct, "mended", listening)
+    Reconstructor(engine).reconstruct(sharp.images, sharp.cameras, detail=detail, leave_one_out=2, **PLANE)
+    height, width = engine.info.height, engine.info.width
+    given = zip(sharp.images, sharp.cameras, strict=True)
+    small, fine = zip(
+        *([fit_view(Photo(image), camera, k * height, k * width).image for k in (1, 2)] for image, camera in given),
+        strict=True,
+    )
+    first = (small, fine) if detail == 1 else (fine, small)
+    others = [[1, 2], [0, 2], [0, 1]]
+    expected = [first, *(([small[i] for i in two], [fine[i] for i in two]) for two in others)]
+    for (views, resized), (these, those) in zip(heard, expected, strict=True):
+        for found, wanted in zip([*views, *resized], [*these, *those], strict=True):
+            np.testing.assert_array_equal(found, wanted)
+
+
+def test_nothing_looks_at_finer_photographs_without_mending(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    sharp, sizes = PlaneScene.make(np.random.default_rng(7), size=(192, 144)), []
+    own = fitting.fit_view
+
+    def listening(photo: Photo, camera: Camera, height: int, width: int) -> FittedView:
+        sizes.append((height, width))
+        return own(photo, camera, height, width)
+
+    monkeypatch.setattr(fitting, "fit_view", listening)
+    Reconstructor(engine).reconstruct(sharp.images, sharp.cameras, fade=0, leave_one_out=0, **PLANE)
+    assert sizes == 3 * [(engine.info.height, engine.info.width)]
 
 
 def test_the_networks_own_with_detail_and_without_mending(engine: Engine) -> None:

@@ -45,7 +45,7 @@ def test_a_mask_that_only_the_coarse_grid_sees_holds_on_the_fine_one_too(engine)
     out = ((y % 3 == 1) | (x % 3 == 1)) & (x < width // 2)
     pixels = np.dstack([np.full((height, width, 3), 90, np.uint8), np.where(out, 0, 255).astype(np.uint8)])
     camera = Camera.make(width, height, width, width, width / 2, height / 2, np.eye(4))
-    small, fine, _ = fitted(pixels, camera, 0, info, detail=2)
+    small, fine, _ = fitted(pixels, camera, 0, info, detail=2, finer=2)
     assert small.mask is not None
     assert not small.mask.all()
     assert fine.mask is not None

@@ -38,3 +38,10 @@ def test_steps_beyond_float32_end_at_a_limit() -> None:
     assert (ball.now == [1, 0]).all()
     ball.move(np.array([-1e300, 1e300]))
     assert (ball.now == [0, 1]).all()
+
+
+def test_what_started_beyond_a_limit_may_go_back_there_and_no_farther() -> None:
+    ball = HeavyBall(np.array([-0.5, 1.5], np.float32), 0.0, 1.0)
+    for step, found in (([0.2, -0.2], [-0.3, 1.3]), ([-9.0, 9.0], [-0.5, 1.5]), ([9.0, -9.0], [1.0, 0.0])):
+        ball.move(np.array(step))
+        assert ball.now == pytest.approx(found, abs=1e-6)

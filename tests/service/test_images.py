@@ -13,7 +13,7 @@ from PIL import Image, ImageOps
 
 from gapmes.service.camera import Camera
 from gapmes.service.errors import ImageError, ImageTooLarge, ImageUnreadable
-from gapmes.service.images import Photo, decode_image, fit_view, match_photo
+from gapmes.service.images import FittedView, PackedView, Photo, decode_image, fit_view, match_photo
 
 
 def encoded(image: Image.Image, kind: str = "PNG", **options: object) -> bytes:
@@ -309,3 +309,20 @@ def test_arrays_are_checked():
         Photo.from_array(np.zeros((40, 40), np.uint8), index=0)
     with pytest.raises(ImageError, match="at least 32"):
         Photo.from_array(np.zeros((40, 4, 3), np.uint8), index=0)
+
+
+CAMERA = Camera.make(32, 24, 30.0, 30.0, 16.0, 12.0, np.eye(4))
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_packed_view_shows_the_same(masked):
+    rng = np.random.default_rng(8)
+    image = (rng.integers(0, 256, (3, 24, 32)) / np.float32(255)).astype(np.float32)
+    view = FittedView(image, rng.random((24, 32)) < 0.5 if masked else None, CAMERA, 0.5)
+    packed = PackedView.of(view)
+    assert packed.camera is view.camera
+    assert packed.image.dtype == np.float32
+    np.testing.assert_array_equal(packed.image, view.image)
+    assert (packed.mask is None) == (view.mask is None)
+    if view.mask is not None:
+        np.testing.assert_array_equal(packed.mask, view.mask)

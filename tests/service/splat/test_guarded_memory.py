@@ -10,7 +10,7 @@ from gapmes.service.splat import Definition, render
 from gapmes.service.splat.access import BLOCK
 from gapmes.service.splat.binning import Grid, tile_lists
 from gapmes.service.splat.blend import Canvas, blend
-from gapmes.service.splat.leverage import PARTS, add_parts, fill_tiles, leverage_tiles
+from gapmes.service.splat.leverage import add_part, fill_tiles, leverage_tiles
 from gapmes.service.splat.leverage_lanes import CHANNELS, SUMS
 from gapmes.service.splat.options import OUTPUTS
 from gapmes.service.splat.order import depth_order
@@ -43,8 +43,7 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
     state = guarded.array((grid.tiles, tile_floats(ALL_CHANNELS)), np.float32)
     canvas = Canvas(rgb, *planes, peaks, state, np.zeros(3, np.float32))
     walked = guarded.array((grid.tiles, tile_floats(CHANNELS)), np.float32)
-    parts = guarded.array((PARTS, count, SUMS), np.float32)
-    found = parts[0]
+    found = guarded.array((count, SUMS), np.float32)
     sums = [guarded.array((count, *more), np.float64) for more in ((), (), (), (3,))]
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
     subset = np.arange(count) % 2 == 0
@@ -53,7 +52,7 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
             array.view(np.uint8)[...] = PATTERN
         walked[:] = 0.0
         fill_tiles(np.ones((*shape, 3), np.float32), rgb, np.ones(shape, np.float32), grid.columns, walked)
-        peaks[:] = parts[:] = 0.0
+        peaks[:] = found[:] = 0.0
         projection = project(prepared(gaussians, threads), view, rule, 1, threads, space)
         order = depth_order(space.depths, projection.drawn, gaussians)
         marked = projection.drawn[subset[projection.drawn]]
@@ -62,7 +61,7 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
             blend(lists, space.records, canvas, grid, rule, threads, first_batch=number == 0)
             given = lists.offsets, lists.members, space.records, space.records.view(np.float32)
             leverage_tiles(0, grid.tiles, grid.columns, *given, walked, cuts, found)
-        add_parts(parts, np.ones(count), *sums)
+        add_part(found, np.ones(count), *sums)
         guarded.check()
         # and every pixel was written: the pattern is -2.9e-16 as a float, which no plane holds
         expected = render(gaussians, view, outputs=OUTPUTS, subset=subset)

@@ -1,6 +1,8 @@
 """Ranges are each run once, on any number of threads, and an error in one reaches the caller."""
 
+import threading
 import time
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -8,7 +10,7 @@ import pytest
 from splat_cases import bits, camera, scene
 
 from gapmes.service.errors import InputError
-from gapmes.service.splat import render
+from gapmes.service.splat import parallel, render
 from gapmes.service.splat.options import OUTPUTS
 from gapmes.service.splat.parallel import available_threads, checked_threads, run_ranges
 
@@ -67,3 +69,24 @@ def test_no_helper_works_any_more_when_an_error_arrives():
     with pytest.raises(ValueError, match="range 0"):
         run_ranges(work, list(range(7)), 4)
     assert sorted(begun) == sorted([0, *ended])
+
+
+def test_what_a_helper_that_never_started_would_have_worked_on_is_let_go():
+    """The pool is busy, so that the caller does all of the work, and the helper's task lies in the queue."""
+    go, pool = threading.Event(), parallel._pool()
+    busy = [pool.submit(go.wait) for _ in range(pool._max_workers)]
+    try:
+        plane = np.zeros(3)
+        gone = weakref.ref(plane)
+
+        def work(a, b, plane=plane):
+            plane[a] += 1
+
+        run_ranges(work, range(4), 2)
+        assert (plane == 1).all()
+        del plane, work
+        assert gone() is None
+    finally:
+        go.set()
+        for task in busy:
+            task.result()
