@@ -34,7 +34,7 @@ BEHIND_KEEPS = 0.55
 COLOUR_STEP = 1.8  # of the mean that the pixels which show a Gaussian have too much: those share it with others
 COLOUR_DAMPING = 0.05  # of a pixel; a Gaussian of which less is to be seen in all keeps most of its colour
 RESIZED_ROUNDS = 3  # of the drawing, the last: as good as all of them, and the others cost less
-RESIZED_SHARE = 0.375  # of the sums, what the photographs at another size have
+RESIZED_SHARE = 0.35  # of the sums, what the photographs at another size have
 
 
 @dataclass(frozen=True, eq=False)

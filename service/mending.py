@@ -34,7 +34,7 @@ from .world_frame import WorldFrame
 MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
 CONTINUED_VIEWS = 3  # of more, others confirm nearly all that is seen, and planes lose
 ANCHORED_VIEWS = 3  # of more, photographs contradict what floats, and things that none of them confirms would fade
-SMOOTHING = 0.07  # px^2 in the input, added to all three variances
+SMOOTHING = 0.1  # px^2 in the input, added to all three variances
 
 
 @dataclass(frozen=True, eq=False)
