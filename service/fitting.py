@@ -22,7 +22,7 @@ Picture = NDArray[np.uint8] | Photo | EncodedPhoto | str | PathLike[str] | bytes
 
 
 def fitted(
-    image: Picture, camera: Camera, index: int, info: ModelInfo, detail: int = 1, finer: int = 1
+    image: Picture, camera: Camera, index: int, info: ModelInfo, detail: int = 1, *, finer: int = 1
 ) -> tuple[FittedView, FittedView, list[Notice]]:
     """The photograph of view `index` as the network of `info` sees it, the same crop with `finer` times the pixels
     each way, and the warnings that belong to it in a scene of this `detail`.

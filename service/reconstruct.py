@@ -41,6 +41,7 @@ from .view_checks import DEPTH_PLANES, MIN_VIEWS, Notice, check_count, check_vie
 from .world_frame import WorldFrame
 
 DEFAULT_BUDGET = Budget()
+FINEST = max(DETAILS)  # times the network's pixels, each way
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +137,12 @@ class Reconstructor:
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
             seen: list[FittedView] = []  # by the network
             views: list[FittedView] = []  # the same crops as the scene shows them
-            fine: list[PackedView] = []  # and on the finest grid, where anything looks at them
+            fine: list[PackedView] = []  # and with twice the network's pixels each way, where depths move
+            finest = FINEST if fade or detail > 1 else 1
             for number, image, camera in zip(numbers, images, cameras, strict=True):
-                finest = max(DETAILS) if fade or detail > 1 else 1
-                small, large, notices = fitted(image, camera, number, info, detail, finest)
+                small, large, notices = fitted(image, camera, number, info, detail, finer=finest)
                 seen.append(small)
-                views.append(large if detail > 1 else small)
+                views.append(large if detail == FINEST else small)
                 fine.append(PackedView.of(large))
                 warnings += notices
                 done(len(seen))

@@ -75,8 +75,9 @@ def leverage(
     threads: int | None = None,
     onto: Leverage | None = None,
 ) -> Leverage:
-    """Draw the set over black and weigh what `judge` makes of the image, which has its `alpha`: the `picture` (H, W, 3)
-    as it is over any background, `residual` (H, W, 3), what it has too much, and `weight` (H, W), what a pixel counts.
+    """Draw the set over black and weigh what `judge` makes of the image, which is its own and has its `alpha`: the
+    `picture` (H, W, 3) as it is over any background, `residual` (H, W, 3), what it has too much, and `weight` (H, W),
+    what a pixel counts.
 
     A pixel of weight 0 adds nothing, whatever its numbers, nor does an opacity at a pixel where `alpha_max` holds the
     alpha. What is found is added to `onto`, of the same set, where one is given: sums over several pictures. The bits
@@ -110,7 +111,7 @@ def _weighed(view: Sight, states: F32, found: Leverage) -> Leverage:
     count, rule = len(view.gaussians), view.definition
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
     opacities = np.maximum(view.gaussians.opacities.astype(np.float64), rule.alpha_min)  # fainter ones are not drawn
-    at_once = min(view.threads, PARTS)
+    at_once = PARTS if view.several else min(view.threads, PARTS)  # several batches of lists are made anew each time
     sums, records = np.empty((at_once, count, SUMS), np.float32), view.projection.space.records
     for first in range(0, PARTS, at_once):
         sums[:] = 0

@@ -52,9 +52,11 @@ def run_ranges(work: Callable[[int, int], T], bounds: Iterable[int], threads: in
         started = [helper for helper in helpers if not helper.cancel()]
         wait(started)
         works.clear()  # those that were cancelled lie in the pool's queue for a while, and would keep its arrays
+        found = dict(results)
+        results.clear()
     for helper in started:
         helper.result()
-    return [results[item] for item in range(len(ranges))]
+    return [found[item] for item in range(len(ranges))]
 
 
 @cache

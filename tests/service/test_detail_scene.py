@@ -111,6 +111,25 @@ def test_the_other_size_that_mends_at_last(detail: int, engine: Engine, monkeypa
             np.testing.assert_array_equal(found, wanted)
 
 
+def test_a_mask_holds_at_the_other_size_too(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    sharp = PlaneScene.make(np.random.default_rng(7), size=(192, 144))
+    alpha = np.where(np.hypot(*(np.mgrid[:144, :192] - [[[71.0]], [[95.0]]])) < 60, 255, 0).astype(np.uint8)
+    images, heard = [np.dstack([image, alpha]) for image in sharp.images], []
+    own = reconstruct.mended
+
+    def listening(*given: Any, resized: Any, **options: Any) -> Any:
+        heard.extend((view.mask, large.mask) for view, large in zip(given[1], resized, strict=True))
+        return own(*given, resized=resized, **options)
+
+    monkeypatch.setattr(reconstruct, "mended", listening)
+    Reconstructor(engine).reconstruct(images, sharp.cameras, leave_one_out=0, trust_poses=True, **PLANE)
+    assert len(heard) == 3
+    for small, large in heard:
+        assert large.shape == (2 * engine.info.height, 2 * engine.info.width)
+        assert 0.3 < large.mean() < 0.9
+        assert not (large & ~small.repeat(2, axis=0).repeat(2, axis=1)).any()
+
+
 def test_nothing_looks_at_finer_photographs_without_mending(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
     sharp, sizes = PlaneScene.make(np.random.default_rng(7), size=(192, 144)), []
     own = fitting.fit_view

@@ -53,7 +53,7 @@ def test_passes_settle(views: list[FittedView], spoiled: Gaussians, monkeypatch)
     monkeypatch.setattr(fade_passes, "MAX_PASSES", 32)
     given = [views[0], views[2]]
     some, more, most = (faded(spoiled, given, passes).gaussians for passes in (8, 16, 32))
-    for view in views:  # found: 0.8 dB more to 0.2 less from 8 to 32; 7 to 15 less where the void counts nothing
+    for view in views:  # found: 0.9 dB more to 0.2 less from 8 to 32; 7 to 15 less where the void counts nothing
         found = [error(scene, view) for scene in (spoiled, some, more, most)]
         assert min(found[1:]) > found[0] + 1.5
         assert max(found[1:]) - min(found[1:]) < 1.0

@@ -168,10 +168,14 @@ def _count(monkeypatch: pytest.MonkeyPatch, module: str, name: str, calls: list[
     monkeypatch.setattr(f"{module}.{name}", counted)
 
 
-def test_the_number_of_threads_does_not_matter() -> None:
+@pytest.mark.parametrize("several", [False, True])
+def test_the_number_of_threads_does_not_matter(monkeypatch: pytest.MonkeyPatch, several: bool) -> None:
     gaussians, *given = case(90, 6)
-    one, three = (weighed(gaussians, *given, threads=threads) for threads in (1, 3))
-    assert_same(one, three)
+    if several:
+        monkeypatch.setattr(LEVERAGE, "checked_definition", lambda *_: Definition(max_entries=7))
+    one, *others = (weighed(gaussians, *given, threads=threads) for threads in (1, 2, 3, 5))
+    for other in others:
+        assert_same(one, other)
 
 
 def test_the_order_of_the_gaussians_does_not_matter() -> None:
