@@ -31,10 +31,11 @@ DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the picture
 # Of its opacity, at least: it is there for views that nobody has asked for. One sheet of 0.97 alone then stops more
 # than half of the light, and is no hole.
 BEHIND_KEEPS = 0.55
-COLOUR_STEP = 1.8  # of the mean that the pixels which show a Gaussian have too much: those share it with others
+ANCHORED = 1.5  # weight of a pixel of what is sure: between the inputs a few pictures stand for all views there
+COLOUR_STEP = 1.6  # of the mean that the pixels which show a Gaussian have too much: those share it with others
 COLOUR_DAMPING = 0.05  # of a pixel; a Gaussian of which less is to be seen in all keeps most of its colour
 RESIZED_ROUNDS = 3  # of the drawing, the last: as good as all of them, and the others cost less
-RESIZED_SHARE = 0.35  # of the sums, what the photographs at another size have
+RESIZED_SHARE = 0.25  # of the sums, what the photographs at another size have
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +87,9 @@ def faded(
     In the last RESIZED_ROUNDS of the drawing the sums go over `resized` as well: the same photographs on another grid,
     one size for all. They then have RESIZED_SHARE of the weight, those of `views` the rest, by area.
 
-    For the Gaussians that `anchors` says, the sums of a pass go over its pictures as well; colours follow photographs
-    alone. `near` is that of `render`; `done` hears how many rounds of drawing are done, passes + 1 in all. The bits do
-    not depend on the number of threads.
+    For the Gaussians that `anchors` says, the sums of a pass go over its pictures as well, with ANCHORED as their
+    weight; colours follow photographs alone. `near` is that of `render`; `done` hears how many rounds of drawing are
+    done, passes + 1 in all. The bits do not depend on the number of threads.
 
     Raises `InputError` for a number of passes that is out of range.
     """
@@ -167,7 +168,7 @@ def _between(
     if anchors is None or not sure.views:
         return 0.0, 0.0
     sums = sure.sums(now, near, threads)
-    slope, moved = (np.where(anchors.may_fade, values, 0.0) for values in (sums.slope, sums.moved))
+    slope, moved = (np.where(anchors.may_fade, ANCHORED * values, 0.0) for values in (sums.slope, sums.moved))
     return slope, moved
 
 

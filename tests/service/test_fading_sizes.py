@@ -69,8 +69,8 @@ def test_pictures_of_twice_the_size_gain_and_new_views_of_its_own_lose_nothing(
     alone, both = (faded(spoiled, views, resized=given).gaussians for given in ((), packed(larger)))
     middle, twice = (plane_views(side)[1] for side in (SIDE, 2 * SIDE))  # kept back
     for view in (*larger, twice):
-        assert error(both, view) > error(alone, view) + 0.5  # found: 1.1, 1.4, 0.9 dB
-    assert error(both, middle) > error(alone, middle) - 0.1  # found: 0.02 dB more
+        assert error(both, view) > error(alone, view) + 0.5  # found: 0.7, 1.0, 0.6 dB
+    assert error(both, middle) > error(alone, middle) - 0.1  # found: 0.03 dB more
 
 
 @pytest.mark.parametrize("passes", [1, 2, 4, 8])

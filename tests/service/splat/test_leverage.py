@@ -239,3 +239,13 @@ def test_sums_go_on_over_several_pictures() -> None:
         rounding = 1e-13 * max(np.abs(part).max() for part in parts)  # eight float64 numbers in another order
         np.testing.assert_allclose(getattr(both, field.name), sum(parts), rtol=1e-13, atol=rounding)
     assert both.moved.any()
+
+
+def test_sums_that_go_on_do_not_depend_on_the_number_of_threads() -> None:
+    gaussians, view, picture, residual, weight = case(40, 5, 0)
+    found = []
+    for threads in (1, 2, 5):
+        both = weighed(gaussians, view, picture, residual, weight, threads=threads)
+        found.append(weighed(gaussians, view, picture, -residual, weight, threads=threads, onto=both))
+    for other in found[1:]:
+        assert_same(found[0], other)
