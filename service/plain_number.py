@@ -1,4 +1,5 @@
-"""Numbers as people write them: ASCII digits, a point, a sign, an exponent; not all that Python's own `float` reads."""
+"""Numbers as people write them: ASCII digits, a point, a sign, an exponent, not all that Python's own `float` reads;
+and how many there are of something."""
 
 from __future__ import annotations
 
@@ -8,3 +9,8 @@ def plain_float(text: str) -> float:
     if not text.isascii() or "_" in text:
         raise ValueError(f"{text[:50]!r} is not a number")
     return float(text)
+
+
+def counted(count: int, noun: str) -> str:
+    """`1 view`, `2 views`."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -11,6 +11,7 @@ from .camera import Camera
 from .depth_range import MAX_RATIO, DepthRange, depth_range_of_reading, largest_baseline
 from .errors import BaselineError, IntrinsicsError, OverlapError, ViewCountError
 from .overlap import best_partner_shares, inverse_depth_steps
+from .plain_number import counted
 from .pose_readings import apart_when_inverted, other_readings
 from .rotations import rotation_angle
 
@@ -58,7 +59,7 @@ def check_count(count: int) -> None:
     """Raises `ViewCountError` outside 2..6."""
     if not MIN_VIEWS <= count <= MAX_VIEWS:
         raise ViewCountError(
-            f"{count} views, need {MIN_VIEWS} to {MAX_VIEWS}",
+            f"{counted(count, 'view')}, need {MIN_VIEWS} to {MAX_VIEWS}",
             field="cameras",
             cure="one view has no parallax"
             if count < MIN_VIEWS

@@ -12,6 +12,7 @@ from gapmes.service.captures.capture import SceneFolder, load_scene_folder
 from gapmes.service.captures.files import FolderFiles, read_bounded
 from gapmes.service.captures.recognise import MAX_CAMERA_BYTES
 from gapmes.service.errors import InputError
+from gapmes.service.plain_number import counted
 
 
 class NoSuchViews(InputError):
@@ -47,7 +48,8 @@ def suggested_views(folder: Path, inputs: int) -> SuggestedViews:
         )
     if len(context) != inputs:
         raise InputError(
-            f"{path}: {names[0]} = {context} names {len(context)} views, need {inputs}", field=f"suggested.{names[0]}"
+            f"{path}: {names[0]} = {context} names {counted(len(context), 'view')}, need {inputs}",
+            field=f"suggested.{names[0]}",
         )
     scene = load_scene_folder(folder)
     for name, views in zip(names, (context, targets), strict=True):
@@ -66,7 +68,7 @@ def _check_indices(path: Path, name: str, views: Sequence[int], count: int) -> N
     for place, view in enumerate(views):
         if not 0 <= view < count:
             raise InputError(
-                f"{path}: is {view}, the scene has {count} views: need 0 to {count - 1}",
+                f"{path}: is {view}, the scene has {counted(count, 'view')}: need 0 to {count - 1}",
                 field=f"suggested.{name}[{place}]",
                 index=view,
                 cure="views are counted from 0, in the order of the file",

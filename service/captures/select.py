@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ..errors import InputError, ViewCountError, ViewError
+from ..plain_number import counted
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
 from .names import same_file, same_path
 
@@ -25,7 +26,9 @@ def checked_wish(wish: Wish) -> Wish:
     """Raises `ViewCountError` for a number outside 2..6, and `InputError` for views that are both named and counted."""
     if wish.context is not None and not MIN_VIEWS <= wish.context <= MAX_VIEWS:
         cure = f"leave it out for {DEFAULT_CONTEXT} of a large capture"
-        raise ViewCountError(f"{wish.context} views, need {MIN_VIEWS} to {MAX_VIEWS}", field="context", cure=cure)
+        raise ViewCountError(
+            f"{counted(wish.context, 'view')}, need {MIN_VIEWS} to {MAX_VIEWS}", field="context", cure=cure
+        )
     if wish.select is not None and wish.select.count(",") >= MAX_VIEWS:
         count = wish.select.count(",") + 1
         cure = "name those that overlap most, or say how many to choose"
@@ -60,7 +63,9 @@ def several_named_views(
     indices = named_views(text, names, field=field, path_of=path_of)
     if len(indices) < MIN_VIEWS:
         cure = "name more of them, separated by commas: one view has no parallax"
-        raise ViewCountError(f"{len(indices)} views, need {MIN_VIEWS} to {MAX_VIEWS}", field=field, cure=cure)
+        raise ViewCountError(
+            f"{counted(len(indices), 'view')}, need {MIN_VIEWS} to {MAX_VIEWS}", field=field, cure=cure
+        )
     return indices
 
 
@@ -78,7 +83,7 @@ def _index_of(part: str, names: Sequence[str | None], field: str, path_of: Calla
         if len(part) < 10 and int(part) < count:
             return int(part)
         raise ViewError(
-            f"view {shown} does not exist, the file has {count} views", field=field, cure=f"0 to {count - 1}"
+            f"view {shown} does not exist, the file has {counted(count, 'view')}", field=field, cure=f"0 to {count - 1}"
         )
     known = ", ".join(name for name in names[:5] if name)
     raise ViewError(

@@ -11,6 +11,7 @@ from ..camera_fields import NamedView
 from ..captures.names import same_file, sorted_places
 from ..errors import CameraError, InputError, ViewCountError
 from ..image_files import image_size
+from ..plain_number import counted
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sort
         if len(set(chosen)) == len(images):
             return Match(chosen, "name")
     if len(images) != len(cameras):
-        counts = f"{len(cameras)} cameras for {len(images)} images"
+        counts = f"{counted(len(cameras), 'camera')} for {counted(len(images), 'image')}"
         strays = [place for place, places in enumerate(found) if len(places) != 1]
         if named and 0 < len(strays) < len(images):  # one file too many, not names of another kind
             name, several = images[strays[0]], len(found[strays[0]])

@@ -25,6 +25,7 @@ from ..fade_passes import DEFAULT_PASSES, checked_passes
 from ..foretold import DEFAULT_OTHERS, checked_others
 from ..jobs.work import Work
 from ..model_names import DEFAULT, checked_name
+from ..plain_number import counted
 from ..scene_views import SceneViews
 from ..settings import Settings
 from ..stride import STRIDES
@@ -180,7 +181,7 @@ async def _images(form: FormData, wish: Wish) -> list[NamedImage]:
     few = len(parts) < MIN_VIEWS
     if few or (len(parts) > MAX_VIEWS and wish.select is None and wish.context is None):
         raise ViewCountError(
-            f"{len(parts)} images, need {MIN_VIEWS} to {MAX_VIEWS}",
+            f"{counted(len(parts), 'image')}, need {MIN_VIEWS} to {MAX_VIEWS}",
             field="images",
             cure="repeat the part `images`, once per photograph, or send a `capture`"
             if few

@@ -169,7 +169,7 @@ def test_views_that_are_not_wanted_need_no_photograph(scene_dir: Path, standin_m
     ("arguments", "words"),
     [
         (("--views", "0,9"), "view 9 does not exist"),
-        (("--views", "0"), "views: 1 views, need 2 to 6"),
+        (("--views", "0"), "views: 1 view, need 2 to 6"),
         (("--views", "0,0"), "given twice"),
         (("--views", "a,b"), "is not a view index, nor the name of a view"),
         (("--views", "0,1", "--context", "3"), "context: is given beside views"),

@@ -217,7 +217,7 @@ def refused(reconstructor, plane_scene, error, match, *, images=None, cameras=No
 def test_wrong_input_is_refused_with_its_index(reconstructor, plane_scene):
     images, cameras = list(plane_scene.images), list(plane_scene.cameras)
     refused(reconstructor, plane_scene, ViewCountError, "3 images and 2 cameras", cameras=cameras[:2])
-    refused(reconstructor, plane_scene, ViewCountError, "1 views, need 2 to 6", images=images[:1], cameras=cameras[:1])
+    refused(reconstructor, plane_scene, ViewCountError, "1 view, need 2 to 6", images=images[:1], cameras=cameras[:1])
     refused(reconstructor, plane_scene, ViewCountError, "7 views", images=[images[0]] * 7, cameras=[cameras[0]] * 7)
     refused(reconstructor, plane_scene, DepthRangeError, "far is missing", near=1.0)
     error = refused(

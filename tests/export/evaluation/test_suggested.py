@@ -40,7 +40,7 @@ WRONG = [
     ({"target2": [2, 3, 2]}, r"suggested\.target2\[2\]: .* is 2, as target2\[0\] is"),
     ({"context2": [1, 1]}, r"suggested\.context2\[1\]: .* is 1, as context2\[0\] is"),
     ({"context2": [1, 5, 6]}, r"suggested\.context2: .* = \[1, 5, 6\] names 3 views, need 2"),
-    ({"context2": [1]}, r"suggested\.context2: .* = \[1\] names 1 views, need 2"),
+    ({"context2": [1]}, r"suggested\.context2: .* = \[1\] names 1 view, need 2"),
     ({"target2": [3, 5, 1]}, r"1, 5 both in context2 = \[1, 5\] and target2 = \[3, 5, 1\].*held out"),
 ]
 

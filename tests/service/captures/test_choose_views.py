@@ -207,7 +207,7 @@ def test_views_that_are_none(text: str, words: str) -> None:
 def test_a_single_view_is_too_few_for_a_reconstruction_alone() -> None:
     assert named_views("1", NAMES, field="views") == [1]
     assert several_named_views("1,0", NAMES, field="views") == [1, 0]
-    with pytest.raises(ViewCountError, match="1 views, need 2 to 6") as caught:
+    with pytest.raises(ViewCountError, match="1 view, need 2 to 6") as caught:
         several_named_views("1", NAMES, field="views")
     assert caught.value.field == "views"
     with pytest.raises(ViewError, match="nor the name of a view"):
