@@ -118,6 +118,17 @@ def test_a_second_sheet_of_each_view_in_its_order(views: list[FittedView], depth
     assert (sheet.means == np.concatenate([behind, rings])).all()
 
 
+@pytest.mark.parametrize(("wall", "second"), [(1.15, 0), (1.2, 4 * 4)])
+def test_how_much_farther_a_wall_gets_a_second_sheet(views: list[FittedView], wall: float, second: int) -> None:
+    """A box six cells wide, and a wall behind it at 0.87 and at 0.83 of its inverse depth."""
+    depth = np.full((SIDE, SIDE), wall)
+    depth[CELL : 7 * CELL, CELL : 7 * CELL] = 1.0
+    sheet, around = backdrop([views[0]], depth[None], 1)
+    assert around == SHEET + second
+    behind = np.abs(views[0].camera.project(sheet.means[:around])[1] - wall / PUSH_BACK**2) < 1e-6
+    assert behind.sum() == second
+
+
 @pytest.mark.parametrize("degrees", [20, 45])
 def test_a_slanted_wall_has_no_second_sheet(views: list[FittedView], degrees: float) -> None:
     """Nothing opens behind it: from cell to cell it recedes too little. Cells as in 256 px at 53 degrees."""
