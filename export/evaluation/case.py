@@ -22,7 +22,8 @@ from .suggested import suggested_views
 F32 = NDArray[np.float32]
 
 # Not that of the validation during training: no weights were chosen by these scenes. Steps and limits of the mending
-# were, by the first 24 to 40 of them (docs/fading.md); another seed gives scenes that nothing was chosen by.
+# were, by the first 24 to 40 of them (docs/fading-figures.md); another seed gives scenes that nothing was chosen by,
+# but for the few seeds that docs/evaluation.md names.
 GENERATED_SEED = 700_003
 WIDE = (0.18, 0.5)  # way between the inputs in units of the scene's median depth
 GENERATED_TARGETS = 2
