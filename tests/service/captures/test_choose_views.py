@@ -216,8 +216,8 @@ def test_a_single_view_is_too_few_for_a_reconstruction_alone() -> None:
 
 def test_wishes_that_cannot_be() -> None:
     assert checked_wish(Wish("0,1")) == Wish("0,1")
-    for count in (0, 1, 7):
-        with pytest.raises(ViewCountError, match=f"{count} views, need 2 to 6"):
+    for count, said in ((0, "0 views"), (1, "1 view"), (7, "7 views")):
+        with pytest.raises(ViewCountError, match=f"{said}, need 2 to 6"):
             checked_wish(Wish(context=count))
     with pytest.raises(ViewCountError, match="100001 views, need 2 to 6"):
         checked_wish(Wish("," * 100_000))

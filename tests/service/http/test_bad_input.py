@@ -117,9 +117,10 @@ def test_cameras_without_images(client: TestClient) -> None:
     assert_problem(post(client, [], camera_object(2)), 422, "view_count", "images")
 
 
-def test_more_cameras_than_images(client: TestClient) -> None:
-    body = assert_problem(post(client, cameras=camera_object(3)), 422, "view_count", "cameras")
-    assert body["detail"] == "3 cameras for 2 images"
+@pytest.mark.parametrize(("count", "said"), [(1, "1 camera"), (3, "3 cameras")])
+def test_other_numbers_of_cameras_and_images(client: TestClient, count: int, said: str) -> None:
+    body = assert_problem(post(client, cameras=camera_object(count)), 422, "view_count", "cameras")
+    assert body["detail"] == f"{said} for 2 images"
 
 
 def test_a_file_that_no_camera_names_is_told_where_others_have_one(client: TestClient) -> None:
