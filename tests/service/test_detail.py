@@ -171,7 +171,8 @@ def test_the_backdrop_has_the_networks_cells_behind_the_farthest_of_the_fine_dep
     assert found.around - 12 * SIDE**2 == coarse.around - 3 * SIDE**2
     np.testing.assert_array_equal(found.gaussians.means[-found.added :], coarse.gaussians.means[-coarse.added :])
     moved = finer(given, frame, views, fine)
-    moved["depth"][0, 41, 77] *= 1.2  # one pixel, of the cell in row 2 and column 4: the 3 x 3 about it stand behind it
+    # One pixel, of the cell in row 2 and column 4: the 3 x 3 about it stand behind it, not so far that one more would
+    moved["depth"][0, 41, 77] *= 1.15
     farther = placed(moved, frame, fine, moved=True, coarse=views)
     cells = slice(12 * SIDE**2, found.around)
     changed = (farther.gaussians.means[cells] != found.gaussians.means[cells]).any(axis=1)
