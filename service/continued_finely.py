@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +29,14 @@ def continued_finely(views: Sequence[FittedView], depths: F64) -> F64:
 def _enlarged(view: FittedView) -> FittedView:
     """Between its pixels by cubic convolution, of what the mask keeps alone; the mask keeps whole pixels."""
     camera = view.camera.resized(FINER * view.camera.width, FINER * view.camera.height)
+    step = view.step / FINER
     if view.mask is None:
-        return FittedView(np.clip(_resized(view.image, camera), 0, 1), None, camera, view.kept_share)
+        return replace(view, image=np.clip(_resized(view.image, camera), 0, 1), camera=camera, step=step)
     mask = view.mask.repeat(FINER, axis=0).repeat(FINER, axis=1)
     kept = view.mask.astype(np.float32)
     weight = np.where(mask, _resized(kept[None], camera), np.float32(1))
     image = np.where(mask, np.clip(_resized(view.image * kept, camera) / weight, 0, 1), np.float32(0))
-    return FittedView(image, mask, camera, view.kept_share)
+    return replace(view, image=image, mask=mask, camera=camera, step=step)
 
 
 def _resized(channels: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:

@@ -36,6 +36,7 @@ COLOUR_STEP = 1.6  # of the mean that the pixels which show a Gaussian have too 
 COLOUR_DAMPING = 0.05  # of a pixel; a Gaussian of which less is to be seen in all keeps most of its colour
 RESIZED_ROUNDS = 3  # of the drawing, the last: as good as all of them, and the others cost less
 RESIZED_SHARE = 0.25  # of the sums, what the photographs at another size have
+OWN_SHARE = 0.4  # where all pixels of a larger size are the photographs' own: they then tell something new
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,8 @@ def faded(
     their way (`HeavyBall`). A Gaussian too faint to be drawn is not seen again, and stays so.
 
     In the last RESIZED_ROUNDS of the drawing the sums go over `resized` as well: the same photographs on another grid,
-    one size for all. They then have RESIZED_SHARE of the weight, those of `views` the rest, by area.
+    one size for all. They then have RESIZED_SHARE of the weight, those of `views` the rest, by area; up to OWN_SHARE
+    where they are larger and the photographs were not enlarged to that (`FittedView.step`).
 
     For the Gaussians that `anchors` says, the sums of a pass go over its pictures as well, with ANCHORED as their
     weight; colours follow photographs alone. `near` is that of `render`; `done` hears how many rounds of drawing are
@@ -130,13 +132,23 @@ class _Photographs:
         self._given, self._resized = Compared(views), Compared(resized)
         # Of one pixel there, so that both sizes have the same sums for the same differences
         self._area = _pixels(views[0]) / _pixels(resized[0]) if views and resized else 0.0
+        self._share = _share(views, resized)
 
     def sums(self, now: Gaussians, near: float | None, threads: int | None, *, at_both: bool) -> Leverage:
         """Over the photographs, and those of the other size where there are any and `at_both` asks for them."""
         if not (at_both and self._resized.views):
             return self._given.sums(now, near, threads)
-        sums = self._given.sums(now, near, threads, share=1 - RESIZED_SHARE)
-        return self._resized.sums(now, near, threads, share=RESIZED_SHARE * self._area, onto=sums)
+        sums = self._given.sums(now, near, threads, share=1 - self._share)
+        return self._resized.sums(now, near, threads, share=self._share * self._area, onto=sums)
+
+
+def _share(views: Sequence[FittedView], resized: Sequence[PackedView]) -> float:
+    """Of the weight, what `resized` has: how far from the one grid to the other the photographs' own pixels reach."""
+    larger = resized[0].camera.width / views[0].camera.width if views and resized else 1.0
+    if larger <= 1:
+        return RESIZED_SHARE
+    own = np.mean([min(max((view.step - 1) / (larger - 1), 0.0), 1.0) for view in views])
+    return RESIZED_SHARE + (OWN_SHARE - RESIZED_SHARE) * float(own)
 
 
 def _pixels(view: FittedView | PackedView) -> int:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
@@ -12,13 +13,45 @@ from numpy.typing import NDArray
 from .camera import Camera
 from .distortion import Lens, PinholeWindow, pinhole_window
 from .errors import ImageError
-from .images import EncodedPhoto, FittedView, Photo, fit_view, match_photo
+from .images import EncodedPhoto, FittedView, PackedView, Photo, fit_view, match_photo
 from .masks import check_kept
 from .model_info import ModelInfo
 from .undistort import match_lens, undistorted
 from .view_checks import Notice
 
 Picture = NDArray[np.uint8] | Photo | EncodedPhoto | str | PathLike[str] | bytes  # what is taken for a photograph
+
+
+@dataclass(frozen=True)
+class FittedPhotos:
+    """Photographs by what looks at them, one crop of each, and the warnings that belong to them."""
+
+    seen: list[FittedView]  # by the network
+    shown: list[FittedView]  # by the scene: `detail` times as fine
+    fine: list[PackedView]  # the finest, by which the scene is mended
+    notices: list[Notice]
+
+
+def fitted_photos(
+    images: Sequence[Picture],
+    cameras: Sequence[Camera],
+    numbers: Sequence[int],
+    info: ModelInfo,
+    detail: int,
+    *,
+    finer: int,
+    done: Callable[[int], None],
+) -> FittedPhotos:
+    """Each as `fitted` has it, one after the other, `finer` being the finest; `done` hears how many."""
+    found = FittedPhotos([], [], [], [])
+    for number, image, camera in zip(numbers, images, cameras, strict=True):
+        small, large, notices = fitted(image, camera, number, info, detail, finer=finer)
+        found.seen.append(small)
+        found.shown.append(large if detail == finer else small)
+        found.fine.append(PackedView.of(large))
+        found.notices.extend(notices)
+        done(len(found.seen))
+    return found
 
 
 def fitted(

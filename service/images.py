@@ -70,6 +70,7 @@ class FittedView:
     mask: NDArray[np.bool_] | None  # (H, W), True keeps
     camera: Camera
     kept_share: float  # of the photograph's area inside the crop
+    step: float = 1.0  # of the photograph's pixels, from one of these to the next; below 1 it was enlarged
 
     @property
     def kept(self) -> NDArray[np.bool_]:
@@ -195,7 +196,7 @@ def fit_view(photo: Photo, camera: Camera, height: int, width: int) -> FittedVie
     box = (left, top, left + window_w, top + window_h)
     rgb, mask = resampled(photo.rgb, photo.mask, (width, height), box)
     image = np.ascontiguousarray(rgb.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
-    return FittedView(image, mask, fitted, window_w * window_h / (photo.width * photo.height))
+    return FittedView(image, mask, fitted, window_w * window_h / (photo.width * photo.height), window_w / width)
 
 
 def resized(photo: Photo, width: int, height: int) -> Photo:

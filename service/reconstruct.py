@@ -22,7 +22,7 @@ from .document import scene_document
 from .engine import Arrays, Engine
 from .errors import CameraError, InputError, ViewCountError
 from .fade_passes import DEFAULT_PASSES, checked_passes
-from .fitting import Picture, fitted
+from .fitting import Picture, fitted_photos
 from .foretold import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
 from .gaussians import Gaussians
 from .images import FittedView, PackedView
@@ -135,17 +135,10 @@ class Reconstructor:
             warnings += check_views(cameras, depths, trust_poses=trust_poses, numbers=numbers, planes=planes)
             warnings += pose_notices(cameras, depths.near, numbers)
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
-            seen: list[FittedView] = []  # by the network
-            views: list[FittedView] = []  # the same crops as the scene shows them
-            fine: list[PackedView] = []  # and with twice the network's pixels each way, where depths move
             finest = FINEST if fade or detail > 1 else 1
-            for number, image, camera in zip(numbers, images, cameras, strict=True):
-                small, large, notices = fitted(image, camera, number, info, detail, finer=finest)
-                seen.append(small)
-                views.append(large if detail == FINEST else small)
-                fine.append(PackedView.of(large))
-                warnings += notices
-                done(len(seen))
+            given = fitted_photos(images, cameras, numbers, info, detail, finer=finest, done=done)
+            seen, views, fine = given.seen, given.shown, given.fine
+            warnings += given.notices
             warnings += check_photos(seen, depths, trust_poses=trust_poses, numbers=numbers)
             depths = narrowed(depths, seen)
         masks = patch_mask(seen, info.patch)

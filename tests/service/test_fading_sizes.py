@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from plane_views import SIDE, error, floaters, joined, on_the_plane, plane_views
 
 from gapmes.service.compared import Compared
-from gapmes.service.fading import RESIZED_ROUNDS, faded
+from gapmes.service.fading import OWN_SHARE, RESIZED_ROUNDS, RESIZED_SHARE, faded
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import C0
 from gapmes.service.images import FittedView, PackedView
@@ -31,6 +32,20 @@ def larger() -> list[FittedView]:
 @pytest.fixture(scope="module")
 def spoiled(views: list[FittedView]) -> Gaussians:
     return joined(*(on_the_plane(view) for view in views), floaters(40))
+
+
+@pytest.fixture
+def shares(monkeypatch: pytest.MonkeyPatch) -> dict[int, float]:
+    """By the width of the views that are compared: the weight of a pixel, the last that was asked for."""
+    found: dict[int, float] = {}
+    real = Compared.sums
+
+    def recorded(compared: Compared, *rest: Any, share: float = 1.0, **options: Any) -> Leverage:
+        found.update({view.camera.width: share for view in compared.views})
+        return real(compared, *rest, share=share, **options)
+
+    monkeypatch.setattr(Compared, "sums", recorded)
+    return found
 
 
 def packed(views: list[FittedView]) -> list[PackedView]:
@@ -89,3 +104,28 @@ def test_the_last_rounds_alone_look_at_the_other_size(
     rounds = [1 + (number > passes - RESIZED_ROUNDS) for number in range(passes + 1)]
     assert drawn == [width for sizes in rounds for width in (SIDE, 2 * SIDE)[:sizes]]
     assert sum(rounds) == passes + 1 + min(RESIZED_ROUNDS, passes + 1)
+
+
+@pytest.mark.parametrize(
+    ("steps", "own"), [((0.4, 1), 0), ((1, 1), 0), ((1.5, 1.5), 0.5), ((0.5, 1.5), 0.25), ((2, 2), 1), ((9, 2), 1)]
+)
+def test_the_larger_size_weighs_more_where_its_pixels_are_the_photographs_own(
+    steps: tuple[float, float],
+    own: float,
+    views: list[FittedView],
+    larger: list[FittedView],
+    spoiled: Gaussians,
+    shares: dict[int, float],
+) -> None:
+    """At step 1 it shows all pixels of its photograph and the larger size is enlarged, at 2 that shows them all."""
+    given = [replace(view, step=step) for view, step in zip(views, steps, strict=True)]
+    faded(spoiled, given, 1, resized=packed(larger))
+    expected = RESIZED_SHARE + own * (OWN_SHARE - RESIZED_SHARE)
+    assert shares == {SIDE: pytest.approx(1 - expected), 2 * SIDE: pytest.approx(expected / 4)}  # by area
+
+
+def test_a_smaller_size_has_the_same_weight_of_any_photograph(
+    views: list[FittedView], larger: list[FittedView], spoiled: Gaussians, shares: dict[int, float]
+) -> None:
+    faded(spoiled, [replace(view, step=4.0) for view in larger], 1, resized=packed(views))
+    assert shares == {2 * SIDE: 1 - RESIZED_SHARE, SIDE: pytest.approx(4 * RESIZED_SHARE)}

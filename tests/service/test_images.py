@@ -267,6 +267,7 @@ def test_pixel_ray_pixel_through_crop_and_resize(target, source):
     expected = (pixels - np.array([columns, rows]) / 2) * scale + np.array([width, height]) / 2
     np.testing.assert_allclose(landed, expected, atol=1e-9)  # asked for: 1e-4
     assert fitted.kept_share == pytest.approx(width * height / scale**2 / (columns * rows))
+    assert fitted.step == pytest.approx(1 / scale)
 
 
 @pytest.mark.case("P9")
