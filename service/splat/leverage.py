@@ -10,7 +10,7 @@ and one more pass in the same order.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -24,19 +24,8 @@ from .access import get, put, smaller
 from .binning import TILE, TileLists
 from .blend import PIECE, choose, gather, measure_reach
 from .kernel_cache import kernel
-from .leverage_lanes import (
-    CHANNELS,
-    EXCESS,
-    LIGHT,
-    MOVED,
-    RESIDUAL,
-    REST,
-    SHOWN,
-    SLOPE,
-    SUMS,
-    WEIGHT,
-    leverage_block,
-)
+from .leverage_lanes import CHANNELS, LIGHT, RESIDUAL, REST, SUMS, WEIGHT, leverage_block
+from .leverage_parts import Part, add_part
 from .options import checked_background, checked_definition, checked_degree
 from .parallel import run_ranges
 from .render import Render, draw
@@ -108,29 +97,28 @@ def _tiled(view: Sight, given: Planes) -> F32:
 
 
 def _weighed(view: Sight, states: F32, found: Leverage) -> Leverage:
-    count, rule = len(view.gaussians), view.definition
+    rule, edges = view.definition, [len(states) * part // PARTS for part in range(PARTS + 1)]
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
-    opacities = np.maximum(view.gaussians.opacities.astype(np.float64), rule.alpha_min)  # fainter ones are not drawn
+    opacities = np.require(view.gaussians.opacities, np.float32, ["C", "W"])
     at_once = PARTS if view.several else min(view.threads, PARTS)  # several batches of lists are made anew each time
-    sums, records = np.empty((at_once, count, SUMS), np.float32), view.projection.space.records
-    for first in range(0, PARTS, at_once):
-        sums[:] = 0
-        parts = range(first, min(first + at_once, PARTS))
+    for start in range(0, PARTS, at_once):
+        bounds = edges[start : start + at_once + 1]
+        parts = run_ranges(partial(Part.of, view), bounds, view.threads)
         for lists in view.lists():
-            walk = partial(_walk_part, lists, view.grid.columns, records, states, cuts, sums, first)
-            run_ranges(walk, range(parts.start, parts.stop + 1), view.threads)
-        for own in sums[: len(parts)]:  # in their order, however many there were at once
-            add_part(own, opacities, found.slope, found.moved, found.shown, found.excess)
+            walk = partial(_walk_part, lists, view, states, cuts, {part.first: part for part in parts})
+            run_ranges(walk, bounds, view.threads)
+        for part in parts:  # in their order, however many there were at once
+            sums = (found.slope, found.moved, found.shown, found.excess)
+            add_part(part.members, part.sums, opacities, rule.alpha_min, *sums)
     return found
 
 
 def _walk_part(
-    lists: TileLists, columns: int, records: NDArray[np.float64], states: F32, cuts: F32, sums: F32, start: int,
-    part: int, _: int,
-) -> None:  # fmt: skip
-    first, last = (len(states) * edge // PARTS for edge in (part, part + 1))
-    narrow, own = records.view(np.float32), sums[part - start]
-    leverage_tiles(first, last, columns, lists.offsets, lists.members, records, narrow, states, cuts, own)
+    lists: TileLists, view: Sight, states: F32, cuts: F32, parts: Mapping[int, Part], first: int, last: int
+) -> None:
+    part, records = parts[first], view.projection.space.records
+    entries = (view.grid.columns, lists.offsets, lists.members, records, records.view(np.float32))
+    leverage_tiles(first, last, *entries, states, cuts, part.ranks, part.sums)
 
 
 @kernel()
@@ -154,21 +142,9 @@ def fill_tiles(picture, residual, weight, columns, states):
 
 
 @kernel()
-def add_part(part, opacities, slope, moved, shown, excess):
-    """Add the sums of a part (N, SUMS), by the unit that each is in."""
-    for i in range(opacities.size):
-        opacity, at = get(opacities, i), i * SUMS
-        put(slope, i, get(slope, i) + get(part, at + SLOPE) / opacity)
-        put(moved, i, get(moved, i) + get(part, at + MOVED) / (opacity * opacity))
-        put(shown, i, get(shown, i) + get(part, at + SHOWN))
-        for channel in range(3):
-            put(excess, 3 * i + channel, get(excess, 3 * i + channel) + get(part, at + EXCESS + channel))
-
-
-@kernel()
-def leverage_tiles(first, last, columns, offsets, members, records, narrow, states, cuts, found):
+def leverage_tiles(first, last, columns, offsets, members, records, narrow, states, cuts, ranks, found):
     """Walk the lists of tiles first..last-1, whose `states` go on where the batch before ended; adds to found
-    (N, SUMS)."""
+    (M, SUMS), where each has its row by `ranks` (N,)."""
     entries = np.empty(PIECE * ENTRY, np.float32)
     fields = np.empty(10 * PIECE, np.float32)
     reach, sums = np.empty(PIECE, np.float32), np.zeros(SUMS * PIECE, np.float32)
@@ -193,7 +169,7 @@ def leverage_tiles(first, last, columns, offsets, members, records, narrow, stat
                 at = block * (state.size // BLOCKS)
                 leverage_block(entries, chosen, kept, x0, y0, state, at, alpha_max, stop, sums)
             for j in range(count):
-                member = np.int64(get(members, piece + j))
+                row = np.int64(get(ranks, np.int64(get(members, piece + j))))
                 for n in range(SUMS):
-                    put(found, SUMS * member + n, get(found, SUMS * member + n) + get(sums, SUMS * j + n))
+                    put(found, SUMS * row + n, get(found, SUMS * row + n) + get(sums, SUMS * j + n))
                     put(sums, SUMS * j + n, ZERO)

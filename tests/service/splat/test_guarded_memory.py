@@ -10,8 +10,9 @@ from gapmes.service.splat import Definition, render
 from gapmes.service.splat.access import BLOCK
 from gapmes.service.splat.binning import Grid, tile_lists
 from gapmes.service.splat.blend import Canvas, blend
-from gapmes.service.splat.leverage import add_part, fill_tiles, leverage_tiles
+from gapmes.service.splat.leverage import fill_tiles, leverage_tiles
 from gapmes.service.splat.leverage_lanes import CHANNELS, SUMS
+from gapmes.service.splat.leverage_parts import add_part, list_reaching
 from gapmes.service.splat.options import OUTPUTS
 from gapmes.service.splat.order import depth_order
 from gapmes.service.splat.prepare import DEPTH, EXTENT, RECORD, Workspace, prepared
@@ -43,7 +44,7 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
     state = guarded.array((grid.tiles, tile_floats(ALL_CHANNELS)), np.float32)
     canvas = Canvas(rgb, *planes, peaks, state, np.zeros(3, np.float32))
     walked = guarded.array((grid.tiles, tile_floats(CHANNELS)), np.float32)
-    found = guarded.array((count, SUMS), np.float32)
+    ranks, members = (guarded.array((count,), np.int32) for _ in range(2))
     sums = [guarded.array((count, *more), np.float64) for more in ((), (), (), (3,))]
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
     subset = np.arange(count) % 2 == 0
@@ -52,16 +53,20 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
             array.view(np.uint8)[...] = PATTERN
         walked[:] = 0.0
         fill_tiles(np.ones((*shape, 3), np.float32), rgb, np.ones(shape, np.float32), grid.columns, walked)
-        peaks[:] = found[:] = 0.0
+        peaks[:] = 0.0
         projection = project(prepared(gaussians, threads), view, rule, 1, threads, space)
         order = depth_order(space.depths, projection.drawn, gaussians)
+        reaching = list_reaching(projection.drawn, space.boxes, grid.columns, 0, grid.tiles, ranks, members)
+        assert reaching == len(projection.drawn)  # the one part is the whole picture
+        found = guarded.array((reaching, SUMS), np.float32)
+        found[:] = 0.0
         marked = projection.drawn[subset[projection.drawn]]
         space.records.view(np.float32)[marked, DEPTH] *= -1
         for number, lists in enumerate(tile_lists(projection, order, grid, max_entries, threads)):
             blend(lists, space.records, canvas, grid, rule, threads, first_batch=number == 0)
             given = lists.offsets, lists.members, space.records, space.records.view(np.float32)
-            leverage_tiles(0, grid.tiles, grid.columns, *given, walked, cuts, found)
-        add_part(found, np.ones(count), *sums)
+            leverage_tiles(0, grid.tiles, grid.columns, *given, walked, cuts, ranks, found)
+        add_part(members[:reaching], found, np.ones(count, np.float32), rule.alpha_min, *sums)
         guarded.check()
         # and every pixel was written: the pattern is -2.9e-16 as a float, which no plane holds
         expected = render(gaussians, view, outputs=OUTPUTS, subset=subset)

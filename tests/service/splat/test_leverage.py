@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import fields
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,9 @@ from gapmes.service.errors import InputError
 from gapmes.service.gaussians import Gaussians, joined
 from gapmes.service.harmonics import C0
 from gapmes.service.splat import Definition, Leverage, Render, leverage, render, render_reference
+from gapmes.service.splat.leverage_parts import Part, add_part, list_reaching
+from gapmes.service.splat.sight import sight
+from gapmes.service.splat.spans import unpacked_box
 
 BEHIND = (0.2, 0.9, 0.4)
 LEVERAGE = importlib.import_module("gapmes.service.splat.leverage")  # the package has the function by this name
@@ -178,6 +182,24 @@ def test_the_number_of_threads_does_not_matter(monkeypatch: pytest.MonkeyPatch, 
         assert_same(one, other)
 
 
+@pytest.mark.parametrize(("width", "height"), [(44, 37), (300, 20), (20, 300), (200, 170)])
+def test_a_part_has_room_for_whoever_its_tiles_list(width: int, height: int) -> None:
+    """Kernels look rows up without a check: who is listed has one of its own, and hardly anybody else has any."""
+    gaussians, view = scene(400, 7, 0, (1e-3, 1.0)), camera(width, height)
+    with sight(gaussians, view, Definition(), 0, 1) as seen:
+        (lists,) = seen.lists()
+        members = [lists.members[start:end] for start, end in pairwise(lists.offsets)]
+        for first, last in combinations(range(seen.grid.tiles + 1), 2):
+            part = Part.of(seen, first, last)
+            assert set(part.members) >= set(np.concatenate(members[first:last]))
+            assert (part.ranks[part.members] == np.arange(len(part.members))).all()
+            assert not part.sums.any()
+            assert len(part.sums) == len(part.members) <= len(seen.order)
+        rows = [Part.of(seen, row, row + seen.grid.columns) for row in range(0, seen.grid.tiles, seen.grid.columns)]
+        boxed = [[unpacked_box(box)[2:] for box in seen.projection.space.boxes[row.members]] for row in rows]
+        assert all(top <= number <= bottom for number, row in enumerate(boxed) for top, bottom in row)
+
+
 def test_the_order_of_the_gaussians_does_not_matter() -> None:
     gaussians, *given = case(90, 4)
     order = np.random.default_rng(0).permutation(90)
@@ -216,7 +238,7 @@ def test_strided_and_read_only_planes_are_weighed_alike_by_the_same_kernels() ->
     for plane in spread:
         plane.flags.writeable = False
     assert_same(weighed(gaussians, view, *spread), expected)
-    for kernel in (LEVERAGE.fill_tiles, LEVERAGE.add_part, LEVERAGE.leverage_tiles):
+    for kernel in (LEVERAGE.fill_tiles, list_reaching, add_part, LEVERAGE.leverage_tiles):
         assert len(kernel.signatures) == 1  # nothing is compiled while a request waits
 
 
