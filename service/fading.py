@@ -35,7 +35,7 @@ ANCHORED = 1.5  # weight of a pixel of what is sure: between the inputs a few pi
 COLOUR_STEP = 1.6  # of the mean that the pixels which show a Gaussian have too much: those share it with others
 COLOUR_DAMPING = 0.05  # of a pixel; a Gaussian of which less is to be seen in all keeps most of its colour
 RESIZED_ROUNDS = 3  # of the drawing, the last: as good as all of them, and the others cost less
-RESIZED_SHARE = 0.25  # of the sums, what the photographs at another size have
+RESIZED_SHARE = 0.25  # of the sums, what the photographs at another size have at least
 OWN_SHARE = 0.4  # where all pixels of a larger size are the photographs' own: they then tell something new
 
 
@@ -143,7 +143,7 @@ class _Photographs:
 
 
 def _share(views: Sequence[FittedView], resized: Sequence[PackedView]) -> float:
-    """Of the weight, what `resized` has: how far from the one grid to the other the photographs' own pixels reach."""
+    """Of the weight, what `resized` has: more, the farther the photographs' own pixels reach towards a finer grid."""
     larger = resized[0].camera.width / views[0].camera.width if views and resized else 1.0
     if larger <= 1:
         return RESIZED_SHARE

@@ -1,4 +1,4 @@
-"""One photograph on the network's grid: resampled to a pinhole, matched with its camera, cropped; and what to tell."""
+"""Photographs on the network's grid: resampled to a pinhole, matched with their cameras, cropped; and what to tell."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from .view_checks import Notice
 Picture = NDArray[np.uint8] | Photo | EncodedPhoto | str | PathLike[str] | bytes  # what is taken for a photograph
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FittedPhotos:
     """Photographs by what looks at them, one crop of each, and the warnings that belong to them."""
 
     seen: list[FittedView]  # by the network
-    shown: list[FittedView]  # by the scene: `detail` times as fine
-    fine: list[PackedView]  # the finest, by which the scene is mended
+    shown: list[FittedView]  # by the scene: with `detail` times as many pixels each way
+    fine: list[PackedView]  # with as many as there may be
     notices: list[Notice]
 
 
@@ -42,7 +42,8 @@ def fitted_photos(
     finer: int,
     done: Callable[[int], None],
 ) -> FittedPhotos:
-    """Each as `fitted` has it, one after the other, `finer` being the finest; `done` hears how many."""
+    """Each as `fitted` has it, one after the other, so that one is in memory at full size; `finer` is 1 or more and
+    `detail` 1 or that; `done` hears how many are fitted. Raises as `fitted`."""
     found = FittedPhotos([], [], [], [])
     for number, image, camera in zip(numbers, images, cameras, strict=True):
         small, large, notices = fitted(image, camera, number, info, detail, finer=finer)

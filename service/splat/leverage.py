@@ -10,7 +10,7 @@ and one more pass in the same order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -97,20 +97,22 @@ def _tiled(view: Sight, given: Planes) -> F32:
 
 
 def _weighed(view: Sight, states: F32, found: Leverage) -> Leverage:
-    rule, edges = view.definition, [len(states) * part // PARTS for part in range(PARTS + 1)]
-    cuts = np.array([rule.alpha_max, rule.stop], np.float32)
-    opacities = np.require(view.gaussians.opacities, np.float32, ["C", "W"])
+    edges = [len(states) * part // PARTS for part in range(PARTS + 1)]
     at_once = PARTS if view.several else min(view.threads, PARTS)  # several batches of lists are made anew each time
     for start in range(0, PARTS, at_once):
-        bounds = edges[start : start + at_once + 1]
-        parts = run_ranges(partial(Part.of, view), bounds, view.threads)
-        for lists in view.lists():
-            walk = partial(_walk_part, lists, view, states, cuts, {part.first: part for part in parts})
-            run_ranges(walk, bounds, view.threads)
-        for part in parts:  # in their order, however many there were at once
-            sums = (found.slope, found.moved, found.shown, found.excess)
-            add_part(part.members, part.sums, opacities, rule.alpha_min, *sums)
+        _add_parts(view, states, edges[start : start + at_once + 1], found)
     return found
+
+
+def _add_parts(view: Sight, states: F32, bounds: Sequence[int], found: Leverage) -> None:
+    """What is found in the parts of the tiles between `bounds`, added in their order."""
+    cuts = np.array([view.definition.alpha_max, view.definition.stop], np.float32)
+    opacities = np.require(view.gaussians.opacities, np.float32, ["C", "W"])
+    parts = {part.first: part for part in run_ranges(partial(Part.of, view), bounds, view.threads)}
+    for lists in view.lists():
+        run_ranges(partial(_walk_part, lists, view, states, cuts, parts), bounds, view.threads)
+    for part in parts.values():
+        add_part(part.members, part.sums, opacities, found.slope, found.moved, found.shown, found.excess)
 
 
 def _walk_part(

@@ -38,6 +38,7 @@ def test_an_enlarged_photograph_is_the_same_picture(views: list[FittedView]) -> 
         assert np.abs(means - view.image).mean() < 0.01
         point = view.camera.unproject(np.array([[10.0, 20.0]]), np.array([3.0]))
         assert large.camera.project(point)[0][0] == pytest.approx([FINER * 10.0, FINER * 20.0])
+        assert large.step == view.step / FINER
         assert large.image.min() >= 0
         assert large.image.max() <= 1
 

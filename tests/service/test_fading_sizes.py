@@ -107,25 +107,37 @@ def test_the_last_rounds_alone_look_at_the_other_size(
 
 
 @pytest.mark.parametrize(
-    ("steps", "own"), [((0.4, 1), 0), ((1, 1), 0), ((1.5, 1.5), 0.5), ((0.5, 1.5), 0.25), ((2, 2), 1), ((9, 2), 1)]
+    ("finer", "steps", "own"),
+    [
+        (2, (0.4, 1), 0),
+        (2, (1, 1), 0),
+        (2, (1.5, 1.5), 0.5),
+        (2, (0.5, 1.5), 0.25),
+        (2, (2, 2), 1),
+        (2, (9, 2), 1),
+        (3, (2, 2), 0.5),
+        (3, (3, 5), 1),
+    ],
 )
 def test_the_larger_size_weighs_more_where_its_pixels_are_the_photographs_own(
+    finer: int,
     steps: tuple[float, float],
     own: float,
     views: list[FittedView],
-    larger: list[FittedView],
     spoiled: Gaussians,
     shares: dict[int, float],
 ) -> None:
-    """At step 1 it shows all pixels of its photograph and the larger size is enlarged, at 2 that shows them all."""
+    """At step 1 a view shows all pixels of its photograph, so that the larger size is enlarged; at step `finer` that
+    shows them all."""
     given = [replace(view, step=step) for view, step in zip(views, steps, strict=True)]
-    faded(spoiled, given, 1, resized=packed(larger))
+    faded(spoiled, given, 1, resized=packed(plane_views(finer * SIDE)[::2]))
     expected = RESIZED_SHARE + own * (OWN_SHARE - RESIZED_SHARE)
-    assert shares == {SIDE: pytest.approx(1 - expected), 2 * SIDE: pytest.approx(expected / 4)}  # by area
+    assert shares == {SIDE: pytest.approx(1 - expected), finer * SIDE: pytest.approx(expected / finer**2)}  # by area
 
 
+@pytest.mark.parametrize("step", [0.5, 0.75, 4.0])
 def test_a_smaller_size_has_the_same_weight_of_any_photograph(
-    views: list[FittedView], larger: list[FittedView], spoiled: Gaussians, shares: dict[int, float]
+    step: float, views: list[FittedView], larger: list[FittedView], spoiled: Gaussians, shares: dict[int, float]
 ) -> None:
-    faded(spoiled, [replace(view, step=4.0) for view in larger], 1, resized=packed(views))
+    faded(spoiled, [replace(view, step=step) for view in larger], 1, resized=packed(views))
     assert shares == {2 * SIDE: 1 - RESIZED_SHARE, SIDE: pytest.approx(4 * RESIZED_SHARE)}

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gapmes.service import fitting as fitting_module
 from gapmes.service import images as images_module
 from gapmes.service.camera import Camera
 from gapmes.service.distortion import Lens
 from gapmes.service.errors import ImageError
-from gapmes.service.fitting import fit_notices, fitted
+from gapmes.service.fitting import fit_notices, fitted, fitted_photos
 from gapmes.service.images import EncodedPhoto, Photo
 from gapmes.service.reconstruct import Reconstructor
 
@@ -73,6 +74,29 @@ def test_encoded_photographs_are_decoded_one_at_a_time(reconstructor, plane_scen
     assert len(alive) == len(encoded)
     np.testing.assert_array_equal(result.gaussians.means, scene.gaussians.means)
     np.testing.assert_array_equal(result.gaussians.harmonics, scene.gaussians.harmonics)
+
+
+@pytest.mark.parametrize(("detail", "kept"), [(1, 0), (2, 3)])
+def test_fine_pictures_that_the_scene_does_not_show_are_kept_packed_alone(
+    engine, plane_scene, monkeypatch, detail, kept
+):
+    made, original = [], fitting_module.fit_view
+
+    def watched(*given):
+        view = original(*given)
+        made.append(weakref.ref(view.image))
+        return view
+
+    monkeypatch.setattr(fitting_module, "fit_view", watched)
+    numbers, done = range(len(plane_scene.images)), []
+    options = {"finer": 2, "done": done.append}
+    found = fitted_photos(plane_scene.images, plane_scene.cameras, numbers, engine.info, detail, **options)
+    sizes = [ref().shape[-1] for ref in made if ref() is not None]
+    assert sizes.count(2 * engine.info.width) == kept
+    assert sizes.count(engine.info.width) == len(numbers) == len(found.seen)
+    assert [view.camera.width for view in found.shown] == [detail * engine.info.width] * len(numbers)
+    assert [view.camera.width for view in found.fine] == [2 * engine.info.width] * len(numbers)
+    assert done == [1, 2, 3]
 
 
 @pytest.mark.parametrize("bent", [False, True])

@@ -66,7 +66,7 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
             blend(lists, space.records, canvas, grid, rule, threads, first_batch=number == 0)
             given = lists.offsets, lists.members, space.records, space.records.view(np.float32)
             leverage_tiles(0, grid.tiles, grid.columns, *given, walked, cuts, ranks, found)
-        add_part(members[:reaching], found, np.ones(count, np.float32), rule.alpha_min, *sums)
+        add_part(members[:reaching], found, np.ones(count, np.float32), *sums)
         guarded.check()
         # and every pixel was written: the pattern is -2.9e-16 as a float, which no plane holds
         expected = render(gaussians, view, outputs=OUTPUTS, subset=subset)
