@@ -13,6 +13,7 @@ from matplotlib.ticker import LogLocator, ScalarFormatter
 
 from .errors import EQUAL_DB
 from .knobs import BANDS
+from .labels import spread
 from .schema import Report, Row
 
 TITLES = {
@@ -94,6 +95,7 @@ def pareto(report: Report) -> Figure:
     _scatter(panels[2], drawn, "ms for a picture", "PSNR to the knob's most exact value, dB", joined=True)
     for axes, title in zip(panels, TITLES.values(), strict=True):
         axes.set_title(title, fontsize=10, loc="left")
+    spread(figure)
     return figure
 
 
@@ -117,13 +119,12 @@ def _scatter(
             if row.default and shared[x, y] > 1:
                 continue
             weight = "bold" if row.default else "normal"
-            side = ((6, 3), (-6, -9), (6, -9), (-6, 4))[number % 4]
-            axes.annotate(row.value, (x, y), xytext=side, textcoords="offset points", fontsize=7, color=colour,
-                          weight=weight, ha="left" if side[0] > 0 else "right")  # fmt: skip
+            axes.annotate(
+                row.value, (x, y), (0, 0), textcoords="offset points", fontsize=7, color=colour, weight=weight
+            )
     for (x, y), count in shared.items():
         if count > 1:
-            axes.annotate("default", (x, y), xytext=(-6, 6), textcoords="offset points", fontsize=7, weight="bold",
-                          ha="right")  # fmt: skip
+            axes.annotate("default", (x, y), (0, 0), textcoords="offset points", fontsize=7, weight="bold")
     if len(finite) < len(points):
         axes.axhline(top, color="#cccccc", linestyle=":", zorder=0)
         axes.annotate("equal", (0.01, top), xycoords=("axes fraction", "data"), fontsize=7, ha="left", va="bottom",

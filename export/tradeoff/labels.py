@@ -1,0 +1,93 @@
+"""Labels of points in a panel: each goes where it hides least, and stands nearer to its own point than to others."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+from matplotlib.transforms import Bbox
+from numpy.typing import NDArray
+
+# Points to the right and up, and which edge of the text stands there: nearer ones first
+SIDES = (
+    *((6, 3, "left"), (-6, 4, "right"), (6, -9, "left"), (-6, -9, "right"), (0, 7, "center"), (0, -13, "center")),
+    *((12, 9, "left"), (-12, 9, "right"), (12, -15, "left"), (-12, -15, "right"), (0, 15, "center")),
+    *((0, -21, "center"), (16, 0, "left"), (-16, 0, "right")),
+)
+MARKER = 4.0  # px, half of a point's side
+STRANGE = 100.0  # px^2 that may be hidden rather than that another point is nearer
+ON_A_LINE = 1.0  # px^2 that may be hidden rather than one px of a line
+
+
+def spread(figure: Figure) -> None:
+    """Place the labels of all panels, those that stand at data, the bold ones first."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()  # sizes of texts and places of panels are known from here on
+    for axes in figure.axes:
+        panel = _Panel(axes)
+        for label in sorted(labels(axes), key=lambda label: label.get_fontweight() != "bold"):
+            costs = [panel.cost(_box(label, side, canvas), label.xy) for side in SIDES]
+            panel.taken.append(_box(label, SIDES[int(np.argmin(costs))], canvas))  # the first of equals
+
+
+def labels(axes: Axes) -> list[Annotation]:
+    """Of the points of a panel."""
+    return [text for text in axes.texts if isinstance(text, Annotation) and text.xycoords == "data"]
+
+
+class _Panel:
+    """What a label must not hide."""
+
+    def __init__(self, axes: Axes) -> None:
+        self._axes, self._inside = axes, axes.get_window_extent()
+        marked = [line.get_xydata() for line in axes.lines if line.get_marker() != "None"]
+        self._points = axes.transData.transform(np.unique(np.concatenate(marked), axis=0))
+        drawn = [line for line in axes.lines if line.get_linestyle() != "None"]
+        paths = [line.get_transform().transform(line.get_path().vertices) for line in drawn]
+        self._along = np.concatenate([np.empty((0, 2)), *(_along(path) for path in paths)])
+        legend = axes.get_legend()
+        boxes = [Bbox.from_extents(*(point - MARKER), *(point + MARKER)) for point in self._points]
+        self.taken = boxes if legend is None else [*boxes, legend.get_window_extent()]
+
+    def cost(self, box: Bbox, own: tuple[float, float]) -> float:
+        """px^2."""
+        hidden = sum(_shared(box, other) for other in self.taken)
+        beyond = _area(box) - _shared(box, self._inside)
+        crossed = np.all((self._along > box.min) & (self._along < box.max), axis=1).sum()
+        at = self._axes.transData.transform(own)
+        others = self._points[np.abs(self._points - at).max(axis=1) > 1]
+        strange = _distance(others, box).min(initial=np.inf) < _distance(at[None], box)[0]
+        return hidden + beyond + ON_A_LINE * crossed + STRANGE * strange
+
+
+def _box(label: Annotation, side: tuple[float, float, str], canvas: FigureCanvasAgg) -> Bbox:
+    """What the label covers, px, once it is moved there."""
+    right, up, edge = side
+    label.xyann = (right, up)
+    label.set_horizontalalignment(edge)  # type: ignore[arg-type]
+    return label.get_window_extent(canvas.get_renderer())
+
+
+def _along(path: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 2) a place for each px of a path of corners (M, 2)."""
+    pieces = [np.linspace(a, b, 1 + int(np.hypot(*(b - a)))) for a, b in pairwise(path)]
+    return np.concatenate([path, *pieces])
+
+
+def _shared(one: Bbox, other: Bbox) -> float:
+    common = Bbox.intersection(one, other)
+    return 0.0 if common is None else _area(common)
+
+
+def _area(box: Bbox) -> float:
+    return float(box.width * box.height)
+
+
+def _distance(points: NDArray[np.float64], box: Bbox) -> NDArray[np.float64]:
+    """(N,) px from each of points (N, 2) to the nearest of the box."""
+    away = np.maximum(np.maximum(box.min - points, points - box.max), 0)
+    return np.hypot(away[:, 0], away[:, 1])
