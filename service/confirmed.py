@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from .correspondence import PARALLAX_PX, disagreement, parallax, seen_by
 from .images import FittedView
+from .plane_means import plane_means
 from .window_match import contrast, correlations
 
 F64 = NDArray[np.float64]
@@ -30,7 +31,7 @@ def confirmed(views: Sequence[FittedView], depths: F64) -> NDArray[np.bool_]:
     found = np.zeros((len(views), *views[0].image.shape[1:]), np.bool_)
     for index, view in enumerate(views):
         grey = view.image.mean(axis=0, dtype=np.float64)
-        textured = contrast(grey, view.mask) > TEXTURE
+        textured = contrast(grey, view.mask, plane_means) > TEXTURE
         if view.mask is not None:
             textured &= view.mask
         for other, second in enumerate(views):
@@ -48,4 +49,4 @@ def _agrees(view: FittedView, grey: F64, depth: F64, other: FittedView, other_de
     agreed &= np.abs(colour - view.image.transpose(1, 2, 0)).mean(axis=2) < SAME_COLOUR
     warped = colour.mean(axis=2, dtype=np.float64)
     compared = seen.where if view.mask is None else seen.where & view.mask
-    return agreed & (correlations(grey, warped[None], compared[None])[0] > GOOD_MATCH)
+    return agreed & (correlations(grey, warped[None], compared[None], plane_means)[0] > GOOD_MATCH)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .plane_kernels import mean_planes
+from .plane_means import plane_means
 
 F64 = NDArray[np.float64]
 
@@ -37,6 +37,4 @@ class GuidedFilter:
 
 def _means(plane: F64) -> F64:
     """(H, W) over windows of RADIUS."""
-    means = np.empty_like(plane[None])
-    mean_planes(np.require(plane[None], np.float64, ["C", "W"]), RADIUS, means)
-    return means[0]
+    return plane_means(plane, RADIUS)

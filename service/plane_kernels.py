@@ -8,27 +8,60 @@ import numpy as np
 from .splat.access import get, larger, put, smaller
 from .splat.kernel_cache import kernel
 
+ROWS = 4  # as many as `_sum_along` has sums
+
 
 @kernel()
 def mean_planes(planes, radius, means):
     """`means` (D, H, W) of `planes` (D, H, W) over windows of 2 * radius + 1 px, cut off at the border; by running sums
-    down the columns, then along the rows."""
+    down the columns, then along the rows, of which ROWS are summed side by side: each waits for its own sum alone."""
     height, width = planes.shape[1], planes.shape[2]
-    sums = np.zeros((height + 1) * width)
-    along = np.zeros(width + 1)
+    sums, along = np.zeros((height + 1) * width), np.zeros(ROWS * (width + 1))
+    rows = np.zeros(ROWS * width)
+    inner = smaller(radius, width)
     for plane in range(planes.shape[0]):
         start = plane * height * width
         for at in range(height * width):
             put(sums, at + width, get(sums, at) + get(planes, start + at))
-        for y in range(height):
-            low, high = larger(y - radius, 0), smaller(y + radius + 1, height)
-            total = 0.0
-            for x in range(width):
-                total += (get(sums, high * width + x) - get(sums, low * width + x)) / (high - low)
-                put(along, x + 1, total)
-            for x in range(width):
-                low, high = larger(x - radius, 0), smaller(x + radius + 1, width)
-                put(means, start + y * width + x, (get(along, high) - get(along, low)) / (high - low))
+        for first in range(0, height, ROWS):
+            count = smaller(ROWS, height - first)
+            for row in range(count):
+                y = first + row
+                low, high = larger(y - radius, 0) * width, smaller(y + radius + 1, height) * width
+                size = np.float64((high - low) // width)
+                for x in range(width):
+                    put(rows, row * width + x, (get(sums, high + x) - get(sums, low + x)) / size)
+            _sum_along(rows, width, along)
+            for row in range(count):
+                begin, to, size = row * (width + 1), start + (first + row) * width, np.float64(2 * radius + 1)
+                for x in range(inner):
+                    put(means, to + x, _cut_off(along, begin, x, radius, width))
+                for x in range(inner, width - radius):
+                    put(means, to + x, (get(along, begin + x + radius + 1) - get(along, begin + x - radius)) / size)
+                for x in range(larger(width - radius, inner), width):
+                    put(means, to + x, _cut_off(along, begin, x, radius, width))
+
+
+@kernel()
+def _sum_along(rows, width, along):
+    """`along` (ROWS, width + 1), 0 at first in each, of `rows` (ROWS, width)."""
+    one = two = three = four = 0.0
+    for x in range(width):
+        one += get(rows, x)
+        two += get(rows, width + x)
+        three += get(rows, 2 * width + x)
+        four += get(rows, 3 * width + x)
+        put(along, x + 1, one)
+        put(along, width + x + 2, two)
+        put(along, 2 * width + x + 3, three)
+        put(along, 3 * width + x + 4, four)
+
+
+@kernel()
+def _cut_off(along, begin, x, radius, width):
+    """The mean about x of a row whose running sums begin there."""
+    low, high = larger(x - radius, 0), smaller(x + radius + 1, width)
+    return (get(along, begin + high) - get(along, begin + low)) / (high - low)
 
 
 @kernel()

@@ -18,6 +18,7 @@ from .correspondence import disagreement, from_elsewhere, seen_by
 from .images import FittedView
 from .match_cost import GAIN, LIMIT, NOTHING, Gathering, difference, features
 from .plane_kernels import compare_level
+from .plane_means import plane_means
 from .rotations import turned
 from .splat.parallel import checked_threads, run_ranges
 from .window_match import contrast
@@ -78,7 +79,7 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
             ]
             near = np.abs(1 / found.depth - 1 / depths[index]) * way < PAIR_PX
             agreed |= seen.where & (close[0] | close[1]) & (near | (not pair))
-        textured = contrast(view.image.mean(axis=0, dtype=np.float64), view.mask) > TEXTURE
+        textured = contrast(view.image.mean(axis=0, dtype=np.float64), view.mask, plane_means) > TEXTURE
         taken = found.gains & agreed & textured & view.kept & ~sure[index]
         result[index] = np.where(taken, found.depth, depths[index])
     return result

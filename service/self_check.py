@@ -21,6 +21,7 @@ from .images import FittedView
 from .model_info import ModelInfo
 from .overlap import inverse_depth_steps
 from .picture_error import psnr, ssim
+from .plane_means import plane_means
 from .splat import Render, render
 from .window_match import contrast
 
@@ -92,7 +93,7 @@ def ambiguous_routes(outputs: Mapping[str, NDArray], patch_mask: NDArray[np.bool
 
 def _flat(view: FittedView) -> NDArray[np.bool_]:
     grey = view.image.mean(axis=0, dtype=np.float64)
-    flat = contrast(grey, view.mask) < TEXTURE
+    flat = contrast(grey, view.mask, plane_means) < TEXTURE
     return flat if view.mask is None else flat[view.mask]
 
 

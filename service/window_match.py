@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
+WindowMean = Callable[[F64], F64]  # (..., h, w) of the same
 
 RADIUS = 3  # windows of 7 x 7 px
 MIN_SEEN = 0.6  # share of a window that must be seen
@@ -14,45 +17,10 @@ _ROUNDED = (1 / 255) ** 2 / 12  # variance of the rounding to 8 bits, which corr
 _NOISE = 1e-8  # variance below which a window has no texture; (0.03 of an 8-bit level)^2
 
 
-def correlations(picture: F64, warped: F64, seen: NDArray[np.bool_]) -> F64:
-    """(D, h, w) in -1..1: windows of `picture` (h, w) against those of each `warped` picture (D, h, w), where seen.
-
-    Brightness and contrast do not matter as long as the latter is above the rounding to 8 bits: a window of variance v
-    correlates with itself by v / (v + 1.3e-6).
-    """
-    mask = seen.astype(np.float64)
-    amount = window_mean(mask)
-    safe = np.maximum(amount, 1e-9)
-    mean_a, mean_b = window_mean(picture * mask) / safe, window_mean(warped * mask) / safe
-    var_a = window_mean(picture**2 * mask) / safe - mean_a**2
-    var_b = window_mean(warped**2 * mask) / safe - mean_b**2
-    covariance = window_mean(picture * warped * mask) / safe - mean_a * mean_b
-    correlation = covariance / np.sqrt((np.maximum(var_a, 0.0) + _ROUNDED) * (np.maximum(var_b, 0.0) + _ROUNDED))
-    return np.where(amount >= MIN_SEEN, correlation, NOT_SEEN)
-
-
-def contrast(picture: F64, kept: NDArray[np.bool_] | None = None) -> F64:
-    """(h, w) standard deviation of each window, of what is `kept` (h, w) of it; 0 where it is noise."""
-    weight = np.ones_like(picture) if kept is None else kept.astype(np.float64)
-    share = np.maximum(window_mean(weight), 1e-9)
-    mean = window_mean(picture * weight) / share
-    return np.sqrt(np.maximum(window_mean(picture**2 * weight) / share - mean**2 - _NOISE, 0.0))
-
-
-def match_score(picture: F64, best: F64, kept: NDArray[np.bool_]) -> tuple[float, float]:
-    """Mean of the best correlations (h, w) over windows about what is `kept` (h, w) of `picture`, by their contrast.
-
-    Windows that are seen in no warped picture do not count. Returns the mean, in [0, 1], and the sum of the weights.
-    """
-    weights = np.where(kept & (best > NOT_SEEN), contrast(picture, kept), 0.0)
-    total = float(weights.sum())
-    return (float((np.clip(best, 0.0, 1.0) * weights).sum() / total), total) if total > 0 else (0.0, 0.0)
-
-
 def window_mean(values: F64, radius: int = RADIUS) -> F64:
     """(..., h, w) means over windows of 2 * radius + 1 px, cut off at the border; by running sums.
 
-    Half as fast as `plane_kernels.mean_planes`, but photographs are checked before the network runs, and loading
+    `plane_means` takes a twentieth of the time, but photographs are checked before the network runs, and loading
     compiled loops takes 60 MB that would be in memory beside it.
     """
     for axis in (-2, -1):
@@ -64,3 +32,40 @@ def window_mean(values: F64, radius: int = RADIUS) -> F64:
         size = (high - low).reshape((-1, 1) if axis == -2 else (-1,))
         values = (np.take(sums, high, axis=axis) - np.take(sums, low, axis=axis)) / size
     return values
+
+
+def correlations(picture: F64, warped: F64, seen: NDArray[np.bool_], mean: WindowMean = window_mean) -> F64:
+    """(D, h, w) in -1..1: windows of `picture` (h, w) against those of each `warped` picture (D, h, w), where seen;
+    `mean` is `window_mean`, or another that gives the same.
+
+    Brightness and contrast do not matter as long as the latter is above the rounding to 8 bits: a window of variance v
+    correlates with itself by v / (v + 1.3e-6).
+    """
+    mask = seen.astype(np.float64)
+    amount = mean(mask)
+    safe = np.maximum(amount, 1e-9)
+    mean_a, mean_b = mean(picture * mask) / safe, mean(warped * mask) / safe
+    var_a = mean(picture**2 * mask) / safe - mean_a**2
+    var_b = mean(warped**2 * mask) / safe - mean_b**2
+    covariance = mean(picture * warped * mask) / safe - mean_a * mean_b
+    correlation = covariance / np.sqrt((np.maximum(var_a, 0.0) + _ROUNDED) * (np.maximum(var_b, 0.0) + _ROUNDED))
+    return np.where(amount >= MIN_SEEN, correlation, NOT_SEEN)
+
+
+def contrast(picture: F64, kept: NDArray[np.bool_] | None = None, mean: WindowMean = window_mean) -> F64:
+    """(h, w) standard deviation of each window, of what is `kept` (h, w) of it; 0 where it is noise. `mean` as for
+    `correlations`."""
+    weight = np.ones_like(picture) if kept is None else kept.astype(np.float64)
+    share = np.maximum(mean(weight), 1e-9)
+    middle = mean(picture * weight) / share
+    return np.sqrt(np.maximum(mean(picture**2 * weight) / share - middle**2 - _NOISE, 0.0))
+
+
+def match_score(picture: F64, best: F64, kept: NDArray[np.bool_]) -> tuple[float, float]:
+    """Mean of the best correlations (h, w) over windows about what is `kept` (h, w) of `picture`, by their contrast.
+
+    Windows that are seen in no warped picture do not count. Returns the mean, in [0, 1], and the sum of the weights.
+    """
+    weights = np.where(kept & (best > NOT_SEEN), contrast(picture, kept), 0.0)
+    total = float(weights.sum())
+    return (float((np.clip(best, 0.0, 1.0) * weights).sum() / total), total) if total > 0 else (0.0, 0.0)

@@ -12,6 +12,7 @@ from ..confirmed import confirmed
 from ..correspondence import from_elsewhere, seen_by
 from ..images import FittedView
 from ..match_cost import LIMIT, Gathering, difference_there, features
+from ..plane_means import plane_means
 from ..surfaces import LEAST, Described, described_surface
 from ..window_match import contrast
 
@@ -125,7 +126,7 @@ def _about(view: FittedView, inverse: F64, undecided: Mask) -> NDArray[np.float1
     y, x = (np.arange(count) for count in undecided.shape)
     border = np.minimum(np.minimum(y, y[::-1])[:, None], np.minimum(x, x[::-1]))
     low, high = inverse[0][view.kept].min(), inverse[0][view.kept].max()
-    texture = contrast(view.image.mean(axis=0, dtype=np.float64), view.mask) / CONTRAST
+    texture = contrast(view.image.mean(axis=0, dtype=np.float64), view.mask, plane_means) / CONTRAST
     of_all = inverse[:, undecided]
     now, network, middle = of_all[0], of_all[1], np.median(of_all, axis=0)
     about = (

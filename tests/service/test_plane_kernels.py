@@ -8,12 +8,14 @@ from guarded import Guarded, beside_nan
 
 from gapmes.service.bilinear import bilinear
 from gapmes.service.plane_kernels import compare_planes, mean_planes, spread_along_rows, spread_down_columns
+from gapmes.service.plane_means import plane_means
+from gapmes.service.window_match import window_mean
 
 LIMIT = 0.4
 
 
-@pytest.mark.parametrize("shape", [(2, 9, 14), (1, 1, 1), (1, 3, 40), (1, 40, 3)])
-@pytest.mark.parametrize("radius", [0, 2, 50])
+@pytest.mark.parametrize("shape", [(2, 9, 14), (1, 1, 1), (1, 3, 40), (1, 40, 3), (3, 6, 5), (1, 8, 7)])
+@pytest.mark.parametrize("radius", [0, 2, 3, 50])
 def test_means_over_windows_that_the_border_cuts(shape: tuple[int, int, int], radius: int) -> None:
     planes = np.random.default_rng(1).normal(size=shape)
     found = np.full_like(planes, np.nan)
@@ -21,6 +23,18 @@ def test_means_over_windows_that_the_border_cuts(shape: tuple[int, int, int], ra
     for number, y, x in np.ndindex(shape):
         rows, columns = (slice(max(at - radius, 0), at + radius + 1) for at in (y, x))
         assert found[number, y, x] == pytest.approx(planes[number, rows, columns].mean(), abs=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(64, 48), (1, 33, 70), (2, 3, 9, 5), (1, 1)])
+@pytest.mark.parametrize("radius", [0, 3, 9])
+def test_means_are_those_of_numpy_to_the_bit(shape: tuple[int, ...], radius: int) -> None:
+    """Before the network numpy makes them, after it the compiled loop: what they decide is the same."""
+    planes = np.random.default_rng(6).normal(size=shape)
+    means = plane_means(planes, radius)
+    assert means.shape == shape
+    assert (means == window_mean(planes, radius)).all()
+    turned = np.asfortranarray(planes)
+    assert (plane_means(turned, radius) == means).all()
 
 
 def test_features_are_compared_between_pixels_and_up_to_the_limit() -> None:
