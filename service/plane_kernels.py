@@ -104,16 +104,12 @@ def compare_level(own, others, rays, way, lens, level, limit, found):
     height, width, _ = others.shape
     x_way, y_way, z_way = level * get(way, 0), level * get(way, 1), level * get(way, 2)
     for at in range(found.size):
-        put(found, at, limit)
-        z = get(rays, 3 * at + 2) + z_way
-        if not z > 0:
-            continue
+        apart, z = limit, get(rays, 3 * at + 2) + z_way
         x = get(lens, 0) * ((get(rays, 3 * at) + x_way) / z) + get(lens, 2)
         y = get(lens, 1) * ((get(rays, 3 * at + 1) + y_way) / z) + get(lens, 3)
-        if x > 0 and y > 0 and x < width and y < height:
-            apart = _apart(own, others, at, x - 0.5, y - 0.5)
-            if apart < limit:
-                put(found, at, apart)
+        if z > 0 and x > 0 and y > 0 and x < width and y < height:
+            apart = smaller(_apart(own, others, at, x - 0.5, y - 0.5), limit)  # the limit for NaN
+        put(found, at, apart)
 
 
 @kernel()
