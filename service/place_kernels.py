@@ -18,33 +18,43 @@ def see_pixels(depth, lens, pose, other_lens, other_pose, size, column, row, z, 
     Each `lens` is fx, fy, cx, cy in px; `pose` and `other_pose` (3, 4) lead from a camera's axes to the world; `size`
     is the other's width and height. As `Camera.unproject` and `Camera.project` compute it, to the bit.
     """
-    width = depth.shape[1]
-    for at in range(depth.size):
-        x = (at % width + 0.5 - get(lens, 2)) / get(lens, 0)
-        y = (at // width + 0.5 - get(lens, 3)) / get(lens, 1)
-        far = get(depth, at)
-        a = _along(pose, 0, x, y) * far + get(pose, 3) - get(other_pose, 3)
-        b = _along(pose, 4, x, y) * far + get(pose, 7) - get(other_pose, 7)
-        c = _along(pose, 8, x, y) * far + get(pose, 11) - get(other_pose, 11)
-        ahead = _back(other_pose, 2, a, b, c)
-        px, py = -1.0, -1.0
-        if ahead > 0:
-            px = _finite(get(other_lens, 0) * _back(other_pose, 0, a, b, c) / ahead + get(other_lens, 2))
-            py = _finite(get(other_lens, 1) * _back(other_pose, 1, a, b, c) / ahead + get(other_lens, 3))
-        put(column, at, px - 0.5)
-        put(row, at, py - 0.5)
-        put(z, at, ahead)
-        put(inside, at, ahead > 0 and px > 0 and py > 0 and px < get(size, 0) and py < get(size, 1))
+    height, width = depth.shape
+    across, down, middle_x, middle_y = _four(lens)
+    other_across, other_down, other_x, other_y = _four(other_lens)
+    p, q = _twelve(pose), _twelve(other_pose)
+    right, bottom = get(size, 0), get(size, 1)
+    for line in range(height):  # all in vectors: nothing is read but the depth, and nothing branches
+        y = (line + 0.5 - middle_y) / down
+        for place in range(width):
+            at = line * width + place
+            x = (place + 0.5 - middle_x) / across
+            far = get(depth, at)
+            a = (p[0] * x + p[1] * y + p[2]) * far + p[3] - q[3]
+            b = (p[4] * x + p[5] * y + p[6]) * far + p[7] - q[7]
+            c = (p[8] * x + p[9] * y + p[10]) * far + p[11] - q[11]
+            ahead = q[2] * a + q[6] * b + q[10] * c
+            px = _finite(other_across * (q[0] * a + q[4] * b + q[8] * c) / ahead + other_x)
+            py = _finite(other_down * (q[1] * a + q[5] * b + q[9] * c) / ahead + other_y)
+            px, py = (px if ahead > 0 else -1.0), (py if ahead > 0 else -1.0)
+            put(column, at, px - 0.5)
+            put(row, at, py - 0.5)
+            put(z, at, ahead)
+            put(inside, at, (ahead > 0) & (px > 0) & (py > 0) & (px < right) & (py < bottom))
 
 
 @kernel()
-def _along(pose, start, x, y):
-    return get(pose, start) * x + get(pose, start + 1) * y + get(pose, start + 2)
+def _four(lens):
+    return get(lens, 0), get(lens, 1), get(lens, 2), get(lens, 3)
 
 
 @kernel()
-def _back(pose, axis, a, b, c):
-    return get(pose, axis) * a + get(pose, axis + 4) * b + get(pose, axis + 8) * c
+def _twelve(pose):
+    """A pose row by row."""
+    return (
+        get(pose, 0), get(pose, 1), get(pose, 2), get(pose, 3),
+        get(pose, 4), get(pose, 5), get(pose, 6), get(pose, 7),
+        get(pose, 8), get(pose, 9), get(pose, 10), get(pose, 11),
+    )  # fmt: skip
 
 
 @kernel()

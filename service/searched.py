@@ -7,6 +7,7 @@ pixel of parallax to either side (`refined.py`) does not mend.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -109,11 +110,11 @@ def _best(
     gathering = Gathering(view, kept)
     least, chosen = np.full(depth.shape, np.inf), np.zeros(depth.shape)
     for level in levels:
-        cost = np.minimum.reduce([gathering.of(sweep.cost(level) * kept) for sweep in sweeps])
+        cost = reduce(np.minimum, [gathering.of(sweep.cost(level) * kept) for sweep in sweeps])
         chosen[cost < least] = level
         np.minimum(least, cost, out=least)
     as_it_is = [difference(view, own, depth, views[other], pictures[other]) for other in elsewhere]
-    now = np.minimum.reduce([gathering.of(cost * kept) for cost in as_it_is])
+    now = reduce(np.minimum, [gathering.of(cost * kept) for cost in as_it_is])
     return _Best(1 / chosen, least < GAIN * now - NOTHING)
 
 
