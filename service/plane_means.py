@@ -12,7 +12,7 @@ F64 = NDArray[np.float64]
 
 
 def plane_means(planes: F64, radius: int = RADIUS) -> F64:
-    """(..., H, W) means over windows of 2 * radius + 1 px, cut off at the border."""
+    """(..., H, W) means over windows of 2 * radius + 1 px of float64 planes, cut off at the border."""
     given = np.require(planes, np.float64, ["C", "W"]).reshape(-1, *planes.shape[-2:])
     means = np.empty_like(given)
     mean_planes(given, radius, means)

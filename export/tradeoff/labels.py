@@ -19,14 +19,15 @@ SIDES = (
     *((0, -21, "center"), (16, 0, "left"), (-16, 0, "right")),
 )
 MARKER = 4.0  # px, half of a point's side
-STRANGE = 100.0  # px^2 that may be hidden rather than that another point is nearer
+STRANGE = 1000.0  # px^2 that may be hidden rather than that another point is nearer
 ON_A_LINE = 1.0  # px^2 that may be hidden rather than one px of a line
 
 
 def spread(figure: Figure) -> None:
     """Place the labels of all panels, those that stand at data, the bold ones first."""
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()  # sizes of texts and places of panels are known from here on
+    canvas.draw()  # sizes of texts and places of panels are known from here on, and stay
+    figure.set_layout_engine("none")
     for axes in figure.axes:
         panel = _Panel(axes)
         for label in sorted(labels(axes), key=lambda label: label.get_fontweight() != "bold"):
@@ -45,7 +46,7 @@ class _Panel:
     def __init__(self, axes: Axes) -> None:
         self._axes, self._inside = axes, axes.get_window_extent()
         marked = [line.get_xydata() for line in axes.lines if line.get_marker() != "None"]
-        self._points = axes.transData.transform(np.unique(np.concatenate(marked), axis=0))
+        self._points = axes.transData.transform(np.unique(np.concatenate([np.empty((0, 2)), *marked]), axis=0))
         drawn = [line for line in axes.lines if line.get_linestyle() != "None"]
         paths = [line.get_transform().transform(line.get_path().vertices) for line in drawn]
         self._along = np.concatenate([np.empty((0, 2)), *(_along(path) for path in paths)])

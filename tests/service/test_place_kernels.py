@@ -48,6 +48,7 @@ def test_places_are_those_of_the_cameras(turn: float, ahead: float, offset: floa
     assert (found.column[before] == pixels[before][:, 0] - 0.5).all()
     assert (found.row[before] == pixels[before][:, 1] - 0.5).all()
     assert (found.column[~before] == -1.5).all()
+    assert (found.row[~before] == -1.5).all()
     assert before.mean() > 0 or turn == 3.0
     assert np.isfinite(found.column).all()
 
@@ -69,7 +70,17 @@ def test_depths_that_are_none_stay_outside(depth: float) -> None:
     """Of 0 is the place of the camera itself, behind the other here."""
     found = seen_by(view(0.0, (0.0, 0.0, 0.0)), np.full((HEIGHT, WIDTH), depth), view(0.0, (0.3, 0.0, 0.5)))
     assert not found.inside.any()
-    assert np.isfinite([found.column, found.row, found.z]).all()
+    assert np.isfinite(found.z).all()
+    assert (found.column == -1.5).all()
+    assert (found.row == -1.5).all()
+
+
+def test_a_point_on_the_plane_of_the_other_camera_is_not_in_its_picture() -> None:
+    here, there = view(0.0, (0.0, 0.0, 0.0)), view(0.0, (0.3, 0.0, 2.0))
+    found = seen_by(here, np.full((HEIGHT, WIDTH), 2.0), there)
+    assert not found.inside.any()
+    assert (found.column == -1.5).all()
+    assert (found.row == -1.5).all()
 
 
 def test_a_point_beside_the_other_camera_is_far_off_its_picture() -> None:

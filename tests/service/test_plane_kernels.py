@@ -25,7 +25,7 @@ def test_means_over_windows_that_the_border_cuts(shape: tuple[int, int, int], ra
         assert found[number, y, x] == pytest.approx(planes[number, rows, columns].mean(), abs=1e-12)
 
 
-@pytest.mark.parametrize("shape", [(64, 48), (1, 33, 70), (2, 3, 9, 5), (1, 1)])
+@pytest.mark.parametrize("shape", [(64, 48), (1, 33, 70), (2, 3, 9, 5), (6, 8), (7, 3), (1, 1)])
 @pytest.mark.parametrize("radius", [0, 3, 9])
 def test_means_are_those_of_numpy_to_the_bit(shape: tuple[int, ...], radius: int) -> None:
     """Before the network numpy makes them, after it the compiled loop: what they decide is the same."""
@@ -34,7 +34,17 @@ def test_means_are_those_of_numpy_to_the_bit(shape: tuple[int, ...], radius: int
     assert means.shape == shape
     assert (means == window_mean(planes, radius)).all()
     turned = np.asfortranarray(planes)
+    turned.flags.writeable = False
     assert (plane_means(turned, radius) == means).all()
+
+
+@pytest.mark.parametrize("row", range(9))
+def test_a_row_that_is_no_number_spoils_its_windows_alone(row: int) -> None:
+    """Rows are summed four at a time: none comes into another's sum. Down the columns what follows is spoiled too."""
+    planes = np.random.default_rng(7).normal(size=(9, 12))
+    planes[row] = np.nan
+    assert np.array_equal(plane_means(planes), window_mean(planes), equal_nan=True)
+    assert np.isfinite(plane_means(planes)[: max(row - 3, 0)]).all()
 
 
 def test_features_are_compared_between_pixels_and_up_to_the_limit() -> None:

@@ -46,6 +46,19 @@ def test_nothing_is_hidden_where_there_is_room(seed: int, joined: bool) -> None:
         assert inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1  # noqa: PT018
 
 
+def test_a_cluster_keeps_its_labels_from_a_point_close_by() -> None:
+    """Three points in one place, and one on the same line 25 px to the right, as settings of nearly one time."""
+    points = np.array([[0.0, 0.0], [5.0, 5.0], [5.05, 5.02], [5.1, 5.0], [6.0, 5.0], [10.0, 10.0]])
+    made, axes = figure(points, joined=True, bold=2)
+    spread(made)
+    made.canvas.draw()
+    places = axes.transData.transform(points)
+    for number, label in enumerate(labels(axes)[1:5], 1):
+        box = label.get_window_extent()
+        distance = np.hypot(*np.maximum(np.maximum(box.min - places, places - box.max), 0).T)
+        assert (distance[4] < distance[1:4].min()) == (number == 4)
+
+
 def test_a_label_with_room_goes_to_the_first_side_and_off_its_line_to_another() -> None:
     far = np.array([[0.0, 0.0], [10.0, 10.0]])
     made, axes = figure(far)
