@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from .binning import TILE, TileLists
 from .blend import PIECE, choose, gather, measure_reach
 from .kernel_cache import kernel
 from .leverage_lanes import CHANNELS, LIGHT, RESIDUAL, REST, SUMS, WEIGHT, leverage_block
-from .leverage_parts import Part, add_part
+from .leverage_parts import Part, Room, add_part
 from .options import checked_background, checked_definition, checked_degree
 from .parallel import run_ranges
 from .render import Render, draw
@@ -99,28 +100,31 @@ def _tiled(view: Sight, given: Planes) -> F32:
 def _weighed(view: Sight, states: F32, found: Leverage) -> Leverage:
     edges = [len(states) * part // PARTS for part in range(PARTS + 1)]
     at_once = PARTS if view.several else min(view.threads, PARTS)  # several batches of lists are made anew each time
+    rooms = [Room.of(view) for _ in range(at_once)]
     for start in range(0, PARTS, at_once):
-        _add_parts(view, states, edges[start : start + at_once + 1], found)
+        _add_parts(view, states, edges[start : start + at_once + 1], rooms, found)
     return found
 
 
-def _add_parts(view: Sight, states: F32, bounds: Sequence[int], found: Leverage) -> None:
+def _add_parts(view: Sight, states: F32, bounds: Sequence[int], rooms: Sequence[Room], found: Leverage) -> None:
     """What is found in the parts of the tiles between `bounds`, added in their order."""
     cuts = np.array([view.definition.alpha_max, view.definition.stop], np.float32)
     opacities = np.require(view.gaussians.opacities, np.float32, ["C", "W"])
-    parts = {part.first: part for part in run_ranges(partial(Part.of, view), bounds, view.threads)}
+    room = {first: room for (first, last), room in zip(pairwise(bounds), rooms, strict=False) if first < last}
+    parts = run_ranges(lambda first, last: Part.of(view, room[first], first, last), bounds, view.threads)
+    own = dict(zip(room, parts, strict=True))
     for lists in view.lists():
-        run_ranges(partial(_walk_part, lists, view, states, cuts, parts), bounds, view.threads)
-    for part in parts.values():
+        run_ranges(partial(_walk_part, lists, view, states, cuts, own), bounds, view.threads)
+    for part in parts:
         add_part(part.members, part.sums, opacities, found.slope, found.moved, found.shown, found.excess)
 
 
 def _walk_part(
     lists: TileLists, view: Sight, states: F32, cuts: F32, parts: Mapping[int, Part], first: int, last: int
 ) -> None:
-    part, records = parts[first], view.projection.space.records
+    records = view.projection.space.records
     entries = (view.grid.columns, lists.offsets, lists.members, records, records.view(np.float32))
-    leverage_tiles(first, last, *entries, states, cuts, part.ranks, part.sums)
+    leverage_tiles(first, last, *entries, states, cuts, parts[first].sums)
 
 
 @kernel()
@@ -144,9 +148,9 @@ def fill_tiles(picture, residual, weight, columns, states):
 
 
 @kernel()
-def leverage_tiles(first, last, columns, offsets, members, records, narrow, states, cuts, ranks, found):
+def leverage_tiles(first, last, columns, offsets, members, records, narrow, states, cuts, found):
     """Walk the lists of tiles first..last-1, whose `states` go on where the batch before ended; adds to found
-    (M, SUMS), where each has its row by `ranks` (N,)."""
+    (N, SUMS)."""
     entries = np.empty(PIECE * ENTRY, np.float32)
     fields = np.empty(10 * PIECE, np.float32)
     reach, sums = np.empty(PIECE, np.float32), np.zeros(SUMS * PIECE, np.float32)
@@ -171,7 +175,7 @@ def leverage_tiles(first, last, columns, offsets, members, records, narrow, stat
                 at = block * (state.size // BLOCKS)
                 leverage_block(entries, chosen, kept, x0, y0, state, at, alpha_max, stop, sums)
             for j in range(count):
-                row = np.int64(get(ranks, np.int64(get(members, piece + j))))
+                member = np.int64(get(members, piece + j))
                 for n in range(SUMS):
-                    put(found, SUMS * row + n, get(found, SUMS * row + n) + get(sums, SUMS * j + n))
+                    put(found, SUMS * member + n, get(found, SUMS * member + n) + get(sums, SUMS * j + n))
                     put(sums, SUMS * j + n, ZERO)

@@ -44,7 +44,7 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
     state = guarded.array((grid.tiles, tile_floats(ALL_CHANNELS)), np.float32)
     canvas = Canvas(rgb, *planes, peaks, state, np.zeros(3, np.float32))
     walked = guarded.array((grid.tiles, tile_floats(CHANNELS)), np.float32)
-    ranks, members = (guarded.array((count,), np.int32) for _ in range(2))
+    members, found = guarded.array((count,), np.int32), guarded.array((count, SUMS), np.float32)
     sums = [guarded.array((count, *more), np.float64) for more in ((), (), (), (3,))]
     cuts = np.array([rule.alpha_max, rule.stop], np.float32)
     subset = np.arange(count) % 2 == 0
@@ -56,16 +56,14 @@ def test_nothing_is_written_beside_the_arrays(count, width, height, max_entries)
         peaks[:] = 0.0
         projection = project(prepared(gaussians, threads), view, rule, 1, threads, space)
         order = depth_order(space.depths, projection.drawn, gaussians)
-        reaching = list_reaching(projection.drawn, space.boxes, grid.columns, 0, grid.tiles, ranks, members)
+        reaching = list_reaching(projection.drawn, space.boxes, grid.columns, 0, grid.tiles, members, found)
         assert reaching == len(projection.drawn)  # the one part is the whole picture
-        found = guarded.array((reaching, SUMS), np.float32)
-        found[:] = 0.0
         marked = projection.drawn[subset[projection.drawn]]
         space.records.view(np.float32)[marked, DEPTH] *= -1
         for number, lists in enumerate(tile_lists(projection, order, grid, max_entries, threads)):
             blend(lists, space.records, canvas, grid, rule, threads, first_batch=number == 0)
             given = lists.offsets, lists.members, space.records, space.records.view(np.float32)
-            leverage_tiles(0, grid.tiles, grid.columns, *given, walked, cuts, ranks, found)
+            leverage_tiles(0, grid.tiles, grid.columns, *given, walked, cuts, found)
         add_part(members[:reaching], found, np.ones(count, np.float32), *sums)
         guarded.check()
         # and every pixel was written: the pattern is -2.9e-16 as a float, which no plane holds
