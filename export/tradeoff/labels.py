@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 SIDES = (
     *((6, 3, "left"), (-6, 4, "right"), (6, -9, "left"), (-6, -9, "right"), (0, 7, "center"), (0, -13, "center")),
     *((12, 9, "left"), (-12, 9, "right"), (12, -15, "left"), (-12, -15, "right"), (0, 15, "center")),
-    *((0, -21, "center"), (16, 0, "left"), (-16, 0, "right")),
+    *((0, -21, "center"), (16, 0, "left"), (-16, 0, "right"), (0, 23, "center"), (18, 17, "left"), (-18, 17, "right")),
 )
 MARKER = 4.0  # px, half of a point's side
-STRANGE = 1000.0  # px^2 that may be hidden rather than that another point is nearer
-ON_A_LINE = 1.0  # px^2 that may be hidden rather than one px of a line
+STRANGE = 200.0  # px^2 that may be hidden rather than that another point is nearer
+ON_A_LINE = 0.2  # px^2 that may be hidden rather than one px of a line
 
 
 def spread(figure: Figure) -> None:
