@@ -28,7 +28,7 @@ class FittedPhotos:
 
     seen: list[FittedView]  # by the network
     shown: list[FittedView]  # by the scene: with `detail` times as many pixels each way
-    fine: list[PackedView]  # with as many as there may be
+    fine: list[PackedView]  # with `finer` times as many, whatever the detail
     notices: list[Notice]
 
 

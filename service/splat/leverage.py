@@ -110,11 +110,12 @@ def _add_parts(view: Sight, states: F32, bounds: Sequence[int], rooms: Sequence[
     """What is found in the parts of the tiles between `bounds`, added in their order."""
     cuts = np.array([view.definition.alpha_max, view.definition.stop], np.float32)
     opacities = np.require(view.gaussians.opacities, np.float32, ["C", "W"])
-    room = {first: room for (first, last), room in zip(pairwise(bounds), rooms, strict=False) if first < last}
-    parts = run_ranges(lambda first, last: Part.of(view, room[first], first, last), bounds, view.threads)
-    own = dict(zip(room, parts, strict=True))
+    # By the first tile; of few tiles some parts are empty, and the last parts may be fewer than there is room for.
+    own = {first: room for (first, last), room in zip(pairwise(bounds), rooms, strict=False) if first < last}
+    parts = run_ranges(lambda first, last: Part.of(view, own[first], first, last), bounds, view.threads)
+    found_in = dict(zip(own, parts, strict=True))
     for lists in view.lists():
-        run_ranges(partial(_walk_part, lists, view, states, cuts, own), bounds, view.threads)
+        run_ranges(partial(_walk_part, lists, view, states, cuts, found_in), bounds, view.threads)
     for part in parts:
         add_part(part.members, part.sums, opacities, found.slope, found.moved, found.shown, found.excess)
 

@@ -84,7 +84,7 @@ def test_pictures_of_twice_the_size_gain_and_new_views_of_its_own_lose_nothing(
     alone, both = (faded(spoiled, views, resized=given).gaussians for given in ((), packed(larger)))
     middle, twice = (plane_views(side)[1] for side in (SIDE, 2 * SIDE))  # kept back
     for view in (*larger, twice):
-        assert error(both, view) > error(alone, view) + 0.5  # found: 0.7, 1.0, 0.6 dB
+        assert error(both, view) > error(alone, view) + 0.5  # found: 0.8, 1.0, 0.65 dB
     assert error(both, middle) > error(alone, middle) - 0.1  # found: 0.03 dB more
 
 
