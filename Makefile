@@ -4,13 +4,14 @@
 # splatter with a plain renderer (ARGS=--quick), `make compare-viewer` its pictures with those of a viewer (needs npm and
 # Chromium). `make load` asks a service for pictures while it reconstructs (ARGS="--minutes 10"). `make image` builds the
 # container image, `make image-check` builds one and uses it as production would, `make lock` pins anew what goes into it.
-# All keep their environment in .venv and reuse it until pyproject.toml, setup.py or the viewer's lock change. pip's own settings apply, for example
+# `make lowest` runs the tests with the lowest versions that pyproject.toml allows (ARGS=tests/service for a part of them).
+# All keep their environment in .venv (`lowest`: in .venv-lowest) and reuse it until pyproject.toml, setup.py or the viewer's lock change. pip's own settings apply, for example
 # PIP_EXTRA_INDEX_URL for an index that has the CPU build of torch.
 
 PYTHON ?= python3
 BIN := .venv/bin
 BUILT_FROM := pyproject.toml setup.py service/viewer/package-lock.json
-.PHONY: demo test evaluate report bench-splat compare-viewer load image image-check lock clean
+.PHONY: demo test lowest evaluate report bench-splat compare-viewer load image image-check lock clean
 
 demo: .venv/.runtime
 	$(BIN)/gapmes demo --output demo
@@ -19,6 +20,10 @@ test: .venv/.dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+
+lowest: .venv/.dev
+	$(BIN)/python -m pip install --quiet uv
+	tests/lowest $(BIN)/uv $(ARGS)
 
 evaluate: .venv/.dev
 	$(BIN)/gapmes evaluate --twice --out evaluation $(ARGS)
@@ -58,4 +63,4 @@ lock: .venv/.dev
 	@touch .venv/.runtime $@
 
 clean:
-	rm -rf .venv demo evaluation report build *.egg-info
+	rm -rf .venv .venv-lowest demo evaluation report build *.egg-info

@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager, contextmanager
 
 import anyio
 from fastapi import Request
+from python_multipart.exceptions import FormParserError
 from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 
@@ -54,6 +55,8 @@ async def posted_form(
         if error.message.startswith(_TOO_MANY_FILES):
             raise too_many from error
         raise MalformedRequest(f"the multipart body cannot be read: {error.message}", field="body") from error
+    except FormParserError as error:  # only later releases of the framework make the above of it
+        raise MalformedRequest(f"the multipart body cannot be read: {error}", field="body") from error
     except UnicodeError as error:
         raise MalformedRequest("names are not in the body's declared charset", field="body") from error
     try:
