@@ -46,8 +46,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--initial-weights", type=Path, metavar="FILE", help="start from this checkpoint of the preset")
     parser.add_argument("--steps", type=kinds.whole_number(0), help="default: the recipe's; 0 trains nothing")
     parser.add_argument("--seed", type=kinds.seed(), help="default: the recipe's")
+    parser.add_argument("--scenes", type=kinds.whole_number(1), help="in every step; default: the recipe's, 2 to 4")
     parser.add_argument(
-        "--processes", type=int, choices=(1, 2), default=1, help="share the scenes of each step (default 1)"
+        "--processes", type=kinds.whole_number(1), default=1, help="share the scenes of each step evenly (default 1)"
     )
     parser.add_argument(
         "--threads", type=kinds.threads(), default=1, help="per process; one is fastest on shared cores (default 1)"
@@ -88,6 +89,10 @@ def main(arguments: list[str] | None = None) -> int:
     backbones = BackboneSources(**sources) if needed else None
     chosen = {name: value for name in ("steps", "seed") if (value := getattr(options, name)) is not None}
     recipe = replace(RECIPES[options.recipe], **chosen)
+    if options.scenes is not None:
+        recipe = recipe.with_scenes(options.scenes)
+    if uneven := recipe.not_shared_by(options.processes):
+        parser.error(f"argument --processes: {uneven}")
     try:
         for source in sources.values():
             if source is not None:

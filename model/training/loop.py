@@ -67,11 +67,8 @@ def train(
     """
     if backbones is not None and initial is not None:
         raise ValueError("backbones: the weights to start from carry the frozen parts already; give one of both")
-    for phase in recipe.phases:
-        if phase.scenes % worker.count:
-            raise Refused(
-                f"processes: {worker.count} cannot share the {phase.scenes} scenes of a step at {phase.label} evenly"
-            )
+    if uneven := recipe.not_shared_by(worker.count):
+        raise Refused(f"processes: {uneven}")
     with claimed(folder) if worker.leads else nullcontext():
         return _run(
             config,

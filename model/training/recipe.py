@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,17 @@ class Recipe:
             if position < end - 1e-9:
                 return phase
         return self.phases[-1]
+
+    def with_scenes(self, count: int) -> Recipe:
+        """The same with `count` scenes in every step."""
+        return replace(self, phases=tuple(replace(phase, scenes=count) for phase in self.phases))
+
+    def not_shared_by(self, processes: int) -> str | None:
+        """Which step's scenes so many processes cannot share evenly; None where they can."""
+        for phase in self.phases:
+            if phase.scenes % processes:
+                return f"{processes} cannot share the {phase.scenes} scenes of a step at {phase.label} evenly"
+        return None
 
     def learning_rate_at(self, step: int) -> float:
         """Linear warm-up, a plateau up to `decay_from`, and a line down to 1 %, so that the last phases still learn."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -15,6 +17,7 @@ from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.training import arguments, command, run_folder
 from gapmes.model.training.command import main
+from gapmes.model.training.recipe import Recipe
 
 
 @pytest.mark.parametrize(
@@ -29,8 +32,9 @@ from gapmes.model.training.command import main
         ("--seed", "9" * 30, f"is {'9' * 30}, need at most {2**63 - 1}"),
         ("--device", "foo", "is 'foo', need cpu, cuda, cuda:NUMBER or auto"),
         ("--device", "cuda", "is 'cuda', but torch finds 0 graphics cards here: give cpu or auto"),
-        ("--processes", "0", "invalid choice: 0"),
-        ("--processes", "3", "invalid choice: 3"),
+        ("--scenes", "0", "is 0, need at least 1"),
+        ("--processes", "0", "is 0, need at least 1"),
+        ("--processes", "3", "3 cannot share the 4 scenes of a step at 64 px evenly"),
     ],
 )
 def test_numbers_out_of_range_are_wrong_usage(
@@ -119,6 +123,16 @@ def test_a_damaged_file_of_a_run_is_named_and_left(
     assert said in told
     assert told.count("\n") == 1
     assert (tmp_path / name).read_bytes() == content
+
+
+def test_a_run_may_have_another_number_of_scenes_in_every_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = Mock()
+    monkeypatch.setattr(command, "run_workers", ran)
+    assert command.main([str(tmp_path), "--scenes", "12", "--processes", "3", "--quiet"]) == 0
+    processes, _, _, _, recipe, *_ = ran.call_args.args
+    assert processes == 3
+    assert [phase.scenes for phase in recipe.phases] == [12] * len(Recipe().phases)
+    assert replace(recipe, phases=Recipe().phases) == Recipe()
 
 
 def test_a_full_disk_is_refused_in_one_line(
