@@ -46,9 +46,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--initial-weights", type=Path, metavar="FILE", help="start from this checkpoint of the preset")
     parser.add_argument("--steps", type=kinds.whole_number(0), help="default: the recipe's; 0 trains nothing")
     parser.add_argument("--seed", type=kinds.seed(), help="default: the recipe's")
-    parser.add_argument("--scenes", type=kinds.whole_number(1), help="in every step; default: the recipe's, 2 to 4")
+    parser.add_argument("--scenes", type=kinds.whole_number(1), help="in every step (default: the recipe's, 2 to 4)")
     parser.add_argument(
-        "--processes", type=kinds.whole_number(1), default=1, help="share the scenes of each step evenly (default 1)"
+        "--processes", type=kinds.whole_number(1), default=1, help="share each step's scenes evenly (default 1)"
     )
     parser.add_argument(
         "--threads", type=kinds.threads(), default=1, help="per process; one is fastest on shared cores (default 1)"

@@ -75,7 +75,8 @@ class Recipe:
         """Which step's scenes so many processes cannot share evenly; None where they can."""
         for phase in self.phases:
             if phase.scenes % processes:
-                return f"{processes} cannot share the {phase.scenes} scenes of a step at {phase.label} evenly"
+                short = f"{processes} cannot share the {phase.scenes} scenes of a step at {phase.label} evenly"
+                return f"{short}; give --scenes {processes} or a multiple of it"
         return None
 
     def learning_rate_at(self, step: int) -> float:

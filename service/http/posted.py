@@ -55,8 +55,6 @@ async def posted_form(
         if error.message.startswith(_TOO_MANY_FILES):
             raise too_many from error
         raise MalformedRequest(f"the multipart body cannot be read: {error.message}", field="body") from error
-    except FormParserError as error:  # only later releases of the framework make the above of it
-        raise MalformedRequest(f"the multipart body cannot be read: {error}", field="body") from error
     except UnicodeError as error:
         raise MalformedRequest("names are not in the body's declared charset", field="body") from error
     try:
@@ -88,9 +86,11 @@ class _Parser(MultiPartParser):
     async def parse(self) -> FormData:
         try:
             form = await super().parse()
-        except UploadTooLarge:  # the framework closes the files for errors of its own alone
-            for file in self._files_to_close_on_error:
+        except BaseException as error:
+            for file in self._files_to_close_on_error:  # earlier releases of the framework leave most errors to us
                 file.close()
+            if isinstance(error, FormParserError):
+                raise MultiPartException(str(error)) from error
             raise
         if not self._whole:
             await form.close()

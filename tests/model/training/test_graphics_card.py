@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,11 +43,8 @@ PLAIN = preset("tiny", without_experts=True, without_tasks=True)
 
 
 @pytest.fixture(autouse=True)
-def _in_full_float32() -> Iterator[None]:
-    allowed = torch.backends.cudnn.allow_tf32
-    torch.backends.cudnn.allow_tf32 = False
-    yield
-    torch.backends.cudnn.allow_tf32 = allowed
+def _in_full_float32(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", False)
 
 
 def _flat(values: list[Tensor]) -> Tensor:
@@ -77,15 +73,17 @@ def test_loss_and_gradients_are_those_of_the_processor(changes: dict[str, object
     expected.backward()
     found.backward()
     assert found.device.type == "cuda"
+    assert found.item() == pytest.approx(expected.item(), rel=1e-3)
     assert parts_there == pytest.approx(parts, rel=1e-3)
     pairs = [(a.grad, b.grad) for a, b in zip(here.parameters(), there.parameters(), strict=True)]
     assert [a is None for a, _ in pairs] == [b is None for _, b in pairs]
     a, b = (_flat([pair[side] for pair in pairs if pair[0] is not None]) for side in (0, 1))
-    assert _apart(a, b) < 1e-2  # float32, summed in another order; found below it on an H100
+    assert _apart(a, b) < 1e-2  # float32, summed in another order
 
 
 def test_bfloat16_changes_the_prediction_by_its_rounding() -> None:
-    assert coarse_pays(CARD)
+    if not coarse_pays(CARD):
+        pytest.skip("this card does not compute in bfloat16")
     exact = tiny().to(CARD)
     coarse = copy.deepcopy(exact)
     compute_coarsely(coarse)
@@ -108,6 +106,7 @@ def test_validation_figures_are_those_of_the_processor() -> None:
 
 
 def _train(worker: Worker, folder: Path, device: str) -> None:
+    torch.backends.cudnn.allow_tf32 = False  # in a process of its own, too
     loop.train(
         PLAIN, SHORT, folder, validate_every=4, validation_scenes=1, save_seconds=0.0, device=device, worker=worker
     )
@@ -123,8 +122,8 @@ def _depths(model: GaPMeS) -> Tensor:
 
 
 def test_a_killed_run_on_a_card_goes_on_and_two_processes_share_it(tmp_path: Path) -> None:
-    """Sums round in the order in which the card's threads come, so that no two runs are the same to the bit: they may
-    differ by thrice what two unbroken ones do, in the depths that they have learned to give."""
+    """Sums round in the order in which the card's threads come, so that no two runs are the same to the bit. Compared
+    is what the training changed in the depths; a run that loses the optimiser's moments differs there by half of it."""
     torch.manual_seed(SHORT.seed)
     start = _depths(GaPMeS(PLAIN).eval())
     _train_alone(tmp_path / "whole")
@@ -136,7 +135,5 @@ def test_a_killed_run_on_a_card_goes_on_and_two_processes_share_it(tmp_path: Pat
     names = ("whole", "again", "killed", "shared")
     moved = {name: _depths(load_checkpoint(tmp_path / name / run_folder.WEIGHTS)) - start for name in names}
     assert moved["whole"].abs().mean() > 0.003
-    by_chance = _apart(moved["whole"], moved["again"])
-    assert by_chance < 0.1  # found on an H100: 0.040, as for the killed run; shared 0.045; with lost moments 0.47
-    for name in ("killed", "shared"):
-        assert _apart(moved["whole"], moved[name]) < 3 * by_chance + 1e-3, name
+    for name in names[1:]:
+        assert _apart(moved["whole"], moved[name]) < 0.2, name  # on an H100 0.040, 0.040 and 0.045; moments lost: 0.47

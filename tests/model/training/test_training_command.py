@@ -34,7 +34,8 @@ from gapmes.model.training.recipe import Recipe
         ("--device", "cuda", "is 'cuda', but torch finds 0 graphics cards here: give cpu or auto"),
         ("--scenes", "0", "is 0, need at least 1"),
         ("--processes", "0", "is 0, need at least 1"),
-        ("--processes", "3", "3 cannot share the 4 scenes of a step at 64 px evenly"),
+        ("--processes", "3", "3 cannot share the 4 scenes of a step at 64 px evenly; give --scenes 3 or a multiple"),
+        ("--processes", "4", "4 cannot share the 2 scenes of a step at 96 px evenly; give --scenes 4 or a multiple"),
     ],
 )
 def test_numbers_out_of_range_are_wrong_usage(
