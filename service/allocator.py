@@ -28,6 +28,11 @@ def give_back_freed() -> bool:
         return _giving_back
 
 
+def gives_back() -> bool:
+    """Whether this process began with `give_back_freed`."""
+    return _giving_back
+
+
 @contextmanager
 def freed_blocks_reused() -> Iterator[None]:
     """Within, freed blocks are kept for those that come next, in all threads; then what is free goes back.

@@ -9,6 +9,7 @@ import numpy as np
 from .camera import Camera
 from .choice.candidates import ABOUT, COUNT, KNOWN
 from .choice.network import shipped_choice
+from .compiler_pages import leave_compiler
 from .gaussians import Gaussians
 from .place_kernels import sample_places, see_pixels
 from .plane_kernels import compare_level, compare_planes, mean_planes, spread_along_rows, spread_down_columns
@@ -40,6 +41,7 @@ def warm_up() -> None:
     for values in (features, planes[0][..., None]):
         sample_places(values, place, place, values.copy())
     shipped_choice().preferences(np.zeros((COUNT, KNOWN, 1)), np.zeros((ABOUT, 1)))
+    leave_compiler()
 
 
 def is_warm() -> bool:
