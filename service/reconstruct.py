@@ -14,6 +14,7 @@ from .allocator import freed_blocks_reused
 from .backends.choice import DEFAULT_ENGINE, EngineName
 from .budget import Budget
 from .camera import Camera
+from .compiler_pages import leave_compiler
 from .depth_range import DepthRange, depth_range
 from .depth_sweep import narrowed
 from .detail import finer
@@ -142,6 +143,8 @@ class Reconstructor:
             warnings += check_photos(seen, depths, trust_poses=trust_poses, numbers=numbers)
             depths = narrowed(depths, seen)
         masks = patch_mask(seen, info.patch)
+        if not is_warm():
+            leave_compiler()  # it comes with the import of the loops
         with stages.stage("network"):
             outputs, frame = self.run_network(seen, depths)
         if not is_warm():  # not before the network: they would be in memory beside it
