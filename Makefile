@@ -5,7 +5,7 @@
 # Chromium). `make load` asks a service for pictures while it reconstructs (ARGS="--minutes 10"). `make image` builds the
 # container image, `make image-check` builds one and uses it as production would, `make lock` pins anew what goes into it.
 # `make lowest` runs the tests with the lowest versions that pyproject.toml allows (ARGS=tests/service for a part of them; PYTHON=
-# a 3.11 or 3.12, of newer ones those versions know nothing).
+# a 3.11 or 3.12: those versions support no newer).
 # All keep their environment in .venv (`lowest` one of its own in .venv-lowest) and reuse it until pyproject.toml, setup.py or the viewer's lock change. pip's own settings apply, for example
 # PIP_EXTRA_INDEX_URL for an index that has the CPU build of torch.
 
@@ -24,7 +24,7 @@ test: .venv/.dev
 
 lowest: .venv/.dev
 	$(BIN)/python -m pip install --quiet uv
-	tests/lowest $(BIN)/uv $(PYTHON) $(ARGS)
+	tests/lowest $(BIN)/uv "$(PYTHON)" $(ARGS)
 
 evaluate: .venv/.dev
 	$(BIN)/gapmes evaluate --twice --out evaluation $(ARGS)

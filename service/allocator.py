@@ -29,7 +29,7 @@ def give_back_freed() -> bool:
 
 
 def gives_back() -> bool:
-    """Whether this process began with `give_back_freed`."""
+    """Whether `give_back_freed` took effect in this process."""
     return _giving_back
 
 

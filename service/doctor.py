@@ -28,7 +28,7 @@ State = Literal["ok", "warning", "failure"]
 PACKAGES = ("gapmes", "numpy", "numba", "onnxruntime", "pillow", "fastapi")
 EXTRAS = {"openvino": "openvino", "video": "av", "export": "torch"}  # and the package that each is for
 BF16_FLAGS = ("avx512_bf16", "amx_bf16", "bf16")
-LEAST_MEMORY_MB = 1000.0  # a process takes about half of it for two views, three quarters for three
+LEAST_MEMORY_MB = 1000.0  # a process takes about a third of it for two views
 LEAST_DISK_MB = 500.0  # some fifty scenes of two views
 LEAST_PSNR_DB = 25.0  # of a picture of the sample; the shipped network has 28.1
 

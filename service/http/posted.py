@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, suppress
 
 import anyio
 from fastapi import Request
@@ -88,7 +88,8 @@ class _Parser(MultiPartParser):
             form = await super().parse()
         except BaseException as error:
             for file in self._files_to_close_on_error:  # earlier releases of the framework leave most errors to us
-                file.close()
+                with suppress(OSError):
+                    file.close()
             if isinstance(error, FormParserError):
                 raise MultiPartException(str(error)) from error
             raise

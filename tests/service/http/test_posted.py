@@ -45,4 +45,4 @@ def test_what_ends_the_parser_early_closes_its_files(
     assert file.closed
     if raised is MultiPartException:
         assert isinstance(told.value, MultiPartException)
-        assert told.value.message in ("no boundary at index 3", "Too many fields")
+        assert told.value.message == (error.message if isinstance(error, MultiPartException) else str(error))
