@@ -4,10 +4,11 @@
 # splatter with a plain renderer (ARGS=--quick), `make compare-viewer` its pictures with those of a viewer (needs npm and
 # Chromium). `make load` asks a service for pictures while it reconstructs (ARGS="--minutes 10"). `make image` builds the
 # container image, `make image-check` builds one and uses it as production would, `make lock` pins anew what goes into it.
-# `make lowest` runs the tests with the lowest versions that pyproject.toml allows (ARGS=tests/service for a part of them; PYTHON=
-# a 3.11 or 3.12: those versions support no newer).
-# All keep their environment in .venv (`lowest` one of its own in .venv-lowest) and reuse it until pyproject.toml, setup.py or the viewer's lock change. pip's own settings apply, for example
-# PIP_EXTRA_INDEX_URL for an index that has the CPU build of torch.
+# `make lowest` runs the tests with the lowest versions that pyproject.toml allows (ARGS=tests/service for a part of them); it
+# needs Python 3.11 (PYTHON=python3.11), as many of those versions are older than what came after it.
+# All keep their environment in .venv (`lowest` one of its own in .venv-lowest) and reuse it until pyproject.toml, setup.py or
+# the viewer's lock change. pip's own settings apply, for example PIP_EXTRA_INDEX_URL for an index that has the CPU build of
+# torch.
 
 PYTHON ?= python3
 BIN := .venv/bin

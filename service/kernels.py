@@ -20,7 +20,8 @@ from .splat import Definition, leverage, render
 def warm_up() -> None:
     """Compile or load from the cache what a reconstruction and its pictures need; nothing the second time.
 
-    The loops of the exclusive stop, which other renderers have, compile when they are first asked for.
+    The loops of the exclusive stop, which other renderers have, compile when they are first asked for. What the process
+    no longer needs of the compiler leaves its memory (`leave_compiler`).
     """
     camera = Camera.make(32, 32, 32.0, 32.0, 16.0, 16.0, np.eye(4))
     two = np.ones((2, 3), np.float32)

@@ -17,17 +17,20 @@ from gapmes.service.errors import ModelError
 from gapmes.service.kernels import warm_up
 from gapmes.service.reconstruct import Reconstructor
 
-PROGRAM = """
+RESIDENT = """
 import json
 from pathlib import Path
 import numba
 from gapmes.service.allocator import give_back_freed
 from gapmes.service.compiler_pages import code_as_in_its_file, leave_compiler
+from gapmes.service.kernels import warm_up
 
 def resident():
     return sum(part[2] for part in code_as_in_its_file(Path("/proc/self/smaps").read_text()))
 
 give_back_freed()
+"""
+COMPILING = """
 numba.njit(lambda x: x + 1)(1)
 before = resident()
 left = leave_compiler()
@@ -36,16 +39,6 @@ again = numba.njit(lambda x: 3 * x)(14)  # compiles
 print(json.dumps([before, left, after, again, resident()]))
 """
 WARM = """
-import json
-from pathlib import Path
-from gapmes.service.allocator import give_back_freed
-from gapmes.service.compiler_pages import code_as_in_its_file
-from gapmes.service.kernels import warm_up
-
-def resident():
-    return sum(part[2] for part in code_as_in_its_file(Path("/proc/self/smaps").read_text()))
-
-give_back_freed()
 before = resident()
 warm_up()
 print(json.dumps([before, resident()]))
@@ -61,10 +54,15 @@ VmFlags: rd ex mr mw me
 PATH = "/a folder/llvmlite/binding/libllvmlite.so"
 
 
+def numbers_of(program: str) -> list[float]:
+    """What a process of its own prints."""
+    command = [sys.executable, "-c", RESIDENT + program]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, timeout=300).stdout)
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads Linux's /proc")
 def test_pages_go_and_come_back() -> None:
-    found = subprocess.run([sys.executable, "-c", PROGRAM], check=True, capture_output=True, text=True, timeout=300)
-    before, left, after, again, at_last = json.loads(found.stdout)
+    before, left, after, again, at_last = numbers_of(COMPILING)
     assert min(left, before) > 20e6  # of the 84 MB of llvmlite 0.50
     assert left == pytest.approx(before, rel=0.2)
     assert after < 0.2 * before
@@ -75,8 +73,7 @@ def test_pages_go_and_come_back() -> None:
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads Linux's /proc")
 def test_whoever_has_the_loops_is_rid_of_them() -> None:
     warm_up()  # here, so that the other process finds them compiled
-    found = subprocess.run([sys.executable, "-c", WARM], check=True, capture_output=True, text=True, timeout=300)
-    before, after = json.loads(found.stdout)
+    before, after = numbers_of(WARM)
     assert before > 20e6
     assert after < 0.2 * before
 
