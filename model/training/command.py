@@ -54,6 +54,13 @@ def main(arguments: list[str] | None = None) -> int:
         "--threads", type=kinds.threads(), default=1, help="per process; one is fastest on shared cores (default 1)"
     )
     parser.add_argument(
+        "--loaders",
+        type=kinds.whole_number(0),
+        default=0,
+        help="processes beside each process that draw its coming scenes: where a graphics card computes, as many as "
+        "cores are idle (default 0: each step draws its own)",
+    )
+    parser.add_argument(
         "--device", type=kinds.device, default="auto", help="cpu, cuda, or auto (default): cuda when there is one"
     )
     parser.add_argument("--validate-every", type=kinds.whole_number(1), default=250, metavar="STEPS")
@@ -113,6 +120,7 @@ def main(arguments: list[str] | None = None) -> int:
             options.device,
             backbones,
             start,
+            options.loaders,
             options.quiet,
         )
     except (Refused, CheckpointError, OSError) as error:
@@ -138,6 +146,7 @@ def _train(
     device: str,
     backbones: BackboneSources | None,
     initial: Path | None,
+    loaders: int,
     quiet: bool,
 ) -> None:
     level = logging.INFO if worker.leads and not quiet else logging.WARNING
@@ -152,6 +161,7 @@ def _train(
             worker=worker,
             backbones=backbones,
             initial=initial,
+            loaders=loaders,
             listener=bars,
         )
         logging.getLogger(__name__).info("weights: %s", folder / WEIGHTS)

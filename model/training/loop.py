@@ -7,11 +7,10 @@ import json
 import logging
 import math
 import time
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from gapmes.service.progress import Listener, Stage, silent
@@ -21,6 +20,7 @@ from ..config import ModelConfig
 from ..network import GaPMeS
 from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
 from ..weights_file import CheckpointError, file_sha256
+from .ahead import drawn_steps
 from .differences import differences
 from .precision import coarse_pays, compute_coarsely
 from .recipe import Recipe
@@ -34,8 +34,8 @@ from .run_folder import (
     save_state,
     save_weights,
 )
-from .scenes import SceneSampler
-from .step import TensorBatch, add_noise, to_tensors, training_loss
+from .step import TensorBatch, training_loss
+from .step_scenes import StepScenes
 from .validation import validate, validation_batches
 from .workers import Worker
 
@@ -54,13 +54,15 @@ def train(
     worker: Worker = Worker(),  # noqa: B008 - a frozen value
     backbones: BackboneSources | None = None,
     initial: Path | None = None,
+    loaders: int = 0,
     listener: Listener = silent,
 ) -> GaPMeS:
     """Run the recipe to its end in `folder` and return the averaged weights; continues from what is there.
 
     Every random number of a step comes from (seed, step, worker), so a resumed run sees what an unbroken one would
     have seen. `backbones` gives the frozen parts of a preset that has them; `initial` is a checkpoint of this
-    configuration to start from instead of from random numbers, frozen parts and all; `listener` hears of every step.
+    configuration to start from instead of from random numbers, frozen parts and all; as many processes as `loaders`
+    draw scenes ahead, of each worker, which changes nothing but the time; `listener` hears of every step.
     Several workers divide each step's scenes between them: raises `Refused` when they cannot, in a folder whose run
     is another one or has another number of them or of their threads, and in one whose state or log is damaged. Raises
     `CheckpointError` for a checkpoint of another configuration.
@@ -81,6 +83,7 @@ def train(
             worker,
             backbones,
             initial,
+            loaders,
             listener,
         )
 
@@ -96,6 +99,7 @@ def _run(
     worker: Worker,
     backbones: BackboneSources | None,
     initial: Path | None,
+    loaders: int,
     listener: Listener,
 ) -> GaPMeS:
     torch.manual_seed(recipe.seed)
@@ -134,26 +138,28 @@ def _run(
         }
     log.info("%d parameters, step %d of %d", model.trainable_parameters(), start, recipe.steps)
     clock = last_save = time.monotonic()
-    for step in range(start, recipe.steps):
-        rate, parts = _step(model, optimiser, trained, recipe, step, worker)
-        if not worker.leads:
-            continue
-        listener(Stage("train", step + 1, recipe.steps))
-        _average(average, model, min(recipe.ema, (step + 1) / (step + 20)))
-        for key, value in parts.items():
-            sums[key] = sums.get(key, 0.0) + value
-        now = time.monotonic()
-        last = step + 1 == recipe.steps
-        if last or (step + 1) % validate_every == 0:
-            elapsed = seconds + now - clock
-            figures = {name: validate(average, batches) for name, batches in held_out.items()}
-            _report(folder, step + 1, recipe, elapsed, rate, sums, figures)
-            sums = {}
-        if last or now - last_save > save_seconds:
-            elapsed = seconds + time.monotonic() - clock
-            progress: dict[str, object] = {**identity, "step": step + 1, "seconds": elapsed, "sums": sums}
-            save_state(folder, progress, model, average, optimiser)
-            last_save = time.monotonic()
+    steps = range(start, recipe.steps)
+    with closing(drawn_steps(recipe, steps, worker, loaders)) as coming:
+        for step, scenes in zip(steps, coming, strict=True):
+            rate, parts = _step(model, optimiser, trained, recipe, step, scenes, worker)
+            if not worker.leads:
+                continue
+            listener(Stage("train", step + 1, recipe.steps))
+            _average(average, model, min(recipe.ema, (step + 1) / (step + 20)))
+            for key, value in parts.items():
+                sums[key] = sums.get(key, 0.0) + value
+            now = time.monotonic()
+            last = step + 1 == recipe.steps
+            if last or (step + 1) % validate_every == 0:
+                elapsed = seconds + now - clock
+                figures = {name: validate(average, batches) for name, batches in held_out.items()}
+                _report(folder, step + 1, recipe, elapsed, rate, sums, figures)
+                sums = {}
+            if last or now - last_save > save_seconds:
+                elapsed = seconds + time.monotonic() - clock
+                progress: dict[str, object] = {**identity, "step": step + 1, "seconds": elapsed, "sums": sums}
+                save_state(folder, progress, model, average, optimiser)
+                last_save = time.monotonic()
     if worker.leads:
         save_weights(folder, average, recipe.steps)
     return average.eval()
@@ -180,38 +186,17 @@ def _step(
     trained: list[torch.nn.Parameter],
     recipe: Recipe,
     step: int,
+    scenes: StepScenes,
     worker: Worker,
 ) -> tuple[float, dict[str, float]]:
-    phase = recipe.phase(step)
-    random = np.random.default_rng((recipe.seed, step))
     rate = recipe.learning_rate_at(step)
     for group in optimiser.param_groups:
         group["lr"] = rate
-    zoomed = bool(random.random() < recipe.zoom_share)
-    size = phase.sizes[step % len(phase.sizes)] * (2 if zoomed else 1)
-    scenes = phase.scenes // worker.count
-    sampler = SceneSampler(int(random.integers(2**31)), "train", first=worker.rank * scenes)
-    views = phase.views[step % len(phase.views)]
-    drawn = sampler.batch(
-        scenes,
-        views,
-        recipe.targets,
-        size,
-        baseline=phase.baseline,
-        field_of_view=phase.field_of_view,
-        close_share=recipe.close_share,
-        aside=recipe.aside,
-    )
-    batch = to_tensors(drawn, zoomed=zoomed).to(trained[0].device)
-    noisy = random.random() < 0.5
-    own = np.random.default_rng((recipe.seed, step, 1 + worker.rank))  # with a 0 numpy gives the stream of (seed, step)
-    torch.manual_seed(int(own.integers(2**62)))
-    if noisy:
-        batch = add_noise(batch, recipe.input_noise, own)
+    torch.manual_seed(scenes.torch_seed)
     if model.mixture.gates is not None:
         model.mixture.gates.noise_scale = recipe.noise_scale_at(step)
-    model.depth.withheld = bool(own.random() < recipe.withheld_at(step))
-    loss, parts = training_loss(model, batch, recipe, step)
+    model.depth.withheld = scenes.withheld
+    loss, parts = training_loss(model, scenes.batch.to(trained[0].device), recipe, step)
     optimiser.zero_grad(set_to_none=True)
     loss.backward()
     worker.average_gradients(trained)

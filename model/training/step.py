@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -79,9 +78,3 @@ def training_loss(model: GaPMeS, batch: TensorBatch, recipe: Recipe, step: int) 
         loss = loss + recipe.balance_weight * prediction.routing.balance_loss
         parts["balance"] = float(prediction.routing.balance_loss.detach())
     return loss, parts
-
-
-def add_noise(batch: TensorBatch, sigma: float, random: np.random.Generator) -> TensorBatch:
-    """Sensor noise on the inputs alone."""
-    noise = torch.from_numpy(random.normal(0, sigma, batch.images.shape).astype(np.float32)).to(batch.images.device)
-    return TensorBatch(**{**batch.__dict__, "images": (batch.images + noise).clamp(0, 1)})

@@ -105,10 +105,18 @@ def test_validation_figures_are_those_of_the_processor() -> None:
         assert there[name] == pytest.approx(here[name], rel=1e-3), name
 
 
-def _train(worker: Worker, folder: Path, device: str) -> None:
+def _train(worker: Worker, folder: Path, device: str, loaders: int = 0) -> None:
     torch.backends.cudnn.allow_tf32 = False  # in a process of its own, too
     loop.train(
-        PLAIN, SHORT, folder, validate_every=4, validation_scenes=1, save_seconds=0.0, device=device, worker=worker
+        PLAIN,
+        SHORT,
+        folder,
+        validate_every=4,
+        validation_scenes=1,
+        save_seconds=0.0,
+        device=device,
+        worker=worker,
+        loaders=loaders,
     )
 
 
@@ -132,7 +140,8 @@ def test_a_killed_run_on_a_card_goes_on_and_two_processes_share_it(tmp_path: Pat
     assert torch.load(tmp_path / "killed" / run_folder.STATE, weights_only=True)["step"] < SHORT.steps
     _train_alone(tmp_path / "killed")
     run_workers(2, 1, _train, tmp_path / "shared", "cuda")
-    names = ("whole", "again", "killed", "shared")
+    run_workers(1, 1, _train, tmp_path / "ahead", "cuda", 2)
+    names = ("whole", "again", "killed", "shared", "ahead")
     moved = {name: _depths(load_checkpoint(tmp_path / name / run_folder.WEIGHTS)) - start for name in names}
     assert moved["whole"].abs().mean() > 0.003
     for name in names[1:]:

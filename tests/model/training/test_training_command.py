@@ -18,6 +18,7 @@ from gapmes.model.network import GaPMeS
 from gapmes.model.training import arguments, command, run_folder
 from gapmes.model.training.command import main
 from gapmes.model.training.recipe import Recipe
+from gapmes.model.training.workers import Worker
 
 
 @pytest.mark.parametrize(
@@ -32,6 +33,7 @@ from gapmes.model.training.recipe import Recipe
         ("--seed", "9" * 30, f"is {'9' * 30}, need at most {2**63 - 1}"),
         ("--device", "foo", "is 'foo', need cpu, cuda, cuda:NUMBER or auto"),
         ("--device", "cuda", "is 'cuda', but torch finds 0 graphics cards here: give cpu or auto"),
+        ("--loaders", "-1", "is -1, need at least 0"),
         ("--scenes", "0", "is 0, need at least 1"),
         ("--processes", "0", "is 0, need at least 1"),
         ("--processes", "3", "3 cannot share the 4 scenes of a step at 64 px evenly; give --scenes 3 or a multiple"),
@@ -134,6 +136,17 @@ def test_a_run_may_have_another_number_of_scenes_in_every_step(tmp_path: Path, m
     assert processes == 3
     assert [phase.scenes for phase in recipe.phases] == [12] * len(Recipe().phases)
     assert replace(recipe, phases=Recipe().phases) == Recipe()
+
+
+@pytest.mark.parametrize(("given", "found"), [([], 0), (["--loaders", "3"], 3)])
+def test_scenes_are_drawn_ahead_by_as_many_processes_as_are_asked_for(
+    given: list[str], found: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = Mock()
+    monkeypatch.setattr(command, "train", ran)
+    monkeypatch.setattr(command, "run_workers", lambda count, threads, work, *rest: work(Worker(), *rest))
+    assert command.main([str(tmp_path), "--quiet", *given]) == 0
+    assert ran.call_args.kwargs["loaders"] == found
 
 
 def test_a_full_disk_is_refused_in_one_line(
