@@ -18,7 +18,7 @@ let orbit = null;
 let busy = false;   // one request in flight
 let wanted = null;  // the newest picture that was asked for meanwhile
 let complained = false; // whether the problem on show is one of drawing
-let settle = 0;
+let settle = 0;     // the wait for the full picture; 0 when there is none
 let mode = "server";
 let frameWait = 0;
 
@@ -111,12 +111,18 @@ function show(address) {
   else picture.removeAttribute("src");
 }
 
+/** Tell who does not see it whether a picture is still to come. */
+function tellWhetherBusy() {
+  $("stage").setAttribute("aria-busy", String(busy || wanted !== null || settle !== 0));
+}
+
 async function draw(path, of) {
   if (busy) {
     wanted = [path, of];
     return;
   }
   busy = true;
+  tellWhetherBusy();
   try {
     const address = await askPicture(path);
     if (of === scene?.id) show(address);
@@ -127,10 +133,11 @@ async function draw(path, of) {
     if (of === scene?.id) complain(error);
   } finally {
     busy = false;
+    const next = wanted;
+    wanted = null;
+    if (next && next[1] === scene?.id) draw(...next);
+    else tellWhetherBusy();
   }
-  const next = wanted;
-  wanted = null;
-  if (next && next[1] === scene?.id) draw(...next);
 }
 
 /** Tell a problem of drawing, or clear it; those of others stay. */
@@ -155,6 +162,8 @@ export function showScene(document_) {
   scene = document_;
   orbit = scene && new Orbit(scene.view_cameras, scene.near, scene.far);
   clearTimeout(settle);
+  settle = 0;
+  tellWhetherBusy();
   $("controls").hidden = !scene;
   $("empty").hidden = Boolean(scene);
   $("caption").textContent = "";
@@ -176,9 +185,12 @@ export function showScene(document_) {
 function move(right, up, factor) {
   if (!scene || mode === "webgl") return false;
   orbit.move(right, up, factor);
-  look(true);
   clearTimeout(settle);
-  settle = setTimeout(() => look(false), SETTLE_MS);
+  settle = setTimeout(() => {
+    settle = 0;
+    look(false);
+  }, SETTLE_MS);
+  look(true);
   return true;
 }
 

@@ -156,10 +156,9 @@ def opened(tab: Tab, scene: str) -> Any:
 
 
 def settled(page: Any) -> None:
-    """Nothing is asked for any more, and the last picture was the full one."""
-    page.wait_for_timeout(300)
-    page.wait_for_load_state("networkidle")
-    page.wait_for_timeout(200)
+    """What was done has arrived, movements with the next frame, and no picture is to come: the last is the full one."""
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    page.wait_for_selector("#stage[aria-busy=false]")
 
 
 def made(page: Any, before: str) -> str:

@@ -62,34 +62,38 @@ def test_keys_and_views(tab: Tab, scene: str) -> None:
     assert np.abs(pixels_of(page, "#picture").astype(int) - depth).max() <= 1  # 16 bits are rounded to 8 or cut
 
 
+MOVES = 40
+LATENCY_MS = 200  # much longer than from one movement to the next
+
+
 def test_a_drag_asks_for_one_small_picture_at_a_time(tab: Tab, scene: str) -> None:
     page = opened(tab, scene)
     settled(page)
-    running, most, asked = [0], [0], []
-
-    def begun(request: Any) -> None:
-        if "/render" in request.url:
-            running[0] += 1
-            most[0] = max(most[0], running[0])
-            asked.append(request.url)
-
-    def ended(request: Any) -> None:
-        running[0] -= "/render" in request.url
-
-    page.on("request", begun)
-    page.on("requestfinished", ended)
+    page.evaluate("performance.clearResourceTimings()")
+    slow = {"offline": False, "latency": LATENCY_MS, "downloadThroughput": -1, "uploadThroughput": -1}
+    network = page.context.new_cdp_session(page)
+    network.send("Network.emulateNetworkConditions", slow)
     box = page.locator("#stage").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     page.mouse.move(x, y)
     page.mouse.down()
-    for step in range(1, 41):
+    for step in range(1, MOVES + 1):
         page.mouse.move(x - 3 * step, y + step)
     page.mouse.up()
     settled(page)
-    assert most[0] == 1
-    assert len(asked) >= 2
-    assert any("width=128" in url for url in asked)
-    assert "width=128" not in asked[-1]
+    network.detach()  # as fast again
+    asked = """() => performance.getEntriesByType("resource").filter(entry => entry.name.includes("/render"))
+      .map(entry => [entry.name, entry.startTime, entry.responseEnd])"""
+    pictures = page.evaluate(asked)
+    if "width=128" in pictures[-1][0]:  # an entry may come after its picture
+        page.wait_for_timeout(1000)
+        pictures = page.evaluate(asked)
+    names, begun, ended = zip(*pictures, strict=True)
+    gaps = [start - end for start, end in zip(begun[1:], ended[:-1], strict=True)]
+    assert min(gaps) >= 0
+    assert 3 <= len(names) < MOVES
+    assert any("width=128" in name for name in names)
+    assert "width=128" not in names[-1]
     assert re.search(r"turned by 3\d° and 1\d°", page.inner_text("#caption"))
 
 
