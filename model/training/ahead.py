@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
-from collections import deque
-from collections.abc import Generator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+import threading
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import fields
+from multiprocessing import get_context, resource_tracker
+from multiprocessing.connection import Connection
 
-import numba
-import numpy as np
 import torch
 from numpy.typing import NDArray
 
@@ -22,54 +20,87 @@ from .recipe import Recipe
 from .run_folder import Refused
 from .step import TensorBatch
 from .step_scenes import StepScenes, draw_step
-from .workers import Worker
+from .workers import Worker, limit_threads
 
-AHEAD = 2  # steps that each process may be ahead: one that it draws, one that waits
-
-Drawn = tuple[list[NDArray[np.float32]], int, bool]  # by pipe: tensors would take shared memory, scarce in a container
+Drawn = tuple[list[NDArray], int, bool]  # by pipe: tensors would take shared memory, which is scarce in a container
 
 
 def drawn_steps(recipe: Recipe, steps: range, worker: Worker, loaders: int) -> Generator[StepScenes]:
     """The scenes of `steps` in their order, drawn ahead by as many processes as `loaders`; without any, when asked for.
 
-    The scenes are the same to the bit. Close the iterator to end the processes. Raises `Refused` when one was lost.
+    They are the same to the bit. Each process is ahead by the one step that it draws, or has drawn and hands over.
+    Close the generator to end the processes. Raises `Refused` when one of them has ended, whatever by.
     """
     if not loaders:
         yield from (draw_step(recipe, step, worker) for step in steps)
         return
-    spawn = multiprocessing.get_context("spawn")
-    waiting: deque[Future[Drawn]] = deque()
-    with ProcessPoolExecutor(loaders, mp_context=spawn, initializer=_begin, initargs=(os.getpid(),)) as pool:
-        try:
-            for step in steps:
-                waiting.append(pool.submit(_draw, recipe, step, worker))
-                if len(waiting) == AHEAD * loaders:
-                    yield _received(waiting.popleft().result())
-            while waiting:
-                yield _received(waiting.popleft().result())
-        except BrokenProcessPool as error:
-            raise Refused(
-                "a process that draws scenes ended, by lack of memory or by the error above; the same command goes on "
-                "from the last state, with fewer --loaders in less memory"
-            ) from error
-        finally:
-            pool.shutdown(cancel_futures=True)  # or it would draw what nobody takes
+    with _started(recipe, steps, worker, loaders) as pipes:
+        for position in range(len(steps)):
+            yield _received(pipes[position % loaders])
 
 
-def _begin(parent: int) -> None:
-    """In each process: one thread, and an interrupt is its parent's to hear."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextmanager
+def _started(recipe: Recipe, steps: range, worker: Worker, loaders: int) -> Iterator[list[Connection]]:
+    """One pipe for each process; process i draws every step of number i, i + loaders, ... in `steps`."""
+    spawn = get_context("spawn")
+    processes, pipes = [], []
+    try:
+        for number in range(min(loaders, len(steps))):
+            receiver, sender = spawn.Pipe(duplex=False)
+            pipes.append(receiver)
+            with sender, _without_interrupts():  # closed here: then the process' end is the pipe's end
+                own = (recipe, steps[number::loaders], worker, sender, os.getpid())
+                process = spawn.Process(target=_draw, args=own, daemon=True)
+                process.start()
+                processes.append(process)
+        yield pipes
+    finally:
+        for process in processes:
+            process.kill()
+        for process in processes:
+            process.join()
+        for pipe in pipes:
+            pipe.close()
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Processes started within never hear the interrupt that a terminal sends to all. Their parent does, once they have
+    all that they begin with."""
+    resource_tracker.ensure_running()  # its own start lets interrupts through again
+    heard: list[int] = []
+    usual = signal.getsignal(signal.SIGINT)
+    main = threading.current_thread() is threading.main_thread()  # which alone may say what a signal does
+    if in_charge := main and usual is not None:
+        signal.signal(signal.SIGINT, lambda number, _: heard.append(number))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if in_charge:
+            signal.signal(signal.SIGINT, usual)
+        if heard:
+            signal.raise_signal(signal.SIGINT)
+
+
+def _draw(recipe: Recipe, steps: range, worker: Worker, sender: Connection, parent: int) -> None:
+    """In each process, in one thread."""
     end_with_parent(parent)
-    torch.set_num_threads(1)
-    numba.set_num_threads(1)
+    limit_threads(1)
+    for step in steps:
+        drawn = draw_step(recipe, step, worker)
+        arrays = [getattr(drawn.batch, field.name).numpy() for field in fields(TensorBatch)]
+        sender.send((arrays, drawn.torch_seed, drawn.withheld))
 
 
-def _draw(recipe: Recipe, step: int, worker: Worker) -> Drawn:
-    drawn = draw_step(recipe, step, worker)
-    arrays = [getattr(drawn.batch, field.name).numpy() for field in fields(TensorBatch)]
-    return arrays, drawn.torch_seed, drawn.withheld
-
-
-def _received(drawn: Drawn) -> StepScenes:
+def _received(pipe: Connection) -> StepScenes:
+    try:
+        drawn: Drawn = pipe.recv()
+    except (EOFError, OSError) as error:  # before a message, and within one
+        raise Refused(
+            "a process that draws scenes ended, by lack of memory or by the error above; the same command goes on from "
+            "the last state, with fewer --loaders in less memory"
+        ) from error
     arrays, torch_seed, withheld = drawn
     return StepScenes(TensorBatch(*map(torch.from_numpy, arrays)), torch_seed, withheld)

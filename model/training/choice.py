@@ -16,7 +16,6 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 
-import numba
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -36,6 +35,7 @@ from .arguments import seed as any_seed
 from .arguments import whole_number
 from .choice_data import Samples, joined, scene_samples
 from .run_folder import Refused
+from .workers import limit_threads
 
 HIDDEN = 32
 SCENES = 400
@@ -134,8 +134,7 @@ _state: dict[str, Reconstructor] = {}
 def _begin(parent: int) -> None:
     """In each process: one thread, and a network of its own."""
     end_with_parent(parent)
-    torch.set_num_threads(1)
-    numba.set_num_threads(1)
+    limit_threads(1)
     _state["reconstructor"] = Reconstructor(None, threads=1)
 
 

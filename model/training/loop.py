@@ -140,8 +140,8 @@ def _run(
     clock = last_save = time.monotonic()
     steps = range(start, recipe.steps)
     with closing(drawn_steps(recipe, steps, worker, loaders)) as coming:
-        for step, scenes in zip(steps, coming, strict=True):
-            rate, parts = _step(model, optimiser, trained, recipe, step, scenes, worker)
+        for step in steps:
+            rate, parts = _step(model, optimiser, trained, recipe, step, next(coming), worker)  # kept by nobody
             if not worker.leads:
                 continue
             listener(Stage("train", step + 1, recipe.steps))

@@ -54,7 +54,7 @@ def run_workers(count: int, threads: int, work: Callable[..., None], *arguments:
     as `ProcessException`.
     """
     if count == 1:
-        _limit_threads(threads)
+        limit_threads(threads)
         work(Worker(), *arguments)
         return
     with tempfile.TemporaryDirectory() as folder:
@@ -72,7 +72,7 @@ def _start(
 ) -> None:
     # the interrupt that comes when the starting process dies; a background shell has it ignored
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    _limit_threads(threads)
+    limit_threads(threads)
     meeting_point = (folder / "rendezvous").as_uri()
     distributed.init_process_group("gloo", init_method=meeting_point, rank=rank, world_size=count, timeout=LONGEST_WAIT)
     try:
@@ -84,6 +84,7 @@ def _start(
         distributed.destroy_process_group()
 
 
-def _limit_threads(threads: int) -> None:
+def limit_threads(threads: int) -> None:
+    """Of torch and of numba, in this process."""
     torch.set_num_threads(threads)
     numba.set_num_threads(threads)

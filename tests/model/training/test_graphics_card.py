@@ -145,4 +145,4 @@ def test_a_killed_run_on_a_card_goes_on_and_two_processes_share_it(tmp_path: Pat
     moved = {name: _depths(load_checkpoint(tmp_path / name / run_folder.WEIGHTS)) - start for name in names}
     assert moved["whole"].abs().mean() > 0.003
     for name in names[1:]:
-        assert _apart(moved["whole"], moved[name]) < 0.2, name  # on an H100: 0.040, 0.040, 0.045
+        assert _apart(moved["whole"], moved[name]) < 0.2, name  # on an H100: 0.040, 0.040, 0.045, and the last below

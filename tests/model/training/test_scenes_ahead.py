@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import fields, replace
 from pathlib import Path
@@ -13,10 +16,9 @@ import numba
 import pytest
 import torch
 
-from gapmes.model.checkpoint import load_checkpoint
-from gapmes.model.config import preset
-from gapmes.model.training import ahead, loop, run_folder
+from gapmes.model.training import ahead
 from gapmes.model.training.recipe import Phase, Recipe
+from gapmes.model.training.run_folder import Refused
 from gapmes.model.training.step import TensorBatch
 from gapmes.model.training.step_scenes import StepScenes, draw_step
 from gapmes.model.training.workers import Worker
@@ -28,6 +30,7 @@ SMALL = replace(
     zoom_share=0.5,
     phases=(Phase(1.0, (32, 48), 2, (2, 3, 2), (0.1, 0.4)),),
 )
+LARGE = replace(SMALL, phases=(Phase(1.0, (96,), 2, (2,), (0.1, 0.4)),))  # more than a pipe holds
 
 
 @pytest.fixture(autouse=True)
@@ -41,16 +44,37 @@ def _same(a: StepScenes, b: StepScenes) -> bool:
     return all(tensors) and (a.torch_seed, a.withheld) == (b.torch_seed, b.withheld)
 
 
-@pytest.mark.parametrize("loaders", [1, 2])
-def test_they_are_the_same_to_the_bit_and_in_order(loaders: int) -> None:
+def _children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def _drawing(pid: int) -> list[int]:
+    """The children that draw; another one looks after what processes share."""
+    return [child for child in _children(pid) if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text()]
+
+
+def _eventually(is_so: Callable[[], bool]) -> None:
+    until = time.monotonic() + 120
+    while not is_so():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
+def _gone(pid: int) -> bool:
+    """Or ended, and nobody has asked how: where nobody looks after orphans they stay so."""
+    stat = Path(f"/proc/{pid}/stat")
+    return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z"
+
+
+def test_they_are_the_same_to_the_bit_and_in_order() -> None:
     worker, steps = Worker(1, 2), range(1, SMALL.steps)
-    with closing(ahead.drawn_steps(SMALL, steps, worker, loaders)) as coming:
+    with closing(ahead.drawn_steps(SMALL, steps, worker, 2)) as coming:
         found = list(coming)
     expected = [draw_step(SMALL, step, worker) for step in steps]
     assert len(found) == len(expected)
     assert all(map(_same, found, expected))
     assert not any(_same(expected[0], other) for other in expected[1:])
-    assert not multiprocessing.active_children()
+    assert not _drawing(os.getpid())
 
 
 def test_a_step_has_noise_zoom_and_withheld_evidence_as_often_as_the_recipe_says() -> None:
@@ -67,25 +91,46 @@ def test_a_step_has_noise_zoom_and_withheld_evidence_as_often_as_the_recipe_says
     assert 24 < withheld < 54
 
 
-def test_a_run_with_them_ends_with_the_same_weights(tmp_path: Path) -> None:
-    recipe = replace(SMALL, steps=3)
-    for name, loaders in (("without", 0), ("with", 1)):
-        loop.train(preset("tiny"), recipe, tmp_path / name, validate_every=3, validation_scenes=1, loaders=loaders)
-    one, two = (load_checkpoint(tmp_path / name / run_folder.WEIGHTS) for name in ("without", "with"))
-    assert all(torch.equal(a, b) for a, b in zip(one.parameters(), two.parameters(), strict=True))
-
-
 def test_a_run_that_stops_ends_them() -> None:
     with closing(ahead.drawn_steps(SMALL, range(1000), Worker(), 1)) as coming:
         next(coming)
-        assert len(multiprocessing.active_children()) == 1
-    assert not multiprocessing.active_children()
+        assert len(_drawing(os.getpid())) == 1
+    assert not _drawing(os.getpid())
 
 
-def test_one_that_is_lost_is_a_refusal() -> None:
-    with closing(ahead.drawn_steps(SMALL, range(1000), Worker(), 1)) as coming:
+def test_one_that_is_killed_while_it_hands_over_is_a_refusal() -> None:
+    """Half a message does not make its reader wait for the rest."""
+    with ahead._started(LARGE, range(1000), Worker(), 1) as pipes:
+        assert pipes[0].poll(120)  # the message has begun, and does not fit
+        (process,) = _drawing(os.getpid())
+        os.kill(process, signal.SIGKILL)
+        with pytest.raises(Refused, match=r"a process that draws scenes ended.* fewer --loaders"):
+            ahead._received(pipes[0])
+
+
+def test_an_error_in_one_is_told_and_a_refusal(capfd: pytest.CaptureFixture[str]) -> None:
+    broken = replace(SMALL, phases=(Phase(1.0, (32,), 2, (2,), (-1.0, 0.4)),))
+    with closing(ahead.drawn_steps(broken, range(1000), Worker(), 1)) as coming, pytest.raises(Refused, match="above"):
         next(coming)
-        (process,) = multiprocessing.active_children()
-        os.kill(process.pid or 0, signal.SIGKILL)
-        with pytest.raises(run_folder.Refused, match=r"a process that draws scenes ended.* fewer --loaders"):
-            list(coming)
+    assert "Traceback" in capfd.readouterr().err
+
+
+COMMAND = [sys.executable, "-m", "gapmes.model.training", "--device", "cpu", "--loaders", "2", "--quiet"]
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
+def test_a_command_that_ends_takes_them_along_also_while_they_begin(end: signal.Signals, tmp_path: Path) -> None:
+    """All of a terminal's processes hear an interrupt; one line tells of it. Of what is killed none stays."""
+    with subprocess.Popen(
+        [*COMMAND, str(tmp_path / "run")], start_new_session=True, stderr=subprocess.PIPE, text=True
+    ) as run:
+        _eventually(lambda: len(_drawing(run.pid)) == 2)
+        loaders = _drawing(run.pid)
+        if end == signal.SIGINT:
+            os.killpg(run.pid, end)
+        else:
+            run.kill()
+        _, told = run.communicate(timeout=120)
+    _eventually(lambda: all(map(_gone, loaders)))
+    assert run.returncode == (130 if end == signal.SIGINT else -end)
+    assert told == ("stopped; the same command goes on from the last state\n" if end == signal.SIGINT else "")

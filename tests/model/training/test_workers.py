@@ -77,18 +77,32 @@ WHOLE = replace(
 )
 
 
-def _train_all_of_it(worker: Worker, folder: Path) -> None:
-    loop.train(preset("tiny"), WHOLE, folder, validate_every=4, validation_scenes=1, save_seconds=0.0, worker=worker)
+def _train_all_of_it(worker: Worker, folder: Path, loaders: int) -> None:
+    loop.train(
+        preset("tiny"),
+        WHOLE,
+        folder,
+        validate_every=4,
+        validation_scenes=1,
+        save_seconds=0.0,
+        worker=worker,
+        loaders=loaders,
+    )
 
 
 def _train_in_two(folder: Path) -> None:
-    run_workers(2, 1, _train_all_of_it, folder)
+    run_workers(2, 1, _train_all_of_it, folder, 0)
+
+
+def _train_in_two_with_scenes_ahead(folder: Path) -> None:
+    run_workers(2, 1, _train_all_of_it, folder, 1)
 
 
 def test_two_processes_of_the_whole_method_resume_after_a_kill(tmp_path: Path) -> None:
-    """The whole recipe with all that it draws, at four steps; the process that started both is killed."""
+    """The whole recipe with all that it draws, at four steps; the process that started both is killed, while others
+    draw scenes ahead for both, and they go on without these."""
     _train_in_two(tmp_path / "whole")
-    killed_with_a_state(_train_in_two, tmp_path / "killed", daemon=False)
+    killed_with_a_state(_train_in_two_with_scenes_ahead, tmp_path / "killed", daemon=False)
     until = time.monotonic() + 60
     while True:  # its children end by themselves
         try:
