@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, asynccontextmanager
 from importlib.metadata import version
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi.openapi.utils import get_openapi
 from starlette.middleware.cors import CORSMiddleware
 
@@ -30,6 +30,7 @@ from .http.access import OPEN, SCHEMES, KeyNeeded
 from .http.limits import BodyLimit
 from .http.observe import Observed
 from .http.origins import KnownPages
+from .http.parameters import given_once
 from .http.runtime import Runtime
 from .http.schemas import Problem
 from .http.unread import BodyLeft
@@ -72,7 +73,7 @@ def create_app(settings: Settings | None = None, bars: AbstractContextManager[Li
     for module in (
         health, metrics, models, page, check, reconstruct, jobs, render, viewer, preview, load, scenes,
     ):  # fmt: skip
-        app.include_router(module.router)
+        app.include_router(module.router, dependencies=[Depends(given_once)])
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes, most_together=settings.max_uploads_bytes)
     if key is not None:
         app.add_middleware(KeyNeeded, key=key)

@@ -9,7 +9,8 @@ from .camera_fields import CameraFile as CameraFile
 from .camera_fields import NamedView as NamedView
 from .camera_fields import SizeOf, image_name, list_of, number_of, opencv_pose, optional_number
 from .errors import CameraError, IntrinsicsError
-from .transforms_file import COEFFICIENTS, parse_transforms
+from .lens_keys import COEFFICIENTS, require_known_lens
+from .transforms_file import parse_transforms
 
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
 _OF_THE_FILE = ("axes", "pose", "near", "far")
@@ -123,7 +124,9 @@ def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
 
 
 def _refuse_lens(obj: Mapping, field: str, index: int | None) -> None:
-    """The cameras of a cameras.json are pinholes. Raises `IntrinsicsError` for a coefficient other than 0."""
+    """The cameras of a cameras.json are pinholes. Raises `IntrinsicsError` for a coefficient other than 0, and for
+    what says of another lens."""
+    require_known_lens(obj, field=field, index=index)
     for name in COEFFICIENTS:
         if obj.get(name) is not None and number_of(obj, name, field=field, index=index) != 0:
             raise IntrinsicsError(

@@ -25,12 +25,15 @@ def psnr(picture: NDArray, truth: NDArray, mask: NDArray[np.bool_] | None = None
 def ssim(picture: NDArray, truth: NDArray, mask: NDArray[np.bool_] | None = None) -> float:
     """Mean SSIM of (3, H, W) pictures over the windows inside whose centre the mask keeps; NaN if there is none.
 
-    Computed in the precision of the pictures: float32 is right to 1e-6 (measured 1e-7) in two thirds of the time.
+    Computed in the precision of the pictures: float32 is right to 1e-6 (measured 1e-7) in two thirds of the time. The
+    variances are those about the middle of `truth`, so that even pictures do not lose theirs to rounding.
     """
-    a, b = picture, truth
+    middle = truth.dtype.type(truth.mean(dtype=np.float64)) if truth.size else truth.dtype.type(0)
+    a, b = picture - middle, truth - middle
     mean_a, mean_b = _gaussian_means(a), _gaussian_means(b)
     var_a, var_b = _gaussian_means(a * a) - mean_a**2, _gaussian_means(b * b) - mean_b**2
     covariance = _gaussian_means(a * b) - mean_a * mean_b
+    mean_a, mean_b = mean_a + middle, mean_b + middle
     top = (2 * mean_a * mean_b + C1) * (2 * covariance + C2)
     values = (top / ((mean_a**2 + mean_b**2 + C1) * (var_a + var_b + C2))).mean(axis=0)
     border = WINDOW // 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ F64 = NDArray[np.float64]
 # At this distance from orthonormal the projection onto SO(3) moves the principal ray by 0.05 px each way at f = 1000
 # px; rounding to six decimals in a text file stays far below.
 MAX_ORTHONORMALITY_ERROR = 1e-4
+FEW_DIGITS = 0.03  # what two digits behind the point leave of orthonormality: at most 0.016 of a thousand rotations
 MAX_OFFSET = 1e100  # caller's units: squares and cubes stay finite
 ROUNDING = 1e-14  # what float64 leaves of orthonormality (some 1e-15); such a matrix is kept to the bit
 
@@ -101,8 +103,13 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
         )
     if drift > MAX_ORTHONORMALITY_ERROR:
         scale = abs(det) ** (1 / 3)
-        uniform = scale > 0 and np.abs(rotation.T @ rotation / scale**2 - np.eye(3)).max() < 1e-3
-        cure = f"R carries a scale of {scale:.6g}; divide it out" if uniform else "R is sheared or not a rotation"
+        left = float(np.abs(rotation.T @ rotation / scale**2 - np.eye(3)).max()) if scale > 0 else math.inf
+        if left <= max(MAX_ORTHONORMALITY_ERROR, 0.1 * drift):
+            cure = f"R carries a scale of {scale:.6g}; divide it out"
+        elif drift < FEW_DIGITS:
+            cure = "R is sheared, or was written with too few digits: give five or more behind the point"
+        else:
+            cure = "R is sheared or not a rotation"
         raise PoseError(
             f"max |R^T R - I| = {drift:.3g}, need at most {MAX_ORTHONORMALITY_ERROR:g} (det {det:.4g})",
             field=field,

@@ -19,10 +19,8 @@ from .camera_fields import (
 )
 from .distortion import Lens
 from .errors import CameraError, IntrinsicsError
+from .lens_keys import COEFFICIENTS, OTHER_NAMES, require_known_lens
 
-# Pinholes, and what can be undistorted to one.
-_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
-COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _LENGTHS, _ANGLES = ("fl_x", "fl_y"), ("camera_angle_x", "camera_angle_y")
 _OF_A_FRAME = (
     "w",
@@ -32,6 +30,7 @@ _OF_A_FRAME = (
     "cx",
     "cy",
     *COEFFICIENTS,
+    *OTHER_NAMES,
     "camera_model",
     "is_fisheye",
 )  # the top says it for all
@@ -56,7 +55,7 @@ def parse_transforms(
         frame = frames[index]
         values = {**_of_the_top(common, frame), **frame}
         name = image_name(frame, "file_path", field="frames", index=index)
-        _require_known_model(values, index)
+        require_known_lens(values, field="frames", index=index)
         width, height = _size(values, name, size_of, index)
         fx = _focal(values, "x", width, index)
         has_fy = "fl_y" in values or "camera_angle_y" in values
@@ -79,18 +78,6 @@ def _of_the_top(common: Mapping, frame: Mapping) -> dict[str, Any]:
         _ANGLES if any(name in frame for name in _LENGTHS) else ()
     )
     return {name: value for name, value in common.items() if name not in dropped}
-
-
-def _require_known_model(values: Mapping, index: int) -> None:
-    model = values.get("camera_model", "OPENCV")
-    if model not in _MODELS or values.get("is_fisheye"):
-        shown = "fisheye" if values.get("is_fisheye") else model
-        raise IntrinsicsError(
-            f"camera_model is {shown}, need a pinhole ({', '.join(_MODELS)})",
-            field="frames.camera_model",
-            index=index,
-            cure="undistort the photographs first",
-        )
 
 
 def _lens(

@@ -15,8 +15,8 @@ from .framing import frame
 from .rotations import F64, about_axis, mean_rotation, slerp
 
 _LENS = ("fx", "fy", "cx", "cy")
-_NUMBER = re.compile(r"[0-9]{1,4}(\.[0-9]{1,9})?")
-_ORBIT = re.compile(r"orbit:([+-]?[0-9]{1,6}(?:\.[0-9]{1,9})?)")
+_NUMBER = re.compile(r"[0-9]{1,9}(\.[0-9]{1,30})?")
+_ORBIT = re.compile(r"orbit:([+-]?[0-9]{1,6}(?:\.[0-9]{1,30})?)")
 
 
 def resolve_view(spec: str, cameras: Sequence[Camera], *, pivot_depth: float) -> Camera:

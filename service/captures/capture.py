@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ..camera_fields import CameraFile
 from ..distortion import MAX_SHIFT_PX
-from ..errors import CaptureError, ImageError, IntrinsicsError, PoseError
+from ..errors import CaptureError, ImageError, IntrinsicsError
 from ..image_files import MAX_PIXELS
 from ..view_checks import MAX_VIEWS, MIN_VIEWS, Notice
 from .archive import SIGNATURES, ZipFiles
@@ -21,6 +22,7 @@ from .photographs import FOLDERS, Photographs
 from .recognise import MAX_CAMERA_BYTES, recognised, table_of_file
 from .select import DEFAULT_CONTEXT, Wish, several_named_views
 from .table import CameraTable
+from .usable import usable_views
 
 # Which views of a file to read, given how many it has; the order is kept.
 Choice = Callable[[int], Sequence[int]]
@@ -67,16 +69,27 @@ class Capture:
         """The cameras of these views, as they are in the file; photographs are read where it lacks their sizes."""
         return self.table.parse(indices, self._size_of)
 
+    @cached_property
+    def by_sorted_name(self) -> bool:
+        """Whether view i belongs to photograph i of all that there are, sorted by name: where the file has no names,
+        and where its names are time stamps and no photograph has one."""
+        return self.table.by_sorted_name or (
+            self.table.kind == "realestate10k" and not any(map(self._named, range(len(self.table.names))))
+        )
+
     def path_of(self, index: int) -> str:
         """Where the photograph of a view is. Raises `ImageError` where it is not there."""
-        if self.table.by_sorted_name:
+        if self.by_sorted_name:
             return self._in_order()[index]
+        return self._photographs.find(self.table.names[index], index)
+
+    def _named(self, index: int) -> bool:
+        """Whether a photograph has the name of this view."""
         try:
-            return self._photographs.find(self.table.names[index], index)
+            self._photographs.find(self.table.names[index], index)
         except ImageError:
-            if self.table.kind != "realestate10k":
-                raise
-        return self._in_order()[index]
+            return False
+        return True
 
     def choose(self, wish: Wish, near: float | None = None, far: float | None = None) -> ChosenViews:
         """The views that are wished for; `near` and `far` are the user's, which win over the file's.
@@ -97,7 +110,7 @@ class Capture:
         said["without_photograph"] = count - len(there)
         if wish.context is None and len(there) <= MAX_VIEWS:
             return self._chosen(self.cameras(there), there, {"by": "photographs", **said})
-        there, file, warnings = self._usable(there)
+        there, file, warnings = usable_views(there, self.cameras)
         near, far = (file.near if near is None else near), (file.far if far is None else far)
         choice = chosen_views(file.cameras, wish.context or DEFAULT_CONTEXT, near, far)
         indices = [there[place] for place in choice.places]
@@ -120,26 +133,6 @@ class Capture:
                 raise ImageError(message, field="views.image", index=indices[place], cure=cure)
         said = {**said, "views": list(indices), "images": list(paths)}
         return ChosenViews(file, paths, self._photographs, tuple(indices), said, self.table.warnings + warnings)
-
-    def _usable(self, indices: Sequence[int]) -> tuple[list[int], CameraFile, tuple[Notice, ...]]:
-        """Those of the views whose lens can be made a pinhole and whose pose is one, and the warning that others are
-        not. Raises what the first of them raises where fewer than two are left."""
-        try:
-            return list(indices), self.cameras(indices), ()
-        except (IntrinsicsError, PoseError):
-            pass
-        usable, refused = [], []
-        for index in indices:
-            try:
-                self.cameras([index])
-                usable.append(index)
-            except (IntrinsicsError, PoseError) as error:
-                refused.append(error)
-        if len(usable) < MIN_VIEWS:
-            raise refused[0]
-        message = f"{len(refused)} of {len(indices)} views have no camera that can be used, the first: {refused[0]}"
-        warning: Notice = {"code": "views_refused", "field": "cameras", "message": message}
-        return usable, self.cameras(usable), (warning,)
 
     def _with_photograph(self) -> list[int]:
         there, first = [], None

@@ -25,9 +25,27 @@ def same_file(posted: str, wanted: str | None) -> bool:
 
 def same_path(typed: str, name: str | None) -> bool:
     """As `same_file`, and the folders agree as far up as both name them."""
-    have, want = ([part for part in key(path or "").split("/")[:-1] if part] for path in (typed, name))
+    have, want = _folders(typed), _folders(name or "")
     shared = min(len(have), len(want))
     return same_file(typed, name) and have[len(have) - shared :] == want[len(want) - shared :]
+
+
+def places_of(posted: str, names: Sequence[str | None]) -> list[int]:
+    """Which of `names` mean the posted file: of those whose last part does the very same, else those that share most
+    of the folders above it, else those that say nothing of them."""
+    near = [place for place, name in enumerate(names) if same_file(posted, name)]
+    ranks = [_nearness(posted, names[place] or "") for place in near]
+    return [place for place, rank in zip(near, ranks, strict=True) if rank == max(ranks)]
+
+
+def _nearness(posted: str, wanted: str) -> tuple[bool, int, bool]:
+    have, want = _folders(posted), _folders(wanted)
+    shared = len(posixpath.commonprefix([have[::-1], want[::-1]]))
+    return key(posted) == key(wanted), shared, shared == min(len(have), len(want))
+
+
+def _folders(path: str) -> list[str]:
+    return [part for part in key(path).split("/")[:-1] if part]
 
 
 def sorted_places(names: Sequence[str]) -> list[int]:

@@ -30,6 +30,7 @@ class Photographs:
         places = [joined(beside, "."), *(joined(base, folder) for folder in FOLDERS)]
         self._places = list(dict.fromkeys(places))
         self._listed: dict[str, dict[str, list[str]]] = {}
+        self._folders: dict[str, Sequence[str]] = {}
 
     def find(self, name: str | None, index: int) -> str:
         """Path of a photograph: at its name, else with a suffix that it lacks or in another case, else at the end of
@@ -93,10 +94,24 @@ class Photographs:
                     return path + suffix
         for place in self._places:
             folder, last = posixpath.split(joined(place, name))
+            folder = self._folder(folder)
             found = self._by_key(folder).get(key(last), [])
             if len(found) == 1:
                 return joined(folder, found[0])
         return None
+
+    def _folder(self, path: str) -> str:
+        """The folder at `path`, or the one that differs from it by case alone."""
+        found = ""
+        for part in path.split("/") if path else ():
+            if found not in self._folders:
+                self._folders[found] = self._files.folders(found)
+            names = self._folders[found]
+            same = [part] if part in names else [name for name in names if key(name) == key(part)]
+            if len(same) != 1:
+                return path
+            found = joined(found, same[0])
+        return found
 
     def _by_key(self, folder: str) -> dict[str, list[str]]:
         """Photographs of a folder by their names as `key` has them, with and without suffix."""

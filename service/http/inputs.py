@@ -8,12 +8,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
+from ..camera_fields import CameraFile
 from ..captures.archive import SIGNATURES, ZipFiles
 from ..captures.capture import Capture
 from ..captures.choose import chosen_views
 from ..captures.recognise import recognised, table_of_bytes
 from ..captures.select import Wish, several_named_views
 from ..captures.table import CameraTable
+from ..captures.usable import usable_views
 from ..errors import CameraError, CaptureError, InputError, MalformedRequest, UploadTooLarge
 from ..settings import Settings
 from ..view_checks import check_count
@@ -59,21 +61,29 @@ def posted(
     _check_listed(table, "cameras")
     names = [image.name for image in images]
     match = match_names(names, table.names, by_sorted_name=table.by_sorted_name)
-    file = table.parse(match.cameras, PostedSizes(images, settings.max_image_pixels))
-    passed_over = tuple(notice | {"field": "cameras"} for notice in table.warnings)
-    pairing = Pairing(tuple(images), file.views, match.by, (*passed_over, *match.warnings))
+    sizes = PostedSizes(images, match, settings.max_image_pixels)
+
+    def cameras(places: Sequence[int]) -> CameraFile:
+        return table.parse([match.cameras[place] for place in places], sizes)
+
+    warnings = (*(notice | {"field": "cameras"} for notice in table.warnings), *match.warnings)
     said: dict[str, Any] = {"by": "all", "format": table.kind, "cameras": table.source, "of": len(images)}
-    places: Sequence[int] = range(len(images))
     if wish.select is not None:
-        places, said = several_named_views(wish.select, names, field=wish.field), said | {"by": "select"}
+        places = several_named_views(wish.select, names, field=wish.field)
+        file, said = cameras(places), said | {"by": "select"}
     elif wish.context is not None:
+        there, file, refused = usable_views(range(len(images)), cameras)
         ours = (file.near if near is None else near), (file.far if far is None else far)
-        choice = chosen_views(pairing.cameras, wish.context, *ours)
-        places, said = choice.places, said | {"by": "score", **choice.said}
+        choice = chosen_views(file.cameras, wish.context, *ours)
+        places, file = [there[place] for place in choice.places], file.chosen(choice.places)
+        warnings, said = (*warnings, *refused), said | {"by": "score", **choice.said}
+    else:
+        places = list(range(len(images)))
+        file = cameras(places)
     check_count(len(places))
-    pairing, file = pairing.chosen(places), file.chosen(places)
+    pairing = Pairing(tuple(images[place] for place in places), file.views, match.by, warnings)
     near, far = (file.near if near is None else near), (file.far if far is None else far)
-    said |= {"views": list(places), "images": [image.name for image in pairing.images]}
+    said |= {"views": places, "images": [image.name for image in pairing.images]}
     return Inputs(pairing, near, far, said)
 
 
@@ -96,7 +106,7 @@ def captured(stream: BinaryIO, wish: Wish, settings: Settings, near: float | Non
             cure="choose fewer with `select` or `context`, or send smaller photographs",
         )
     images = [NamedImage(path, found.read(place)) for place, path in enumerate(found.paths)]
-    by = "sorted name" if capture.table.by_sorted_name else "name"
+    by = "sorted name" if capture.by_sorted_name else "name"
     pairing = Pairing(tuple(images), found.file.views, by, found.warnings)
     near, far = (found.file.near if near is None else near), (found.file.far if far is None else far)
     return Inputs(pairing, near, far, found.selection)

@@ -35,10 +35,10 @@ def wanted_async(preferences: Sequence[str]) -> bool:
     return "respond-async" in [token.partition(";")[0].strip().lower() for token in tokens]  # parameters are behind ;
 
 
-def accepted_job(runtime: Runtime, job: Job, selection: Mapping[str, Any]) -> Response:
-    """202 with the job, and which of the views that were sent it uses: that belongs to the request."""
+def accepted_job(runtime: Runtime, job: Job, said: Mapping[str, Any]) -> Response:
+    """202 with the job, and what belongs to the request alone: `said`."""
     headers = {"Location": f"/jobs/{job.id}", "Preference-Applied": "respond-async", "Vary": "Accept, Prefer"}
-    return json_response({**job_document(runtime, job), "selection": dict(selection)}, 202, headers)
+    return json_response({**job_document(runtime, job), **said}, 202, headers)
 
 
 def why_not(job: Job) -> dict[str, Any]:

@@ -80,9 +80,6 @@ async def load_scene(
         settings = runtime.settings
         kind = media_type(request)
         if kind == FORM:
-            if request.query_params:
-                field = next(iter(request.query_params))[:100]
-                raise InputError("is in the query beside a form", field=field, cure="make it a field of the form")
             too_many = InputError(f"more than {MAX_PARTS} files, need one", field="file", cure=EXAMPLE)
             async with posted_form(request, settings, EXAMPLE, too_many) as form:
                 file = await _of_form(form, settings)

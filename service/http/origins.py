@@ -46,7 +46,7 @@ class KnownPages:
             return True
         if site is not None:  # no page can set it; it holds where a proxy names another Host than the browser did
             return site in OWN
-        return origin is None or origin == "null" or _same_host(origin, headers.get("host", ""))
+        return origin is None or _same_host(origin, headers.get("host", ""))
 
 
 def _same_host(origin: str, host: str) -> bool:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from ..camera import Camera
 from ..camera_fields import NamedView
-from ..captures.names import same_file, sorted_places
-from ..errors import CameraError, InputError, ViewCountError
+from ..captures.names import places_of, sorted_places
+from ..errors import InputError, ViewCountError
 from ..image_files import image_size
 from ..plain_number import counted
 
@@ -35,11 +35,6 @@ class Pairing:
     def cameras(self) -> tuple[Camera, ...]:
         return tuple(view.camera for view in self.views)
 
-    def chosen(self, places: Sequence[int]) -> Pairing:
-        """These images alone, in this order."""
-        images, views = tuple(self.images[place] for place in places), tuple(self.views[place] for place in places)
-        return replace(self, images=images, views=views)
-
 
 @dataclass(frozen=True)
 class Match:
@@ -59,41 +54,58 @@ def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sort
     names the first image without a camera of its own where others have one, and `InputError` for an image that order
     would give to another camera than the one that names it.
     """
-    named = all(cameras)
-    found = [[place for place, name in enumerate(cameras) if same_file(image, name)] for image in images]
-    if named and all(len(places) == 1 for places in found):
-        chosen = tuple(places[0] for places in found)
-        if len(set(chosen)) == len(images):
-            return Match(chosen, "name")
+    found = [places_of(image, cameras) for image in images]
+    chosen = tuple(places[0] for places in found if len(places) == 1)
+    if all(cameras) and len(set(chosen)) == len(images):
+        return Match(chosen, "name")
     if len(images) != len(cameras):
-        counts = f"{counted(len(cameras), 'camera')} for {counted(len(images), 'image')}"
-        strays = [place for place, places in enumerate(found) if len(places) != 1]
-        if named and 0 < len(strays) < len(images):  # one file too many, not names of another kind
-            name, several = images[strays[0]], len(found[strays[0]])
-            those = f"{several} of them name" if several else "none of them names"
-            cure = "leave it out, or name the file as its view names it, and no other"
-            raise ViewCountError(f"{counts}, and {those} {name!r}", field="images", index=strays[0], cure=cure)
-        cure = "send one camera per image, or name each view's image as its file is named"
-        raise ViewCountError(counts, field="cameras", cure=cure)
-    if named:
-        _check_order(images, cameras, found)
-    if by_sorted_name:
-        place_of = {place: row for row, place in enumerate(sorted_places(images))}
-        return Match(tuple(place_of[place] for place in range(len(images))), "sorted name")
+        raise _miscounted(images, cameras, found)
+    order = sorted_places(images) if by_sorted_name else list(range(len(images)))
+    camera_of = {place: row for row, place in enumerate(order)}
+    _check_order(images, cameras, found, camera_of)
     warnings: tuple[dict[str, Any], ...] = ()
-    if named:
+    if any(cameras[camera_of[place]] and camera_of[place] not in places for place, places in enumerate(found)):
         message = f"images are named {list(images)}, the cameras name {list(cameras)}; they were paired by order"
         warnings = ({"code": "names_differ", "message": message},)
-    return Match(tuple(range(len(images))), "order", warnings)
+    by = "sorted name" if by_sorted_name else "order"
+    return Match(tuple(camera_of[place] for place in range(len(images))), by, warnings)
 
 
-def _check_order(images: Sequence[str], cameras: Sequence[str | None], found: Sequence[Sequence[int]]) -> None:
-    """Raises `InputError` where an image and the camera of the same place have names that contradict each other."""
+def _miscounted(images: Sequence[str], cameras: Sequence[str | None], found: Sequence[Sequence[int]]) -> ViewCountError:
+    """Of other counts of images and cameras, where names do not pair them."""
+    counts = f"{counted(len(cameras), 'camera')} for {counted(len(images), 'image')}"
+    first: dict[int, int] = {}  # image of each camera that one names
+    clear = [(place, places[0]) for place, places in enumerate(found) if len(places) == 1]
+    twice = [place for place, camera in clear if first.setdefault(camera, place) < place]
+    strays = [place for place, places in enumerate(found) if len(places) != 1]
+    index = min(twice + strays, default=0)
+    cure = "leave it out, or name the file as its view names it, and no other"
+    if all(cameras) and twice and index == twice[0]:
+        (camera,) = found[index]
+        said = f"{images[index]!r} is the image of camera {camera}, as image {first[camera]} is"
+        return ViewCountError(f"{counts}, and {said}", field="images", index=index, cure=cure)
+    if all(cameras) and 0 < len(strays) < len(images):  # one file too many, not names of another kind
+        several = len(found[index])
+        those = f"{several} of them name" if several else "none of them names"
+        return ViewCountError(f"{counts}, and {those} {images[index]!r}", field="images", index=index, cure=cure)
+    cure = "send one camera per image, or name each view's image as its file is named"
+    return ViewCountError(counts, field="cameras", cure=cure)
+
+
+def _check_order(
+    images: Sequence[str],
+    cameras: Sequence[str | None],
+    found: Sequence[Sequence[int]],
+    camera_of: Mapping[int, int],
+) -> None:
+    """Raises `InputError` where an image and the camera that order gives it have names that contradict each other."""
     for place, places in enumerate(found):
-        if len(places) == 1 and places[0] != place:
+        camera = camera_of[place]
+        if len(places) == 1 and places[0] != camera:
+            names = f"names {cameras[camera]!r}" if cameras[camera] else "names none"
             raise InputError(
-                f"{images[place]!r} is named by camera {places[0]}, and by order would get camera {place}, which names "
-                f"{cameras[place]!r}",
+                f"{images[place]!r} is named by camera {places[0]}, and by order would get camera {camera}, which "
+                f"{names}",
                 field="images",
                 index=place,
                 cure="name all images as the cameras name theirs, each once, or leave the names out of the camera file",
@@ -103,20 +115,15 @@ def _check_order(images: Sequence[str], cameras: Sequence[str | None], found: Se
 class PostedSizes:
     """Sizes of the posted images for cameras that have none, from their headers alone; each is read at most once."""
 
-    def __init__(self, images: Sequence[NamedImage], max_pixels: int) -> None:
-        self._images = images
+    def __init__(self, images: Sequence[NamedImage], match: Match, max_pixels: int) -> None:
+        self._image_of = {camera: image for camera, image in zip(match.cameras, images, strict=True)}
+        self._place_of = {camera: place for place, camera in enumerate(match.cameras)}
         self._max_pixels = max_pixels
         self._sizes: dict[int, tuple[int, int]] = {}
 
     def __call__(self, name: str | None, index: int) -> tuple[int, int]:
-        """(width, height) in px of the image that the camera at `index` belongs to. Raises `CameraError`."""
-        places = [place for place, image in enumerate(self._images) if same_file(image.name, name)]
-        if len(places) != 1:
-            places = [index] if index < len(self._images) else []
-        if not places:
-            cure = "write w and h into the file; no image of this name was sent to read them from"
-            raise CameraError("has no image size", field="frames", index=index, cure=cure)
-        (place,) = places
-        if place not in self._sizes:
-            self._sizes[place] = image_size(self._images[place].data, index=place, max_pixels=self._max_pixels)
-        return self._sizes[place]
+        """(width, height) in px of the image that the camera at `index` of the file belongs to. Raises `ImageError`."""
+        if index not in self._sizes:
+            data, place = self._image_of[index].data, self._place_of[index]
+            self._sizes[index] = image_size(data, index=place, max_pixels=self._max_pixels)
+        return self._sizes[index]

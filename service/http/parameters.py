@@ -1,11 +1,29 @@
-"""Query parameters of a route as a model: one that is not among them is refused, and so is a number with a _ in it."""
+"""Query parameters: one that is given twice is refused by every route, and by those that have theirs as a model one
+that is not among them, and a number with a _ in it."""
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any, get_args
 
+from fastapi import Request
+from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
+
+
+def given_once(request: Request) -> None:
+    """Raises `RequestValidationError` for parameters that are given more than once: one would win without a word."""
+    values = request.query_params
+    counts = Counter(name for name, _ in values.multi_items())
+    told = "{} times, need it once"
+    errors = [
+        {"type": "repeated", "loc": ("query", name), "msg": told.format(count), "input": values.getlist(name)}
+        for name, count in counts.items()
+        if count > 1
+    ]
+    if errors:
+        raise RequestValidationError(errors)
 
 
 class Parameters(BaseModel):

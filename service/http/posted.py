@@ -33,7 +33,7 @@ def media_type(request: Request) -> str:
 async def posted_form(
     request: Request, settings: Settings, example: str, too_many: InputError
 ) -> AsyncIterator[FormData]:
-    """The form of a request, whose files go with the block; raises our own errors, never a framework's.
+    """The form of a request without a query, whose files go with the block; raises our own errors, never a framework's.
 
     `example` is a command line that sends such a form, `too_many` what is raised for more than `MAX_PARTS` files.
     """
@@ -42,6 +42,9 @@ async def posted_form(
         raise UnsupportedMediaType(
             f"the body is {declared[:100] or 'of no declared type'}, need {FORM}", field="body", cure=example
         )
+    if request.query_params:
+        field = next(iter(request.query_params))[:100]
+        raise InputError("is in the query beside a form", field=field, cure="make it a field of the form")
     try:
         with in_time(settings), full_is_refused("the upload"):
             form = await _Parser(

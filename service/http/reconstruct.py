@@ -64,7 +64,7 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
             del work  # and with it the photographs: they are on disk now
             request.scope[RELEASE]()
         if job is not None and kept:
-            return accepted_job(runtime, job, told.selection)
+            return accepted_job(runtime, job, told.document())
         if job is not None:
             job = await ended(runtime.desk, job, runtime.settings.wait_seconds, request.is_disconnected)
             if job.state != "done":
@@ -75,12 +75,7 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
 async def _answer(request: Request, runtime: Runtime, scene_id: str, form: str, told: Told, status: int) -> Response:
     """The stored scene with what this request alone says: its file names and how they were paired."""
     document = with_links(await anyio.to_thread.run_sync(runtime.store.document, scene_id), told.views)
-    document |= {
-        "images": list(told.images),
-        "paired_by": told.paired_by,
-        "selection": told.selection,
-        "warnings": [*told.warnings, *document["warnings"]],
-    }
+    document |= told.document() | {"warnings": [*told.warnings, *document["warnings"]]}
     headers = {"Location": document["links"]["self"], "Vary": "Accept, Prefer"}
     if status == 201:
         headers["Server-Timing"] = server_timing(document["timings"])

@@ -8,12 +8,14 @@ from urllib.parse import urlencode
 
 import anyio.to_thread
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from pydantic import Field
 
 from ..errors import FormatUnknown, InputError
 from ..formats.registry import FORMATS, MEDIA_TYPE, NAMES
 from ..scene_files import is_id
 from ..view_checks import MAX_VIEWS
 from .files import ASKED_AGAIN, Made, SceneFile, converted_file, etag_of, etag_of_converted, matches, not_modified
+from .parameters import Parameters
 from .responses import json_response
 from .runtime import Runtime, runtime_of
 from .schemas import SceneDocument, SceneList
@@ -28,14 +30,18 @@ _KEPT = "; ".join(f".{extension} {entry.keeps}" for extension, entry in FORMATS.
 # Ids are matched as paths: a slash in one, encoded or not, is an unknown scene and not another route.
 
 
+class PageQuery(Parameters):
+    """Which scenes to list."""
+
+    limit: int = Field(100, ge=1, le=1000, description="how many at most")
+    after: str | None = Field(None, max_length=60, description="`next` of the page before")
+
+
 @router.head("/scenes", include_in_schema=False)
 @router.get("/scenes", response_model=SceneList)
-def list_scenes(
-    runtime: Held,
-    limit: Annotated[int, Query(ge=1, le=1000, description="how many at most")] = 100,
-    after: Annotated[str | None, Query(max_length=60, description="`next` of the page before")] = None,
-) -> Response:
+def list_scenes(runtime: Held, query: Annotated[PageQuery, Query()]) -> Response:
     """Scenes, newest first, with their links; `next` names where the following page begins, null on the last."""
+    limit, after = query.limit, query.after
     rows = runtime.store.page(limit + 1, None if after is None else _place(after))
     scenes = [{**row.summary, "links": links(row.id, row.summary["views"])} for row in rows[:limit]]
     more = f"{rows[limit - 1].created_ns}-{rows[limit - 1].id}" if len(rows) > limit else None

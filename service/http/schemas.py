@@ -170,7 +170,10 @@ class Job(BaseModel):
     ahead: int = Field(ge=0, description="jobs that run or wait before it")
     stage: Step | None = Field(description="where it is, while it runs")
     problem: Problem | None = Field(None, description="why it failed or was cancelled")
-    selection: dict[str, Any] = Field({}, description="in the answer to the request alone: which views are used")
+    images: list[str] = Field([], description="this and the next three in the answer to the request alone: file names")
+    paired_by: str = Field("", description="how cameras were found for them")
+    selection: dict[str, Any] = Field({}, description="which views are used")
+    warnings: list[dict[str, Any]] = Field([], description="of what was sent; those of the scene are in its document")
     links: JobLinks
 
 

@@ -92,6 +92,15 @@ class Told:
         names = tuple(image.name for image in pairing.images)
         return cls(names, pairing.by, upload.selection, pairing.warnings, upload.views)
 
+    def document(self) -> dict[str, Any]:
+        """As plain JSON, in every answer to the request, be it a scene or a job."""
+        return {
+            "images": list(self.images),
+            "paired_by": self.paired_by,
+            "selection": self.selection,
+            "warnings": list(self.warnings),
+        }
+
 
 async def read_upload(request: Request, settings: Settings, models: Sequence[str] = (DEFAULT,)) -> Upload:
     """Read and check the form, where `models` are the names that it may choose from; raises the error that names the

@@ -25,8 +25,9 @@ class JobReader:
     def ahead(self, job: Job) -> int:
         """How many are queued before it or running."""
         rows = self._database.rows(
-            "SELECT count(*) FROM jobs WHERE state = 'running' OR (state = 'queued' AND (created, id) < (?, ?))",
-            [job.created, job.id],
+            "SELECT count(*) FROM jobs WHERE id != ? "
+            "AND (state = 'running' OR (state = 'queued' AND (created, id) < (?, ?)))",
+            [job.id, job.created, job.id],  # it may have begun since it was read
         )
         return int(rows[0][0])
 

@@ -77,6 +77,10 @@ def test_psnr_has_a_closed_form_and_ends_at_100_db():
     assert psnr(picture, truth, top) == pytest.approx(-10 * math.log10(0.125**2))
     assert psnr(picture, truth, ~top) == 100.0
     assert ssim(truth, truth) == pytest.approx(1.0)
+    white = np.ones((3, 16, 16), np.float32)
+    for grey in (1.0, 254 / 255, 253 / 255):  # nothing but brightness differs, and nothing of that is rounding
+        light = 2 * grey / (grey**2 + 1)
+        assert ssim(white * np.float32(grey), white) == pytest.approx(light, abs=1e-6)
     black = np.zeros((4, 4, 3), np.uint8)
     assert psnr(black, black + 255) == pytest.approx(0.0)
     assert psnr(black, black + 51) == pytest.approx(-20 * math.log10(0.2))

@@ -39,6 +39,22 @@ def test_a_fraction_lies_between_its_neighbours(cameras):
     assert rotation_angle(cameras[0].rotation.T @ quarter.rotation) == pytest.approx(0.05)
 
 
+@pytest.mark.parametrize("count", [1 / 3, 2 / 3 + 1])
+def test_a_place_has_as_many_digits_as_a_float(cameras, count):
+    found = resolve_view(str(count), cameras, pivot_depth=3)
+    first = int(count)
+    way = cameras[first + 1].center - cameras[first].center
+    np.testing.assert_allclose(found.center, cameras[first].center + (count - first) * way, atol=1e-15)
+    assert resolve_view(f"orbit:{count}", cameras, pivot_depth=3).width == 64
+
+
+def test_views_of_long_files_are_found(cameras):
+    many = cameras[:1] * 12_000
+    assert resolve_view("11999", many, pivot_depth=3) is cameras[0]
+    with pytest.raises(ViewError, match="12000 is out of range, there are 12000 views"):
+        resolve_view("12000", many, pivot_depth=3)
+
+
 def test_a_fraction_between_sizes_takes_the_first_and_its_rays(cameras):
     doubled = [cameras[0], cameras[1].resized(128, 96)]
     same = resolve_view("0.5", cameras[:2], pivot_depth=3)

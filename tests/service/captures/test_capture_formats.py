@@ -147,6 +147,24 @@ def test_frames_of_a_clip_may_have_any_names_in_their_order(tmp_path: Path) -> N
         open_capture(tmp_path).choose(Wish())
 
 
+def test_no_frame_of_a_clip_gets_the_photograph_that_another_one_names(tmp_path: Path) -> None:
+    """With one name that is a time stamp, names settle it for all: the frames without one have none."""
+    write_realestate10k(tmp_path, arc(3))
+    (tmp_path / "clip.txt").write_bytes(b"\xef\xbb\xbf" + (tmp_path / "clip.txt").read_bytes())  # as Windows begins it
+    images = tmp_path / "images"
+    assert not open_capture(tmp_path).by_sorted_name
+    (images / "1000000.png").rename(images / "zz.png")
+    for wish in (Wish("0,2"), Wish()):
+        with pytest.raises(ImageError, match="1000000 does not exist") as caught:
+            open_capture(tmp_path).choose(wish)
+        assert caught.value.index == 0
+    assert open_capture(tmp_path).choose(Wish("1,2")).paths == ("images/1033366.png", "images/1066732.png")
+    for number, path in enumerate(sorted(images.iterdir())):
+        path.rename(images / f"{number}.png")
+    assert open_capture(tmp_path).by_sorted_name
+    assert open_capture(tmp_path).choose(Wish("0,2")).paths == ("images/0.png", "images/2.png")
+
+
 def test_of_a_large_model_those_with_a_photograph_are_used(tmp_path: Path) -> None:
     write_colmap(tmp_path, arc(20))
     for path in sorted((tmp_path / "images" / "left side").iterdir()):

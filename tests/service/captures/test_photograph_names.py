@@ -11,7 +11,7 @@ from capture_scenes import arc, photograph, write_photographs, zipped
 
 from gapmes.service.camera_file import camera_document
 from gapmes.service.captures.capture import open_capture
-from gapmes.service.captures.names import MOST_PARTS, Endings, same_file, same_path
+from gapmes.service.captures.names import MOST_PARTS, Endings, places_of, same_file, same_path
 from gapmes.service.captures.select import Wish, named_views
 from gapmes.service.errors import ImageError, ViewError
 
@@ -52,6 +52,15 @@ def test_a_photograph_belongs_to_one_view(tmp_path: Path) -> None:
         capture.choose(Wish())
     assert (caught.value.field, caught.value.index) == ("views.image", 2)
     assert capture.choose(Wish(select="0,1")).paths == ("images/a.png", "images/b.png")
+
+
+def test_folders_may_be_in_another_case(tmp_path: Path) -> None:
+    named = ["Images/Left/0.png", "Images/Right/0.png"]
+    capture = open_capture(capture_of(tmp_path / "one", named, ["images/left/0.png", "images/right/0.PNG"]))
+    assert capture.choose(Wish()).paths == ("images/left/0.png", "images/right/0.PNG")
+    two = capture_of(tmp_path / "two", named, ["images/left/0.png", "images/RIGHT/0.png", "images/right/0.png"])
+    with pytest.raises(ImageError, match=r"Right/0\.png does not exist"):
+        open_capture(two).choose(Wish())
 
 
 @pytest.mark.parametrize("forms", [("NFC", "NFD"), ("NFD", "NFC")])
@@ -116,3 +125,21 @@ def test_endings_are_counted_of_different_names() -> None:
     assert endings.of("a/x.png") == ["a/x.png"]
     assert endings.of("b/y.png") == ["b/y.png", "y.png"]
     assert endings.of("/".join("abcdefg"))[0] == "/".join("abcdefg"[-MOST_PARTS:])
+
+
+@pytest.mark.parametrize(
+    ("posted", "names", "places"),
+    [
+        ("0.png", ["left/0.png", "right/0.png"], [0, 1]),
+        ("left/0.png", ["left/0.png", "right/0.png"], [0]),
+        ("LEFT\\0.png", ["left/0.png", "right/0.png"], [0]),
+        ("x/left/0.png", ["images/left/0.png", "images/right/0.png"], [0]),
+        ("left/0.png", ["0.png", "right/0.png"], [0]),
+        ("0.png", ["left/0.png", "0.png", None], [1]),
+        ("rgb/0.png", ["images/0.png", "images/1.png"], [0]),
+        ("0.png", ["0", "1"], [0]),
+        ("2.png", ["0.png", None], []),
+    ],
+)
+def test_a_posted_name_means_the_nearest(posted: str, names: list[str | None], places: list[int]) -> None:
+    assert places_of(posted, names) == places

@@ -287,6 +287,25 @@ def test_pages_of_scenes(client: TestClient) -> None:
     for bad in ("x", "1-x", "9" * 30 + "-" + "a" * 25, "9" * 19 + "-" + "a" * 32):
         assert_problem(client.get("/scenes", params={"after": bad}), 422, "invalid_input", "after")
     assert_problem(client.get("/scenes?limit=0"), 422, "parameter_invalid")
+    body = assert_problem(client.get("/scenes?limits=2"), 422, "parameter_invalid", "limits")
+    assert body["cure"] == "parameters: limit, after"
+
+
+@pytest.mark.parametrize(
+    ("path", "field"),
+    [("/render?view=0&view=2", "view"), ("/scenes?limit=1&after=&limit=1", "limit"), ("/healthz?a=1&a=2", "a")],
+)
+def test_a_parameter_is_given_once(client: TestClient, path: str, field: str) -> None:
+    body = assert_problem(client.get(path), 422, "parameter_invalid", field)
+    assert "2 times, need it once" in body["detail"]
+
+
+@pytest.mark.parametrize("route", ["/reconstruct", "/check", "/scenes"])
+def test_options_of_a_form_are_not_in_the_query(client: TestClient, route: str) -> None:
+    """Where they would be passed over."""
+    answer = client.post(f"{route}?near=2", files={"file": ("a.ply", b"ply")})
+    body = assert_problem(answer, 422, "invalid_input", "near", cured=True)
+    assert body["detail"] == "is in the query beside a form"
 
 
 def test_the_open_api_says_how_the_key_is_brought(locked: TestClient, client: TestClient) -> None:

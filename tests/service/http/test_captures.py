@@ -145,6 +145,15 @@ def test_more_than_six_photographs_are_an_accident_unless_a_choice_is_asked_for(
     said = document["selection"]
     assert (said["by"], said["of"], len(said["views"])) == ("score", 60, 2)
     assert document["images"] == [posted[view].split("|")[1] for view in said["views"]]
+    lines = views.splitlines()
+    lines[8] = b" ".join([*lines[8].split()[:7], b"9", *lines[8].split()[8:]])
+    broken = b"\n".join(lines)  # no rotation is in view 7
+    document = post_parts(client, broken, posted, context="2").json()
+    assert 7 not in document["selection"]["views"]
+    (refused,) = [warning for warning in document["warnings"] if warning["code"] == "views_refused"]
+    assert refused["message"].startswith("1 of 60 views have no camera that can be used, the first: ")
+    assert_problem(post_parts(client, broken, posted, select="7,9"), 422, "pose_not_rotation", index=7)
+    assert len(post_parts(client, broken, posted, select="8,9").json()["cameras"]) == 2
     document = post_parts(client, views, posted, select="view 0007.png,9").json()
     np.testing.assert_allclose(centres(document), expected(7, 9, count=count), atol=1e-12)
 

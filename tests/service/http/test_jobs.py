@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from http_requests import assert_problem, photograph, post, wait_until_ready
+from http_requests import assert_problem, camera_object, photograph, post, wait_until_ready
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
@@ -73,6 +73,23 @@ def test_a_job_from_its_answer_to_its_scene(client: TestClient) -> None:
     assert again["id"] != job["id"]
     assert (again["state"], again["links"]["scene"]) == ("done", job["links"]["scene"])
     assert [json.loads(e["data"])["state"] for e in followed(client, again)[1:]] == ["done"]
+
+
+def test_what_belongs_to_the_request_is_in_its_answer(client: TestClient) -> None:
+    """The scene document that the job leads to has none of it."""
+    cameras = camera_object()
+    for view, name in zip(cameras["views"], ("a.png", "b.png"), strict=True):
+        view["image"] = name
+    images, names = [photograph(310), photograph(311)], ["x.png", "y.png"]
+    job = post(client, images, cameras, names=names, prefer="respond-async").json()
+    followed(client, job)
+    answer = post(client, images, cameras, names=names).json()
+    assert [warning["code"] for warning in job["warnings"]] == ["names_differ"]
+    assert job["warnings"][0] in answer["warnings"]
+    for name in ("images", "paired_by", "selection"):
+        assert job[name] == answer[name]
+        assert name not in client.get(f"/jobs/{job['id']}").json()
+    assert job["warnings"][0] not in client.get(answer["links"]["self"]).json()["warnings"]
 
 
 def test_a_stream_goes_on_where_it_was_left(client: TestClient) -> None:

@@ -51,6 +51,45 @@ def test_order_does_not_give_an_image_to_another_camera_than_the_one_that_names_
     assert post(client, cameras=named("a.png", "b.png"), names=["x.png", "b.png"]).json()["paired_by"] == "order"
 
 
+THREE = [photograph(index) for index in range(3)]
+
+
+def test_folders_tell_equal_names_apart(client: TestClient) -> None:
+    cameras = named("left/0.png", "right/0.png", "left/1.png")
+    body = post(client, THREE, cameras=cameras, names=["right/0.png", "left/0.png", "left/1.png"]).json()
+    assert body["paired_by"] == "name"
+    assert centres(body) == [0.2, 0.0, 0.4]
+    assert all(warning["code"] != "names_differ" for warning in body["warnings"])
+    for other in ("here/left/0.png", "images/left/0.png"):
+        assert post(client, THREE, cameras=cameras, names=["right/0.png", other, "1.png"]).json()["paired_by"] == "name"
+
+
+def test_names_of_some_cameras_contradict_an_order_too(client: TestClient) -> None:
+    cameras = named("a.png", "b.png", "c.png")
+    del cameras["views"][2]["image"]
+    for names, said in (
+        (["b.png", "a.png", "c.png"], "by order would get camera 0, which names 'images/a.png'"),
+        (["x.png", "y.png", "a.png"], "by order would get camera 2, which names none"),
+    ):
+        answer = post(client, THREE, cameras=cameras, names=names)
+        assert answer.status_code == 422
+        assert said in answer.text
+    right, other = (
+        post(client, THREE, cameras=cameras, names=names) for names in (["a.png", "b.png", "z.png"], list("xyz"))
+    )
+    assert [answer.json()["paired_by"] for answer in (right, other)] == ["order", "order"]
+    codes = [[warning["code"] for warning in answer.json()["warnings"]] for answer in (right, other)]
+    assert ["names_differ" in each for each in codes] == [False, True]
+
+
+def test_an_image_that_was_sent_twice_is_named(client: TestClient) -> None:
+    problem = post(
+        client, THREE, cameras=named("a.png", "b.png", "c.png", "d.png"), names=["a.png", "b.png", "a.png"]
+    ).json()
+    assert (problem["field"], problem["index"]) == ("images", 2)
+    assert "4 cameras for 3 images, and 'a.png' is the image of camera 0, as image 0 is" in problem["detail"]
+
+
 def test_a_second_client_gets_its_own_names(client: TestClient) -> None:
     """The same photographs and cameras under other names: one scene, and no name of the first client's in an answer."""
     first = post(client, cameras=named("secret_a.png", "secret_b.png"), names=["secret_a.png", "secret_b.png"])
@@ -85,6 +124,7 @@ def parts_named(*names: str) -> list[Any]:
 def test_names_that_occur_twice_settle_nothing(client: TestClient) -> None:
     body = post(client, cameras=named("a.png", "a.png"), names=["a.png", "a.png"]).json()
     assert body["paired_by"] == "order"
+    assert all(warning["code"] != "names_differ" for warning in body["warnings"])
 
 
 def test_cameras_that_no_image_belongs_to_are_never_parsed(client: TestClient) -> None:

@@ -35,6 +35,7 @@ FOREIGN = [
     {"Origin": "http://testserver:81", "Sec-Fetch-Site": "same-site"},
     {"Origin": "null", "Sec-Fetch-Site": "cross-site"},
     {"Origin": "null", "Sec-Fetch-Site": "same-site"},
+    {"Origin": "null"},  # a sandboxed frame or a file
     {"Sec-Fetch-Site": "cross-site"},
     {"Origin": "http://[testserver"},
     {"Origin": "http://testserver:port"},
@@ -64,7 +65,7 @@ def test_pages_of_other_origins_are_refused(
     "headers",
     [
         {},
-        {"Origin": "null"},
+        {"Origin": "null", "Sec-Fetch-Site": "same-origin"},
         {"Origin": "http://testserver"},
         {"Origin": "HTTP://TestServer:80"},
         {"Origin": "https://testserver"},  # a proxy with TLS stands before it
