@@ -6,7 +6,7 @@ poses no depth makes them match.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -18,7 +18,7 @@ from .depth_range import DepthRange, depth_range_of_reading
 from .errors import ContradictionError
 from .images import FittedView
 from .plane_sweep import STEP_PX, best_planes, planes, step_px
-from .pose_readings import Reading, other_readings
+from .pose_readings import Reading, other_orders, other_readings
 from .view_checks import Notice
 from .window_match import match_score
 
@@ -28,6 +28,7 @@ PLANES = 32  # at least
 CLEAR_MARGIN = 0.15  # another reading that wins by this much,
 GOOD_SCORE = 0.7  # and matches this well,
 POOR_SCORE = 0.68  # where the given poses match worse than this: refused
+RIGHT_SCORE = 0.75  # right poses of the above score this at least
 MARGIN = 0.06  # another reading that wins by this much: a warning
 TIE = 0.03  # among other readings the one named first must lose by this much: the usual mistakes come first
 PLAIN = 0.05  # of white; pictures whose values differ by less show nothing that could tell them apart
@@ -47,8 +48,8 @@ def check_photos(
     of different poses are one, unless the caller says that the poses are to be trusted. What masks leave out is not
     compared. `numbers` are what the caller calls the views.
     """
-    twins = _twins(views, range(len(views)) if numbers is None else numbers, trust_poses)
-    return twins + _matching(views, depths, trust_poses)
+    numbers = range(len(views)) if numbers is None else numbers
+    return _twins(views, numbers, trust_poses) + _matching(views, depths, numbers, trust_poses)
 
 
 def _twins(views: Sequence[FittedView], numbers: Sequence[int], trust_poses: bool) -> list[Notice]:
@@ -66,7 +67,9 @@ def _twins(views: Sequence[FittedView], numbers: Sequence[int], trust_poses: boo
     return notices
 
 
-def _matching(views: Sequence[FittedView], depths: DepthRange, trust_poses: bool) -> list[Notice]:
+def _matching(
+    views: Sequence[FittedView], depths: DepthRange, numbers: Sequence[int], trust_poses: bool
+) -> list[Notice]:
     coarse = [coarse_view(view) for view in views]
     cameras = [view.camera for view in coarse]
     step = step_px(cameras, depths)  # for other readings as well: none wins by finer ones
@@ -74,7 +77,7 @@ def _matching(views: Sequence[FittedView], depths: DepthRange, trust_poses: bool
     if given is None:
         return [{"code": "no_texture", "field": "images", "message": "the photographs have nothing to match in common"}]
     best, reading = given + MARGIN, None
-    for other in _readings(cameras):
+    for other in _readings(cameras, numbers, given):
         other_depths = depth_range_of_reading(other.cameras, depths)
         score = None if other_depths is None else consistency(coarse, other.cameras, other_depths, step)
         if score is not None and score > best + (TIE if reading is not None else 0.0):
@@ -111,9 +114,8 @@ def consistency(
     return total / weight if weight > 0 else None
 
 
-def _readings(cameras: Sequence[Camera]) -> list[Reading]:
-    readings = list(other_readings(cameras))
-    if len(cameras) == 2:
-        swapped = tuple(reversed(cameras))
-        readings.append(Reading("the cameras of the other photograph", "swap the two cameras or images", swapped))
-    return readings
+def _readings(cameras: Sequence[Camera], numbers: Sequence[int], given: float) -> Iterator[Reading]:
+    """Of more than two photographs other orders are many: they are tried where right poses hardly ever score so low."""
+    yield from other_readings(cameras)
+    if len(cameras) == 2 or given < RIGHT_SCORE:
+        yield from other_orders(cameras, numbers)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,22 @@ def other_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
         Reading(name, cure, tuple(c.posed(pose) for c, pose in zip(cameras, changed, strict=True)))
         for name, cure, changed in readings
     )
+
+
+def other_orders(cameras: Sequence[Camera], numbers: Sequence[int]) -> Iterator[Reading]:
+    """The cameras of other photographs: any two exchanged, and of three also all passed on. `numbers` are what the
+    caller calls the views."""
+    count = len(cameras)
+    if count == 2:
+        swapped = tuple(reversed(cameras))
+        yield Reading("the cameras of the other photograph", "swap the two cameras or images", swapped)
+        return
+    exchanged = [[j if k == i else i if k == j else k for k in range(count)] for i, j in combinations(range(count), 2)]
+    passed_on = [[1, 2, 0], [2, 0, 1]] if count == 3 else []
+    for order in exchanged + passed_on:
+        moved = [f"{numbers[k]} fits that of {numbers[own]}" for k, own in enumerate(order) if k != own]
+        cure = f"send each photograph with its own camera, photograph {', '.join(moved)}"
+        yield Reading("the cameras of other photographs", cure, tuple(cameras[own] for own in order))
 
 
 def apart_when_inverted(cameras: Sequence[Camera]) -> str:

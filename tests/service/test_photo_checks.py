@@ -114,6 +114,43 @@ def test_swapped_cameras_of_two_photographs_are_noticed():
     assert "the cameras of the other photograph" in caught.value.cure
 
 
+@pytest.mark.parametrize(
+    ("order", "cure"),
+    [
+        ((1, 0, 2), "photograph 4 fits that of 7, 7 fits that of 4"),
+        ((0, 2, 1), "photograph 7 fits that of 9, 9 fits that of 7"),
+        ((2, 1, 0), "photograph 4 fits that of 9, 9 fits that of 4"),
+        ((1, 2, 0), "photograph 4 fits that of 9, 7 fits that of 4, 9 fits that of 7"),
+        ((2, 0, 1), "photograph 4 fits that of 7, 7 fits that of 9, 9 fits that of 4"),
+    ],
+)
+def test_cameras_of_three_photographs_in_another_order_are_named(order, cure):
+    """`order` is which camera each was sent with."""
+    views = sample_views((1, 3, 5))
+    assert check_photos(views, depth_range([view.camera for view in views])) == []
+    mixed = [replace(view, camera=views[place].camera) for view, place in zip(views, order, strict=True)]
+    depths = depth_range([view.camera for view in mixed])
+    (notice,) = check_photos(mixed, depths, trust_poses=True, numbers=(4, 7, 9))
+    assert notice["code"] == "poses_doubtful"
+    assert "these look like the cameras of other photographs: send each photograph with its own" in notice["message"]
+    assert f"{cure})" in notice["message"]
+
+
+def test_of_many_photographs_two_that_were_exchanged_are_named():
+    views = fitted(PlaneScene.make(np.random.default_rng(5), count=4, turn=0))
+    mixed = [replace(view, camera=views[place].camera) for view, place in zip(views, (3, 1, 2, 0), strict=True)]
+    assert check_photos(views, DEPTHS) == []
+    with pytest.raises(ContradictionError) as caught:
+        check_photos(mixed, DEPTHS)
+    assert "photograph 0 fits that of 3, 3 fits that of 0; if" in caught.value.cure
+
+
+def sample_views(indices):
+    listed = parse_camera_file(json.loads((sample_folder() / "cameras.json").read_text())).views
+    photos = [Photo.from_array(np.asarray(Image.open(sample_folder() / f"images/{i:03d}.png"))) for i in indices]
+    return [fit_view(photo, listed[i].camera, 256, 256) for photo, i in zip(photos, indices, strict=True)]
+
+
 @pytest.mark.case("P8")
 def test_unrelated_photographs_are_a_warning(plane_scene):
     others = [PlaneScene.make(np.random.default_rng(seed)).images[0] for seed in (1, 2, 3)]
