@@ -9,7 +9,7 @@ from .camera_fields import CameraFile as CameraFile
 from .camera_fields import NamedView as NamedView
 from .camera_fields import SizeOf, image_name, list_of, number_of, opencv_pose, optional_number
 from .errors import CameraError, IntrinsicsError
-from .lens_keys import COEFFICIENTS, require_known_lens
+from .lens_keys import COEFFICIENTS, refuse_bending_model, refuse_other_names
 from .transforms_file import parse_transforms
 
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
@@ -23,9 +23,9 @@ def parse_camera_file(
     """Parse a decoded cameras.json or transforms.json into OpenCV camera-to-world cameras.
 
     `size_of` supplies image sizes where a transforms.json leaves them out. Unknown keys are ignored, but for those that
-    would mean something elsewhere: a cameras.json with coefficients of a lens, with a view that has conventions or
-    bounds of its own, or with one of these misspelt is refused. With `indices` only those views are looked at, and come
-    in that order.
+    would mean something elsewhere: a cameras.json with coefficients of a lens or a model that bends, with a view that
+    has conventions or bounds of its own, or with one of these misspelt is refused. With `indices` only those views are
+    looked at, and come in that order.
     Raises `CameraError` or one of its children, naming field and view index.
     """
     document = _json_object(obj)
@@ -126,7 +126,8 @@ def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
 def _refuse_lens(obj: Mapping, field: str, index: int | None) -> None:
     """The cameras of a cameras.json are pinholes. Raises `IntrinsicsError` for a coefficient other than 0, and for
     what says of another lens."""
-    require_known_lens(obj, field=field, index=index)
+    refuse_bending_model(obj, field=field, index=index)
+    refuse_other_names(obj, field=field, index=index)
     for name in COEFFICIENTS:
         if obj.get(name) is not None and number_of(obj, name, field=field, index=index) != 0:
             raise IntrinsicsError(

@@ -4,12 +4,14 @@ coefficients have other names."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from .errors import IntrinsicsError
 
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 # Pinholes, and what can be undistorted to one.
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+BENDING = ("FISHEYE", "EQUIRECT", "SPHERICAL", "PANORAMA", "CYLINDR", "OMNI", "FOV", "THIN_PRISM", "DIVISION")
 OTHER_NAMES = (
     "distortion",
     "distortion_params",
@@ -19,36 +21,51 @@ OTHER_NAMES = (
     "dist_coeffs",
     "radial_distortion",
     "tangential_distortion",
-    "skew",
 )
+NOTHING = 1e-6  # of a coefficient: at the corner of a picture of 90 degrees it moves a point by a thousandth of a px
+UNDISTORT = "undistort the photographs first"
 
 
-def require_known_lens(values: Mapping, *, field: str, index: int | None) -> None:
-    """Raises `IntrinsicsError` for a model that does not become a pinhole, and for what is no 0 under other names than
-    those of COEFFICIENTS: passed over, a bent picture would be taken for a straight one."""
-    model = values.get("camera_model") or "OPENCV"
-    if model not in MODELS or values.get("is_fisheye"):
-        shown = "fisheye" if values.get("is_fisheye") else model
-        raise IntrinsicsError(
-            f"camera_model is {shown}, need a pinhole ({', '.join(MODELS)})",
-            field=f"{field}.camera_model",
-            index=index,
-            cure="undistort the photographs first",
-        )
+def require_pinhole_model(values: Mapping, *, field: str, index: int | None) -> None:
+    """Raises `IntrinsicsError` unless `camera_model` is one of MODELS, and for `is_fisheye`."""
+    model = str(values.get("camera_model") or "OPENCV")
+    if model.upper() not in MODELS:
+        _refuse(f"camera_model is {model[:60]}, need a pinhole ({', '.join(MODELS)})", f"{field}.camera_model", index)
+    _refuse_fisheye(values, field, index)
+
+
+def refuse_bending_model(values: Mapping, *, field: str, index: int | None) -> None:
+    """Raises `IntrinsicsError` for a `camera_model` that is no pinhole by its name, which may also be that of a device,
+    and for `is_fisheye`."""
+    model = str(values.get("camera_model") or "")
+    if any(word in model.upper() for word in BENDING):
+        _refuse(f"camera_model is {model[:60]}, need a pinhole", f"{field}.camera_model", index)
+    _refuse_fisheye(values, field, index)
+
+
+def refuse_other_names(values: Mapping, *, field: str, index: int | None) -> None:
+    """Raises `IntrinsicsError` for coefficients that are not 0 under other names than those of COEFFICIENTS, where
+    there are none of these: passed over, a bent picture would be taken for a straight one."""
     for name in OTHER_NAMES:
-        if _says_something(values.get(name)):
-            raise IntrinsicsError(
-                f"{name} = {str(values[name])[:60]}: a lens is read from {', '.join(COEFFICIENTS)} alone",
-                field=f"{field}.{name}",
-                index=index,
-                cure="undistort the photographs, or write a transforms.json with the coefficients under these names",
-            )
+        if _bends(values.get(name)) and not any(known in values for known in COEFFICIENTS):
+            message = f"{name} = {str(values[name])[:60]}: coefficients are read from {', '.join(COEFFICIENTS)} alone"
+            cure = "undistort the photographs, or name the coefficients so in a transforms.json"
+            _refuse(message, f"{field}.{name}", index, cure)
+    if _bends(values.get("skew")):
+        _refuse(f"skew = {str(values['skew'])[:60]}, need 0: a pinhole has none", f"{field}.skew", index)
 
 
-def _says_something(value: object) -> bool:
-    """Whether it is neither nothing nor zeros."""
-    if isinstance(value, list | tuple):
-        return any(map(_says_something, value))
-    if isinstance(value, Mapping):
-        return any(map(_says_something, value.values()))
-    return value not in (None, 0, "", False)
+def _refuse_fisheye(values: Mapping, field: str, index: int | None) -> None:
+    if str(values.get("is_fisheye") or "false").lower() not in ("false", "0", "no"):
+        _refuse("is_fisheye is set: the lens is a fisheye, need a pinhole", f"{field}.is_fisheye", index)
+
+
+def _refuse(message: str, field: str, index: int | None, cure: str = UNDISTORT) -> None:
+    raise IntrinsicsError(message, field=field, index=index, cure=cure)
+
+
+def _bends(value: Any) -> bool:
+    """Whether it is a number that is not 0, or holds one."""
+    if isinstance(value, list | tuple | Mapping):
+        return any(map(_bends, value.values() if isinstance(value, Mapping) else value))
+    return isinstance(value, int | float) and not abs(value) <= NOTHING

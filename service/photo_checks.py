@@ -28,7 +28,9 @@ PLANES = 32  # at least
 CLEAR_MARGIN = 0.15  # another reading that wins by this much,
 GOOD_SCORE = 0.7  # and matches this well,
 POOR_SCORE = 0.68  # where the given poses match worse than this: refused
-RIGHT_SCORE = 0.75  # right poses of the above score this at least
+# Other orders of three photographs are tried below the first, of more, which are many, below the second: most right
+# poses score more than the one, all of the above as much as the other.
+RIGHT_SCORES = (0.85, 0.75)
 MARGIN = 0.06  # another reading that wins by this much: a warning
 TIE = 0.03  # among other readings the one named first must lose by this much: the usual mistakes come first
 PLAIN = 0.05  # of white; pictures whose values differ by less show nothing that could tell them apart
@@ -80,7 +82,9 @@ def _matching(
     for other in _readings(cameras, numbers, given):
         other_depths = depth_range_of_reading(other.cameras, depths)
         score = None if other_depths is None else consistency(coarse, other.cameras, other_depths, step)
-        if score is not None and score > best + (TIE if reading is not None else 0.0):
+        if score is None or (other.order and score < GOOD_SCORE):  # of many orders some one matches a little better
+            continue
+        if score > best + (TIE if reading is not None else 0.0):
             best, reading = score, other
     if reading is None:
         if given >= HARDLY:
@@ -115,7 +119,6 @@ def consistency(
 
 
 def _readings(cameras: Sequence[Camera], numbers: Sequence[int], given: float) -> Iterator[Reading]:
-    """Of more than two photographs other orders are many: they are tried where right poses hardly ever score so low."""
     yield from other_readings(cameras)
-    if len(cameras) == 2 or given < RIGHT_SCORE:
+    if len(cameras) == 2 or given < RIGHT_SCORES[len(cameras) > 3]:
         yield from other_orders(cameras, numbers)

@@ -23,6 +23,7 @@ class Reading:
     looks_like: str  # finishes the sentence "these poses look like ..."
     cure: str
     cameras: tuple[Camera, ...]
+    order: bool = False  # one of many orders of the same cameras
 
 
 def other_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
@@ -64,7 +65,7 @@ def other_orders(cameras: Sequence[Camera], numbers: Sequence[int]) -> Iterator[
     for order in exchanged + passed_on:
         moved = [f"{numbers[k]} fits that of {numbers[own]}" for k, own in enumerate(order) if k != own]
         cure = f"send each photograph with its own camera, photograph {', '.join(moved)}"
-        yield Reading("the cameras of other photographs", cure, tuple(cameras[own] for own in order))
+        yield Reading("the cameras of other photographs", cure, tuple(cameras[own] for own in order), order=True)
 
 
 def apart_when_inverted(cameras: Sequence[Camera]) -> str:

@@ -19,7 +19,7 @@ from .camera_fields import (
 )
 from .distortion import Lens
 from .errors import CameraError, IntrinsicsError
-from .lens_keys import COEFFICIENTS, OTHER_NAMES, require_known_lens
+from .lens_keys import COEFFICIENTS, OTHER_NAMES, refuse_other_names, require_pinhole_model
 
 _LENGTHS, _ANGLES = ("fl_x", "fl_y"), ("camera_angle_x", "camera_angle_y")
 _OF_A_FRAME = (
@@ -31,6 +31,7 @@ _OF_A_FRAME = (
     "cy",
     *COEFFICIENTS,
     *OTHER_NAMES,
+    "skew",
     "camera_model",
     "is_fisheye",
 )  # the top says it for all
@@ -55,7 +56,8 @@ def parse_transforms(
         frame = frames[index]
         values = {**_of_the_top(common, frame), **frame}
         name = image_name(frame, "file_path", field="frames", index=index)
-        require_known_lens(values, field="frames", index=index)
+        require_pinhole_model(values, field="frames", index=index)
+        refuse_other_names(values, field="frames", index=index)
         width, height = _size(values, name, size_of, index)
         fx = _focal(values, "x", width, index)
         has_fy = "fl_y" in values or "camera_angle_y" in values

@@ -72,10 +72,16 @@ class Capture:
     @cached_property
     def by_sorted_name(self) -> bool:
         """Whether view i belongs to photograph i of all that there are, sorted by name: where the file has no names,
-        and where its names are time stamps and no photograph has one."""
-        return self.table.by_sorted_name or (
-            self.table.kind == "realestate10k" and not any(map(self._named, range(len(self.table.names))))
-        )
+        and where its names are time stamps and no photograph has that of another view than order gives it to."""
+        if self.table.by_sorted_name or self.table.kind != "realestate10k":
+            return self.table.by_sorted_name
+        named = {index: path for index in range(len(self.table.names)) if (path := self._named(index))}
+        if len(named) in (0, len(self.table.names)):
+            return not named
+        try:
+            return all(self._in_order()[index] == path for index, path in named.items())
+        except CaptureError:  # not as many photographs as views
+            return False
 
     def path_of(self, index: int) -> str:
         """Where the photograph of a view is. Raises `ImageError` where it is not there."""
@@ -83,13 +89,12 @@ class Capture:
             return self._in_order()[index]
         return self._photographs.find(self.table.names[index], index)
 
-    def _named(self, index: int) -> bool:
-        """Whether a photograph has the name of this view."""
+    def _named(self, index: int) -> str | None:
+        """The photograph that has the name of this view."""
         try:
-            self._photographs.find(self.table.names[index], index)
+            return self._photographs.find(self.table.names[index], index)
         except ImageError:
-            return False
-        return True
+            return None
 
     def choose(self, wish: Wish, near: float | None = None, far: float | None = None) -> ChosenViews:
         """The views that are wished for; `near` and `far` are the user's, which win over the file's.

@@ -6,12 +6,14 @@ import posixpath
 import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
 
 from .files import joined
 
 MOST_PARTS = 4  # of a name, from its end, by which a photograph is looked for where the whole is not there
 
 
+@lru_cache(maxsize=8192)
 def key(name: str) -> str:
     """What two spellings of a path have in common: macOS stores letters decomposed, Windows writes backslashes."""
     return unicodedata.normalize("NFC", joined(name)).lower()
@@ -31,17 +33,19 @@ def same_path(typed: str, name: str | None) -> bool:
 
 
 def places_of(posted: str, names: Sequence[str | None]) -> list[int]:
-    """Which of `names` mean the posted file: of those whose last part does the very same, else those that share most
-    of the folders above it, else those that say nothing of them."""
+    """Which of `names` mean the posted file: those whose last part is its own. Where it has folders, of these the very
+    same, else those whose folders agree with its own as far up as both have some, else those with most of them."""
     near = [place for place, name in enumerate(names) if same_file(posted, name)]
-    ranks = [_nearness(posted, names[place] or "") for place in near]
-    return [place for place, rank in zip(near, ranks, strict=True) if rank == max(ranks)]
-
-
-def _nearness(posted: str, wanted: str) -> tuple[bool, int, bool]:
-    have, want = _folders(posted), _folders(wanted)
-    shared = len(posixpath.commonprefix([have[::-1], want[::-1]]))
-    return key(posted) == key(wanted), shared, shared == min(len(have), len(want))
+    if len(near) < 2 or not _folders(posted):
+        return near
+    exact = [place for place in near if key(names[place] or "") == key(posted)]
+    agreeing = exact or [place for place in near if same_path(posted, names[place])]
+    if agreeing:
+        return agreeing
+    have = _folders(posted)[::-1]
+    shared = [len(posixpath.commonprefix([have, _folders(names[place] or "")[::-1]])) for place in near]
+    most = max(shared)
+    return [place for place, count in zip(near, shared, strict=True) if count == most]
 
 
 def _folders(path: str) -> list[str]:

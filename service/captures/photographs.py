@@ -30,7 +30,7 @@ class Photographs:
         places = [joined(beside, "."), *(joined(base, folder) for folder in FOLDERS)]
         self._places = list(dict.fromkeys(places))
         self._listed: dict[str, dict[str, list[str]]] = {}
-        self._folders: dict[str, Sequence[str]] = {}
+        self._below: dict[str, dict[str, list[str]]] = {}
 
     def find(self, name: str | None, index: int) -> str:
         """Path of a photograph: at its name, else with a suffix that it lacks or in another case, else at the end of
@@ -104,14 +104,19 @@ class Photographs:
         """The folder at `path`, or the one that differs from it by case alone."""
         found = ""
         for part in path.split("/") if path else ():
-            if found not in self._folders:
-                self._folders[found] = self._files.folders(found)
-            names = self._folders[found]
-            same = [part] if part in names else [name for name in names if key(name) == key(part)]
-            if len(same) != 1:
+            same = self._named_like(found).get(key(part), [])
+            if part not in same and len(same) != 1:
                 return path
-            found = joined(found, same[0])
+            found = joined(found, part if part in same else same[0])
         return found
+
+    def _named_like(self, folder: str) -> dict[str, list[str]]:
+        """The folders in `folder` by their names as `key` has them."""
+        if folder not in self._below:
+            self._below[folder] = {}
+            for name in self._files.folders(folder):
+                self._below[folder].setdefault(key(name), []).append(name)
+        return self._below[folder]
 
     def _by_key(self, folder: str) -> dict[str, list[str]]:
         """Photographs of a folder by their names as `key` has them, with and without suffix."""

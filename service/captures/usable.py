@@ -8,25 +8,35 @@ from ..camera_fields import CameraFile
 from ..errors import IntrinsicsError, PoseError
 from ..view_checks import MIN_VIEWS, Notice
 
+Cameras = Callable[[Sequence[int]], CameraFile]  # of these views
 
-def usable_views(
-    indices: Sequence[int], cameras: Callable[[Sequence[int]], CameraFile]
-) -> tuple[list[int], CameraFile, tuple[Notice, ...]]:
+
+def usable_views(indices: Sequence[int], cameras: Cameras) -> tuple[list[int], CameraFile, tuple[Notice, ...]]:
     """Those of the views whose lens can be made a pinhole and whose pose is one, their cameras, and the warning that
     others are not. Raises what the first of them raises where fewer than two are left."""
     try:
         return list(indices), cameras(indices), ()
     except (IntrinsicsError, PoseError):
         pass
-    usable, refused = [], []
-    for index in indices:
-        try:
-            cameras([index])
-            usable.append(index)
-        except (IntrinsicsError, PoseError) as error:
-            refused.append(error)
+    refused: list[IntrinsicsError | PoseError] = []
+    usable = _sifted(indices, cameras, refused)
+    first = refused[0]
     if len(usable) < MIN_VIEWS:
-        raise refused[0]
-    message = f"{len(refused)} of {len(indices)} views have no camera that can be used, the first: {refused[0]}"
-    warning: Notice = {"code": "views_refused", "field": "cameras", "message": message}
+        raise first
+    message = f"{len(refused)} of {len(indices)} views have no camera that can be used"
+    message = f"{message}, the first is {first.index}: {first}"
+    warning: Notice = {"code": "views_refused", "field": "cameras", "index": first.index, "message": message}
     return usable, cameras(usable), (warning,)
+
+
+def _sifted(indices: Sequence[int], cameras: Cameras, refused: list[IntrinsicsError | PoseError]) -> list[int]:
+    """By halves: hardly any are bad as a rule."""
+    try:
+        cameras(indices)
+        return list(indices)
+    except (IntrinsicsError, PoseError) as error:
+        if len(indices) == 1:
+            refused.append(error)
+            return []
+    middle = len(indices) // 2
+    return _sifted(indices[:middle], cameras, refused) + _sifted(indices[middle:], cameras, refused)

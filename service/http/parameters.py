@@ -12,8 +12,10 @@ from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 
-def given_once(request: Request) -> None:
-    """Raises `RequestValidationError` for parameters that are given more than once: one would win without a word."""
+async def given_once(request: Request) -> None:
+    """Raises `RequestValidationError` for parameters that are given more than once: one would win without a word.
+
+    A coroutine, since the framework gives functions a thread, for which every request would wait."""
     values = request.query_params
     counts = Counter(name for name, _ in values.multi_items())
     told = "{} times, need it once"

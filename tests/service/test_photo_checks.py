@@ -136,6 +136,25 @@ def test_cameras_of_three_photographs_in_another_order_are_named(order, cure):
     assert f"{cure})" in notice["message"]
 
 
+@pytest.mark.parametrize("indices", [(2, 3, 4), (0, 3, 6)])
+def test_wrong_orders_of_close_and_of_wide_views_are_noticed(indices):
+    views = sample_views(indices)
+    assert check_photos(views, depth_range([view.camera for view in views])) == []
+    noticed = 0
+    for order in ((1, 0, 2), (0, 2, 1), (2, 1, 0), (1, 2, 0), (2, 0, 1)):
+        mixed = [replace(view, camera=views[place].camera) for view, place in zip(views, order, strict=True)]
+        noticed += len(check_photos(mixed, depth_range([view.camera for view in mixed]), trust_poses=True))
+    assert noticed >= 4  # measured 5 and 5
+
+
+@pytest.mark.parametrize("bounds", [(4.0, 50.0), (8.0, 100.0)])
+def test_wrong_bounds_are_not_taken_for_a_wrong_order(bounds):
+    """Of many orders some one matches a little better by chance."""
+    (notice,) = check_photos(sample_views((1, 3, 5)), DepthRange(*bounds, "given"))
+    assert notice["code"] == "photos_hardly_match"
+    assert "are near and far right?" in notice["message"]
+
+
 def test_of_many_photographs_two_that_were_exchanged_are_named():
     views = fitted(PlaneScene.make(np.random.default_rng(5), count=4, turn=0))
     mixed = [replace(view, camera=views[place].camera) for view, place in zip(views, (3, 1, 2, 0), strict=True)]

@@ -165,6 +165,19 @@ def test_no_frame_of_a_clip_gets_the_photograph_that_another_one_names(tmp_path:
     assert open_capture(tmp_path).choose(Wish("0,2")).paths == ("images/0.png", "images/2.png")
 
 
+def test_time_stamps_that_are_also_numbers_of_frames_do_not_spoil_the_order(tmp_path: Path) -> None:
+    """The photograph 0 is that of the time stamp 0 and the first of all: nothing contradicts their order."""
+    write_realestate10k(tmp_path, arc(3))
+    lines = (tmp_path / "clip.txt").read_text().splitlines()
+    (tmp_path / "clip.txt").write_text("\n".join([lines[0], "0 " + lines[1].split(" ", 1)[1], *lines[2:]]))
+    for number, path in enumerate(sorted((tmp_path / "images").iterdir())):
+        path.rename(tmp_path / "images" / f"{number}.png")
+    assert open_capture(tmp_path).choose(Wish()).paths == ("images/0.png", "images/1.png", "images/2.png")
+    (tmp_path / "images" / "2.png").unlink()  # now nothing tells whose the photograph 1 is
+    with pytest.raises(ImageError, match="1033366 does not exist"):
+        open_capture(tmp_path).choose(Wish())
+
+
 def test_of_a_large_model_those_with_a_photograph_are_used(tmp_path: Path) -> None:
     write_colmap(tmp_path, arc(20))
     for path in sorted((tmp_path / "images" / "left side").iterdir()):

@@ -7,17 +7,19 @@ import io
 import json
 import re
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from capture_scenes import arc, names, photograph, write_cameras_json, write_colmap, write_transforms, zipped
 
+from gapmes.service.camera_fields import CameraFile
 from gapmes.service.captures.archive import ZipFiles
 from gapmes.service.captures.capture import open_capture, read_camera_file
 from gapmes.service.captures.colmap_text import read_images
 from gapmes.service.captures.select import Wish
+from gapmes.service.captures.usable import usable_views
 from gapmes.service.errors import CameraError, CaptureError, IntrinsicsError, PoseError
 
 
@@ -120,7 +122,7 @@ def test_a_view_that_cannot_be_used_keeps_none_of_the_others(
         assert found.selection["of"] == 9
         (warning,) = found.warnings
         assert warning["code"] == "views_refused"
-        assert warning["message"].startswith("1 of 9 views have no camera that can be used, the first: ")
+        assert warning["message"].startswith("1 of 9 views have no camera that can be used, the first is ")
         assert words in warning["message"]
     with pytest.raises(error, match=words):
         open_capture(tmp_path).choose(Wish(select="0,7"))
@@ -169,3 +171,20 @@ def test_two_spellings_of_one_path_are_one_file_twice() -> None:
         archive.writestr("a\\x.png", b"2")
     with pytest.raises(CaptureError, match=r"'a\\\\x\.png' is there twice|'a/x\.png' is there twice"):
         ZipFiles(buffer)
+
+
+def test_few_bad_views_of_many_cost_few_readings() -> None:
+    """A reading of one view looks at the whole list of a file."""
+    asked = []
+
+    def cameras(indices: Sequence[int]) -> CameraFile:
+        asked.append(len(indices))
+        if bad := [index for index in indices if index in (70, 1500)]:
+            raise PoseError("is none", field="views.c2w", index=bad[0])
+        return CameraFile(())
+
+    usable, _, (warning,) = usable_views(range(2000), cameras)
+    assert usable == [index for index in range(2000) if index not in (70, 1500)]
+    assert (warning["code"], warning["index"]) == ("views_refused", 70)
+    assert "2 of 2000 views have no camera that can be used, the first is 70: " in warning["message"]
+    assert len(asked) < 60

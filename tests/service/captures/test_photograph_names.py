@@ -11,6 +11,7 @@ from capture_scenes import arc, photograph, write_photographs, zipped
 
 from gapmes.service.camera_file import camera_document
 from gapmes.service.captures.capture import open_capture
+from gapmes.service.captures.files import FolderFiles
 from gapmes.service.captures.names import MOST_PARTS, Endings, places_of, same_file, same_path
 from gapmes.service.captures.select import Wish, named_views
 from gapmes.service.errors import ImageError, ViewError
@@ -61,6 +62,21 @@ def test_folders_may_be_in_another_case(tmp_path: Path) -> None:
     two = capture_of(tmp_path / "two", named, ["images/left/0.png", "images/RIGHT/0.png", "images/right/0.png"])
     with pytest.raises(ImageError, match=r"Right/0\.png does not exist"):
         open_capture(two).choose(Wish())
+
+
+def test_a_folder_of_folders_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A zip may have 20,000 of them, and as many views whose photographs are elsewhere."""
+    count = 40
+    named = [f"cam{index}/rgb.png" for index in range(count)]
+    there = [f"frame{index}/rgb.png" for index in range(count)]
+    asked: list[str] = []
+    real = FolderFiles.folders
+    monkeypatch.setattr(FolderFiles, "folders", lambda self, folder: asked.append(folder) or real(self, folder))
+    capture = open_capture(capture_of(tmp_path, named, there))
+    asked.clear()
+    with pytest.raises(ImageError, match="does not exist"):
+        capture.choose(Wish())
+    assert len(asked) == len(set(asked)) < 20
 
 
 @pytest.mark.parametrize("forms", [("NFC", "NFD"), ("NFD", "NFC")])
@@ -135,7 +151,13 @@ def test_endings_are_counted_of_different_names() -> None:
         ("LEFT\\0.png", ["left/0.png", "right/0.png"], [0]),
         ("x/left/0.png", ["images/left/0.png", "images/right/0.png"], [0]),
         ("left/0.png", ["0.png", "right/0.png"], [0]),
-        ("0.png", ["left/0.png", "0.png", None], [1]),
+        (
+            "0.png",
+            ["left/0.png", "0.png", None],
+            [0, 1],
+        ),  # browsers leave folders out
+        ("images/0.png", ["0.png", "right/images/0.png"], [0, 1]),
+        ("right/images/0.png", ["left/images/0.png", "right/0.png"], [0]),
         ("rgb/0.png", ["images/0.png", "images/1.png"], [0]),
         ("0.png", ["0", "1"], [0]),
         ("2.png", ["0.png", None], []),

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import anyio.to_thread
 import pytest
 from http_requests import assert_problem, photograph, post, wait_until_ready
 from starlette.testclient import TestClient
@@ -298,6 +299,20 @@ def test_pages_of_scenes(client: TestClient) -> None:
 def test_a_parameter_is_given_once(client: TestClient, path: str, field: str) -> None:
     body = assert_problem(client.get(path), 422, "parameter_invalid", field)
     assert "2 times, need it once" in body["detail"]
+
+
+def test_a_probe_needs_no_thread(client: TestClient) -> None:
+    """While all of the pool's are busy, on a slow disk say, the process is alive all the same."""
+    assert client.portal is not None
+    limiter = client.portal.call(anyio.to_thread.current_default_thread_limiter)
+    borrowers = [object() for _ in range(int(limiter.total_tokens))]
+    for borrower in borrowers:
+        client.portal.call(limiter.acquire_on_behalf_of, borrower)
+    try:
+        assert client.get("/healthz").status_code == 200
+    finally:
+        for borrower in borrowers:
+            client.portal.call(limiter.release_on_behalf_of, borrower)
 
 
 @pytest.mark.parametrize("route", ["/reconstruct", "/check", "/scenes"])

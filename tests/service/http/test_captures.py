@@ -151,7 +151,8 @@ def test_more_than_six_photographs_are_an_accident_unless_a_choice_is_asked_for(
     document = post_parts(client, broken, posted, context="2").json()
     assert 7 not in document["selection"]["views"]
     (refused,) = [warning for warning in document["warnings"] if warning["code"] == "views_refused"]
-    assert refused["message"].startswith("1 of 60 views have no camera that can be used, the first: ")
+    assert refused["message"].startswith("1 of 60 views have no camera that can be used, the first is 7: ")
+    assert refused["index"] == 7
     assert_problem(post_parts(client, broken, posted, select="7,9"), 422, "pose_not_rotation", index=7)
     assert len(post_parts(client, broken, posted, select="8,9").json()["cameras"]) == 2
     document = post_parts(client, views, posted, select="view 0007.png,9").json()
