@@ -29,6 +29,9 @@ class Budget:
     stride: int = 1  # a Gaussian per so many pixels in both directions; another model, of which no bound is known
 
     def __post_init__(self) -> None:
+        if isinstance(self.asked, str):
+            message = f"is the text {self.asked[:50]!r}, need several of them"
+            raise InputError(message, field="asked", cure='give a tuple such as ("orbit:20",)')
         object.__setattr__(self, "asked", tuple(sorted(set(self.asked))))
         if self.max_error is not None:
             checked_max_error(self.max_error)
@@ -45,9 +48,9 @@ KEEP_ALL = Budget(None)
 
 def checked_max_error(value: float) -> float:
     """A budget on a change of colour, 0..1. Raises `InputError`."""
-    if not 0 <= value <= 1:
+    if isinstance(value, bool) or not 0 <= value <= 1:
         raise InputError(
-            f"is {value:g}, need 0 to 1", field="max_error", cure="1/255 = 0.0039 is one level of 8 bits; off keeps all"
+            f"is {value}, need 0 to 1", field="max_error", cure="1/255 = 0.0039 is one level of 8 bits; off keeps all"
         )
     return float(value)
 

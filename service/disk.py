@@ -40,6 +40,8 @@ def replacing(path: Path) -> Iterator[Path]:
                 shutil.copyfileobj(made, taken)
         return
     path = path.resolve()
+    if not path.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     part = path.with_name(f".gapmes-{secrets.token_hex(8)}")
     with unfinished(part):
         try:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -139,8 +140,11 @@ class Doctor:
         nearest = next(path for path in (folder, *folder.parents) if path.exists())
         free = shutil.disk_usage(nearest).free / 2**20
         text = f"{folder}, {free:,.0f} MB free"
-        if not os.access(nearest, os.W_OK | os.X_OK):
-            return "failure", f"{text}, cannot be written"
+        try:
+            with TemporaryDirectory(prefix=".gapmes-", dir=nearest):
+                pass
+        except OSError as error:
+            return "failure", f"{text}, cannot be written: {error.strerror}"
         there = "" if nearest == folder else ", will be made"
         return ("ok" if free >= LEAST_DISK_MB else "warning"), text + there
 

@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .backends.choice import DEFAULT_ENGINE, EngineName, Session, Sides, identity, made_by, open_session
+from .backends.choice import (
+    DEFAULT_ENGINE,
+    EngineName,
+    Session,
+    Sides,
+    checked_engine,
+    identity,
+    made_by,
+    open_session,
+)
 from .contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from .errors import ModelError
 from .model_file import model_file
@@ -36,6 +45,7 @@ class Engine:
         or its weights are missing, are not what they should be, or are no gapmes model of this format, and where its
         graph takes other shapes than its metadata say.
         """
+        engine = checked_engine(engine)
         file = model_file(shipped_model() if model is None else Path(model))
         self.threads = threads if threads is not None else available_threads()
         if self.threads < 1:

@@ -58,6 +58,8 @@ class GapmesError(Exception):
         self.field = field
         self.index = index
         self.cure = cure
+        if index is not None:
+            self.add_note(f"index: {index}")  # a traceback shows it; the text for people has it where it belongs
         self.extra = extra
 
     def __str__(self) -> str:

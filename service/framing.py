@@ -56,7 +56,7 @@ def even(camera: Camera) -> Camera:
 
 def parse_size(text: str) -> tuple[int, int]:
     """`WxH` in pixels, such as 640x480."""
-    match = re.fullmatch(r"([1-9]\d{0,4})[x×]([1-9]\d{0,4})", text.strip().lower())
+    match = re.fullmatch(r"([1-9]\d{0,8})[x×]([1-9]\d{0,8})", text.strip().lower())
     if match is None:
         raise ViewError(f"{text!r} is not a size", field="size", cure="give WIDTHxHEIGHT in pixels, such as 640x480")
     return int(match[1]), int(match[2])

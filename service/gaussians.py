@@ -69,7 +69,9 @@ class Gaussians:
         return round(self.harmonics.shape[1] ** 0.5) - 1
 
     def __getitem__(self, selection: Selection) -> Gaussians:
-        """The subset that a mask, slice or index array selects, in its order."""
+        """The subset that a mask, slice or index array selects, in its order. Raises `TypeError` for one number."""
+        if isinstance(selection, int | np.integer):
+            raise TypeError(f"{selection} selects no set: give a slice such as [{selection}:][:1]")
         return Gaussians(
             self.means[selection],
             self.scales[selection],

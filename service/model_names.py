@@ -35,7 +35,7 @@ def model_paths(model: Path | None, further: str) -> dict[str, Path]:
         if name in paths:
             cure = "the default one is GAPMES_MODEL" if name == DEFAULT else "give each name once"
             raise InputError(f"the name {name!r} is taken", field=VARIABLE, index=index, cure=cure)
-        paths[name] = Path(path)
+        paths[name] = Path(path).expanduser()
     return paths
 
 

@@ -162,6 +162,14 @@ def binary_rows(data: bytes, header: Header, element: Element) -> NDArray:
     return np.frombuffer(data, row, count=_whole_rows(data, offset, element, row.itemsize), offset=offset)
 
 
+def end_of_binary(data: bytes, header: Header) -> int:
+    """The offset behind the last element of a binary file whose every element is whole."""
+    offset = header.body
+    for element in header.elements:
+        offset = _skip_binary(data, offset, element, header.byte_order or "<")
+    return offset
+
+
 def _row_type(element: Element, byte_order: str) -> np.dtype:
     return np.dtype([(prop.name, byte_order + prop.kind) for prop in element.properties])
 

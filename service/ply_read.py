@@ -27,6 +27,7 @@ from .formats.dialect import (
 from .formats.reading import DROP_CURE, LARGEST, Reading, Source, bytes_of, check_count, passed_over
 from .gaussians import Gaussians
 from .harmonics import C0
+from .ply_behind import behind
 from .ply_format import Header, parse_header, vertex_columns
 
 F64 = NDArray[np.float64]
@@ -65,7 +66,7 @@ def inspect_ply(
     rest, coloured = _checked_properties(header)
     check_count(header.vertex.count, max_count, "vertex")
     columns = vertex_columns(data, header)
-    remarks = _passed_over(header, rest, coloured)
+    remarks = _passed_over(header, rest, coloured) + behind(data, header)
     if coloured:
         remarks.append(_colours(columns, header))
     names = (*REQUIRED, *(f"f_rest_{i}" for i in range(rest)))
@@ -144,6 +145,9 @@ def _colours(columns: dict[str, F64], header: Header) -> str:
     kinds = {prop.name: prop.kind for prop in header.vertex.properties}
     for name, colour in zip(CONSTANT, COLOURS, strict=True):
         kind = np.dtype(kinds[colour])
+        if kind.kind != "f" and kind not in (np.uint8, np.uint16):  # no number says which of theirs is white
+            message = f"is of type {kinds[colour]}, need uchar, ushort, float or double"
+            raise PlyError(message, field=f"vertex.{colour}", cure="write them so, or f_dc_0, f_dc_1 and f_dc_2")
         full = 1.0 if kind.kind == "f" else float(np.iinfo(kind).max)
         _require((columns[colour] >= 0) & (columns[colour] <= full), columns[colour], colour, f"from 0 to {full:g}")
         columns[name] = (columns[colour] / full - 0.5) / C0

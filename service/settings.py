@@ -47,6 +47,12 @@ class Settings(BaseSettings):
         allow_inf_nan=False,
     )
 
+    @field_validator("*", mode="after")
+    @classmethod
+    def _at_home(cls, value: Any) -> Any:
+        """No shell reads `~` in a file of settings."""
+        return value.expanduser() if isinstance(value, Path) else value
+
     host: str = Field("127.0.0.1", description="address that `gapmes serve` listens on")
     port: int = Field(8000, ge=0, le=65535, description="port that `gapmes serve` listens on; 0 takes a free one")
     model: Path | None = Field(None, description="ONNX model file; empty means the `tiny` network of the package")

@@ -70,7 +70,7 @@ def convert(
         gaussians = reading.gaussians
         with stages.stage("convert"):
             encoded = target.write(gaussians)
-        values: list[float] = []
+        values: list[float | None] = []
         unmeasured: list[str] = []
         if measure != "off" and len(gaussians):
             kept = target.read(encoded.data, STANDARD, False, None).gaussians
@@ -83,13 +83,16 @@ def convert(
         with named(output):
             replace_file(output, encoded.data)
     passed_over = [] if capture is None else [notice["message"] for notice in capture.table.warnings]
+    if blind := [str(place) for place, value in enumerate(values) if value is None]:
+        where = f"of {len(values)} cameras {', '.join(blind[:10])}{', …' if len(blind) > 10 else ''}"
+        unmeasured.append(f"{where} see nothing of the Gaussians, so that nothing was compared there")
     warnings = [*passed_over, *reading.notes(), *encoded.notes, *unmeasured]
     bars.say(
         f"{len(gaussians)} Gaussians in {output}: {len(encoded.data):,} bytes, "
         f"{len(encoded.data) / max(before, 1):.1%} of {before:,}"
     )
-    if values:
-        bars.say(f"pictures keep {min(values):.1f} dB or more ({', '.join(f'{value:.1f}' for value in values)})")
+    if measured := [value for value in values if value is not None]:
+        bars.say(f"pictures keep {min(measured):.1f} dB or more ({', '.join(f'{value:.1f}' for value in measured)})")
     for warning in warnings:
         bars.say(f"warning: {warning}")
     if as_json:

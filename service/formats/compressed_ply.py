@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import PlyError
 from ..gaussians import Gaussians
 from ..harmonics import C0
+from ..ply_behind import behind
 from ..ply_format import Element, Header, binary_rows, parse_header
 from ..ply_write import require_float32
 from .encoded import INTO_THE_SCENE, Encoded, clamped_note, position_note, quantized
@@ -81,7 +82,7 @@ def read_compressed_ply(data: bytes, *, drop_invalid: bool = False, max_count: i
         "opacities": unit[:, 3],
         "harmonics": np.concatenate([constant, higher], axis=1),
     }
-    remarks = tuple(_passed_over(header, chunk))
+    remarks = (*_passed_over(header, chunk), *behind(data, header))
     return gaussians_of(fields, "compressed_ply", drop_invalid=drop_invalid, remarks=remarks)
 
 

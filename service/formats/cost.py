@@ -20,13 +20,15 @@ def picture_psnr(
     *,
     threads: int | None = None,
     step: Callable[[int], None] = lambda done: None,
-) -> list[float]:
-    """dB per camera over all pixels on black, colours cut to [0, 1]; 100 where both pictures are equal."""
+) -> list[float | None]:
+    """dB per camera over all pixels on black, colours cut to [0, 1]; 100 where both pictures are equal, None where
+    nothing is drawn in either."""
     from ..splat import render
 
-    values = []
+    values: list[float | None] = []
     for camera in cameras:
-        drawn = [render(some, camera, threads=threads, outputs=(), **near_plane).rgb for some in (source, kept)]
-        values.append(psnr(*(np.clip(picture, 0.0, 1.0) for picture in drawn)))
+        drawn = [render(some, camera, threads=threads, outputs=(), **near_plane) for some in (source, kept)]
+        seen = any(picture.stats["projected"] for picture in drawn)
+        values.append(psnr(*(np.clip(picture.rgb, 0.0, 1.0) for picture in drawn)) if seen else None)
         step(len(values))
     return values

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..errors import InputError
 
 F64 = NDArray[np.float64]
 
@@ -22,6 +24,13 @@ Axes = Literal["rub", "rdf"]  # of a .spz: right-up-back, or right-down-front as
 
 SCALE_NAMES = ("scale_0", "scale_1", "scale_2")
 ROTATION_NAMES = ("rot_0", "rot_1", "rot_2", "rot_3")
+
+_FORMS: dict[str, tuple[str, ...]] = {
+    "opacity": ("auto", *get_args(OpacityForm)),
+    "scales": ("auto", *get_args(ScaleForm)),
+    "rotation": ("auto", *get_args(RotationOrder)),
+    "axes": get_args(Axes),
+}
 
 FEWEST = 1000  # rows: below that a share of them proves nothing
 EDGE = 0.01  # width of the outermost strip at 0 or 1
@@ -42,6 +51,12 @@ class Dialect:
     scales: Literal["auto"] | ScaleForm = "auto"
     rotation: Literal["auto"] | RotationOrder = "auto"
     axes: Axes = "rub"  # of a .spz
+
+    def __post_init__(self) -> None:
+        for name, forms in _FORMS.items():
+            if (given := getattr(self, name)) not in forms:
+                need = f"need one of {', '.join(forms)}"
+                raise InputError(f"is {str(given)[:50]!r}, {need}", field=name, cure="leave it out for the usual one")
 
 
 STANDARD = Dialect("logit", "log", "wxyz")  # of what this service writes

@@ -90,7 +90,7 @@ def spz_bytes(gaussians: Gaussians) -> Encoded:
     names = ("means", "rotations_wxyz", "harmonics")
     turned = _turned({name: getattr(gaussians, name).astype(np.float64) for name in names})
     means, count = turned["means"], len(gaussians)
-    fraction = _fraction(means, typical_size(gaussians))
+    fraction = _fraction(gaussians.means, typical_size(gaussians))  # names a position as it is in the source
     fixed = np.rint(means * 2.0**fraction).astype(np.int32)
     colours, colours_outside = quantized(
         (COLOUR_SHARE * turned["harmonics"][:, 0] + 0.5) * COLOUR_LEVELS, COLOUR_LEVELS
@@ -218,7 +218,7 @@ def _turned(fields: dict[str, NDArray]) -> dict[str, NDArray]:
     }
 
 
-def _fraction(means: NDArray[np.float64], size: float) -> int:
+def _fraction(means: NDArray[np.floating], size: float) -> int:
     """As many fractional bits as Gaussians of a typical size ask for and the farthest coordinate leaves room for."""
     farthest = float(np.abs(means).max(initial=0.0))
     wanted = np.ceil(np.log2(SHARE_OF_SIZE / size)) if size > 0 else MAX_FRACTION

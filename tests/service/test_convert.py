@@ -59,6 +59,26 @@ def test_every_format_is_written_and_its_cost_is_said(ply: Path, name: str, capf
     assert set(document["timings"]) == {"read", "convert", "measure"}
 
 
+def test_cameras_that_see_nothing_certify_nothing(ply: Path, cameras: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    document = json.loads(cameras.read_text())
+    away = json.loads(json.dumps(document["views"][0]))
+    away["c2w"][0][0] = away["c2w"][2][2] = -1.0  # turned round
+    for views, values, said in (
+        ([away], [None], "of 1 cameras 0 see nothing of the Gaussians"),
+        (
+            [document["views"][0], away],
+            [pytest.approx(60, abs=15), None],
+            "of 2 cameras 1 see nothing of the Gaussians",
+        ),
+    ):
+        cameras.write_text(json.dumps({"views": views}))
+        found = converted(capfd, ply, ply.with_name("out.splat"), "--measure", cameras)
+        assert found["psnr"] == values
+        assert any(said in warning for warning in found["warnings"])
+    assert run("convert", ply, ply.with_name("out.splat"), "--measure", cameras, "--threads", 1) == 0
+    assert re.search(r"pictures keep \d\d\.\d dB or more \(\d\d\.\d\)", capfd.readouterr().err)
+
+
 @pytest.mark.parametrize("source", FORMATS)
 @pytest.mark.parametrize("target", FORMATS)
 def test_any_to_any(ply: Path, source: str, target: str, capfd: pytest.CaptureFixture[str]) -> None:

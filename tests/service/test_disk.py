@@ -110,6 +110,12 @@ def test_what_is_raised_inside_ends_it(tmp_path: Path) -> None:
     assert contents(tmp_path) == {"file": b"as it was"}
 
 
+def test_a_folder_that_is_not_there_is_named_by_the_file_that_was_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError) as caught:
+        replace_file(tmp_path / "no" / "x.ply", b"")
+    assert caught.value.filename == str(tmp_path / "no" / "x.ply")
+
+
 def test_a_link_stays_one_and_a_long_name_is_no_trouble(tmp_path: Path) -> None:
     file = tmp_path / ("n" * 255)
     link = tmp_path / "link"

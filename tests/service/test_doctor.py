@@ -72,7 +72,13 @@ def test_little_memory_and_disk_are_doubts(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_store_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(doctor.os, "access", lambda *_: False)
+    def refused(**_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    before = list(tmp_path.iterdir())
+    assert Doctor(Settings(store=tmp_path / "new"))._store()[1].endswith("MB free, will be made")
+    assert list(tmp_path.iterdir()) == before
+    monkeypatch.setattr(doctor, "TemporaryDirectory", refused)
     state, text = Doctor(Settings(store=tmp_path))._store()
     assert state == "failure"
     assert "cannot be written" in text

@@ -75,6 +75,14 @@ def test_the_default_thread_count_needs_no_cpu_affinity(standin_model, monkeypat
     assert Engine(standin_model).threads == os.cpu_count()
 
 
+@pytest.mark.parametrize("name", ["openvino-fp16", "onnxruntime-x", "openvino", "openvino_fp32", "x"])
+def test_an_engine_that_is_none_is_refused(standin_model, name):
+    """Its results would tell of another precision than they have."""
+    with pytest.raises(ModelError, match="is no engine") as caught:
+        Engine(standin_model, threads=1, engine=name)
+    assert caught.value.field == "engine"
+
+
 def test_missing_file_is_named(tmp_path):
     with pytest.raises(ModelError, match=r"nothing\.onnx cannot be read: No such file") as caught:
         Engine(tmp_path / "nothing.onnx")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from ply_cases import assert_same, gaussians
 
 from gapmes.service.camera import Camera
+from gapmes.service.errors import FormatError
 from gapmes.service.formats.compressed_ply import CHUNK
 from gapmes.service.formats.dialect import Dialect
 from gapmes.service.formats.encoded import typical_size
@@ -261,3 +263,14 @@ def test_positions_far_from_the_origin_are_said_to_move(name: str) -> None:
     [note] = [note for note in FORMATS[name].write(moved).notes if "positions" in note]
     assert note.startswith("positions move by up to")
     assert not any("positions" in note for note in FORMATS[name].write(base).notes)
+
+
+def test_a_refused_position_is_that_of_the_source() -> None:
+    """Not as it would be in the file's own axes."""
+    far = gaussians(3, degree=0)
+    means = far.means.astype(np.float64)
+    means[2] = [-24218330.0, -11945084.0, 4756529.0]
+    with pytest.raises(FormatError, match=r"position \[-24218330\.0, -11945084\.0, 4756529\.0\] is farther") as caught:
+        FORMATS["spz"].write(replace(far, means=means))
+    assert caught.value.index == 2
+    assert caught.value.__notes__ == ["index: 2"]

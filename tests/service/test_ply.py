@@ -159,3 +159,11 @@ def test_dots_alone_do_not_force_double():
     before.scales[:] = 0
     before.means[:] += 1e-10
     assert b"property float x\n" in ply_bytes(before)
+
+
+def test_one_number_selects_no_set() -> None:
+    some = gaussians(3)
+    assert len(some[1:2]) == len(some[np.array([1])]) == 1
+    for number in (1, np.int64(1), True):
+        with pytest.raises(TypeError, match="selects no set"):
+            some[number]

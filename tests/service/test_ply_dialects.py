@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ply_cases import assert_same, binary_file, columns, gaussians
 
-from gapmes.service.errors import PlyError
+from gapmes.service.errors import InputError, PlyError
 from gapmes.service.formats.dialect import STANDARD, Dialect
+from gapmes.service.formats.registry import FORMATS, inspect_gaussians
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import C0
 from gapmes.service.ply import inspect_ply, ply_bytes, read_ply
@@ -285,3 +286,46 @@ def test_read_ply_logs_what_it_took(caplog: pytest.LogCaptureFixture) -> None:
     source = scene()
     read_ply(foreign(source, **linear_opacity(source)))
     assert "taken as they are" in caplog.text
+
+
+def test_colours_of_a_type_without_a_white_are_refused() -> None:
+    levels = {name: np.full(10, 200, np.int32) for name in ("red", "green", "blue")}
+    data = foreign(scene(10), f_dc_0=None, f_dc_1=None, f_dc_2=None, **levels)
+    with pytest.raises(PlyError, match="is of type i4, need uchar, ushort, float or double") as caught:
+        inspect_ply(data)
+    assert caught.value.field == "vertex.red"
+
+
+@pytest.mark.parametrize(
+    ("given", "field"),
+    [
+        ({"rotation": "WXYZ"}, "rotation"),
+        ({"axes": "RUB"}, "axes"),
+        ({"opacity": "x"}, "opacity"),
+        ({"scales": 3}, "scales"),
+    ],
+)
+def test_a_dialect_that_is_none_is_refused(given: dict, field: str) -> None:
+    with pytest.raises(InputError, match="need one of") as caught:
+        Dialect(**given)
+    assert caught.value.field == field
+
+
+def test_what_lies_behind_the_declared_rows_is_said() -> None:
+    """Another count in the header hides Gaussians."""
+    data = ply_bytes(scene(1000))
+    row = (len(data) - data.index(b"end_header\n") - 11) // 1000
+    short = data.replace(b"element vertex 1000", b"element vertex 900")
+    reading = inspect_ply(short)
+    assert len(reading.gaussians) == 900
+    assert f"{100 * row} bytes behind the 900 rows that the header declares were passed over" in reading.notes()[-1]
+    assert not any("behind" in note for note in inspect_ply(data).notes())
+    names = list(columns(data))
+    header = "".join(f"property float {name}\n" for name in names)
+    lines = "\n".join(" ".join(["0"] * (len(names) - 4) + ["1", "0", "0", "0"]) for _ in range(5))
+    text = f"ply\nformat ascii 1.0\nelement vertex 3\n{header}end_header\n{lines}\n\n"
+    assert any("2 lines behind the 3 rows" in note for note in inspect_ply(text.encode()).notes())
+    packed = FORMATS["compressed.ply"].write(scene(10)).data
+    assert any("7 bytes behind the 10 rows" in note for note in inspect_gaussians(packed + bytes(7))[0].notes())
+    faces = text.replace("end_header", "element face 2\nproperty list uchar int vertex_indices\nend_header")
+    assert not any("behind" in note for note in inspect_ply(faces.encode()).notes())

@@ -292,6 +292,10 @@ def test_certified_views_are_inputs_then_the_path_then_what_was_asked():
         with pytest.raises(InputError, match="certify"):
             Budget(certify=value)
     assert Budget(asked=("1", "0.5", "1")).asked == ("0.5", "1")
+    with pytest.raises(InputError, match="is the text 'orbit:20', need several"):
+        Budget(asked="orbit:20")
+    with pytest.raises(InputError, match="is True, need 0 to 1"):
+        Budget(max_error=True)
 
 
 def test_budgets_as_text():

@@ -120,3 +120,13 @@ def test_names_that_nothing_reads_are_told_apart_from_those_that_something_reads
     others = ["GAPMES_STORE_PORT", "GAPMES_STORE_SERVICE_HOST", "GAPMES_QUEUE"]
     known = [f"GAPMES_{name.upper()}" for name in Settings.model_fields]
     assert strange_variables([*known, *elsewhere, *others, "gapmes_port"]) == sorted(others)
+
+
+def test_home_is_where_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No shell reads the ~ of a file of settings."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("GAPMES_STORE", "~/scenes")
+    monkeypatch.setenv("GAPMES_MODELS", "other=~/other.onnx")
+    settings = Settings()
+    assert settings.store == tmp_path / "scenes"
+    assert settings.model_paths()["other"] == tmp_path / "other.onnx"
