@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 
 from .errors import InputError
 from .plain_number import plain_float
@@ -29,7 +30,7 @@ class Budget:
     stride: int = 1  # a Gaussian per so many pixels in both directions; another model, of which no bound is known
 
     def __post_init__(self) -> None:
-        if isinstance(self.asked, str):
+        if isinstance(self.asked, str | bytes):
             message = f"is the text {self.asked[:50]!r}, need several of them"
             raise InputError(message, field="asked", cure='give a tuple such as ("orbit:20",)')
         object.__setattr__(self, "asked", tuple(sorted(set(self.asked))))
@@ -48,7 +49,7 @@ KEEP_ALL = Budget(None)
 
 def checked_max_error(value: float) -> float:
     """A budget on a change of colour, 0..1. Raises `InputError`."""
-    if isinstance(value, bool) or not 0 <= value <= 1:
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= value <= 1:
         raise InputError(
             f"is {value}, need 0 to 1", field="max_error", cure="1/255 = 0.0039 is one level of 8 bits; off keeps all"
         )

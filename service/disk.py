@@ -41,7 +41,8 @@ def replacing(path: Path) -> Iterator[Path]:
         return
     path = path.resolve()
     if not path.parent.is_dir():
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+        number = errno.ENOTDIR if path.parent.exists() else errno.ENOENT
+        raise OSError(number, os.strerror(number), str(path))  # which becomes the class of its number
     part = path.with_name(f".gapmes-{secrets.token_hex(8)}")
     with unfinished(part):
         try:

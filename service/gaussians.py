@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from types import EllipsisType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +71,7 @@ class Gaussians:
 
     def __getitem__(self, selection: Selection) -> Gaussians:
         """The subset that a mask, slice or index array selects, in its order. Raises `TypeError` for one number."""
-        if isinstance(selection, int | np.integer):
+        if not isinstance(selection, slice | EllipsisType) and not np.asarray(selection).ndim:
             raise TypeError(f"{selection} selects no set: give a slice such as [{selection}:][:1]")
         return Gaussians(
             self.means[selection],

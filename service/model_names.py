@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from .errors import InputError, ModelUnknown
+from .home import at_home
 from .shipped import shipped_model
 
 DEFAULT = "default"
@@ -35,7 +36,10 @@ def model_paths(model: Path | None, further: str) -> dict[str, Path]:
         if name in paths:
             cure = "the default one is GAPMES_MODEL" if name == DEFAULT else "give each name once"
             raise InputError(f"the name {name!r} is taken", field=VARIABLE, index=index, cure=cure)
-        paths[name] = Path(path).expanduser()
+        try:
+            paths[name] = at_home(Path(path))
+        except ValueError as error:
+            raise InputError(str(error), field=VARIABLE, index=index, cure="write the whole path") from error
     return paths
 
 

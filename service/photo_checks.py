@@ -82,7 +82,7 @@ def _matching(
     for other in _readings(cameras, numbers, given):
         other_depths = depth_range_of_reading(other.cameras, depths)
         score = None if other_depths is None else consistency(coarse, other.cameras, other_depths, step)
-        if score is None or (other.order and score < GOOD_SCORE):  # of many orders some one matches a little better
+        if score is None or (other.order and given < HARDLY and score < GOOD_SCORE):  # by chance, of so many
             continue
         if score > best + (TIE if reading is not None else 0.0):
             best, reading = score, other

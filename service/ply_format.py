@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 
@@ -158,19 +159,12 @@ def binary_rows(data: bytes, header: Header, element: Element) -> NDArray:
         )
     for other in before:
         offset = _skip_binary(data, offset, other, order)
-    row = _row_type(element, order)
+    row = row_type(element, order)
     return np.frombuffer(data, row, count=_whole_rows(data, offset, element, row.itemsize), offset=offset)
 
 
-def end_of_binary(data: bytes, header: Header) -> int:
-    """The offset behind the last element of a binary file whose every element is whole."""
-    offset = header.body
-    for element in header.elements:
-        offset = _skip_binary(data, offset, element, header.byte_order or "<")
-    return offset
-
-
-def _row_type(element: Element, byte_order: str) -> np.dtype:
+def row_type(element: Element, byte_order: str) -> np.dtype:
+    """Of an element without lists."""
     return np.dtype([(prop.name, byte_order + prop.kind) for prop in element.properties])
 
 
@@ -190,7 +184,7 @@ def _whole_rows(data: bytes, offset: int, element: Element, row_bytes: int) -> i
 
 def _skip_binary(data: bytes, offset: int, element: Element, byte_order: str) -> int:
     if not element.lists:
-        row_bytes = _row_type(element, byte_order).itemsize
+        row_bytes = row_type(element, byte_order).itemsize
         return offset + _whole_rows(data, offset, element, row_bytes) * row_bytes
     for index in range(element.count):
         for prop in element.properties:
@@ -217,15 +211,17 @@ def _require_bytes(data: bytes, offset: int, size: int, element: Element, index:
         )
 
 
+def filled_lines(data: bytes, header: Header) -> Iterator[bytes]:
+    """Of the body of an ASCII file, without blank ones."""
+    found = (match.group() for match in _LINE.finditer(data, header.body))
+    return (line for line in found if line.strip())
+
+
 def _ascii_columns(data: bytes, header: Header) -> dict[str, F64]:
     """One row per line, blank lines left out."""
     start = sum(element.count for element in header.before("vertex") if element.properties)
     vertex = header.vertex
-    found = (match.group() for match in _LINE.finditer(data, header.body))
-    filled = (line for line in found if line.strip())
-    lines = list(
-        islice(filled, start, start + vertex.count)
-    )  # those before are passed over, those behind not looked for
+    lines = list(islice(filled_lines(data, header), start, start + vertex.count))  # those before are passed over
     if vertex.count > len(lines):
         raise PlyError(
             f"{vertex.count} rows are declared, the file has {len(lines)} lines of them",

@@ -15,6 +15,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from .backends.choice import DEFAULT_ENGINE, EngineName
 from .detail_level import DETAILS
 from .errors import InputError
+from .home import at_home
 from .model_names import model_paths
 
 PREFIX = "GAPMES_"
@@ -51,7 +52,7 @@ class Settings(BaseSettings):
     @classmethod
     def _at_home(cls, value: Any) -> Any:
         """No shell reads `~` in a file of settings."""
-        return value.expanduser() if isinstance(value, Path) else value
+        return at_home(value) if isinstance(value, Path) else value
 
     host: str = Field("127.0.0.1", description="address that `gapmes serve` listens on")
     port: int = Field(8000, ge=0, le=65535, description="port that `gapmes serve` listens on; 0 takes a free one")

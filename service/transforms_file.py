@@ -89,7 +89,7 @@ def _lens(
     given: dict[str, Any] = {
         name: number_of(values, name, field="frames", index=index) for name in COEFFICIENTS if name in values
     }
-    if not (given.get("k5") or given.get("k6")) and values.get("camera_model") != "FULL_OPENCV":
+    if not (given.get("k5") or given.get("k6")) and str(values.get("camera_model")).upper() != "FULL_OPENCV":
         given["r8"] = given.pop("k4", 0.0)
     return Lens(*size, *focal, *center, **given)
 

@@ -57,7 +57,8 @@ def costs(service: Reconstructor, folder: Path, fade: int) -> dict[str, Cost]:
     for name, entry in FORMATS.items():
         data = entry.write(scene.gaussians).data
         kept = entry.read(data, AUTO, False, None).gaussians
-        result[name] = Cost(len(data), picture_psnr(scene.gaussians, kept, cameras, near_plane))
+        values = picture_psnr(scene.gaussians, kept, cameras, near_plane)
+        result[name] = Cost(len(data), [value for value in values if value is not None])  # of cameras that see it
     return result
 
 

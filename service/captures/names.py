@@ -35,7 +35,9 @@ def same_path(typed: str, name: str | None) -> bool:
 def places_of(posted: str, names: Sequence[str | None]) -> list[int]:
     """Which of `names` mean the posted file: those whose last part is its own. Where it has folders, of these the very
     same, else those whose folders agree with its own as far up as both have some, else those with most of them."""
-    near = [place for place, name in enumerate(names) if same_file(posted, name)]
+    last = posixpath.basename(key(posted))
+    near = [place for place, name in enumerate(names) if name and posixpath.basename(key(name)) == last]
+    near = near or [place for place, name in enumerate(names) if same_file(posted, name)]
     if len(near) < 2 or not _folders(posted):
         return near
     exact = [place for place in near if key(names[place] or "") == key(posted)]

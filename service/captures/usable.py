@@ -18,25 +18,28 @@ def usable_views(indices: Sequence[int], cameras: Cameras) -> tuple[list[int], C
         return list(indices), cameras(indices), ()
     except (IntrinsicsError, PoseError):
         pass
-    refused: list[IntrinsicsError | PoseError] = []
+    refused: list[tuple[int, IntrinsicsError | PoseError]] = []
     usable = _sifted(indices, cameras, refused)
-    first = refused[0]
+    if not refused:  # what is wrong is wrong with all of them together
+        return usable, cameras(usable), ()
+    index, first = refused[0]
     if len(usable) < MIN_VIEWS:
         raise first
-    message = f"{len(refused)} of {len(indices)} views have no camera that can be used"
-    message = f"{message}, the first is {first.index}: {first}"
-    warning: Notice = {"code": "views_refused", "field": "cameras", "index": first.index, "message": message}
+    message = f"{len(refused)} of {len(indices)} views have no camera that can be used, the first is {index}: {first}"
+    warning: Notice = {"code": "views_refused", "field": "cameras", "index": index, "message": message}
     return usable, cameras(usable), (warning,)
 
 
-def _sifted(indices: Sequence[int], cameras: Cameras, refused: list[IntrinsicsError | PoseError]) -> list[int]:
+def _sifted(
+    indices: Sequence[int], cameras: Cameras, refused: list[tuple[int, IntrinsicsError | PoseError]]
+) -> list[int]:
     """By halves: hardly any are bad as a rule."""
     try:
         cameras(indices)
         return list(indices)
     except (IntrinsicsError, PoseError) as error:
         if len(indices) == 1:
-            refused.append(error)
+            refused.append((indices[0], error))
             return []
     middle = len(indices) // 2
     return _sifted(indices[:middle], cameras, refused) + _sifted(indices[middle:], cameras, refused)

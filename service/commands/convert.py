@@ -84,8 +84,8 @@ def convert(
             replace_file(output, encoded.data)
     passed_over = [] if capture is None else [notice["message"] for notice in capture.table.warnings]
     if blind := [str(place) for place, value in enumerate(values) if value is None]:
-        where = f"of {len(values)} cameras {', '.join(blind[:10])}{', …' if len(blind) > 10 else ''}"
-        unmeasured.append(f"{where} see nothing of the Gaussians, so that nothing was compared there")
+        which = f"{', '.join(blind[:10])}{', …' if len(blind) > 10 else ''} of {len(values)}, counted from 0"
+        unmeasured.append(f"nothing was compared where cameras see nothing of the Gaussians: {which}")
     warnings = [*passed_over, *reading.notes(), *encoded.notes, *unmeasured]
     bars.say(
         f"{len(gaussians)} Gaussians in {output}: {len(encoded.data):,} bytes, "

@@ -226,6 +226,12 @@ def test_inverse_is_exact_for_the_test_poses():
         (lambda f: f.update(skew=30), "cameras.skew", "skew = 30, need 0"),
         (lambda f: f["views"][0].update(is_fisheye=True), "views.is_fisheye", "is_fisheye is set"),
         (lambda f: f.update(camera_model="opencv_fisheye"), "cameras.camera_model", "is opencv_fisheye, need a pin"),
+        (lambda f: f["views"][0].update(camera_model="equidistant"), "views.camera_model", "is equidistant, need"),
+        (lambda f: f.update(camera_model="DOUBLE_SPHERE"), "cameras.camera_model", "is DOUBLE_SPHERE, need"),
+        (lambda f: f.update(camera_model="FOV"), "cameras.camera_model", "is FOV, need"),
+        (lambda f: f.update(k1=None, distortion=[0.4]), "cameras.distortion", "distortion = "),
+        (lambda f: f["views"][0].update(k1=0, distortion="0.4 0.1"), "views.distortion", "distortion = 0.4 0.1"),
+        (lambda f: f.update(skew="3"), "cameras.skew", "skew = 3, need 0"),
         (lambda f: f["views"][1].update(axes="opengl"), "views.axes", "axes = 'opengl' stands in a view"),
         (lambda f: f["views"][0].update(near=1.0), "views.near", r"near = 1.0 stands in a view"),
         (
@@ -248,8 +254,9 @@ def test_keys_that_would_mean_something_elsewhere_are_refused(change, field, wor
 def test_keys_that_mean_nothing_are_left_alone():
     file = json.loads(json.dumps(our_file()))
     file |= {"licence": "ours", "suggested": {"context2": [0, 1]}, "year": 2026, "purpose": "near the door", "k1": None}
-    file["views"][0] |= {"time": 3, "k1": 0.0, "k2": 0, "near": None, "axes": None, "skew": 1e-12, "distortion": [0.1]}
+    file["views"][0] |= {"time": 3, "k1": 0.0, "k2": 0, "near": None, "axes": None, "skew": 1e-3, "distortion": "none"}
     file["views"][1] |= {"distortion": [0.0, 1e-9], "radial_distortion": {"k1": 0, "model": "none"}, "dist_coeffs": "0"}
     file |= {"camera_model": "pinhole", "is_fisheye": "false"}
     assert parse_camera_file(file).views[0].camera.width == 640
-    assert parse_camera_file(file | {"camera_model": "Some Phone 13 Pro", "is_fisheye": False}).views
+    for device in ("Some Phone 13 Pro", "OmniVision OV5647", "Azure Kinect NFOV", "RealSense (FOV 90)"):
+        assert parse_camera_file(file | {"camera_model": device, "is_fisheye": False}).views

@@ -64,11 +64,11 @@ def test_cameras_that_see_nothing_certify_nothing(ply: Path, cameras: Path, capf
     away = json.loads(json.dumps(document["views"][0]))
     away["c2w"][0][0] = away["c2w"][2][2] = -1.0  # turned round
     for views, values, said in (
-        ([away], [None], "of 1 cameras 0 see nothing of the Gaussians"),
+        ([away], [None], "see nothing of the Gaussians: 0 of 1, counted from 0"),
         (
             [document["views"][0], away],
             [pytest.approx(60, abs=15), None],
-            "of 2 cameras 1 see nothing of the Gaussians",
+            "see nothing of the Gaussians: 1 of 2, counted from 0",
         ),
     ):
         cameras.write_text(json.dumps({"views": views}))

@@ -114,6 +114,9 @@ def test_a_folder_that_is_not_there_is_named_by_the_file_that_was_asked_for(tmp_
     with pytest.raises(FileNotFoundError) as caught:
         replace_file(tmp_path / "no" / "x.ply", b"")
     assert caught.value.filename == str(tmp_path / "no" / "x.ply")
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(NotADirectoryError):
+        replace_file(tmp_path / "file" / "x.ply", b"")
 
 
 def test_a_link_stays_one_and_a_long_name_is_no_trouble(tmp_path: Path) -> None:

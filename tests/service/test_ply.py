@@ -164,6 +164,6 @@ def test_dots_alone_do_not_force_double():
 def test_one_number_selects_no_set() -> None:
     some = gaussians(3)
     assert len(some[1:2]) == len(some[np.array([1])]) == 1
-    for number in (1, np.int64(1), True):
+    for number in (1, np.int64(1), np.array(1), True, None):
         with pytest.raises(TypeError, match="selects no set"):
             some[number]

@@ -130,3 +130,15 @@ def test_home_is_where_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
     settings = Settings()
     assert settings.store == tmp_path / "scenes"
     assert settings.model_paths()["other"] == tmp_path / "other.onnx"
+    assert Settings(model=Path("~other.onnx")).model == Path("~other.onnx")  # a name that begins so
+
+
+def test_a_home_that_nobody_knows_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(_: Path) -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "expanduser", unknown)
+    with pytest.raises(ValidationError, match="begins with ~, and HOME is not set"):
+        Settings(store=Path("~/scenes"))
+    with pytest.raises(InputError, match="begins with ~, and HOME is not set"):
+        Settings(store=Path("scenes"), models="a=~/x.onnx").model_paths()

@@ -87,7 +87,7 @@ def test_a_file_of_instant_ngp():
 
 
 def test_k4_is_of_the_denominator_where_k5_or_the_model_says_so():
-    for more in ({"k5": 1e-9}, {"camera_model": "FULL_OPENCV"}):
+    for more in ({"k5": 1e-9}, {"camera_model": "FULL_OPENCV"}, {"camera_model": "full_opencv"}):
         lens = parse_camera_file(transforms(k4=0.05, **more)).views[0].lens
         assert (lens.k4, lens.r8) == (0.05, 0.0)
 

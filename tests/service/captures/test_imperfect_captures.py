@@ -122,7 +122,8 @@ def test_a_view_that_cannot_be_used_keeps_none_of_the_others(
         assert found.selection["of"] == 9
         (warning,) = found.warnings
         assert warning["code"] == "views_refused"
-        assert warning["message"].startswith("1 of 9 views have no camera that can be used, the first is ")
+        assert warning["message"].startswith("1 of 9 views have no camera that can be used, the first is 7: ")
+        assert warning["index"] == 7
         assert words in warning["message"]
     with pytest.raises(error, match=words):
         open_capture(tmp_path).choose(Wish(select="0,7"))

@@ -160,6 +160,7 @@ def test_endings_are_counted_of_different_names() -> None:
         ("right/images/0.png", ["left/images/0.png", "right/0.png"], [0]),
         ("rgb/0.png", ["images/0.png", "images/1.png"], [0]),
         ("0.png", ["0", "1"], [0]),
+        ("0.png", ["0", "0.png"], [1]),
         ("2.png", ["0.png", None], []),
     ],
 )
