@@ -116,6 +116,7 @@ def test_an_error_in_one_is_told_and_a_refusal(capfd: pytest.CaptureFixture[str]
 
 
 COMMAND = [sys.executable, "-m", "gapmes.model.training", "--device", "cpu", "--loaders", "2", "--quiet"]
+COMMAND += ["--steps", "60"]  # longer than it is let live, and no run of hours where these tests themselves are killed
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
