@@ -49,9 +49,11 @@ KEEP_ALL = Budget(None)
 
 def checked_max_error(value: float) -> float:
     """A budget on a change of colour, 0..1. Raises `InputError`."""
-    if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= value <= 1:
+    number = isinstance(value, Real) and not isinstance(value, bool)
+    if not number or not 0 <= value <= 1:
+        shown = f"{value:g}" if number else f"{value}"
         raise InputError(
-            f"is {value}, need 0 to 1", field="max_error", cure="1/255 = 0.0039 is one level of 8 bits; off keeps all"
+            f"is {shown}, need 0 to 1", field="max_error", cure="1/255 = 0.0039 is one level of 8 bits; off keeps all"
         )
     return float(value)
 

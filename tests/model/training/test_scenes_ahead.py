@@ -123,7 +123,11 @@ COMMAND += ["--steps", "60"]  # longer than it is let live, and no run of hours 
 def test_a_command_that_ends_takes_them_along_also_while_they_begin(end: signal.Signals, tmp_path: Path) -> None:
     """All of a terminal's processes hear an interrupt; one line tells of it. Of what is killed none stays."""
     with subprocess.Popen(
-        [*COMMAND, str(tmp_path / "run")], start_new_session=True, stderr=subprocess.PIPE, text=True
+        [*COMMAND, str(tmp_path / "run")],
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background shell has it ignored
     ) as run:
         _eventually(lambda: len(_drawing(run.pid)) == 2)
         loaders = _drawing(run.pid)
