@@ -229,6 +229,7 @@ def test_inverse_is_exact_for_the_test_poses():
         (lambda f: f["views"][0].update(camera_model="equidistant"), "views.camera_model", "is equidistant, need"),
         (lambda f: f.update(camera_model="DOUBLE_SPHERE"), "cameras.camera_model", "is DOUBLE_SPHERE, need"),
         (lambda f: f.update(camera_model="FOV"), "cameras.camera_model", "is FOV, need"),
+        (lambda f: f.update(camera_model="THIN_PRISM"), "cameras.camera_model", "is THIN_PRISM, need"),
         (lambda f: f.update(k1=None, distortion=[0.4]), "cameras.distortion", "distortion = "),
         (lambda f: f["views"][0].update(k1=0, distortion="0.4 0.1"), "views.distortion", "distortion = 0.4 0.1"),
         (lambda f: f.update(skew="3"), "cameras.skew", "skew = 3, need 0"),

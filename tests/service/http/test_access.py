@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import anyio.to_thread
 import pytest
 from http_requests import assert_problem, photograph, post, wait_until_ready
 from starlette.testclient import TestClient
@@ -290,37 +289,6 @@ def test_pages_of_scenes(client: TestClient) -> None:
     assert_problem(client.get("/scenes?limit=0"), 422, "parameter_invalid")
     body = assert_problem(client.get("/scenes?limits=2"), 422, "parameter_invalid", "limits")
     assert body["cure"] == "parameters: limit, after"
-
-
-@pytest.mark.parametrize(
-    ("path", "field"),
-    [("/render?view=0&view=2", "view"), ("/scenes?limit=1&after=&limit=1", "limit"), ("/healthz?a=1&a=2", "a")],
-)
-def test_a_parameter_is_given_once(client: TestClient, path: str, field: str) -> None:
-    body = assert_problem(client.get(path), 422, "parameter_invalid", field)
-    assert "2 times, need it once" in body["detail"]
-
-
-def test_a_probe_needs_no_thread(client: TestClient) -> None:
-    """While all of the pool's are busy, on a slow disk say, the process is alive all the same."""
-    assert client.portal is not None
-    limiter = client.portal.call(anyio.to_thread.current_default_thread_limiter)
-    borrowers = [object() for _ in range(int(limiter.total_tokens))]
-    for borrower in borrowers:
-        client.portal.call(limiter.acquire_on_behalf_of, borrower)
-    try:
-        assert client.get("/healthz").status_code == 200
-    finally:
-        for borrower in borrowers:
-            client.portal.call(limiter.release_on_behalf_of, borrower)
-
-
-@pytest.mark.parametrize("route", ["/reconstruct", "/check", "/scenes"])
-def test_options_of_a_form_are_not_in_the_query(client: TestClient, route: str) -> None:
-    """Where they would be passed over."""
-    answer = client.post(f"{route}?near=2", files={"file": ("a.ply", b"ply")})
-    body = assert_problem(answer, 422, "invalid_input", "near", cured=True)
-    assert body["detail"] == "is in the query beside a form"
 
 
 def test_the_open_api_says_how_the_key_is_brought(locked: TestClient, client: TestClient) -> None:

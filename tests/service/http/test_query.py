@@ -1,0 +1,39 @@
+"""Queries: each parameter once, none beside a form, and looked at without a thread."""
+
+from __future__ import annotations
+
+import anyio.to_thread
+import pytest
+from http_requests import assert_problem
+from starlette.testclient import TestClient
+
+
+@pytest.mark.parametrize(
+    ("path", "field"),
+    [("/render?view=0&view=2", "view"), ("/scenes?limit=1&after=&limit=1", "limit"), ("/healthz?a=1&a=2", "a")],
+)
+def test_a_parameter_is_given_once(client: TestClient, path: str, field: str) -> None:
+    body = assert_problem(client.get(path), 422, "parameter_invalid", field)
+    assert "2 times, need it once" in body["detail"]
+
+
+@pytest.mark.parametrize("route", ["/reconstruct", "/check", "/scenes"])
+def test_options_of_a_form_are_not_in_the_query(client: TestClient, route: str) -> None:
+    """Where they would be passed over."""
+    answer = client.post(f"{route}?near=2", files={"file": ("a.ply", b"ply")})
+    body = assert_problem(answer, 422, "invalid_input", "near", cured=True)
+    assert body["detail"] == "is in the query beside a form"
+
+
+def test_a_probe_needs_no_thread(client: TestClient) -> None:
+    """While all of the pool's are busy, on a slow disk say, the process is alive all the same."""
+    assert client.portal is not None
+    limiter = client.portal.call(anyio.to_thread.current_default_thread_limiter)
+    borrowers = [object() for _ in range(int(limiter.total_tokens))]
+    for borrower in borrowers:
+        client.portal.call(limiter.acquire_on_behalf_of, borrower)
+    try:
+        assert client.get("/healthz").status_code == 200
+    finally:
+        for borrower in borrowers:
+            client.portal.call(limiter.release_on_behalf_of, borrower)
