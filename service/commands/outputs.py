@@ -110,6 +110,12 @@ class FilmPlan:
         return [f"{shape.frames} frames in {shape.seconds:g} s are {shape.fps:.4g} per second, not {self.fps:g}"]
 
 
+def names_file(output: Path) -> bool:
+    """Whether a name that is neither of a film nor of a sheet is meant for a file nevertheless, `.webp` alone too."""
+    ending = (output.suffix or output.name).lower()
+    return ending in (*NO_FOLDER, *(f".{film}" for film in FILM_FORMATS))
+
+
 def empty_pictures(drawing: Drawing) -> list[str]:
     """A sentence where pictures show no Gaussian at all: which, why the first of them does not, and the likely cure."""
     from ..splat import Definition

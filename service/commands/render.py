@@ -87,12 +87,12 @@ def render(
     from ..seen_depths import seen_depths
     from .output_file import check_output_file, check_output_folder
     from .outputs import (
-        NO_FOLDER,
         SHEET_FORMATS,
         Drawing,
         FilmPlan,
         check_sheet,
         empty_pictures,
+        names_file,
         write_moving,
         write_pictures,
         write_sheet,
@@ -127,7 +127,7 @@ def render(
     if plan is not None:
         replace(scene, cameras=[scene.resolve(spec, field="views") for spec in specs]).path(plan.path, plan.swing)
         passed_over += plan.notes(plan.shape(plan.fit(shots[0])))
-    if plan is None and not sheet and not output.is_dir() and output.suffix.lower() in NO_FOLDER:
+    if plan is None and not sheet and not output.is_dir() and names_file(output):
         raise InputError(
             f"{output.name!r} names a file, and pictures go into a folder",
             field="output",

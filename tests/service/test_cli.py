@@ -231,7 +231,7 @@ def test_the_version(capfd: pytest.CaptureFixture[str]) -> None:
     assert re.fullmatch(r"gapmes \d+\.\d+\.\d+\n", capfd.readouterr().out)
 
 
-@pytest.mark.parametrize("name", ["film.avi", "one.png", "one.JPG"])
+@pytest.mark.parametrize("name", ["film.avi", "one.png", "one.JPG", ".webp", ".png"])
 def test_pictures_do_not_go_into_a_folder_that_is_named_as_a_file(
     name: str, scene_dir: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
