@@ -86,6 +86,8 @@ def export(
 ) -> None:
     """Export, verify against torch in a process of its own, and write OUT with its report beside it.
 
+    With --json a refusal and a rejection are printed too, as {"error": {"detail": ...}}.
+
     Exit status: 0 accepted; 1 refused (checkpoint, size, disk); 2 wrong usage; 3 beyond tolerance, in which case the
     file is kept as NAME.rejected.onnx and OUT is left as it was.
     """
@@ -103,6 +105,8 @@ def export(
             "--top-k": top_k,
             "--keep-all": keep_all,
         }
+        if report is None:
+            given["--quick"] = quick
         given |= {
             "--compatibility": compatibility,
             "--scale-max": scale_max,
@@ -110,7 +114,9 @@ def export(
         }
         if wrong := [name for name, value in given.items() if value is not None and value is not False]:
             raise typer.BadParameter(
-                "nothing is exported with --report and --stability, which measure the shipped network",
+                "nothing is exported with --report and --stability, which measure the shipped network"
+                if wrong[0] != "--quick"
+                else "shortens --report; the table of --stability is always whole",
                 param_hint=wrong[0],
             )
         write_tables(report, stability, scene or (), quick, as_json=as_json, quiet=quiet)
@@ -139,12 +145,17 @@ def export(
             )
     except (CheckpointError, InputError, VerificationBroken, ValueError, OSError) as error:
         errors.print(f"[red]refused:[/] {escape(str(error))}", soft_wrap=True)
+        if as_json:
+            typer.echo(json.dumps({"error": {"detail": str(error)}}))
         raise typer.Exit(REFUSED) from error
     except ExportRejected as rejected:
         errors.print(f"[red]rejected:[/] {escape(str(rejected))}", soft_wrap=True)
         for failure in rejected.failures[1:20]:
             errors.print(f"  {failure}", soft_wrap=True, markup=False)
         errors.print(f"file: {rejected.rejected}\nreport: {rejected.report_path}", soft_wrap=True, markup=False)
+        if as_json:
+            kept = {"rejected": str(rejected.rejected), "report": str(rejected.report_path)}
+            typer.echo(json.dumps({"error": {"detail": str(rejected), "failures": rejected.failures, **kept}}))
         raise typer.Exit(REJECTED) from rejected
     _show(result, as_json, bars)
 

@@ -115,6 +115,8 @@ def export_checkpoint(
 def _check_place(out: Path, checkpoint: Path) -> None:
     """Raises `InputError` where there can be no file at `out`, or no report; folders that are missing will be made."""
     check_output_folder(out.parent)
+    if out.is_dir():
+        check_output_file(out)
     rejected = _rejected_path(out)
     for path in (out, _report_path(out), rejected, _report_path(rejected), _fit_path(out)):
         if out.parent.is_dir():

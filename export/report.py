@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 from .compare import Deviation
 from .deviations import BesideFloat64
@@ -52,8 +54,9 @@ class Report:
         return result
 
     def to_json(self) -> str:
+        """What is not finite is null: JSON has no word for it."""
         body = {"passed": self.passed, "worst": self.worst(), **asdict(self)}
-        return json.dumps(body, indent=2, sort_keys=True) + "\n"
+        return json.dumps(_finite(body), indent=2, sort_keys=True, allow_nan=False) + "\n"
 
     def write(self, path: Path) -> None:
         path.write_text(self.to_json())
@@ -66,15 +69,29 @@ class Report:
                 name=case["name"],
                 gates=case["gates"],
                 views=case["views"],
-                outputs={name: Deviation(**value) for name, value in case["outputs"].items()},
+                outputs={name: Deviation(**_read(value)) for name, value in case["outputs"].items()},
                 beside_float64={
-                    name: BesideFloat64(Deviation(**value["exported"]), Deviation(**value["torch"]))
+                    name: BesideFloat64(Deviation(**_read(value["exported"])), Deviation(**_read(value["torch"])))
                     for name, value in case.get("beside_float64", {}).items()
                 },
-                routes=RouteAgreement(**case["routes"]) if case["routes"] else None,
-                picture=PictureAgreement(**case["picture"]) if case["picture"] else None,
+                routes=RouteAgreement(**_read(case["routes"])) if case["routes"] else None,
+                picture=PictureAgreement(**_read(case["picture"])) if case["picture"] else None,
                 failures=case["failures"],
             )
             for case in body["cases"]
         ]
         return Report(body["model_sha256"], body["precision"], body["versions"], cases)
+
+
+def _finite(value: Any) -> Any:
+    """The same with null for every number that is not finite."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _read(value: dict[str, Any]) -> dict[str, Any]:
+    """A part of a report whose numbers are lacking where they were not finite."""
+    return {name: math.inf if number is None else number for name, number in value.items()}

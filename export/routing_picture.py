@@ -22,6 +22,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from gapmes.service.captures.capture import load_scene_folder
+from gapmes.service.commands.output_file import check_output_file
 from gapmes.service.commands.selection import view_indices
 from gapmes.service.engine import Arrays, Engine
 from gapmes.service.errors import GapmesError, InputError, ModelError
@@ -36,6 +37,7 @@ F32 = NDArray[np.float32]
 TASKS = ("mean μ", "opacity α", "covariance Σ", "colour c")  # in the order of `task_weight`
 EXPERT_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#f0e442", "#5b3a8e")  # Okabe, Ito
 TASK_COLOURS = ("#1b3fd6", "#e8c31c", "#c0161d", "#19b35a")  # apart from those of the experts
+ENDINGS = (".png", ".svg", ".pdf")
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
 WEIGHTS = colormaps["viridis"]  # of task weights, from 0 to 1
 TINT = 0.62  # share of the colour over the grey photograph: both stay legible
@@ -237,8 +239,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     with ProgressBars() as bars:
         try:
-            if not options.out.parent.is_dir():  # said before the work, not after it
-                raise InputError(f"{options.out.parent} is not a folder", field="out")
+            if options.out.suffix.lower() not in ENDINGS:  # said before the work, not after it
+                raise InputError(f"{options.out.name!r} has another ending than {', '.join(ENDINGS)}", field="out")
+            check_output_file(options.out)
             draw_routing(route(options.scene, options.views, options.model, bars)).savefig(options.out)
         except (GapmesError, ValueError, OSError) as error:
             bars.say(f"refused: {error}")

@@ -23,7 +23,7 @@ class Size(NamedTuple):
     @classmethod
     def parse(cls, text: str) -> Size:
         """Raises `InputError` for what is neither a side nor HEIGHTxWIDTH, below `LEAST` and above `MOST`."""
-        found = re.fullmatch(r"(\d+)(?:x(\d+))?", text)
+        found = re.fullmatch(r"(\d+)(?:x(\d+))?", text, re.ASCII)
         if not found:
             raise InputError(f"{text!r} is no size", field="size", cure="give a side, 256, or HEIGHTxWIDTH, 256x336")
         size = cls(int(found[1]), int(found[2] or found[1]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
@@ -13,7 +12,9 @@ PIXELS_PER_PATCH = PIXELS_PER_CELL * CELLS_PER_PATCH
 MOST = 4096  # of anything that is counted; networks of this kind have a third of it
 MOST_BLOCKS = 128  # of what is built one by one
 ONE_BY_ONE = ("layers", "cross_view_blocks", "experts")
+COLDEST, HOTTEST = 1e-3, 1e3  # of the gates: logits in float32 are divided by it
 MAX_DEGREE = 3  # of spherical harmonics
+NAMES = ("tiny", "small", "base")
 TRUNKS = ("light", "full")
 MAY_BE_NONE = ("eighth_channels", "cross_view_blocks", "sh_degree", "top_k")  # top_k without experts
 
@@ -31,7 +32,7 @@ class VitConfig:
 
     def __post_init__(self) -> None:
         """Raises `ValueError` for counts that no network has."""
-        _check_counts(self)
+        _check_kinds(self)
 
 
 @dataclass(frozen=True)
@@ -66,15 +67,18 @@ class ModelConfig:
 
     def __post_init__(self) -> None:
         """Raises `ValueError` for counts and names that no network has, and for routing that means nothing."""
-        _check_counts(self)
+        _check_kinds(self)
+        if self.preset not in NAMES:
+            raise ValueError(f"preset is {self.preset!r}, need one of {', '.join(NAMES)}")
         if self.trunk not in TRUNKS:
             raise ValueError(f"trunk is {self.trunk!r}, need one of {', '.join(TRUNKS)}")
         if self.sh_degree > MAX_DEGREE:
             raise ValueError(f"sh_degree is {self.sh_degree}, need at most {MAX_DEGREE}: a .ply holds no more")
         if not self.without_experts and not 1 <= self.top_k <= self.experts:
             raise ValueError(f"top_k is {self.top_k}, need 1 to {self.experts}: the network has so many experts")
-        if not 0 < self.temperature < math.inf:
-            raise ValueError(f"temperature is {self.temperature}, need a number above 0")
+        number = type(self.temperature) in (int, float)
+        if not (number and COLDEST <= self.temperature <= HOTTEST):
+            raise ValueError(f"temperature is {self.temperature!r}, need a number of {COLDEST:g} to {HOTTEST:g}")
 
     @property
     def size_step(self) -> int:
@@ -92,16 +96,23 @@ class ModelConfig:
     @staticmethod
     def from_json(text: str) -> ModelConfig:
         """Inverse of `to_json`; unknown keys are an error of the file, not ignored."""
-        values = json.loads(text)
-        values["semantic_vit"] = VitConfig(**values["semantic_vit"])
-        values["depth_vit"] = VitConfig(**values["depth_vit"])
-        return ModelConfig(**values)
+        values = _object("configuration", json.loads(text))
+        vits = {name: VitConfig(**_object(name, values[name])) for name in ("semantic_vit", "depth_vit")}
+        return ModelConfig(**(values | vits))
 
 
-def _check_counts(config: VitConfig | ModelConfig) -> None:
-    """All whole numbers, those without which there is no network at least 1."""
+def _object(name: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f"{name} is {value!r}, need an object with its fields")
+    return value
+
+
+def _check_kinds(config: VitConfig | ModelConfig) -> None:
+    """Switches true or false; all counts whole numbers, those without which there is no network at least 1."""
     for field in fields(config):
         value, least = getattr(config, field.name), 0 if field.name in MAY_BE_NONE else 1
+        if field.type == "bool" and type(value) is not bool:
+            raise ValueError(f"{field.name} is {value!r}, need true or false")
         most = MOST_BLOCKS if field.name in ONE_BY_ONE else MOST
         if field.type == "int" and not (type(value) is int and least <= value <= most):
             raise ValueError(f"{field.name} is {value!r}, need a whole number of {least} to {most}")
@@ -121,7 +132,7 @@ _FULL: dict[str, Any] = {
     "sh_degree": 2,
 }
 
-PRESETS: dict[str, ModelConfig] = {
+PRESETS: dict[str, ModelConfig] = {  # by `NAMES`
     "tiny": ModelConfig(
         preset="tiny",
         semantic_vit=_VIT_TINY,

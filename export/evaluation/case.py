@@ -77,7 +77,11 @@ def photograph_case(folder: Path, inputs: int, height: int, width: int, name: st
 
     def load(index: int) -> tuple[Photo, Camera]:
         path = scene.image_paths[index]
-        photo = decode_image(path.read_bytes(), index=index)
+        try:
+            photo = decode_image(path.read_bytes(), index=index)
+        except ImageError as error:  # of one scene of several
+            named = f"{path}: {error.message}"
+            raise type(error)(named, field=error.field, index=index, cure=error.cure, **error.extra) from error
         if photo.mask is not None:
             raise ImageError(
                 f"{path} is transparent in {(~photo.mask).sum()} of {photo.mask.size} pixels, need 0: all are compared",

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..size import Size
 from .scores import BASELINES, SIMPLE, Group
 
 GENERATED_MARGIN = 2.5  # dB above the best baseline, mean over scenes
@@ -37,8 +36,6 @@ def floors(groups: Sequence[Group]) -> list[Floor]:
         ("photographs", 3, THREE_VIEW_MARGIN),
     ):
         matching = [g for g in groups if (g.kind, g.inputs) == (kind, inputs)]
-        if kind == "generated":
-            matching = [group for group in matching if group.size == Size.square(128)]
         if not matching:
             name = f"{kind}, {inputs} views: mean above each scene's best baseline"
             result.append(Floor(name, f">= +{need} dB", "not measured", None))

@@ -66,8 +66,8 @@ def evaluate(
     sizes = sorted({plan.size for plan in plans}, key=Size.order, reverse=True)
     check_sizes(files, sizes)  # here and not one by one: an export takes minutes
     plans = [_looked_at(plan) for plan in plans]
-    out.mkdir(parents=True, exist_ok=True)
     weights = None if lpips is None else Lpips.load(lpips)
+    out.mkdir(parents=True, exist_ok=True)
     stages = Stages(listener)
     with tempfile.TemporaryDirectory() as scratch:
         models = load_models(files, sizes, Path(scratch), engines=engines, threads=threads, listener=listener)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable
 
 import numba
@@ -29,7 +30,8 @@ def whole_number(least: int, most: int | None = None, limit: str = "") -> Callab
 def threads() -> Callable[[str], int]:
     """A type for argparse: as many as numba has begun with at most."""
     most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-    return whole_number(1, most, "numba has no more on this machine")
+    set_to = os.environ.get("NUMBA_NUM_THREADS")
+    return whole_number(1, most, f"NUMBA_NUM_THREADS is {set_to}" if set_to else "numba has no more on this machine")
 
 
 def seed() -> Callable[[str], int]:

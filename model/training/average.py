@@ -63,18 +63,28 @@ def main(arguments: list[str] | None = None) -> int:
     for place, path in enumerate(files):
         if places[place] in places[:place]:
             parser.error(f"{path} is given twice: it would count so in the mean, or be overwritten by it")
+    if options.out.is_dir():  # the name of none, also "", cannot be written beside
+        return _refused(options.out, "it is a folder")
     try:
+        digests = [file_sha256(path) for path in options.weights if path.is_file()]
+        for place, digest in enumerate(digests):
+            if digest in digests[:place]:
+                same = options.weights[digests.index(digest)]
+                parser.error(f"{options.weights[place]} holds the same weights as {same}: they would count twice")
         model = averaged(options.weights)
     except CheckpointError as error:
         parser.error(str(error))
-    digests = [file_sha256(path) for path in options.weights]
     try:
         save_checkpoint(options.out, model, extra={MEAN_OF: ",".join(digests)})
     except OSError as error:
-        sys.stderr.write(f"refused: {options.out} cannot be written: {error.strerror or error}; name another place\n")
-        return 1
+        return _refused(options.out, error.strerror or str(error))
     sys.stdout.write(f"{options.out}: mean of {len(digests)} files\n")
     return 0
+
+
+def _refused(out: Path, reason: str) -> int:
+    sys.stderr.write(f"refused: {out} cannot be written: {reason}; name another place\n")
+    return 1
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from gapmes.service.terminal import QUIET_HELP, ProgressBars
 
+from ..checkpoint import load_checkpoint
 from ..config import PRESETS, ModelConfig, preset
 from ..pretrained.backbones import BackboneSources
 from ..pretrained.sources import resolve
@@ -106,6 +107,7 @@ def main(arguments: list[str] | None = None) -> int:
                 resolve(source)  # before processes start: what is not there is wrong usage
         if start is not None:
             check_start(start, config)
+            load_checkpoint(start)  # before there is a folder: tensors that are none are wrong usage too
     except CheckpointError as error:
         parser.error(str(error))
     try:

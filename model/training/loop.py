@@ -26,6 +26,7 @@ from .precision import coarse_pays, compute_coarsely
 from .recipe import Recipe
 from .run_folder import (
     REVISION,
+    STATE,
     Refused,
     append_row,
     claimed,
@@ -136,7 +137,8 @@ def _run(
             "wide": validation_batches(128, validation_scenes, (0.18, 0.5)),
             "narrow": validation_batches(128, max(1, validation_scenes // 2), (0.06, 0.15)),
         }
-    log.info("%d parameters, step %d of %d", model.trainable_parameters(), start, recipe.steps)
+    counts = model.trainable_parameters(), sum(p.numel() for p in model.parameters())
+    log.info("%d of %d parameters trained, step %d of %d", *counts, start, recipe.steps)
     clock = last_save = time.monotonic()
     steps = range(start, recipe.steps)
     with closing(drawn_steps(recipe, steps, worker, loaders)) as coming:
@@ -160,7 +162,9 @@ def _run(
                 progress: dict[str, object] = {**identity, "step": step + 1, "seconds": elapsed, "sums": sums}
                 save_state(folder, progress, model, average, optimiser)
                 last_save = time.monotonic()
-    if worker.leads:
+    if worker.leads and not (folder / STATE).is_file():  # of no steps at all, and yet this run's folder
+        save_state(folder, {**identity, "step": start, "seconds": seconds, "sums": sums}, model, average, optimiser)
+    elif worker.leads:
         save_weights(folder, average, recipe.steps)
     return average.eval()
 

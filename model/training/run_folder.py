@@ -100,7 +100,7 @@ def _damaged(path: Path, error: Exception) -> Refused:
     reason = next(iter(str(error).splitlines()), "")[:200]
     return Refused(
         f"{path} cannot be read as the state of a run ({type(error).__name__}: {reason}); it is damaged or of another "
-        "version: use a new folder, or remove it to begin anew in this one"
+        f"version: use a new folder; what may be of use yet is {WEIGHTS} beside it"
     )
 
 
@@ -108,9 +108,14 @@ def restore_state(
     folder: Path, identity: dict[str, str | None], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
 ) -> tuple[int, float, dict[str, float]]:
     """Step, seconds and sums since the last row of the log to go on from; raises `Refused` when the folder holds a run
-    of something else, and for a damaged state."""
+    of something else, or weights alone, and for a damaged state."""
     path = folder / STATE
     if not path.is_file():
+        if (folder / WEIGHTS).exists():
+            raise Refused(
+                f"{folder} holds {WEIGHTS} but no {STATE} to go on from: a run would begin anew and replace them; move "
+                "them or use a new folder"
+            )
         return 0, 0.0, {}
     state = read_state(path)
     for key, value in identity.items():

@@ -158,9 +158,10 @@ def main(arguments: list[str] | None = None) -> int:
         if options.size % (step := model.config.size_step):
             raise ValueError(f"--size is {options.size}, need a multiple of {step} for these weights")
         found = measure(model, options.size, options.scenes, asked_lpips(options), console)
+        scenes, their = ("1 scene", "its") if options.scenes == 1 else (f"{options.scenes} scenes", "their")
         caption = (
-            f"`{path.name}` on {options.scenes} scenes at {options.size} px with a baseline of {WIDE[0]} to {WIDE[1]} "
-            f"of their depth; the nearer input shown as it is has {found[WHOLE].copy_psnr.mean():.2f} dB there."
+            f"`{path.name}` on {scenes} at {options.size} px with a baseline of {WIDE[0]} to {WIDE[1]} "
+            f"of {their} depth; the nearer input shown as it is has {found[WHOLE].copy_psnr.mean():.2f} dB there."
         )
         text = table(found, caption)
         if options.page:

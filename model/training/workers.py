@@ -14,7 +14,7 @@ import torch
 import torch.distributed as distributed
 import torch.multiprocessing as multiprocessing
 from torch import nn
-from torch.multiprocessing.spawn import ProcessException
+from torch.multiprocessing.spawn import ProcessContext, ProcessException
 
 from ..weights_file import CheckpointError
 from .run_folder import Refused
@@ -48,7 +48,8 @@ class Worker:
 
 
 def run_workers(count: int, threads: int, work: Callable[..., None], *arguments: object) -> None:
-    """Call `work(worker, *arguments)` in `count` processes of `threads` threads; any failure ends them all.
+    """Call `work(worker, *arguments)` in `count` processes of `threads` threads; any failure ends them all, and so does
+    an interrupt of this process alone.
 
     A refusal in one of several is raised here as one, also where another, which lost it, is heard first; anything else
     as `ProcessException`.
@@ -60,11 +61,22 @@ def run_workers(count: int, threads: int, work: Callable[..., None], *arguments:
     with tempfile.TemporaryDirectory() as folder:
         refusal = Path(folder) / REFUSAL
         try:
-            multiprocessing.spawn(_start, (count, threads, Path(folder), work, arguments), nprocs=count)
+            _finished(multiprocessing.spawn(_start, (count, threads, Path(folder), work, arguments), count, join=False))
         except ProcessException as error:
             if refusal.is_file():
                 raise Refused(refusal.read_text(encoding="utf-8")) from error
             raise
+
+
+def _finished(processes: ProcessContext) -> None:
+    """Wait for all; whatever comes between, an interrupt above all, leaves none at work."""
+    try:
+        while not processes.join():
+            pass
+    finally:
+        for process in processes.processes:
+            process.kill()  # of those that are done nothing is left to kill
+            process.join()
 
 
 def _start(

@@ -6,9 +6,11 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from ..errors import InputError
 
+_DENIED = "no permission"
 _CURE = "choose another folder, or ask who owns it for permission"
 
 
@@ -20,11 +22,11 @@ def check_output_file(path: Path) -> None:
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder", field="output", cure="make it first")
     if path.exists() and not path.is_file():  # a pipe or device is written to where it is
-        writable = os.access(path, os.W_OK)
+        obstacle = None if os.access(path, os.W_OK) else _DENIED
     else:  # the file behind a link is replaced, in its own folder
-        writable = os.access(path.resolve().parent, os.W_OK | os.X_OK)
-    if not writable:
-        raise InputError(f"{path} cannot be written: no permission", field="output", cure=_CURE)
+        obstacle = _obstacle(path.resolve().parent)
+    if obstacle:
+        raise InputError(f"{path} cannot be written: {obstacle}", field="output", cure=_CURE)
 
 
 def check_output_folder(path: Path) -> None:
@@ -32,8 +34,19 @@ def check_output_folder(path: Path) -> None:
     there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
     if not there.is_dir():
         raise InputError(f"{there} is not a folder", field="output", cure="name a folder")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(f"{there} cannot be written into: no permission", field="output", cure=_CURE)
+    if obstacle := _obstacle(there):
+        raise InputError(f"{there} cannot be written into: {obstacle}", field="output", cure=_CURE)
+
+
+def _obstacle(folder: Path) -> str | None:
+    """Why no file can be made there, tried with one that has no name: of some file systems nothing else tells."""
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return _DENIED
+    try:
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        return error.strerror or str(error)
+    return None
 
 
 @contextmanager

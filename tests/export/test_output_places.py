@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +15,7 @@ from typer.testing import CliRunner
 
 from gapmes.export import pipeline
 from gapmes.export.cli import app
+from gapmes.export.compare import Deviation
 from gapmes.export.model_file import data_files
 from gapmes.export.pipeline import ExportRejected, VerificationBroken, export_checkpoint
 from gapmes.export.report import CaseResult, Report
@@ -54,6 +57,37 @@ def names(folder: Path) -> set[str]:
 
 def report_of(*failures: str) -> Report:
     return Report("", "fp32", {}, [CaseResult("random", "as trained", 2, failures=list(failures))])
+
+
+@pytest.mark.parametrize("value", [math.inf, math.nan])
+def test_a_report_is_json_also_of_what_is_not_finite(value: float, tmp_path: Path) -> None:
+    far = Deviation(value, value, value, 1.0, value, finite=False)
+    report = Report("", "fp32", {}, [CaseResult("random", "as trained", 2, {"depth": far}, failures=["depth"])])
+    path = tmp_path / "report.json"
+    report.write(path)
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is not JSON")
+
+    (case,) = json.loads(path.read_text(), parse_constant=refuse)["cases"]
+    assert case["outputs"]["depth"]["maximum"] is None
+    assert Report.read(path).cases[0].outputs["depth"].maximum == math.inf
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="no file system that takes no new file")
+def test_a_place_that_takes_no_file_is_refused_before_the_work(
+    checkpoint: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of one that lets root write, as access bits say."""
+    monkeypatch.setattr(pipeline, "load_variant", None)
+    for place in ("/proc/a.onnx", "/proc/new/a.onnx"):
+        with pytest.raises(InputError, match="cannot be written"):
+            export(checkpoint, Path(place))
+
+
+def test_an_empty_name_is_a_folder(checkpoint: Path) -> None:
+    with pytest.raises(InputError, match="is a folder, need a file"):
+        export(checkpoint, Path(""))
 
 
 def export(checkpoint: Path, out: Path) -> pipeline.Exported:

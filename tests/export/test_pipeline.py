@@ -56,12 +56,15 @@ def test_a_file_beyond_tolerance_is_rejected_and_kept_apart(
     spoil(prebuilt)
     out = tmp_path / "net.onnx"
     out.write_bytes(b"what was there before")
-    arguments = ["--checkpoint", str(checkpoint), "--size", "64x64", "--quick", "-o", str(out)]
+    arguments = ["--checkpoint", str(checkpoint), "--size", "64x64", "--quick", "-o", str(out), "--json"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 3
     assert "opacities" in result.output
     assert out.read_bytes() == b"what was there before"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["net.onnx", "net.rejected.onnx", "net.rejected.report.json"]
+    answer = json.loads(result.stdout)["error"]
+    assert answer["rejected"] == str(tmp_path / "net.rejected.onnx")
+    assert any("opacities" in failure for failure in answer["failures"])
     report = Report.read(tmp_path / "net.rejected.report.json")
     assert not report.passed
     named = {failure.split(":")[0] for case in report.cases for failure in case.failures}
@@ -74,6 +77,8 @@ def test_a_file_beyond_tolerance_is_rejected_and_kept_apart(
     [
         (["--size", "100x64"], 1, "multiple of 16"),
         (["--size", "big"], 2, "HEIGHTxWIDTH"),
+        (["--size", "\uff12\uff15\uff16"], 2, "HEIGHTxWIDTH"),
+        (["--stability", "new", "--quick"], 2, "shortens --report; the table of --stability is always whole"),
         (["--size", "16x64"], 2, "--size: is 16x64 px, need 32 or more"),
         (["--size", "100000"], 2, "--size: is 100000 px, need 4096 or less"),
         (["--preset", "huge"], 2, "tiny, small, base"),

@@ -147,3 +147,5 @@ def test_bad_requests_are_refused(
     assert not out.exists()
     assert rp.main(["--out", str(tmp_path / "none" / "routing.png")]) == 1
     assert "is not a folder" in capsys.readouterr().err
+    assert rp.main(["--out", str(tmp_path / "routing.xyz")]) == 1
+    assert "'routing.xyz' has another ending than .png, .svg, .pdf" in capsys.readouterr().err

@@ -166,7 +166,14 @@ def test_a_preset_is_known_by_its_tensors(tmp_path: Path) -> None:
     [
         ({"top_k": 7}, "top_k is 7, need 1 to 6"),
         ({"top_k": 0}, "top_k is 0, need 1 to 6"),
-        ({"temperature": 0.0}, "temperature is 0.0, need a number above 0"),
+        ({"temperature": 0.0}, "temperature is 0.0, need a number of 0.001 to 1000"),
+        ({"temperature": 1e-300}, "temperature is 1e-300, need a number of"),  # every weight would be NaN
+        ({"temperature": "0.8"}, "temperature is '0.8', need a number of"),
+        ({"temperature": True}, "temperature is True, need a number of"),
+        ({"backing": "false"}, "backing is 'false', need true or false"),
+        ({"without_experts": 0}, "without_experts is 0, need true or false"),
+        ({"preset": "zz"}, "preset is 'zz', need one of tiny, small, base"),
+        ({"preset": ["tiny"]}, r"preset is \['tiny'\], need one of"),
         ({"temperature": -1.0}, "temperature is -1.0, need"),
         ({"temperature": float("nan")}, "temperature is nan, need"),
         ({"half_channels": -4}, "half_channels is -4, need a whole number of 1 to 4096"),
@@ -184,6 +191,23 @@ def test_configurations_that_mean_nothing_are_refused(changes: dict[str, float],
     config = json.loads(PRESETS["tiny"].to_json()) | changes
     path = tmp_path / "wrong.safetensors"
     save_file(load_file(shipped_checkpoint("tiny")), path, metadata={"gapmes.config": json.dumps(config)})
+    with pytest.raises(CheckpointError, match=said):
+        load_checkpoint(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[]", r"configuration is \[\], need an object with its fields"),
+        (
+            PRESETS["tiny"].to_json().replace('"depth_vit": {', '"depth_vit": null, "x": {'),
+            "depth_vit is None, need",
+        ),
+    ],
+)
+def test_configurations_of_another_shape_are_refused(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.safetensors"
+    save_file(load_file(shipped_checkpoint("tiny")), path, metadata={"gapmes.config": text})
     with pytest.raises(CheckpointError, match=said):
         load_checkpoint(path)
 

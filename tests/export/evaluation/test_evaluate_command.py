@@ -146,6 +146,15 @@ def test_refusals_are_one_line(
         (tmp_path / "scene" / "cameras.json").write_text(text)
         assert run(tmp_path / "scene", "--out", out) == 1
         refused(capfd, words)
+    for name in ("one", "other"):
+        shutil.copytree(sample_folder(), tmp_path / "two" / name)
+    spoilt = tmp_path / "two" / "other" / "images" / "002.png"
+    spoilt.write_text("junk")
+    scenes = (tmp_path / "two" / "one", tmp_path / "two" / "other")
+    assert run(*scenes, "--inputs", 2, "--out", out) == 1
+    refused(capfd, f"{spoilt}: 4 bytes are not a JPEG")
+    assert run(scenes[0], "--inputs", 2, "--lpips", tmp_path / "none.safetensors", "--out", out) == 1
+    refused(capfd, "none.safetensors")
     assert not out.exists()
     monkeypatch.undo()
     assert run("--generated", 1, "--size", 96, "--model", shipped_model(), "--out", out) == 1

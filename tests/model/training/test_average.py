@@ -48,6 +48,23 @@ def test_the_command_writes_a_checkpoint_that_says_what_went_in(
     assert read_metadata(out)[MEAN_OF].split(",") == [file_sha256(path) for path in runs]
 
 
+def test_the_same_weights_under_another_name_are_refused(
+    runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "copy.safetensors"
+    copy.write_bytes(runs[1].read_bytes())
+    with pytest.raises(SystemExit):
+        main([str(tmp_path / "out.safetensors"), *map(str, runs), str(copy)])
+    assert f"{copy} holds the same weights as {runs[1]}" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out.safetensors").exists()
+
+
+@pytest.mark.parametrize("out", [".", ""])
+def test_a_folder_is_no_place_for_the_mean(out: str, runs: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([out, *map(str, runs)]) == 1
+    assert capsys.readouterr().err == "refused: . cannot be written: it is a folder; name another place\n"
+
+
 def test_a_file_that_is_given_twice_is_refused(
     runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

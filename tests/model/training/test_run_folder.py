@@ -70,6 +70,18 @@ def test_a_full_disk_is_said_of_the_file(room: int, tmp_path: Path) -> None:
     assert not (tmp_path / (run_folder.STATE + ".part")).exists()
 
 
+def test_weights_without_a_state_are_not_written_over(tmp_path: Path) -> None:
+    """Whose state was removed after the run, or which lie there from elsewhere."""
+    one = replace(SMALL, steps=1)
+    run(one, tmp_path)
+    (tmp_path / run_folder.STATE).unlink()
+    kept = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert kept[run_folder.LOG]
+    with pytest.raises(run_folder.Refused, match=r"holds weights\.safetensors but no state\.pt to go on from: .*move"):
+        run(one, tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == kept
+
+
 def test_a_state_that_lacks_a_part_is_not_continued(tmp_path: Path) -> None:
     one = replace(SMALL, steps=1)
     run(one, tmp_path)

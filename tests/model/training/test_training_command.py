@@ -69,6 +69,31 @@ def test_no_steps_write_untrained_weights(tmp_path: Path, capsys: pytest.Capture
         assert all(torch.equal(a, b) for a, b in zip(found.parameters(), start.parameters(), strict=True))
 
 
+def test_weights_to_start_from_that_are_no_numbers_are_wrong_usage(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = GaPMeS(preset("tiny"))
+    next(network.parameters()).data.fill_(torch.nan)
+    run_folder.save_weights(tmp_path, network, 0)
+    given = ["--initial-weights", str(tmp_path / run_folder.WEIGHTS), "--steps", "0", "--quiet"]
+    with pytest.raises(SystemExit, match="2"):
+        main([str(tmp_path / "run"), *given])
+    assert "not finite" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_threads_are_bounded_by_what_numba_was_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for given, said in ((None, "numba has no more on this machine"), ("2", "NUMBA_NUM_THREADS is 2")):
+        monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+        if given:
+            monkeypatch.setenv("NUMBA_NUM_THREADS", given)
+        with pytest.raises(SystemExit):
+            main([str(tmp_path / "run"), "--threads", "10000"])
+        assert said in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_folder_in_use_is_refused_in_one_line(
     processes: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import threading
 import time
 from dataclasses import replace
@@ -139,6 +141,32 @@ def test_what_the_system_refuses_in_a_process_is_told_as_a_refusal(
     with pytest.raises(OSError, match="No space left"):
         workers._start(0, 2, 1, tmp_path, full, ())
     assert "No space left on device: 'state.pt.part'" in (tmp_path / workers.REFUSAL).read_text()
+
+
+def _work_on(worker: Worker, folder: Path) -> None:
+    (folder / f"{worker.rank}.pid").write_text(str(os.getpid()))
+    time.sleep(600)
+
+
+def test_an_interrupt_of_the_first_process_alone_ends_all(tmp_path: Path) -> None:
+    def interrupt() -> None:
+        until = time.monotonic() + 300
+        while len(pids := list(tmp_path.glob("*.pid"))) < 2 or not all(pid.read_text() for pid in pids):
+            if time.monotonic() > until:
+                break
+            time.sleep(0.01)
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell has it ignored
+    try:
+        threading.Thread(target=interrupt).start()
+        with pytest.raises(KeyboardInterrupt):
+            run_workers(2, 1, _work_on, tmp_path)
+    finally:
+        signal.signal(signal.SIGINT, usual)
+    for pid in tmp_path.glob("*.pid"):
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(pid.read_text()), 0)
 
 
 def _refuse_and_stay(worker: Worker) -> None:
