@@ -28,17 +28,21 @@ class CoarseView:
 
 def coarse_view(view: FittedView) -> CoarseView:
     """Grey, averaged over whole blocks down to about 64 px; mask and camera follow."""
-    height, width = view.image.shape[1:]
-    block = max(1, min(height, width) // COARSE_SIDE)
+    block = block_px(view)
     grey = view.image.mean(axis=0, dtype=np.float64)
-    share = _block_means(view.kept.astype(np.float64), block)
-    grey = _block_means(np.where(view.kept, grey, 0.0), block) / np.where(share > 0, share, 1.0)
+    share = block_means(view.kept.astype(np.float64), block)
+    grey = block_means(np.where(view.kept, grey, 0.0), block) / np.where(share > 0, share, 1.0)
     rows, columns = grey.shape
     camera = view.camera.cropped(0, 0, columns * block, rows * block).resized(columns, rows)
     return CoarseView(grey, share >= ENOUGH, camera)
 
 
-def _block_means(values: F64, block: int) -> F64:
+def block_px(view: FittedView) -> int:
+    """The side of the square that becomes a cell."""
+    return max(1, min(view.image.shape[1:]) // COARSE_SIDE)
+
+
+def block_means(values: F64, block: int) -> F64:
     """(h // block, w // block) means over whole blocks of (h, w) values."""
     rows, columns = values.shape[0] // block, values.shape[1] // block
     return values[: rows * block, : columns * block].reshape(rows, block, columns, block).mean(axis=(1, 3))

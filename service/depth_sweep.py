@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,16 @@ MIN_MATCHED = 0.1  # share of the pixels kept; with fewer the range stays as it 
 PERCENTILE = 0.03  # of the matched contrast, at either end; wrong matches make up a few per cent
 BEFORE = 0.6  # near = 0.6 x the 3rd percentile: room for what has no match, such as things at the border
 BEYOND = 1.5  # far = 1.5 x the 97th; what lies beyond differs by a fraction of a pixel of parallax
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """What of a view matches its nearest neighbour, there and back again."""
+
+    other: int  # the neighbour
+    depth: F64  # (h, w) z-depth of the best plane
+    good: NDArray[np.bool_]  # (h * w,) the pixels that match
+    contrast: F64  # (h, w) of the windows about them
 
 
 def narrowed(depths: DepthRange, views: Sequence[FittedView]) -> DepthRange:
@@ -45,19 +56,25 @@ def narrowed(depths: DepthRange, views: Sequence[FittedView]) -> DepthRange:
 
 def matched_depths(views: Sequence[CoarseView], depths: DepthRange) -> tuple[F64, F64, float]:
     """z-depths (M,) of the matched pixels of all views, their weights (M,), and their share of the pixels kept."""
+    found = matches(views, depths)
+    matched = np.concatenate([match.depth.ravel()[match.good] for match in found])
+    weights = np.concatenate([match.contrast.ravel()[match.good] for match in found])
+    return matched, weights, len(matched) / max(1, sum(int(view.kept.sum()) for view in views))
+
+
+def matches(views: Sequence[CoarseView], depths: DepthRange) -> list[Matches]:
+    """Of every view with its nearest neighbour."""
     cameras = [view.camera for view in views]
     swept = planes(cameras, depths, PLANES, step_px(cameras, depths))
     neighbours = nearest_neighbours(cameras)
     maps = [best_planes(view, views[j], swept) for view, j in zip(views, neighbours, strict=True)]
-    found, weights = [], []
+    found = []
     for (score, depth), view, j in zip(maps, views, neighbours, strict=True):
         weight = contrast(view.grey, view.kept)
         good = (view.kept & (score > GOOD_MATCH) & (weight > 0)).ravel()
         good &= _leads_back(view, depth, views[j], maps[j][1])
-        found.append(depth.ravel()[good])
-        weights.append(weight.ravel()[good])
-    matched = np.concatenate(found)
-    return matched, np.concatenate(weights), len(matched) / max(1, sum(int(view.kept.sum()) for view in views))
+        found.append(Matches(j, depth, good, weight))
+    return found
 
 
 def _leads_back(view: CoarseView, depth: F64, other: CoarseView, other_depth: F64) -> NDArray[np.bool_]:

@@ -22,6 +22,7 @@ from .detail_level import DETAILS, checked_detail
 from .document import scene_document
 from .engine import Arrays, Engine
 from .errors import CameraError, InputError, ViewCountError
+from .exposures import equalised
 from .fade_passes import DEFAULT_PASSES, checked_passes
 from .fitting import Picture, fitted_photos
 from .foretold import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
@@ -138,10 +139,12 @@ class Reconstructor:
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
             finest = FINEST if fade or detail > 1 else 1
             given = fitted_photos(images, cameras, numbers, info, detail, finer=finest, done=done)
-            seen, views, fine = given.seen, given.shown, given.fine
             warnings += given.notices
-            warnings += check_photos(seen, depths, trust_poses=trust_poses, numbers=numbers)
-            depths = narrowed(depths, seen)
+            warnings += check_photos(given.seen, depths, trust_poses=trust_poses, numbers=numbers)
+            depths = narrowed(depths, given.seen)
+            given, told = equalised(given, depths, numbers)
+            warnings += told
+            seen, views, fine = given.seen, given.shown, given.fine
         masks = patch_mask(seen, info.patch)
         if not is_warm():
             leave_compiler()  # it comes with the import of the loops

@@ -38,6 +38,14 @@ def test_what_fails_in_the_work_is_one_line(error: Exception, tmp_path: Path, mo
     assert result.output == f"refused: {error}\n"
 
 
+def test_there_is_no_short_table_of_stability(tmp_path: Path) -> None:
+    given = ["--stability", str(tmp_path / "new"), "--quick"]
+    result = CliRunner().invoke(app, given, env={"COLUMNS": "200"})
+    assert result.exit_code == 2
+    assert "shortens --report; the table of --stability is always whole" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_child_that_fails_is_said_by_its_work_and_status() -> None:
     with pytest.raises(ChildFailed, match=r"the process that measures eval ended with status 5, need 0"):
         _in_child(eval, "__import__('os')._exit(5)")

@@ -78,7 +78,6 @@ def test_a_file_beyond_tolerance_is_rejected_and_kept_apart(
         (["--size", "100x64"], 1, "multiple of 16"),
         (["--size", "big"], 2, "HEIGHTxWIDTH"),
         (["--size", "\uff12\uff15\uff16"], 2, "HEIGHTxWIDTH"),
-        (["--stability", "new", "--quick"], 2, "shortens --report; the table of --stability is always whole"),
         (["--size", "16x64"], 2, "--size: is 16x64 px, need 32 or more"),
         (["--size", "100000"], 2, "--size: is 100000 px, need 4096 or less"),
         (["--preset", "huge"], 2, "tiny, small, base"),
