@@ -32,6 +32,7 @@ PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 ROTATION_LEVELS, COLOUR_LEVELS = 1023, 255
 LOG_LIMIT = 20.0  # of scales: what readers of the format clamp to
 BAND_STEP, BAND_LOW = 1 / 32, -4.0
+BAND_EDGE = -BAND_LOW - 0.75 * BAND_STEP  # halfway between the ends, which the first and last byte mean, and the next
 
 
 def is_compressed(header: Header) -> bool:
@@ -111,13 +112,14 @@ def compressed_ply_bytes(gaussians: Gaussians) -> Encoded:
     red, green, blue, alpha = np.rint(four * COLOUR_LEVELS).astype(np.int64).T
     rows["packed_color"] = red << 24 | green << 16 | blue << 8 | alpha
     higher = ordered.harmonics[:, 1:].transpose(0, 2, 1).reshape(count, 3 * rest).astype(np.float64)
-    levels = np.floor((higher - BAND_LOW) / BAND_STEP)
+    levels = np.clip(np.floor((higher - BAND_LOW) / BAND_STEP), 1, 254)
+    levels[higher < -BAND_EDGE], levels[higher > BAND_EDGE] = 0, 255
     outside = int((np.abs(higher) > -BAND_LOW).sum())
     header = ["ply", "format binary_little_endian 1.0", f"element chunk {len(bounds)}"]
     header += [f"property float {name}" for name in names] + [f"element vertex {count}"]
     header += [f"property uint {name}" for name in PACKED] + ([f"element sh {count}"] if rest else [])
     header += [f"property uchar f_rest_{index}" for index in range(3 * rest)] + ["end_header", ""]
-    tables = rows.tobytes() + np.clip(levels, 0, 255).astype(np.uint8).tobytes()
+    tables = rows.tobytes() + levels.astype(np.uint8).tobytes()
     decoded = _between(bounds, AXES, place, _unpacked(rows["packed_position"].astype(np.int64)))
     notes = [
         *clamped_note(
