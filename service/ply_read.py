@@ -24,7 +24,7 @@ from .formats.dialect import (
     Taken,
     taken_as,
 )
-from .formats.reading import DROP_CURE, LARGEST, Reading, Source, bytes_of, check_count, passed_over
+from .formats.reading import DROP_CURE, LARGEST, LARGEST_LOG, Reading, Source, bytes_of, check_count, passed_over
 from .gaussians import Gaussians
 from .harmonics import C0
 from .ply_behind import behind
@@ -185,7 +185,7 @@ def _valid(name: str, column: F64, taken: Taken) -> tuple[NDArray[np.bool_], str
         if taken.scales == "linear":
             return (column >= 0) & (column <= LARGEST), "a size from 0 on"
         with np.errstate(over="ignore"):
-            return np.exp(column) <= LARGEST, f"at most {np.log(LARGEST):.4g}, the logarithm of the largest float32"
+            return np.exp(column) <= LARGEST, f"at most {LARGEST_LOG:.7g}, the logarithm of the largest float32"
     if name in ("x", "y", "z"):  # those stay float64
         return np.isfinite(column), "a finite number"
     return np.abs(column) <= LARGEST, "a finite number within float32"
@@ -205,7 +205,7 @@ def _require(ok: NDArray[np.bool_], column: F64, name: str, need: str, cure: str
         return
     bad = np.flatnonzero(~ok)
     raise PlyError(
-        f"{len(bad)} of {len(column)} values are outside the range, first at row {bad[0]}: {column[bad[0]]:g}, "
+        f"{len(bad)} of {len(column)} values are outside the range, first at row {bad[0]}: {column[bad[0]]:.7g}, "
         f"need {need}",
         field=f"vertex.{name}",
         index=int(bad[0]),

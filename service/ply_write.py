@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .disk import replace_file
 from .errors import FormatError, PlyError
+from .formats.reading import LARGEST_LOG
 from .gaussians import Gaussians
 
 Positions = Literal["auto", "float32", "float64"]
@@ -40,7 +41,8 @@ def ply_bytes(gaussians: Gaussians, *, positions: Positions = "auto") -> bytes:
 
     `positions`: "auto" stores x, y, z as float64 only where float32 would move a Gaussian by more than an eighth of the
     median largest scale (a world far from its origin). Opacities are clamped to logit +-17, a scale of 0 becomes 1e-12
-    of the median positive scale. Raises `PlyError` if float32 is asked for and a position does not fit it.
+    of the median positive scale, and one whose logarithm would round beyond float32 the largest that can be read back.
+    Raises `PlyError` if float32 is asked for and a position does not fit it.
     """
     if positions not in ("auto", "float32", "float64"):
         raise PlyError(f'is {positions!r}, need "auto", "float32" or "float64"', field="positions")
@@ -107,7 +109,7 @@ def _log_scales(scales: NDArray[np.float32]) -> NDArray[np.float64]:
     wide = scales.astype(np.float64)
     positive = wide[wide > 0]
     dot = ZERO_SCALE * (np.median(positive) if len(positive) else 1.0)
-    return np.log(np.where(wide > 0, wide, dot))
+    return np.minimum(np.log(np.where(wide > 0, wide, dot)), LARGEST_LOG)
 
 
 def _needs_float64(gaussians: Gaussians) -> bool:

@@ -19,6 +19,8 @@ from ..streams import visible
 Source = str | PathLike[str] | bytes | bytearray | memoryview | BinaryIO
 
 LARGEST = float(np.finfo(np.float32).max)
+# The largest float32 whose exponential is one; the logarithm of LARGEST itself rounds to the one above.
+LARGEST_LOG = float(np.nextafter(np.float32(np.log(LARGEST)), np.float32(0)))
 DROP_CURE = "such rows are left out with --drop-invalid, drop_invalid=true over HTTP, inspect_ply(drop_invalid=True)"
 
 

@@ -1,6 +1,8 @@
 """Our .ply comes back as it went, whatever the numbers; viewers find what they expect in it."""
 
 import io
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -97,12 +99,44 @@ def test_extreme_numbers_come_back(opacity, scale):
 
 
 @pytest.mark.case("I1")
+@pytest.mark.parametrize("scale", [3.40282e38, float(np.finfo(np.float32).max)])
+def test_the_largest_sizes_are_written_as_what_can_be_read(scale):
+    """Their logarithms round to a float32 whose exponential is beyond float32; the one below is a step of 7.6e-6."""
+    base = gaussians(9, 3, 0)
+    before = Gaussians.make(base.means, np.full((9, 3), scale), base.rotations_wxyz, base.opacities, base.harmonics)
+    assert np.abs(read_ply(ply_bytes(before)).scales.astype(float) / scale - 1).max() <= 7.7e-6
+
+
+def test_a_size_that_is_refused_is_told_from_the_limit_by_its_digits():
+    base = gaussians(2, 3, 0)
+    data = ply_bytes(base).replace(np.float32(np.log(base.scales[1, 2])).tobytes(), np.float32(88.72284).tobytes())
+    with pytest.raises(PlyError, match=r"first at row 1: 88\.72284, need at most 88\.72283, the logarithm"):
+        read_ply(data)
+
+
+@pytest.mark.case("I1")
 def test_a_zero_scale_is_far_below_the_others():
     before = gaussians(9, 4, 0)
     before.scales[0] = 0.0
     after = read_ply(ply_bytes(before))
     assert after.scales[0].max() < 1.1e-12 * np.median(before.scales[1:])
     assert np.abs(render(after, VIEW).rgb - render(before, VIEW).rgb).max() < 1e-5
+
+
+def test_the_page_says_at_which_ends_a_ply_holds_no_float32():
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    lowest, share = (
+        float(found[1])
+        for found in (re.search(r"from ([\d.e-]+) to 1 - ", page), re.search(r"size of 0 as ([\d.e-]+) of", page))
+        if found
+    )
+    before = gaussians(4, 4, 0)
+    before.opacities[:3] = 0.0, 1e-45, 1.0
+    before.scales[0] = 0.0
+    after = read_ply(ply_bytes(before))
+    assert after.opacities[:2] == pytest.approx(lowest, rel=2e-3)
+    assert after.opacities[2] == np.float32(1 - lowest) < 1
+    assert after.scales[0] == pytest.approx(share * np.median(before.scales[1:]), rel=1e-4)
 
 
 @settings(deadline=None, max_examples=40)
