@@ -46,13 +46,14 @@ def depth_levels(
         raise InputError(
             f"depth {high:.6g} is level {high / scale:.0f} at {scale:g} per level, the highest is {top}",
             field="depth_scale",
-            cure=f"ask for {_above(high / top):g} or more" + (", or for png, which has 16 bits" if top == 255 else ""),
+            cure=f"ask for {_two_digits(high / top, np.ceil):g} or more"
+            + (", or for png, which has 16 bits" if top == 255 else ""),
         )
-    if low < 0.5 * scale:
+    if np.rint(low / scale) < 1:  # as the levels are: half a level is level 0
         raise InputError(
             f"depth {low:.6g} is level 0 at {scale:g} per level, which means that nothing is there",
             field="depth_scale",
-            cure=f"ask for less than {2 * low:.2g}",
+            cure=f"ask for less than {_two_digits(2 * low, np.floor):g}",
         )
     levels = np.minimum(np.rint(depth / scale), top)
     return np.where(there, levels, 0).astype(dtype), DepthCode(low, high, scale, 0.0)
@@ -67,7 +68,7 @@ def png_text(code: DepthCode) -> PngInfo:
     return info
 
 
-def _above(value: float) -> float:
-    """Two digits that are not less than the value."""
-    digit = 10.0 ** (np.floor(np.log10(value)) - 1)
-    return float(np.ceil(value / digit) * digit)
+def _two_digits(value: float, rounded: np.ufunc) -> float:
+    """Two digits that are not less than the value, with `np.ceil`, or not more, with `np.floor`."""
+    digit = 10.0 ** (np.floor(np.log10(max(value, 1e-300))) - 1)
+    return float(rounded(value / digit) * digit)

@@ -94,6 +94,27 @@ def test_a_scale_that_does_not_fit_is_refused(scale: float, top: int, words: str
     depth_levels(depth, np.ones(depth.shape, bool), top, good)
 
 
+@pytest.mark.parametrize("scale", [2.0, 0.25, 8.0])
+def test_a_depth_of_half_a_level_is_refused_as_one_below_is(scale: float) -> None:
+    """It is rounded to level 0, which would mean that nothing is there; a little more is level 1."""
+    there = np.ones((2, 2), bool)
+    for low in (0.5 * scale, np.nextafter(np.float32(0.5 * scale), np.float32(0))):
+        with pytest.raises(InputError, match="level 0"):
+            depth_levels(np.array([[low, scale], [scale, scale]]), there, 255, scale)
+    above = float(np.nextafter(np.float32(0.5 * scale), np.float32(np.inf)))
+    levels, _ = depth_levels(np.array([[above, scale], [scale, scale]]), there, 255, scale)
+    assert levels.min() == 1
+
+
+@pytest.mark.parametrize("low", [1.0, 1.049, 0.0996, 7.77])
+def test_every_scale_below_the_one_of_the_cure_is_taken(low: float) -> None:
+    depth, there = np.array([[low, 9.0]]), np.ones((1, 2), bool)
+    with pytest.raises(InputError) as caught:
+        depth_levels(depth, there, 255, 100.0)
+    least = float((caught.value.cure or "").removeprefix("ask for less than "))
+    assert depth_levels(depth, there, 255, np.nextafter(least, 0))[0].min() == 1
+
+
 @pytest.mark.parametrize(("channel", "scale", "words"), [("rgb", 0.1, "not with rgb"), ("depth", 0.0, "is 0"),
                                                           ("depth", float("nan"), "is nan")])  # fmt: skip
 def test_a_scale_that_is_none_is_refused_before_drawing(channel, scale, words) -> None:
