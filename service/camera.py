@@ -159,7 +159,7 @@ def _check_focal(value: float, size: float, name: str, field: str, index: int | 
     if value <= 0:
         cure = "focal lengths are positive; a negative one means flipped axes"
     elif 0.1 <= value <= 20:
-        cure = f"these look normalised; multiply {name} by the image size ({value * size:.4g} px)"
+        cure = f"these look normalised; multiply {name} by the image size, which would be {value * size:.4g} px"
     raise IntrinsicsError(
         f"{name} = {value:g} px for an image of {size:g} px, need between {0.1 * size:g} and {20 * size:g} px",
         field=f"{field}.{name}",

@@ -1,9 +1,10 @@
 """A smooth path through posed cameras and back: it meets each of them exactly, without a kink in place or direction.
 
-Between two cameras the centre is on a cubic Hermite curve whose tangents are those of a centripetal Catmull-Rom spline
-(Catmull and Rom 1974; Yuksel, Schaefer and Keyser, Computer-Aided Design 43, 2011: centripetal knots have neither
-cusps nor loops). The rotation is the cumulative cubic Bezier curve with the same knots and tangents (Kim, Kim and Shin,
-SIGGRAPH 1995), which is a slerp where the cameras turn evenly. The lens goes linearly.
+Where the cameras lead back exactly the way that they came, it turns back on the spot. Between two cameras the centre
+is on a cubic Hermite curve whose tangents are those of a centripetal Catmull-Rom spline (Catmull and Rom 1974; Yuksel,
+Schaefer and Keyser, Computer-Aided Design 43, 2011: centripetal knots have neither cusps nor loops). The rotation is
+the cumulative cubic Bezier curve with the same knots and tangents (Kim, Kim and Shin, SIGGRAPH 1995), which is a slerp
+where the cameras turn evenly. The lens goes linearly.
 """
 
 from __future__ import annotations

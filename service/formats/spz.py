@@ -222,12 +222,13 @@ def _fraction(means: NDArray[np.floating], size: float) -> int:
     """As many fractional bits as Gaussians of a typical size ask for and the farthest coordinate leaves room for."""
     farthest = float(np.abs(means).max(initial=0.0))
     wanted = np.ceil(np.log2(SHARE_OF_SIZE / size)) if size > 0 else MAX_FRACTION
-    for fraction in range(int(np.clip(wanted, 1, MAX_FRACTION)), 0, -1):
+    for fraction in range(int(np.clip(wanted, 1, MAX_FRACTION)), 0, -1):  # 0, which is read, some readers refuse
         if farthest * 2.0**fraction <= TOP:
             return fraction
     index = int(np.abs(means).max(axis=1).argmax())
     raise FormatError(
-        f"position {means[index].tolist()} is farther from the origin than the {TOP / 2:g} that the format holds",
+        f"position {means[index].tolist()} is farther from the origin than the {TOP / 2:g} that the format holds with "
+        "one fractional bit, the fewest that all readers take",
         field="means",
         index=index,
         cure=INTO_THE_SCENE,

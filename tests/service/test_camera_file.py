@@ -126,7 +126,7 @@ def test_malformed_files_are_refused_with_their_index(path, value, error, match,
 def test_normalised_focal_lengths_are_recognised():
     with pytest.raises(IntrinsicsError) as caught:
         parse_camera_file(broken(("views", 0, "fx"), 0.78))
-    assert "these look normalised" in caught.value.cure
+    assert "these look normalised; multiply fx by the image size, which would be " in caught.value.cure
 
 
 def test_w2c_without_saying_so_is_refused():

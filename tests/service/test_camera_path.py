@@ -138,6 +138,19 @@ def test_the_check_for_kinks_finds_one(seed):
     assert max(np.linalg.norm(a - b) for a, b in pairwise(units)) > 0.5
 
 
+def test_a_way_back_turns_on_the_spot():
+    """To one camera and back: the same places on both sides of it, at the speed of everywhere else."""
+    start, end = scattered(3, 2)
+    path = InputPath.through([start, end, start], PIVOT)
+    [time] = path.meetings[1:-1]
+    for step in (1e-4, 1e-3):
+        before, at, after = path.at(time - step), path.at(time), path.at(time + step)
+        np.testing.assert_allclose(before.world_from_cam, after.world_from_cam, atol=1e-9)
+        np.testing.assert_allclose(at.world_from_cam, end.world_from_cam, atol=1e-12)
+        elsewhere = distance(path.at(0.15), path.at(0.15 + step), PIVOT)
+        assert distance(before, at, PIVOT) == pytest.approx(elsewhere, rel=0.02)
+
+
 def test_two_cameras_are_a_line_and_a_slerp():
     start, end = scattered(3, 2)
     path = InputPath.through([start, end], PIVOT)

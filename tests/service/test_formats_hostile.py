@@ -5,10 +5,11 @@ from __future__ import annotations
 import gzip
 import tracemalloc
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
-from format_cases import moderate, spz_file
+from format_cases import by_gsply, moderate, spz_file
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ply_cases import assert_same
@@ -189,11 +190,23 @@ def test_a_position_beyond_float32_is_named(name: str) -> None:
     assert refusal.value.cure
 
 
+def test_positions_without_fractional_bits_are_read_and_never_written(tmp_path: Path) -> None:
+    """Another reader takes 1 to 24, so that what such a file alone could hold is refused."""
+    data = spz_file(1, fraction=0, body=bytes([255, 255, 127, 0, 0, 128, 5, 0, 0]) + bytes(10))
+    assert read_gaussians(data).means.tolist() == [[8388607.0, 8388608.0, -5.0]]
+    with pytest.raises(ValueError, match="fractional_bits 0"):
+        by_gsply(tmp_path / "a.spz", data)
+    with pytest.raises(FormatError, match="one fractional bit"):
+        FORMATS["spz"].write(read_gaussians(data))
+
+
 @pytest.mark.parametrize("far", [1e39, 1.7e308])
 def test_a_position_that_is_too_far_for_a_spz_is_named(far: float) -> None:
     source = moderate(300, 1, 0)
     source.means[123, 1] = far
-    with pytest.raises(FormatError, match=r"is farther from the origin than the 4\.1943e") as refusal:
+    with pytest.raises(
+        FormatError, match=r"is farther from the origin than the 4\.1943e.* one fractional bit"
+    ) as refusal:
         FORMATS["spz"].write(source)
     assert (refusal.value.field, refusal.value.index) == ("means", 123)
 
