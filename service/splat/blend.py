@@ -171,10 +171,10 @@ def gather(members, records, narrow, piece, count, end, left, top, entries, fiel
         put(fields, j + 3 * PIECE, shear2)
         put(fields, j + 4 * PIECE, step2)
         put(fields, j + 5 * PIECE, get(narrow, 2 * record + LOG2_OPACITY) - get(narrow, 2 * record + LOG2_CUT))
+        put(fields, j + 6 * PIECE, np.float32(-x))  # not of u1 and step1, which a needle of 1e38 px makes denormal
         put(fields, j + 9 * PIECE, np.float32(-y))
     for j in range(count):
         step1, shear2 = get(fields, j + PIECE), get(fields, j + 3 * PIECE)
-        put(fields, j + 6 * PIECE, ONE / step1)
         put(fields, j + 7 * PIECE, ONE / get(fields, j + 4 * PIECE))
         put(fields, j + 8 * PIECE, ONE / (step1 * step1 + shear2 * shear2))
 
@@ -190,7 +190,7 @@ def measure_reach(fields, count, x0, y0, reach):
     for j in range(count):
         u1, step1, u2 = get(fields, j), get(fields, j + PIECE), get(fields, j + 2 * PIECE)
         shear2, step2 = get(fields, j + 3 * PIECE), get(fields, j + 4 * PIECE)
-        x = smaller(larger(-u1 * get(fields, j + 6 * PIECE), x0), x1)
+        x = smaller(larger(get(fields, j + 6 * PIECE), x0), x1)
         across, start = u1 + x * step1, u2 - x * shear2
         y = smaller(larger(-start * get(fields, j + 7 * PIECE), y0), y1)
         down = start + y * step2

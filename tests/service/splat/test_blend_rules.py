@@ -115,7 +115,7 @@ def test_the_test_of_a_block_leaves_out_nothing_that_a_pixel_would_show(seed):
     fields = np.zeros((10, PIECE), np.float32)
     fields[0], fields[1], fields[2] = -x * step1, step1, (-y + k * x) * step2
     fields[3], fields[4], fields[5], fields[9] = k * step2, step2, 8.0, y
-    fields[6], fields[7] = 1 / fields[1], 1 / fields[4]
+    fields[6], fields[7] = x, 1 / fields[4]
     fields[8] = 1 / (fields[1] ** 2 + fields[3] ** 2)
     x0, y0 = (np.float32(v) for v in rng.integers(-16, 9, 2) - 0.5)
     reach = np.empty(PIECE, np.float32)

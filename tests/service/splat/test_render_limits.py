@@ -127,6 +127,22 @@ def test_opacity_zero_draws_nothing():
     assert image.stats["culled"]["faint"] == 1
 
 
+@pytest.mark.case("E1")
+@pytest.mark.parametrize("length", [1e19, 1e36, 1e37, 3e38])
+def test_a_needle_as_long_as_float32_holds_is_drawn_whole(length):
+    """It is a line from 1e15 px on: steps along it that are denormal leave out no block."""
+    view = camera(40, 40, 40.0)
+    for turn in ([0.9, 0.1, 0.2, 0.3], [0.9, -0.1, 0.2, 2.0], [1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 1.0]):
+        for x in (0.0, 0.1, -0.31):
+            needles = [
+                Gaussians.make([[x, 0.2, 1.0]], [[size, 1e-38, 0.0]], [turn], [0.9], np.zeros((1, 1, 3)))
+                for size in (1e17, length)
+            ]
+            line, image = (render(needle, view).alpha for needle in needles)
+            assert (line > 0).sum() >= 40
+            assert np.abs(image - line).max() < 1e-6
+
+
 @pytest.mark.case("E10")
 def test_huge_gaussians_in_bounded_batches():
     """20,000 faint sheets over 64 tiles are 1.28 million entries, 5 MB; 8,192 at a time hold 128 sheets each."""
