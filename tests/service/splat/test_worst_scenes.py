@@ -1,0 +1,125 @@
+"""What docs/splatting.md says of rounding, on scenes whose errors were looked for."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from splat_cases import Edges, camera, compare
+from worst_scenes import (
+    ABOVE,
+    BELOW,
+    CLIMBED,
+    COLOUR_SCENE,
+    CORNER,
+    DENSE,
+    DEPTH_SCENE,
+    ONE,
+    OPAQUE,
+    climbed,
+    needles,
+)
+
+from gapmes.service.camera import Camera
+from gapmes.service.gaussians import Gaussians
+from gapmes.service.splat import Definition, render, render_reference
+
+PAGE = " ".join((Path(__file__).parents[3] / "docs" / "splatting.md").read_text(encoding="utf-8").split())
+
+
+def number(pattern: str) -> float:
+    """The number of the page that stands where the pattern has one in parentheses."""
+    found = re.search(pattern, PAGE)
+    assert found, pattern
+    return float(found[1])
+
+
+ALPHA, ALPHA_LEAST = number(r"off by at most ([\d.e-]+) d \+"), number(r"d \+ ([\d.e-]+) of itself")
+SINGLE = number(r"\| colour and opacity of one Gaussian, however long \| ([\d.e-]+) R")
+COLOUR = number(r"\| colour and opacity \| ([\d.e-]+) R")
+LIGHT = number(r"\| light that is left, depth weighted by the opacity, of themselves \| ([\d.e-]+)")
+SQUARED = number(r"d\^2 lies within ([\d.e-]+) of where")
+EDGES = Edges(number(r"alpha within ([\d.e-]+) of itself of"), number(r"leaves within ([\d.e-]+) of itself of `stop`"))
+
+
+def test_the_scenes_that_climbing_found():
+    """Measured 2.9e-6 and 7.4e-5."""
+    colour = compare(climbed(COLOUR_SCENE), CLIMBED, edges=EDGES)
+    depth = compare(climbed(DEPTH_SCENE), CLIMBED, edges=EDGES)
+    assert max(colour.smooth, depth.smooth) < COLOUR
+    assert max(colour.depth, depth.depth) < LIGHT
+    assert colour.on_edge == depth.on_edge == 0
+
+
+@pytest.mark.parametrize("row", [ONE, ABOVE, BELOW, DENSE])
+def test_one_needle_through_the_corner_of_a_tile(row):
+    """Measured 3.3e-6, and 9.1e-5 of the light that the dense one leaves; an opacity is rounded by 6e-8 more."""
+    needle = needles([row], [1.0])
+    ours, true = (float(draw(needle, CORNER).alpha[0, 0]) for draw in (render, render_reference))
+    distance = np.sqrt(-2 * np.log(true / np.float32(row[-1]).astype(float)))
+    assert abs(ours - true) < (ALPHA * distance + ALPHA_LEAST) * true + 6e-8
+    assert abs(ours - true) < SINGLE
+    assert abs(ours - true) < LIGHT * (1 - true)
+
+
+@pytest.mark.parametrize("pairs", [100, 300, 600, 1500])
+def test_faint_edges_whose_errors_add_up(pairs):
+    """White ones too strong and black ones too weak, in turn: measured 8.8e-6. All of one sign: 7.2e-6."""
+    assert compare(needles([ABOVE, BELOW] * pairs, [1.0, 0.0] * pairs), CORNER, edges=EDGES).smooth < COLOUR
+    assert compare(needles([ABOVE] * pairs, [1.0] * pairs), CORNER, edges=EDGES).smooth < COLOUR
+
+
+@pytest.mark.parametrize("front", [[DENSE] * 2, [ABOVE] * 2330, [BELOW] * 2300, [DENSE] + [ABOVE] * 1150])
+def test_a_depth_behind_what_lets_hardly_anything_through(front):
+    """Measured 1.8e-4 behind the first two."""
+    depths = np.append(1 + 1e-13 * np.arange(len(front)), 1e9)
+    far = needles([*front, OPAQUE], [0.0] * len(depths), depths)
+    assert render_reference(far, CORNER).depth[0, 0] > 1e4
+    assert compare(far, CORNER, edges=EDGES).depth < LIGHT
+
+
+def test_a_depth_behind_two_round_layers():
+    """Measured 2.6e-5."""
+    z = np.array([0.05, 0.051, 10215.900512417998])
+    layers = Gaussians.make(
+        np.outer(z, [0, 0, 1]),
+        np.outer(10 * z, [1, 1, 1]),
+        np.tile([1.0, 0, 0, 0], (3, 1)),
+        [0.9895506501197815, 0.9898040890693665, 1.0],
+        np.zeros((3, 1, 3)),
+    )
+    result = compare(layers, camera(9, 9, 9.0), edges=EDGES)
+    assert 2e-5 < result.depth < LIGHT
+
+
+@pytest.mark.case("E8")
+def test_the_stop_flips_only_where_the_light_lies_near_it():
+    """A second layer just off a pixel's centre leaves 1e-4 times 1 to 1 + 5e-5; what is farther off is drawn alike."""
+    view, size, flipped = Camera.make(1, 1, 1.0, 1.0, 0.5, 0.5, np.eye(4)), 1e6, []
+    for offset in np.linspace(0, 7e-3, 141):
+        layers = Gaussians.make(
+            [[0, 0, 1.0], [offset * size, 0, 1.1], [0, 0, 1.2]],
+            np.full((3, 3), size),
+            np.tile([1.0, 0, 0, 0], (3, 1)),
+            [1.0, float(np.float32(0.99)), 1.0],
+            np.eye(3)[:, None] * 3.0,
+        )
+        assert compare(layers, view, edges=EDGES).smooth < COLOUR
+        narrow = compare(layers, view)
+        flipped.append(narrow.on_edge == 0 and narrow.smooth > COLOUR)
+    assert any(flipped)  # 1e-5 of the stop would be too little
+
+
+@pytest.mark.case("E8")
+@pytest.mark.parametrize("radius", [0.01, 0.03, 0.1, 0.5])
+def test_a_radius_cuts_within_the_edge_in_squared_distance(radius):
+    """Round layers whose distances from a pixel lie about the radius; 0.010044 is drawn where 0.01 cuts."""
+    rule, sigma = Definition(cut_radius=radius), np.sqrt(100 + 0.3)
+    edges = Edges(EDGES.alpha_min, EDGES.stop, min(SQUARED / radius**2, 0.999))
+    flips = 0
+    for share in np.linspace(-1.5, 1.5, 61):
+        distance = np.sqrt(radius**2 + share * 1e-6)
+        one = needles([(10.0, 10.0, 0.0, 0.5 + distance * sigma, 0.5, 0.0045)], [1.0])
+        assert compare(one, CORNER, rule, edges).smooth < COLOUR
+        flips += compare(one, CORNER, rule).smooth > COLOUR
+    assert flips > 0 or radius > 0.1  # 1e-5 of the radius would be too little for small ones
