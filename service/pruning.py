@@ -26,7 +26,7 @@ from .splat.options import checked_definition
 
 SHARE = 1 / 8  # of what a pixel may lose: a Gaussian with a larger weight stays, so that sums seldom lose too much
 WORTH = 0.01  # share of the Gaussians below which leaving them out does not pay for deciding which
-ROUNDING = 1e-5  # of the measured sums, float32; the splatter's own bound
+ROUNDING = 1e-5  # of the measured sums: each alpha has the same bits in both pictures, float32 adds 3e-8 a layer
 # Largest value of a band's basis functions for coefficients of norm 1: sqrt((2 l + 1) / (4 pi)), l = 1, 2, 3.
 BAND_NORMS = tuple(math.sqrt((2 * band + 1) / (4 * math.pi)) for band in (1, 2, 3))
 

@@ -1,6 +1,7 @@
 """What docs/splatting.md says of rounding, on scenes whose errors were looked for."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from worst_scenes import (
 from gapmes.service.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, render, render_reference
+from gapmes.service.splat.reference import sh_basis
 
 PAGE = " ".join((Path(__file__).parents[3] / "docs" / "splatting.md").read_text(encoding="utf-8").split())
 
@@ -40,6 +42,34 @@ COLOUR = number(r"\| colour and opacity \| ([\d.e-]+) R")
 LIGHT = number(r"\| light that is left, depth weighted by the opacity, of themselves \| ([\d.e-]+)")
 SQUARED = number(r"d\^2 lies within ([\d.e-]+) of where")
 EDGES = Edges(number(r"alpha within ([\d.e-]+) of itself of"), number(r"leaves within ([\d.e-]+) of itself of `stop`"))
+
+
+@pytest.mark.parametrize("band", [1, 2, 3])
+def test_the_page_bounds_what_a_band_changes(band):
+    """Reached by coefficients that are the basis in the Gaussian's own direction, of norm 1."""
+    told = re.search(r"their coefficients times ([\d.]+), ([\d.]+), ([\d.]+) for bands", PAGE)
+    assert told
+    towards = np.array([[0.2, -0.3, 1.0]])
+    harmonics = np.zeros((1, 16, 3))
+    basis = sh_basis(towards / np.linalg.norm(towards), 3)[0, band**2 : (band + 1) ** 2]
+    harmonics[0, band**2 : (band + 1) ** 2] = (basis / np.linalg.norm(basis))[:, None]
+    one = Gaussians.make(towards, [[1.0, 1.0, 1.0]], [[1.0, 0, 0, 0]], [1.0], harmonics)
+    view, rule = camera(5, 5, 5.0), Definition(alpha_max=1.0)
+    change = np.abs(render(one, view, definition=rule).rgb - render(one, view, definition=rule, sh_degree=0).rgb).max()
+    assert 0.99 * float(told[band]) < change <= float(told[band])
+
+
+def test_a_radius_may_change_what_the_stop_changes_too():
+    """A layer of 3e-6 that it leaves out decides whether a pixel ends; the page's bound of the layer alone is less."""
+    dense = float(np.float32(0.99))
+    faint = (1.0, 1.0, 0.0, 0.5 + 5.04 * np.sqrt(1.3), 0.5, 1.0)
+    layers = needles([OPAQUE, (*OPAQUE[:5], dense), faint, OPAQUE], [0.0, 0.0, 0.0, 1.0])
+    rule = Definition(alpha_min=1e-9, stop=(1 - dense) ** 2 * (1 - 1e-6))
+    ends, goes_on = (
+        render_reference(layers, CORNER, definition=replace(rule, cut_radius=radius)).rgb.max() for radius in (6.0, 5.0)
+    )
+    assert ends == 0
+    assert np.exp(-(5.0**2) / 2) < goes_on <= rule.stop * (1 + 2e-6)
 
 
 def test_the_scenes_that_climbing_found():
