@@ -17,6 +17,7 @@ F64 = NDArray[np.float64]
 # px; rounding to six decimals in a text file stays far below.
 MAX_ORTHONORMALITY_ERROR = 1e-4
 FEW_DIGITS = 0.03  # what two digits behind the point leave of orthonormality: at most 0.016 of a thousand rotations
+LEAST_SCALE = 1e-3  # from 1; what is less may be rounding unless it explains nine tenths of the drift
 MAX_OFFSET = 1e100  # caller's units: squares and cubes stay finite
 ROUNDING = 1e-14  # what float64 leaves of orthonormality (some 1e-15); such a matrix is kept to the bit
 
@@ -104,7 +105,8 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
     if drift > MAX_ORTHONORMALITY_ERROR:
         scale = abs(det) ** (1 / 3)
         left = float(np.abs(rotation.T @ rotation / scale**2 - np.eye(3)).max()) if scale > 0 else math.inf
-        if left <= max(MAX_ORTHONORMALITY_ERROR, 0.1 * drift):
+        scaled = left <= MAX_ORTHONORMALITY_ERROR and abs(scale - 1) > LEAST_SCALE
+        if scaled or left <= 0.1 * drift:
             cure = f"R carries a scale of {scale:.6g}; divide it out"
         elif drift < FEW_DIGITS:
             cure = "R is sheared, or was written with too few digits: give five or more behind the point"

@@ -67,6 +67,8 @@ def test_a_drifting_rotation_is_the_nearest_rotation_or_refused(seed: int, size:
         (1.25 * np.round(turned(2, 0.3)[:3, :3], 3), r"det 1\.95", "a scale of 1.25"),  # it, and too few digits
         (np.round(turned(2, 0.3)[:3, :3], 3), r"= 0\.000\d+", "too few digits"),
         (np.round(turned(2, 0.3)[:3, :3], 2), r"= 0\.00\d+", "too few digits"),
+        (np.round(turned(67, 0.67)[:3, :3], 4), r"= 0\.000\d+", "too few digits"),
+        (1.0005 * turned(2, 0.3)[:3, :3], r"= 0\.001", "a scale of 1.0005;"),
         (np.zeros((3, 3)), r"= 1, .*det 0\)", "not a rotation"),
         (np.ones((3, 3)), r"det 0\)", "not a rotation"),
         (np.diag([1.0, 1.0, 0.0]), r"= 1, .*det 0\)", "not a rotation"),
