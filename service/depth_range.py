@@ -29,6 +29,8 @@ MAX_MISS = 0.1  # of the depth: axes that pass each other farther off than this 
 MIN_SHARE = 0.1  # of a view; what fewer than this share sees in two views cannot be matched
 MAX_DEPTH = 1e32  # caller's units, and at least its inverse: float32 scales of what lies there keep all their digits
 MAX_RATIO = 1e30  # near is the network's unit, and it reckons in float32
+ENOUGH_STEPS = 100.0  # of float64 at the cameras' largest coordinate: a shorter baseline has less than two digits
+FAR_OFF = 1e6  # units: cameras in one place that are no farther from the origin are so because nobody moved them
 _SCAN = 24  # depths at which the overlap is looked at
 
 
@@ -177,13 +179,22 @@ def largest_baseline(cameras: Sequence[Camera]) -> F64:
     centers = np.stack([camera.center for camera in cameras])
     vectors = (centers[:, None] - centers[None]).reshape(-1, 3)
     longest = vectors[np.argmax(np.linalg.norm(vectors, axis=1))]
-    length = float(np.linalg.norm(longest))
-    if length <= 1e-12 * float(np.abs(centers).max()):
+    length, away = float(np.linalg.norm(longest)), float(np.abs(centers).max())
+    step = float(np.spacing(away))
+    if length <= ENOUGH_STEPS * step:
+        cure = "move the camera between the photographs"
+        if away <= FAR_OFF:
+            cure += apart_when_inverted(cameras)
+        else:
+            cure = (
+                f"they are up to {away:.3g} units from the origin, perhaps too far for float64, whose steps are "
+                f"{step:.2g} there: subtract a common offset; or {cure}"
+            )
         raise BaselineError(
             f"all {len(cameras)} cameras stand in one place (largest distance {length:.3g}): without a baseline "
             "there is no depth",
             field="cameras",
-            cure=f"move the camera between the photographs{apart_when_inverted(cameras)}",
+            cure=cure,
         )
     return longest
 

@@ -272,6 +272,26 @@ def test_cameras_in_one_place_have_no_depth(offset):
         largest_baseline(cameras)
 
 
+def test_cameras_far_from_the_origin_stand_apart_as_long_as_float64_tells():
+    near_by = arc([-0.1, 0.1])
+    apart = float(np.linalg.norm(largest_baseline(near_by)))
+    for shift in (1e9, 5.4e12):
+        cameras = [camera.posed(camera.world_from_cam + shift * np.eye(4, 4, 3)) for camera in near_by]
+        assert np.linalg.norm(largest_baseline(cameras)) == pytest.approx(apart, abs=2 * np.spacing(shift))
+        assert depth_range(cameras).far == pytest.approx(depth_range(near_by).far, rel=0.01)
+    cameras = [camera.posed(camera.world_from_cam + 5.4e14 * np.eye(4, 4, 3)) for camera in near_by]
+    with pytest.raises(BaselineError, match="stand in one place") as caught:
+        depth_range(cameras)
+    assert "up to 5.4e+14 units from the origin, perhaps too far for float64" in caught.value.cure
+    assert "subtract a common offset" in caught.value.cure
+    for place in ([0.0, 0.0, 0.0], [1.0, -2.0, 3e5]):
+        pose = np.eye(4)
+        pose[:3, 3] = place
+        with pytest.raises(BaselineError, match="stand in one place") as caught:
+            depth_range([near_by[0].posed(pose), near_by[1].posed(pose)])
+        assert caught.value.cure.startswith("move the camera between the photographs")
+
+
 def test_shares_are_the_areas_of_shifted_squares():
     """Side by side, a plane at depth z is shifted by f b / z px: the share is 1 minus that over the width."""
     cameras = side_by_side(2, step=0.5)
