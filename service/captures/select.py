@@ -10,7 +10,7 @@ from ..plain_number import counted
 from ..view_checks import MAX_VIEWS, MIN_VIEWS
 from .names import same_file, same_path
 
-DEFAULT_CONTEXT = 3  # views of a capture that has more than six; each costs as much time again as the second
+DEFAULT_CONTEXT = 3  # views of a capture that has more than six; a third costs 0.6 of the time of the first two
 
 
 @dataclass(frozen=True)
