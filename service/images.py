@@ -13,12 +13,12 @@ from .distortion import Lens
 from .errors import ImageError
 from .image_files import DAMAGED, MAX_PIXELS, damaged, open_image
 from .resampling import OPAQUE, resampled
+from .upright import ON_ITS_SIDE, upright
 
 MIN_SIDE = 32  # px; two patches of the network, below that there is nothing to match
 _STRIP = 64  # rows of a 16-bit image that are converted at a time
 _PNG_BIT_DEPTH = 24  # place in the file: behind its signature, the header's length and name, width and height
 _ORIENTATION = 0x0112  # EXIF tag
-_TURNED = (5, 6, 7, 8)  # orientations that swap width and height
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +71,7 @@ class FittedView:
     camera: Camera
     kept_share: float  # of the photograph's area inside the crop
     step: float = 1.0  # of the photograph's pixels, from one of these to the next; below 1 it was enlarged
+    orientation: int = 1  # EXIF's of the photograph, which is not applied
 
     @property
     def kept(self) -> NDArray[np.bool_]:
@@ -159,9 +160,9 @@ def match_photo(photo: Photo, camera: Camera, *, index: int | None = None) -> tu
     """
     if _same_aspect(photo.width, photo.height, camera):
         return photo, camera.resized(photo.width, photo.height)
-    if photo.orientation in _TURNED and _same_aspect(photo.height, photo.width, camera):
-        upright = _upright(photo)
-        return upright, camera.resized(upright.width, upright.height)
+    if photo.orientation in ON_ITS_SIDE and _same_aspect(photo.height, photo.width, camera):
+        turned = _turned_upright(photo)
+        return turned, camera.resized(turned.width, turned.height)
     cure = "the camera must describe this very image: crop neither alone"
     if _same_aspect(photo.height, photo.width, camera):
         cure = "one of them is turned by 90 degrees"
@@ -196,7 +197,8 @@ def fit_view(photo: Photo, camera: Camera, height: int, width: int) -> FittedVie
     box = (left, top, left + window_w, top + window_h)
     rgb, mask = resampled(photo.rgb, photo.mask, (width, height), box)
     image = np.ascontiguousarray(rgb.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
-    return FittedView(image, mask, fitted, window_w * window_h / (photo.width * photo.height), window_w / width)
+    kept_share = window_w * window_h / (photo.width * photo.height)
+    return FittedView(image, mask, fitted, kept_share, window_w / width, photo.orientation)
 
 
 def resized(photo: Photo, width: int, height: int) -> Photo:
@@ -243,18 +245,10 @@ def _eight_bit_grey(image: Image.Image) -> NDArray[np.uint8]:
     return pixels
 
 
-def _upright(photo: Photo) -> Photo:
-    """Undo a camera turned on its side, EXIF 5..8: transpose, then mirror as the tag says."""
-
-    def turn(a: NDArray) -> NDArray:
-        a = np.swapaxes(a, 0, 1)
-        if photo.orientation in (6, 7):
-            a = a[:, ::-1]
-        if photo.orientation in (7, 8):
-            a = a[::-1]
-        return np.ascontiguousarray(a)
-
-    return Photo(turn(photo.rgb), None if photo.mask is None else turn(photo.mask))
+def _turned_upright(photo: Photo) -> Photo:
+    """Undo what EXIF says, which is done then."""
+    mask = None if photo.mask is None else upright(photo.mask, photo.orientation)
+    return Photo(upright(photo.rgb, photo.orientation), mask)
 
 
 def _same_aspect(width: int, height: int, camera: Camera) -> bool:

@@ -52,6 +52,13 @@ def other_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
     )
 
 
+def turned_photographs(cameras: Sequence[Camera], numbers: Sequence[int]) -> Reading:
+    """The same cameras, where the photographs of these views are turned as EXIF says."""
+    which = ", ".join(map(str, numbers))
+    cure = f"save {'photograph' if len(numbers) == 1 else 'photographs'} {which} turned so, without the tag"
+    return Reading("cameras of photographs that are turned as EXIF says", cure, tuple(cameras))
+
+
 def other_orders(cameras: Sequence[Camera], numbers: Sequence[int]) -> Iterator[Reading]:
     """The cameras of other photographs: any two exchanged, and of three also all passed on. `numbers` are what the
     caller calls the views."""

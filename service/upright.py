@@ -1,0 +1,24 @@
+"""What EXIF says of a picture's orientation, done to its pixels."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+T = TypeVar("T", bound=np.generic)
+
+ON_ITS_SIDE = (5, 6, 7, 8)  # orientations that swap width and height
+UPSIDE_DOWN = (2, 3, 4)  # those that do not: mirrored, turned by 180 degrees, and both
+
+
+def upright(pixels: NDArray[T], orientation: int) -> NDArray[T]:
+    """(H, W, ...) as stored -> as seen: transposed for EXIF 5..8, then mirrored as the tag says."""
+    if orientation in ON_ITS_SIDE:
+        pixels = np.swapaxes(pixels, 0, 1)
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    return np.ascontiguousarray(pixels)
