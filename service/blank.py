@@ -18,6 +18,7 @@ Mask = NDArray[np.bool_]
 
 BLANK = 0.06  # from black or from white, of the channel that is farthest from it
 EVEN = 2 / 3  # of what is blank up to twice that, this share at least is so up to half of it: things have shades
+FALL = 0.5  # of the contradictions, to at most so much where that share is reached only above a backdrop's own level
 LEAST_SHARE = 0.02  # of all pixels: less changes little
 CONTRADICTED = 0.015  # share of the blank pixels; on generated scenes, whose backdrops are found right, at most 0.011
 ROUNDED = 1e-6  # of a depth, when it has been float32
@@ -30,9 +31,10 @@ def blank_moved(views: Sequence[FittedView], depths: F64, far: float) -> F64:
     Any depth matches what is blank, and the network may take one close to what stands before it; from elsewhere it then
     covers that. Dark and bright things are told from a backdrop by their shades (EVEN), and by the other photographs:
     CONTRADICTED of the blank pixels or more must contradict their depths, and no more than that share in addition the
-    far end. A pixel contradicts a depth at which another view has it in its picture, with another colour there and no
-    surface before it. What stands close and is evenly black, such as a window frame against the light, goes as well
-    where its depths are contradicted.
+    far end. A backdrop that is lifted or noisy is even from its own level on, the median along the border, up to half
+    of BLANK; then the far end must contradict at most FALL of what the depths do. A pixel contradicts a depth at which
+    another view has it in its picture, with another colour there and no surface before it. What stands close and is
+    evenly black, such as a window frame against the light, goes as well where its depths are contradicted.
     """
     for shades in _shades(views):
         depths = _backdrop_moved(views, shades, depths, far)
@@ -55,12 +57,23 @@ def _backdrop_moved(views: Sequence[FittedView], shades: Sequence[F32], depths: 
     blank = _joined(views, shades, BLANK)
     if blank.mean() < LEAST_SHARE:
         return depths
-    if _joined(views, shades, BLANK / 2).sum() < EVEN * _joined(views, shades, 2 * BLANK).sum():
+    shaded = _joined(views, shades, 2 * BLANK)
+    level = min(_border_level(shades, shaded), BLANK / 2)
+    enough = EVEN * shaded.sum()
+    plain, even = (_joined(views, shades, above + BLANK / 2).sum() >= enough for above in (0.0, level))
+    if not even:
         return depths
     moved = np.where(blank, np.maximum(depths, far), depths)
     ways = [from_elsewhere(views, index, depth) for index, depth in enumerate(depths)]
     now, then = (_contradicted(views, ways, stack, blank) for stack in (depths, moved))
-    return moved if now >= CONTRADICTED and then <= now + CONTRADICTED else depths
+    return moved if now >= CONTRADICTED and then <= (now + CONTRADICTED if plain else FALL * now) else depths
+
+
+def _border_level(shades: Sequence[F32], joined: Mask) -> float:
+    """Median shade of the `joined` pixels (V, H, W) along the borders of the pictures."""
+    border = np.ones_like(joined)
+    border[:, 1:-1, 1:-1] = False
+    return float(np.median(np.stack(shades)[joined & border]))
 
 
 def _joined(views: Sequence[FittedView], shades: Sequence[F32], level: float) -> Mask:

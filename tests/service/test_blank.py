@@ -123,6 +123,36 @@ def test_dark_and_bright_things_have_shades_and_stay(white: bool) -> None:
     assert blank_moved(views, depths, FAR) is depths
 
 
+@pytest.mark.parametrize("white", [False, True])
+@pytest.mark.parametrize("spread", [0.004, 0.02])
+def test_a_lifted_or_noisy_backdrop_goes_as_well(white: bool, spread: float) -> None:
+    """Most of it is above half of BLANK, but close to its own level."""
+    rng, lifted = np.random.default_rng(5), []
+    views, black = posters()
+    for view, of_view in zip(views, black, strict=True):
+        ground = rng.normal(0.6 * BLANK, spread / 3, view.image.shape).clip(0, None).astype(np.float32)
+        lifted.append(replace(view, image=np.where(of_view, ground, view.image)))
+    lifted = inverted(lifted) if white else lifted
+    found = blank_moved(lifted, with_black_at(lifted, black, BEFORE), FAR)
+    assert (found[black] == FAR).mean() > 0.95
+    right = with_black_at(lifted, black, FAR)
+    assert blank_moved(lifted, right, FAR) is right
+
+
+@pytest.mark.parametrize(("then", "moves"), [(0.49, True), (0.51, False)])
+def test_contradictions_must_fall_where_a_backdrop_is_even_above_its_level_alone(
+    then: float, moves: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    views, black = posters()
+    lifted = [
+        replace(view, image=np.where(of_view, np.float32(0.6 * BLANK), view.image))
+        for view, of_view in zip(views, black, strict=True)
+    ]
+    depths, shares = with_black_at(views, black, BEFORE), iter([0.02, 0.02 * then])
+    monkeypatch.setattr(module, "_contradicted", lambda *_: next(shares))
+    assert (blank_moved(lifted, depths, FAR) is not depths) == moves
+
+
 def test_black_inside_the_picture_stays() -> None:
     """A frame of brighter pixels parts it from the border."""
     views, black = posters()
