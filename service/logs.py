@@ -10,6 +10,9 @@ import time
 from typing import Any, Literal
 
 REQUEST_ID: contextvars.ContextVar[str | None] = contextvars.ContextVar("request_id", default=None)
+OVER_LIMIT = "the limit"  # how a line begins that says which bound of connections is reached
+NO_FILES = "socket.accept() out of system resource"  # how the event loop begins to say so, once per attempt
+SELDOM_S = 10.0  # between two lines that begin so
 _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "color_message", "request_id"}
 
 
@@ -21,6 +24,7 @@ def configure(form: Literal["text", "json"], *, quiet: bool = False) -> None:
     handler = _Stderr()
     handler.setFormatter(_Json() if form == "json" else _Text())
     handler.addFilter(_with_request)
+    handler.addFilter(_Seldom())
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING if quiet else logging.INFO)
@@ -42,6 +46,26 @@ def _with_request(record: logging.LogRecord) -> bool:
     if not hasattr(record, "request_id"):
         record.request_id = REQUEST_ID.get()
     return True
+
+
+class _Seldom(logging.Filter):
+    """What clients can cause many times a second is said once in a while, and in one line."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._said: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        message = record.getMessage()
+        begin = next((begin for begin in (OVER_LIMIT, NO_FILES) if message.startswith(begin)), None)
+        if begin is None:
+            return True
+        if record.created - self._said.get(begin, -SELDOM_S) < SELDOM_S:
+            return False
+        self._said[begin] = record.created
+        if begin == NO_FILES:
+            record.msg, record.args, record.exc_info = "no further connection: raise the limit of open files", (), None
+        return True
 
 
 class _Text(logging.Formatter):

@@ -62,6 +62,7 @@ def serve(
     import uvicorn
 
     from .. import watched_process
+    from ..http.connections import BACKLOG
     from ..logs import configure
     from ..models import Models
     from ..peers import FOLDER, OURS
@@ -96,6 +97,8 @@ def serve(
         "log_config": None,
         "access_log": False,
         "server_header": False,
+        "http": "gapmes.service.http.connections:Connection",
+        "backlog": BACKLOG,
         "timeout_graceful_shutdown": max(1, round(settings.drain_seconds)),
     }
     signal.signal(signal.SIGTERM, _ended)  # the server raises it once more when it has ended in order
