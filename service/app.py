@@ -27,6 +27,7 @@ from .http import (
     viewer,
 )
 from .http.access import OPEN, SCHEMES, KeyNeeded
+from .http.curfew import AnsweredInTime
 from .http.limits import BodyLimit
 from .http.observe import Observed
 from .http.origins import KnownPages
@@ -83,8 +84,9 @@ def create_app(settings: Settings | None = None, bars: AbstractContextManager[Li
         app.add_middleware(
             CORSMiddleware, allow_origins=origins, allow_methods=["*"], allow_headers=["*"], expose_headers=EXPOSED
         )
+    app.add_middleware(AnsweredInTime, curfew=runtime.curfew, seconds=settings.drain_seconds)
     app.add_middleware(Observed)
-    app.add_middleware(BodyLeft)
+    app.add_middleware(BodyLeft, curfew=runtime.curfew)
     return app
 
 

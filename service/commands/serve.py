@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import os
 import signal
 import sys
@@ -63,6 +64,7 @@ def serve(
 
     from .. import watched_process
     from ..http.connections import BACKLOG
+    from ..http.curfew import GRACE_S
     from ..logs import configure
     from ..models import Models
     from ..peers import FOLDER, OURS
@@ -99,7 +101,7 @@ def serve(
         "server_header": False,
         "http": "gapmes.service.http.connections:Connection",
         "backlog": BACKLOG,
-        "timeout_graceful_shutdown": max(1, round(settings.drain_seconds)),
+        "timeout_graceful_shutdown": math.ceil(settings.drain_seconds) + GRACE_S,
     }
     signal.signal(signal.SIGTERM, _ended)  # the server raises it once more when it has ended in order
     if settings.workers == 1:

@@ -27,6 +27,7 @@ from ..priority import give_way
 from ..progress import Listener, Stages, silent
 from ..settings import Settings
 from ..store import SceneStore
+from .curfew import Curfew
 from .gate import GLANCE_S, Lane, Places
 
 if TYPE_CHECKING:
@@ -72,6 +73,7 @@ class Runtime:
         self.scenes = Places("scenes", settings.concurrency + settings.max_waiting, "waiting for their scenes")
         self.uploads = Places("uploads", settings.max_uploads, "sending their photographs")
         self.peers = Peers(settings.workers, Path(os.environ[FOLDER]) if FOLDER in os.environ else None)
+        self.curfew = Curfew()
         self.stage = "start"
         self._listening = False
         self._told: float | None = None  # when the process was told to end
@@ -88,7 +90,7 @@ class Runtime:
         loader = ThreadPoolExecutor(1, "load", give_way)  # the network's threads have the priority of who makes them
         self._loading = asyncio.ensure_future(asyncio.get_running_loop().run_in_executor(loader, self._load))
         self._loading.add_done_callback(_log_failure)
-        tasks = [asyncio.create_task(self._tidy()), asyncio.create_task(self._end_if_failed())]
+        tasks = [asyncio.create_task(each()) for each in (self._tidy, self._end_if_failed, self._end_in_time)]
         try:
             with self._told_to_stop():
                 while not (self._models or self.stopping or self.peers.wanted):
@@ -147,6 +149,12 @@ class Runtime:
                     await anyio.to_thread.run_sync(tidy)
                 except Exception:
                     _log.exception("the store cannot be tidied")
+
+    async def _end_in_time(self) -> None:
+        """Requests have their share of the patience, once the process was told to end."""
+        while self._told is None or time.monotonic() - self._told < self.settings.drain_seconds:
+            await asyncio.sleep(GLANCE_S)
+        self.curfew.end()
 
     async def _end_if_failed(self) -> None:
         """Where others are loaded, a process that cannot be makes room for another try, which the server starts."""

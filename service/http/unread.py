@@ -7,6 +7,8 @@ import anyio
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from .curfew import GRACE_S, Curfew
+
 SMALL, SMALL_S = 64 * 2**10, 5.0  # a body of so many declared bytes is read before the answer, in that time
 SLOW = 408  # the answer to a body for which the service has waited long enough
 # Behind the answer: two photographs of a telephone, over a line that takes them in that time.
@@ -18,8 +20,8 @@ class BodyLeft:
     until the client has sent the rest, or as much as is read of it: with bytes unread the system would reset the
     connection, and many clients lose an answer that they have not read yet."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
+    def __init__(self, app: ASGIApp, curfew: Curfew) -> None:
+        self._app, self._curfew = app, curfew
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope) if scope["type"] == "http" else Headers()
@@ -37,7 +39,7 @@ class BodyLeft:
             return message
 
         async def rest(most: int, seconds: float) -> None:
-            with anyio.move_on_after(seconds):
+            with self._curfew.until(), anyio.move_on_after(GRACE_S / 2 if self._curfew.over else seconds):
                 while not ended and most > 0:
                     most -= len((await watched()).get("body", b""))
 
