@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from ..backends.choice import ENGINES, checked_engine
 from ..streams import write_result
 from ..terminal import ProgressBars, Quiet
+from .given import given, path_option
 
 
 def doctor(
-    model: Annotated[Path | None, typer.Option(help="ONNX model [default: GAPMES_MODEL or the packaged one]")] = None,
+    model: Annotated[Path | None, path_option("ONNX model [default: GAPMES_MODEL or the packaged one]")] = None,
     engine: Annotated[
         str | None, typer.Option(help=f"what computes the network: {', '.join(ENGINES)} [default: GAPMES_ENGINE]")
     ] = None,
-    store: Annotated[Path | None, typer.Option(help="folder of the scenes [default: GAPMES_STORE]")] = None,
+    store: Annotated[Path | None, path_option("folder of the scenes [default: GAPMES_STORE]")] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the findings to stdout as one JSON object")] = False,
     quiet: Quiet = False,
@@ -28,13 +29,8 @@ def doctor(
     from ..progress import Stages
     from ..settings import checked_settings
 
-    given: dict[str, Any] = {
-        "model": model,
-        "engine": None if engine is None else checked_engine(engine),
-        "store": store,
-        "threads": threads,
-    }
-    settings = checked_settings(**{name: value for name, value in given.items() if value is not None})
+    checked = checked_engine(engine) if engine else None
+    settings = checked_settings(**given(model=model, engine=checked, store=store, threads=threads))
     examination = Doctor(settings)
     findings = []
     with ProgressBars(quiet=quiet) as bars:

@@ -20,6 +20,7 @@ from ..backends.choice import DEFAULT_ENGINE, ENGINES
 from ..errors import InputError
 from ..progress import Stages
 from ..terminal import ProgressBars
+from .given import given, path_option
 
 if TYPE_CHECKING:
     from ..models import Models
@@ -35,7 +36,7 @@ def serve(
     port: Annotated[
         int | None, typer.Option(min=0, max=65535, help="port, 0 for a free one [default: GAPMES_PORT or 8000]")
     ] = None,
-    model: Annotated[Path | None, typer.Option(help="ONNX model [default: GAPMES_MODEL or the packaged one]")] = None,
+    model: Annotated[Path | None, path_option("ONNX model [default: GAPMES_MODEL or the packaged one]")] = None,
     models: Annotated[
         str | None, typer.Option(help="further models, name=file.onnx, comma separated [default: GAPMES_MODELS]")
     ] = None,
@@ -43,7 +44,7 @@ def serve(
         str | None,
         typer.Option(help=f"what computes the network: {', '.join(ENGINES)} [default: GAPMES_ENGINE or onnxruntime]"),
     ] = None,
-    store: Annotated[Path | None, typer.Option(help="folder of the scenes [default: GAPMES_STORE]")] = None,
+    store: Annotated[Path | None, path_option("folder of the scenes [default: GAPMES_STORE]")] = None,
     threads: Annotated[
         int | None, typer.Option(min=1, max=1024, help="CPU threads of each process [default: all]")
     ] = None,
@@ -72,12 +73,11 @@ def serve(
     from ..store import SceneStore
     from .listening import check_address
 
-    given: dict[str, Any] = {
-        "host": host, "port": port, "model": model, "models": models, "engine": engine, "store": store,
-        "threads": threads, "workers": workers, "quiet": quiet or None,
-    }  # fmt: skip
-    given = {name: value for name, value in given.items() if value is not None}
-    settings = checked_settings(**given)
+    options = given(
+        host=host, port=port, model=model, models=models, engine=engine, store=store, threads=threads, workers=workers,
+        quiet=quiet or None,
+    )  # fmt: skip
+    settings = checked_settings(**options)
     strange = strange_variables(os.environ)
     found = Models(settings)  # looks at the files; said before the work
     settings.key()
@@ -91,8 +91,8 @@ def serve(
     check_address(settings.host, settings.port, settings.workers)
     configure(settings.log, quiet=settings.quiet)
     _tell(strange)
-    os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in given.items()}  # what the workers read
-    options: dict[str, Any] = {
+    os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in options.items()}  # what the workers read
+    served: dict[str, Any] = {
         "factory": True,
         "host": settings.host,
         "port": settings.port,
@@ -106,14 +106,14 @@ def serve(
     signal.signal(signal.SIGTERM, _ended)  # the server raises it once more when it has ended in order
     if settings.workers == 1:
         _end_with_the_terminal()
-        uvicorn.run("gapmes.service.serving:app", **options)
+        uvicorn.run("gapmes.service.serving:app", **served)
         return
     memory = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None  # a full disk would end who writes there
     with tempfile.TemporaryDirectory(prefix=OURS, dir=memory) as folder:
         os.environ[FOLDER] = folder
         watched_process.install()
-        options |= {"workers": settings.workers, "timeout_worker_healthcheck": round(ANSWER_S)}
-        uvicorn.run("gapmes.service.serving:app", **options)
+        served |= {"workers": settings.workers, "timeout_worker_healthcheck": round(ANSWER_S)}
+        uvicorn.run("gapmes.service.serving:app", **served)
 
 
 def _tell(strange: Sequence[str]) -> None:

@@ -216,7 +216,9 @@ def test_the_service_bounds_its_connections_as_documented(monkeypatch: pytest.Mo
     found: list[dict[str, Any]] = []
     monkeypatch.setattr(uvicorn, "run", lambda _, **options: found.append(options))
     monkeypatch.setattr("signal.signal", lambda *_: None)
-    assert run("serve", "--port", 0, "--store", tmp_path) == 0
+    monkeypatch.setenv("GAPMES_PORT", "0")
+    monkeypatch.setenv("GAPMES_STORE", str(tmp_path))
+    assert run("serve") == 0
     text = (Path(__file__).parents[3] / "docs" / "operations.md").read_text(encoding="utf-8")
     assert f"{module.HEAD_S:g} s" in text
     assert f"less than {module.LEAST // 2**10} KiB of an answer in {module.LOOK_S:g} s" in text

@@ -95,6 +95,21 @@ def test_all_of_ipv6_is_all_of_ipv4_too_for_several_workers() -> None:
     check_address("::", port, 2)
 
 
+def test_an_empty_option_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It counts as not given, as a variable does: the setting holds, and neither every address nor this folder."""
+    found: list[dict[str, Any]] = []
+    monkeypatch.setattr(uvicorn, "run", lambda _, **options: found.append(options))
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setenv("GAPMES_STORE", str(tmp_path / "scenes"))
+    monkeypatch.setenv("GAPMES_PORT", "0")
+    monkeypatch.chdir(tmp_path)
+    empty = [word for name in ("host", "store", "model", "models", "engine") for word in (f"--{name}", "")]
+    assert run("serve", *empty) == 0
+    assert found[0]["host"] == "127.0.0.1"
+    assert [path.name for path in tmp_path.iterdir()] == ["scenes"]
+    assert os.environ["GAPMES_STORE"] == str(tmp_path / "scenes")
+
+
 STARTS_NOTHING = """
 import sys, uvicorn
 from gapmes.service.cli import main
