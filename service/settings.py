@@ -7,9 +7,10 @@ import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
-from pydantic import Field, SecretStr, ValidationError, field_validator
+from pydantic import Field, SecretStr, ValidationError, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from .backends.choice import DEFAULT_ENGINE, EngineName
@@ -53,6 +54,18 @@ class Settings(BaseSettings):
     def _at_home(cls, value: Any) -> Any:
         """No shell reads `~` in a file of settings."""
         return at_home(value) if isinstance(value, Path) else value
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _plain(cls, value: Any, info: ValidationInfo) -> Any:
+        """Python reads 8_000 and 8000.0 as 8000; who else reads the variable, such as a health check, does not."""
+        kind = cls.model_fields[info.field_name or ""].annotation
+        kinds = {kind, *get_args(kind)}
+        if isinstance(value, str) and int in kinds and not (value.isascii() and value.isdigit()):
+            raise PydanticCustomError("plain_number", "Input should be a whole number in decimal digits")
+        if isinstance(value, str) and float in kinds and "_" in value:
+            raise PydanticCustomError("plain_number", "Input should be a number without _")
+        return value
 
     host: str = Field("127.0.0.1", description="address that `gapmes serve` listens on")
     port: int = Field(8000, ge=0, le=65535, description="port that `gapmes serve` listens on; 0 takes a free one")
@@ -202,7 +215,11 @@ class Settings(BaseSettings):
             try:
                 key = self.api_key_file.read_bytes().strip().decode("latin-1")  # so that each byte has an index
             except OSError as error:
-                raise InputError(f"cannot be read: {error.strerror}", field="GAPMES_API_KEY_FILE") from error
+                raise InputError(
+                    f"{self.api_key_file} cannot be read: {error.strerror}",
+                    field="GAPMES_API_KEY_FILE",
+                    cure=f"name a file that the service, as uid {os.getuid()}, may read",
+                ) from error
             if not key:
                 raise InputError("the file is empty", field="GAPMES_API_KEY_FILE", cure="write the key into it")
             return _sendable(key, "GAPMES_API_KEY_FILE")

@@ -50,6 +50,25 @@ def test_nonsense_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, value: 
     assert caught.value.field == f"GAPMES_{name}"
 
 
+@pytest.mark.parametrize("value", ["8000.0", "8_000", " 8000", "+8000", "8e3", "٨٠٠٠"])
+def test_a_whole_number_has_plain_digits(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+    """Others read the same variable, such as the health check, and know no other way to write it."""
+    for name in ("PORT", "THREADS"):
+        monkeypatch.setenv(f"GAPMES_{name}", value)
+        with pytest.raises(InputError, match="whole number in decimal digits, got ") as caught:
+            checked_settings()
+        assert caught.value.field == f"GAPMES_{name}"
+        monkeypatch.delenv(f"GAPMES_{name}")
+
+
+def test_a_number_has_no_underscore(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GAPMES_DRAIN_SECONDS", "1_0")
+    with pytest.raises(InputError, match="number without _, got '1_0'"):
+        checked_settings()
+    monkeypatch.setenv("GAPMES_DRAIN_SECONDS", "1e1")
+    assert checked_settings().drain_seconds == 10
+
+
 FRACTIONS = [name for name, field in Settings.model_fields.items() if "float" in str(field.annotation)]
 
 
