@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import posixpath
+import stat
 import struct
 import zipfile
 import zlib
@@ -106,11 +107,13 @@ class ZipFiles:
         if name.endswith("/"):
             self._folders.setdefault(folder, set()).add(parts[-1])
             return
-        refusal = _refusal(info)
+        refusal, cure = _refusal(info), _ALONE
         if name in self._infos:
             refusal = "is there twice"
+        elif stat.S_ISLNK(info.external_attr >> 16):
+            refusal, cure = "is a symbolic link, which holds nothing but another name", "zip without -y"
         if refusal:
-            raise CaptureError(f"{name!r} {refusal}", field="capture", cure=_ALONE)
+            raise CaptureError(f"{name!r} {refusal}", field="capture", cure=cure)
         self._infos[name] = info
         self._files.setdefault(folder, set()).add(parts[-1])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import stat
 import struct
 import tracemalloc
 import zipfile
@@ -92,6 +93,18 @@ def test_other_compressions(method: int) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_a_link_is_no_file() -> None:
+    """What it holds is the name of another one."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as made:
+        link = zipfile.ZipInfo("images/000.png")
+        link.external_attr = (stat.S_IFLNK | 0o777) << 16
+        made.writestr(link, b"../photographs/000.png")
+    with pytest.raises(CaptureError, match=r"'images/000\.png' is a symbolic link") as refusal:
+        opened(buffer.getvalue())
+    assert refusal.value.cure == "zip without -y"
+
+
 def test_a_file_that_is_there_twice() -> None:
     with pytest.raises(CaptureError, match="is there twice"):
         opened(archive_of(("a.txt", b"x"), ("a.txt", b"y")))
