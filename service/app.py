@@ -28,6 +28,7 @@ from .http import (
 )
 from .http.access import OPEN, SCHEMES, KeyNeeded
 from .http.curfew import AnsweredInTime
+from .http.heads import Heads
 from .http.limits import BodyLimit
 from .http.observe import Observed
 from .http.origins import KnownPages
@@ -40,7 +41,8 @@ from .settings import Settings
 
 # What scripts of other origins may read of an answer, where they may call at all.
 EXPOSED = ["ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID"]
-EXPOSED += [f"X-Gapmes-{name}" for name in ("Scene", "Stats", "Notes")]
+EXPOSED += ["Accept-Ranges", "Content-Disposition", "Content-Range", "Preference-Applied"]
+EXPOSED += [f"X-Gapmes-{name}" for name in ("Scene", "Stats", "Notes", "Problem")]
 EXPOSED += [f"X-Gapmes-Depth-{name}" for name in ("Min", "Max", "Scale", "Offset")]
 
 
@@ -84,6 +86,7 @@ def create_app(settings: Settings | None = None, bars: AbstractContextManager[Li
         app.add_middleware(
             CORSMiddleware, allow_origins=origins, allow_methods=["*"], allow_headers=["*"], expose_headers=EXPOSED
         )
+    app.add_middleware(Heads)
     app.add_middleware(AnsweredInTime, curfew=runtime.curfew, seconds=settings.drain_seconds)
     app.add_middleware(Observed)
     app.add_middleware(BodyLeft, curfew=runtime.curfew)

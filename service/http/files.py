@@ -26,7 +26,7 @@ from .responses import PLY, head_alone
 from .spilled import SpilledResponse
 
 ASKED_AGAIN = "private, no-cache"  # kept by a client, which asks with the tag whether it is still right
-_RANGE = re.compile(rb"bytes=((\d+-\d*|-\d+)(\s*,\s*(\d+-\d*|-\d+))*)")
+_RANGE = re.compile(rb"(?i:bytes)=([\s,]*(\d+-\d*|-\d+)(\s*,[\s,]*(\d+-\d*|-\d+))*[\s,]*)")  # a list may have gaps
 
 
 def etag_of(path: Path) -> str:
@@ -37,7 +37,8 @@ def etag_of(path: Path) -> str:
 
 def matches(request: Request, etag: str) -> bool:
     """Whether `If-None-Match` (RFC 9110 section 13.1.2) lists the tag, weakly compared."""
-    tags = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
+    listed = ",".join(request.headers.getlist("if-none-match"))
+    tags = [tag.strip().removeprefix("W/") for tag in listed.split(",")]
     return "*" in tags or etag.removeprefix("W/") in tags
 
 
@@ -120,8 +121,8 @@ def _there(asked: bytes, size: int) -> bytes:
     if found is None:
         return b""
     kept = []
-    for part in found[1].split(b","):
-        first, last = (_number(digits) for digits in part.strip().split(b"-"))
+    for part in filter(None, (part.strip() for part in found[1].split(b","))):
+        first, last = (_number(digits) for digits in part.split(b"-"))
         if first is None:  # the last so many bytes
             kept += [b"-%d" % last] if last else []
             continue

@@ -12,6 +12,12 @@ from ..errors import MalformedRequest, ServiceBusy, UploadTooLarge
 from ..problem_document import of_error
 from . import problems
 
+SETTING = "GAPMES_MAX_UPLOAD_BYTES"
+# What helps where a body is too large, by what the path takes.
+CURES = dict.fromkeys(
+    ("/reconstruct", "/check"),
+    f"send smaller photographs; anything above the model's size is scaled down anyway. Or raise {SETTING}",
+) | {"/scenes": f"send a .spz or .compressed.ply, which have fewer bytes, or raise {SETTING}"}
 RELEASE = "gapmes.release"  # in a request's scope: what to call once its body is out of memory
 
 
@@ -33,7 +39,7 @@ class BodyLimit:
             return
         declared = Headers(scope=scope).get("content-length", "0")
         if declared.isascii() and declared.isdigit() and int(declared) > self.max_bytes:
-            answer = problems.response(of_error(self._error(int(declared))))
+            answer = problems.response(of_error(self._error(int(declared), scope)))
             await answer(scope, receive, send)
             return
         received = held = 0
@@ -44,7 +50,7 @@ class BodyLimit:
             size = len(message.get("body", b""))
             received += size
             if received > self.max_bytes:
-                raise self._error(received)
+                raise self._error(received, scope)
             others = self._held - held
             if others and others + held + size > self.most_together:
                 raise ServiceBusy(
@@ -68,11 +74,11 @@ class BodyLimit:
         finally:
             release()
 
-    def _error(self, size: int) -> UploadTooLarge:
+    def _error(self, size: int, scope: Scope) -> UploadTooLarge:
         return UploadTooLarge(
             f"the request has {size} bytes or more, the limit is {self.max_bytes}",
             field="body",
-            cure="send smaller photographs; anything above the model's size is scaled down anyway",
+            cure=CURES.get(scope.get("path", ""), f"send less, or raise {SETTING}"),
         )
 
 

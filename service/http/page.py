@@ -13,6 +13,7 @@ from starlette.exceptions import HTTPException
 
 from ..shipped import sample_folder
 from .files import matches, not_modified
+from .responses import takes_gzip
 
 router = APIRouter(include_in_schema=False)
 
@@ -76,14 +77,14 @@ def static(request: Request, name: str) -> Response:
 def _answer(request: Request, name: str, policy: str) -> Response:
     file = _loaded(_files()[name])
     headers = HEADERS | {"Content-Security-Policy": policy, "ETag": file.etag}
+    if file.packed is not None:
+        headers["Vary"] = "Accept-Encoding"
     if matches(request, file.etag):
         return not_modified(file.etag, headers)
     body = file.body
-    if file.packed is not None:
-        headers["Vary"] = "Accept-Encoding"
-        if "gzip" in request.headers.get("accept-encoding", ""):
-            body = file.packed
-            headers["Content-Encoding"] = "gzip"
+    if file.packed is not None and takes_gzip(",".join(request.headers.getlist("accept-encoding"))):
+        body = file.packed
+        headers["Content-Encoding"] = "gzip"
     return Response(body, media_type=file.media_type, headers=headers)
 
 

@@ -21,7 +21,8 @@ MAX_PARTS = MAX_IMAGES + 4  # files, and as many fields; beyond it no more of a 
 MAX_TEXT = 16 * 2**10  # bytes of a text field: 64 views or 6 long names are far below; beyond it no more is read
 DOCUMENT = "cameras"  # the one text field that may be long, with a limit of its own
 ONCE = {DOCUMENT: "send one of them; a COLMAP model of several files goes in as one zip"}  # what helps, by field
-_TOO_MANY_FILES = "Too many files"  # how the framework's parser begins to say so; it has no other sign
+# How the parsers begin to say so; they have no other sign.
+_TOO_MANY_FILES, _LONG_HEADERS = "Too many files", "Maximum header"
 
 
 def media_type(request: Request) -> str:
@@ -57,6 +58,12 @@ async def posted_form(
     except MultiPartException as error:
         if error.message.startswith(_TOO_MANY_FILES):
             raise too_many from error
+        if error.message.startswith(_LONG_HEADERS):
+            raise MalformedRequest(
+                f"a part of the form has too long or too many headers: {error.message}",
+                field="body",
+                cure="shorten the file's name; a part needs no headers but Content-Disposition and Content-Type",
+            ) from error
         raise MalformedRequest(f"the multipart body cannot be read: {error.message}", field="body") from error
     except UnicodeError as error:
         raise MalformedRequest("names are not in the body's declared charset", field="body") from error
@@ -93,8 +100,9 @@ class _Parser(MultiPartParser):
             for file in self._files_to_close_on_error:  # earlier releases of the framework leave most errors to us
                 with suppress(OSError):
                     file.close()
-            if isinstance(error, FormParserError):
-                raise MultiPartException(str(error)) from error
+            cause = error if isinstance(error, FormParserError) else error.__cause__
+            if isinstance(cause, FormParserError):  # later ones do not say what it is
+                raise MultiPartException(str(cause)) from error
             raise
         if not self._whole:
             await form.close()

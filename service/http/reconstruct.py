@@ -42,7 +42,7 @@ router = APIRouter(tags=["reconstruction"])
 async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
     """Reconstruct a scene, or find it in the store: 201 or 200, both with Location; 202 and a job with the header
     `Prefer: respond-async`."""
-    form = accepted(request.headers.get("accept"))
+    form = accepted(", ".join(request.headers.getlist("accept")))
     models = runtime.models  # refuses until there is one
     runtime.desk.table.check_room()  # before the body is read, so that a full queue costs no memory
     runtime.scenes.check()

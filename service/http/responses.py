@@ -44,15 +44,27 @@ def accepted(header: str | None) -> str:
     """
     if not header or not header.strip():
         return JSON
-    ranges: dict[str, float] = {}
-    for item in header.split(","):
-        media_range, *parameters = (part.strip().lower() for part in item.split(";"))
-        ranges[media_range] = max(ranges.get(media_range, 0.0), _weight(parameters))
+    ranges = _weights(header)
     weights = {offer: _weight_of(offer, ranges) for offer in OFFERED}
     best = max(OFFERED, key=lambda offer: weights[offer])
     if weights[best] <= 0:
         raise NotAcceptable(f"{header[:100]!r} accepts none of {', '.join(OFFERED)}", field="Accept")
     return best
+
+
+def takes_gzip(header: str) -> bool:
+    """Whether an Accept-Encoding header (RFC 9110 section 12.5.3) allows it."""
+    weights = _weights(header)
+    return next((weights[name] for name in ("gzip", "x-gzip", "*") if name in weights), 0.0) > 0
+
+
+def _weights(header: str) -> dict[str, float]:
+    """The items of a list by their names in small letters."""
+    weights: dict[str, float] = {}
+    for item in header.split(","):
+        name, *parameters = (part.strip().lower() for part in item.split(";"))
+        weights[name] = max(weights.get(name, 0.0), _weight(parameters))
+    return weights
 
 
 def _weight_of(offer: str, ranges: Mapping[str, float]) -> float:
