@@ -35,8 +35,9 @@ class Desk:
 
     def __init__(self, store: SceneStore, settings: Settings) -> None:
         self._store, self._settings = store, settings
-        most = settings.workers * settings.concurrency + settings.max_waiting
-        self.table = JobTable(store.database, most=most, keep_s=settings.job_keep_seconds)
+        self.table = JobTable(
+            store.database, most=settings.max_waiting, keep_s=settings.job_keep_seconds, slots=self._slots
+        )
         self._spool = Spool(store.root / SPOOL)
         self._opening = threading.Lock()
         self._closed = False
@@ -49,7 +50,7 @@ class Desk:
         with self._opening:
             if self._closed:
                 return
-            self._lease = Lease(self._store.root / LEASES)
+            self._lease = Lease(self._store.root / LEASES, self._settings.concurrency)
             self._runner = Runner(
                 self.table,
                 self._spool,
@@ -98,6 +99,12 @@ class Desk:
     def _process(self) -> str:
         """Its name for the others; that of a process that is gone where this one has closed before it opened."""
         return "closed" if self._lease is None else self._lease.name
+
+    def _slots(self) -> int:
+        """Jobs that all processes of the store compute at a time; those that share this one's port count before they
+        are loaded."""
+        own = self._settings.workers * self._settings.concurrency
+        return own if self._lease is None else max(own, self._lease.slots())
 
     def tidy(self) -> None:
         """Forget what ended long ago, and inputs that no job needs."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from sqlite3 import Connection
 from typing import Any
 
@@ -34,17 +34,16 @@ MAX_ATTEMPTS = 2  # a job whose process died is tried once more; then it is take
 class JobTable(JobReader):
     """All of it is safe for many processes on one store."""
 
-    def __init__(self, database: Database, *, most: int, keep_s: float) -> None:
-        """`most` active jobs; ended ones are forgotten after `keep_s` seconds."""
+    def __init__(self, database: Database, *, most: int, keep_s: float, slots: Callable[[], int] = lambda: 0) -> None:
+        """`most` active jobs beside as many as the processes have `slots` for; ended ones are forgotten after `keep_s`
+        seconds."""
         super().__init__(database)
-        self._most = most
+        self._most, self._slots = most, slots
         self._keep_s = keep_s
 
     def check_room(self) -> None:
         """Raises `ServiceBusy` where no further job would be taken."""
-        count = self.counts()
-        if sum(count.values()) >= self._most:
-            raise self._busy(sum(count.values()))
+        self._check(sum(self.counts().values()))
 
     def join(self, scene_id: str, waits: str | None = None) -> Job | None:
         """Take part in the active job of the scene, if there is one: for good, or with a request of the process `waits`
@@ -60,8 +59,7 @@ class JobTable(JobReader):
             if there is not None:
                 return there
             (active,) = connection.execute("SELECT count(*) FROM jobs WHERE state IN ('queued', 'running')").fetchone()
-            if active >= self._most:
-                raise self._busy(active)
+            self._check(active)
             connection.execute(
                 "INSERT INTO jobs (id, scene_id, state, kept, created) VALUES (?, ?, 'queued', ?, ?)",
                 [job_id, scene_id, waits is None, time.time()],
@@ -224,7 +222,9 @@ class JobTable(JobReader):
         connection.execute("DELETE FROM events WHERE job_id IN (SELECT id FROM jobs WHERE ended < ?)", old)
         connection.execute("DELETE FROM jobs WHERE ended < ?", old)
 
-    def _busy(self, active: int) -> ServiceBusy:
-        return ServiceBusy(
-            f"{active} reconstructions are running or waiting, the limit is {self._most}", cure="retry later"
-        )
+    def _check(self, active: int) -> None:
+        most = self._most + self._slots()
+        if active >= most:
+            raise ServiceBusy(
+                f"{active} reconstructions are running or waiting, the limit is {most}", cure="retry later"
+            )

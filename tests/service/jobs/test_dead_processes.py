@@ -90,6 +90,17 @@ def test_requests_of_a_killed_process_wait_no_more(place: Place) -> None:
     assert place.table.cancel("1").state == "cancelled"
 
 
+def test_slots_of_the_living_count_together(tmp_path: Path) -> None:
+    one, two = Lease(tmp_path, 3), Lease(tmp_path, 2)
+    (tmp_path / "dead").write_text("5")
+    assert (one.slots(), two.slots()) == (5, 5)
+    three = Lease(tmp_path)
+    (tmp_path / three.name).write_text("")  # as one of an earlier release
+    assert one.slots() == 6
+    two.release()
+    assert one.slots() == 4
+
+
 def test_the_living_are_not_taken_for_dead(tmp_path: Path) -> None:
     one, two = Lease(tmp_path), Lease(tmp_path)
     assert one.gone([one.name, two.name, "never"]) == {"never"}

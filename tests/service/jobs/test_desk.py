@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 from job_place import A, work
 from starlette.requests import ClientDisconnect
 
+from gapmes.service.errors import ServiceBusy
 from gapmes.service.http.waiting import ended
 from gapmes.service.jobs.desk import SPOOL, Desk
 from gapmes.service.jobs.rows import Job
@@ -51,6 +53,24 @@ def test_a_process_that_ends_leaves_what_its_requests_wait_for_to_another(
     assert (tmp_path / SPOOL / job.id).is_dir()
     assert desk.table.claim("other").id == job.id
     assert desk.table.stage(job.id, "other", {"stage": "network"})
+
+
+def test_another_process_of_the_store_brings_room_of_its_own(tmp_path: Path) -> None:
+    """What the others compute takes no place from those that wait, however few may."""
+    settings = Settings(store=tmp_path, max_waiting=0)
+    desks = [Desk(SceneStore(tmp_path), settings) for _ in range(2)]
+    try:
+        for desk in desks:
+            desk.drain()  # so that nothing is computed: no request waits
+            desk.open(cast(Any, None))
+            desk.table.check_room()
+            assert desk.submit(work(), f"{len(desk.table.unfinished()):032x}", kept=True)[1]
+        with pytest.raises(ServiceBusy, match="2 reconstructions are running or waiting, the limit is 2"):
+            desks[0].submit(work(), A, kept=True)
+    finally:
+        for desk in desks:
+            desk.close(1.0)
+    assert len(desks[0].table.unfinished()) == 2
 
 
 def test_a_request_that_ends_alone_takes_its_job_along(desk: Desk, tmp_path: Path) -> None:
