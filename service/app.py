@@ -28,6 +28,7 @@ from .http import (
 )
 from .http.access import OPEN, SCHEMES, KeyNeeded
 from .http.curfew import AnsweredInTime
+from .http.described import describe
 from .http.heads import Heads
 from .http.limits import BodyLimit
 from .http.observe import Observed
@@ -97,6 +98,7 @@ def _schema(app: FastAPI, *, locked: bool) -> dict[str, Any]:
     """The open API, with the one form that all errors have, and the key that a `locked` service asks for."""
     if app.openapi_schema is None:
         schema = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+        describe(schema["paths"])
         problem = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
         schema.setdefault("components", {}).setdefault("schemas", {})["Problem"] = problem
         if locked:

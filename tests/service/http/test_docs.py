@@ -67,7 +67,7 @@ def test_every_warning_is_documented() -> None:
 def test_every_route_and_parameter_is_documented(client: TestClient) -> None:
     for path, methods in client.get("/openapi.json").json()["paths"].items():
         shown = re.sub(r"\{(scene|job)_id\}", "{id}", path)
-        for method in methods:
+        for method in set(methods) - {"head"}:  # of which one sentence says that it is answered wherever GET is
             assert re.search(rf"`{method.upper()} {re.escape(shown)}`", TEXT), (method, path)
     for name in (*RenderQuery.model_fields, *PreviewQuery.model_fields, *SheetQuery.model_fields, *FIELDS):
         assert f"`{name}`" in TEXT, name

@@ -1,0 +1,87 @@
+"""The open API tells headers and HEAD: what answers have is in it, and what it has is in docs/http.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from http_requests import photograph, post
+from starlette.testclient import TestClient
+
+from gapmes.service.http.described import ANSWERED, ASKED
+
+TEXT = (Path(__file__).parents[3] / "docs" / "http.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def paths(client: TestClient) -> dict[str, Any]:
+    return client.get("/openapi.json").json()["paths"]
+
+
+def told(paths: dict[str, Any], path: str, method: str, status: int) -> set[str]:
+    responses = paths[path][method]["responses"]
+    return set((responses.get(str(status)) or responses[f"{status // 100}XX"])["headers"])
+
+
+def test_headers_of_answers_are_told(client: TestClient, paths: dict[str, Any]) -> None:
+    images = [photograph(900), photograph(901)]
+    made, kept, job = post(client, images), post(client, images), post(client, images, prefer="respond-async")
+    link, file = made.headers["location"], "/scenes/{scene_id}.{extension}"
+    etag = client.get(f"{link}.ply").headers["etag"]
+    query = f"scene={link.removeprefix('/scenes/')}"
+    answers = [
+        ("/reconstruct", made),
+        ("/reconstruct", kept),
+        ("/reconstruct", job),
+        ("/reconstruct", post(client, images, accept="application/zip")),
+        ("/reconstruct", client.post("/reconstruct")),
+        (file, client.get(f"{link}.ply")),
+        (file, client.get(f"{link}.ply", headers={"Range": "bytes=0-9"})),
+        (file, client.get(f"{link}.ply", headers={"Range": "bytes=99999999999-"})),
+        (file, client.get(f"{link}.ply", headers={"If-None-Match": etag})),
+        (file, client.get(f"{link}.splat")),
+        (file, client.head(f"{link}.ply")),
+        ("/render", client.get(f"/render?{query}&channel=depth")),
+        ("/render", client.head(f"/render?{query}")),
+        ("/scenes/{scene_id}/preview", client.get(f"{link}/preview?frames=2")),
+        ("/scenes/{scene_id}", client.delete(link)),
+        ("/scenes/{scene_id}", client.get(link)),
+        ("/check", client.post("/check")),
+    ]
+    seen: set[str] = set()
+    for path, answer in answers:
+        has = {name for name in ANSWERED if name.lower() in answer.headers}
+        assert has <= told(paths, path, answer.request.method.lower(), answer.status_code), (path, answer)
+        seen |= has
+    assert set(ANSWERED) - seen == {"Allow", "Retry-After", "WWW-Authenticate"}
+    assert {answer.status_code for _, answer in answers} >= {200, 201, 202, 204, 206, 304, 404, 415, 416}
+
+
+def test_headers_of_requests_are_told(paths: dict[str, Any]) -> None:
+    found = {
+        (path, parameter["name"])
+        for path, methods in paths.items()
+        for operation in methods.values()
+        for parameter in operation.get("parameters", ())
+        if parameter["in"] == "header" and parameter["name"] in ASKED
+    }
+    file = "/scenes/{scene_id}.{extension}"
+    drawn = ("/render", "/scenes/{scene_id}/preview", "/scenes/{scene_id}/sheet")
+    assert found == {
+        ("/reconstruct", "Prefer"),
+        *((file, name) for name in ("Range", "If-Range", "If-None-Match")),
+        *((path, "If-None-Match") for path in drawn),
+    }
+
+
+def test_head_is_told_wherever_get_is(client: TestClient, paths: dict[str, Any]) -> None:
+    """And answered there."""
+    assert "`HEAD` is answered wherever `GET` is" in TEXT
+    for path, methods in paths.items():
+        assert ("head" in methods) == ("get" in methods)
+        if "get" in methods:
+            assert "content" not in methods["head"]["responses"]["200"]
+            assert client.head(path).status_code != 405
+    operations = [operation["operationId"] for methods in paths.values() for operation in methods.values()]
+    assert len(set(operations)) == len(operations)
