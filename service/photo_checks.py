@@ -32,8 +32,8 @@ POOR_SCORE = 0.68  # where the given poses match worse than this: refused
 # poses score more than the one, all of the above as much as the other.
 RIGHT_SCORES = (0.85, 0.75)
 MARGIN = 0.06  # another reading that wins by this much: a warning
-# So is the estimated range, over a given one: of 170 pairs of six captures right ranges lost at most 0.016 to it, of 124
-# generated scenes 0.063; the sample's twice as far, or cut to 0.6 of far, 0.13 to 0.16, others that miss much up to 0.7.
+# So is the estimated range, over a given one: of 170 pairs of six captures right ranges lost at most 0.016 to it, of
+# 124 generated scenes 0.063; the sample's twice as far, or cut to 0.6 of far, 0.13 to 0.16, others up to 0.7.
 RANGE_MARGIN = 0.08
 TIE = 0.03  # of the best: readings that match about equally are all named
 HARDLY = 0.55  # no reading matches better than this: a warning
