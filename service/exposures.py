@@ -1,4 +1,4 @@
-"""Photographs of one scene that were exposed differently: found by what matches, and brought to their common mean.
+"""Photographs of one scene that were exposed differently: found by what matches, and brought to the middle one.
 
 The network, the matching of depths and the mending compare colours; a factor between two photographs is to them what a
 wrong depth is. Correlation, by which places are matched here, does not see it.
@@ -6,14 +6,15 @@ wrong depth is. Correlation, by which places are matched here, does not see it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .bilinear import bilinear
-from .coarse_views import block_means, block_px, coarse_view, pixel_grid
+from .coarse_views import CoarseView, block_means, block_px, coarse_view, pixel_grid
 from .depth_range import DepthRange
 from .depth_sweep import MIN_MATCHED, matches
 from .fitting import FittedPhotos
@@ -30,64 +31,86 @@ BEYOND_DOUBT = ((0.08, 0.9), (0.2, 0.8))
 DARK, BRIGHT = 0.05, 0.95  # of white; beyond them noise and clipping hide the factor
 
 
+@dataclass(frozen=True, eq=False)
+class Exposures:
+    """How the views were exposed."""
+
+    gains: F64  # (V, 3) by what each view's channels are to be multiplied for all to have the one in the middle
+    parts: list[list[int]]  # views that were compared, directly or by way of others; one part where all were
+
+
 def equalised(photos: FittedPhotos, depths: DepthRange, numbers: Sequence[int]) -> tuple[FittedPhotos, list[Notice]]:
-    """The photographs with colours as one exposure would have them, the geometric mean of all, and what to tell; as
-    they are where they have that. `numbers` are what the caller calls the views."""
-    gains = exposure_gains(photos.seen, depths)
-    if gains is None:
+    """The photographs with colours as one exposure would have them, and what to tell; as they are where they have
+    that. `numbers` are what the caller calls the views."""
+    found = exposures(photos.seen, depths)
+    if found is None:
         return photos, []
+    gains = found.gains
     seen = [_exposed(view, gain) for view, gain in zip(photos.seen, gains, strict=True)]
     finer = photos.shown[0] is not photos.seen[0]
     shown = [_exposed(view, gain) for view, gain in zip(photos.shown, gains, strict=True)] if finer else seen
     fine = [_packed(view, gain) for view, gain in zip(photos.fine, gains, strict=True)]
     told = ", ".join(f"{number} times {gain.mean():.3g}" for number, gain in zip(numbers, gains, strict=True))
     brightness = 1 / gains.mean(axis=1)
-    dark, light = int(brightness.argmin()), int(brightness.argmax())
+    part = max(found.parts, key=lambda views: np.ptp(np.log(gains[views]), axis=0).max())
+    dark, light = min(part, key=lambda view: brightness[view]), max(part, key=lambda view: brightness[view])
     message = (
         f"where photographs match, view {numbers[dark]} is {brightness[dark] / brightness[light]:.2f} times as bright "
-        f"as view {numbers[light]}: the colours of all were brought to their mean ({told})"
+        f"as view {numbers[light]}: their colours were brought to one exposure, the middle one ({told})"
     )
+    if len(found.parts) > 1:
+        apart = "; ".join(", ".join(str(numbers[view]) for view in views) for views in found.parts)
+        message += f"; not enough matches to compare these groups of views with each other: {apart}"
     notice: Notice = {"code": "exposures_differ", "field": "images", "index": numbers[dark], "message": message}
     return replace(photos, seen=seen, shown=shown, fine=fine), [{**notice, "gains": gains.round(4).tolist()}]
 
 
-def exposure_gains(views: Sequence[FittedView], depths: DepthRange) -> F64 | None:
-    """(V, 3) by what each view's channels are to be multiplied for all to have one exposure, whose product over the
-    views is 1; None where no two views that are compared differ in it beyond doubt.
+def exposures(views: Sequence[FittedView], depths: DepthRange) -> Exposures | None:
+    """None where no two views that are compared differ beyond doubt.
 
-    Each view is compared with its nearest neighbour where coarse windows of both match. With m the median over the
-    matches of log(neighbour / view), the logarithms x of the gains solve x_view - x_neighbour = m by least squares,
-    weighted by the matches, and are the shortest that do.
+    Pairs of views are compared, the nearest first, until all are joined, each where coarse windows of both match. The
+    median over the matches of log(one / other) is the difference of their exposures; the one that all are brought to is
+    the median over the views (of two the geometric mean), so that one odd photograph does not change the others.
     """
-    rows, medians, differ = [], [], False
-    for view, other, ratios in _ratios(views, depths):
-        median = np.median(ratios, axis=0)
-        more = (ratios > 0).mean(axis=0)
-        found = np.abs(median), np.maximum(more, 1 - more)
-        differ |= any(bool(((found[0] > least) & (found[1] > share)).any()) for least, share in BEYOND_DOUBT)
-        row, weight = np.zeros(len(views)), np.sqrt(len(ratios))
-        row[view], row[other] = weight, -weight
-        rows.append(row)
-        medians.append(weight * median)
+    coarse, colours = [coarse_view(view) for view in views], [_block_colours(view) for view in views]
+    centers = np.stack([view.camera.center for view in views])
+    part = list(range(len(views)))
+    logs, differ = np.zeros((len(views), 3)), False
+    apart = np.linalg.norm(centers[:, None] - centers[None], axis=2)
+    for one, other in sorted(combinations(part, 2), key=lambda pair: float(apart[pair])):
+        if part[one] == part[other]:
+            continue
+        ratios = _ratios([coarse[one], coarse[other]], [colours[one], colours[other]], depths)
+        if ratios is None:
+            continue
+        median, more = np.median(ratios, axis=0), (ratios > 0).mean(axis=0)
+        size, share = np.abs(median), np.maximum(more, 1 - more)
+        differ |= any(bool(((size > least) & (share > agreed)).any()) for least, agreed in BEYOND_DOUBT)
+        joined = [view for view in range(len(views)) if part[view] == part[other]]
+        logs[joined] += logs[one] - median - logs[other]
+        for view in joined:
+            part[view] = part[one]
     if not differ:
         return None
-    shortest = np.linalg.lstsq(np.array(rows), np.array(medians), rcond=None)[0]
-    return np.exp(shortest)
+    parts = [[view for view in range(len(views)) if part[view] == each] for each in dict.fromkeys(part)]
+    for members in parts:
+        logs[members] -= np.median(logs[members], axis=0)
+    return Exposures(np.exp(-logs), parts)
 
 
-def _ratios(views: Sequence[FittedView], depths: DepthRange) -> Iterator[tuple[int, int, F64]]:
-    """A view, its nearest neighbour, and (M, 3) log(neighbour / view) of what matches and is neither too dark nor too
-    bright in either; of every view of which enough is."""
-    coarse = [coarse_view(view) for view in views]
-    colours = [_block_colours(view) for view in views]
-    for index, match in enumerate(matches(coarse, depths)):
-        view, other = coarse[index], coarse[match.other]
+def _ratios(pair: Sequence[CoarseView], colours: Sequence[F64], depths: DepthRange) -> F64 | None:
+    """(M, 3) log(first / second) of what matches and is neither too dark nor too bright in either; None where that is
+    little."""
+    found = []
+    for index, match in enumerate(matches(pair, depths)):
+        view, other = pair[index], pair[match.other]
         pixels, depth = pixel_grid(match.depth.shape)[match.good], match.depth.ravel()[match.good]
         there, _ = other.camera.project(view.camera.unproject(pixels, depth))
         own, theirs = colours[index].reshape(-1, 3)[match.good], bilinear(colours[match.other], *(there - 0.5).T)
         usable = (np.minimum(own, theirs) > DARK).all(axis=1) & (np.maximum(own, theirs) < BRIGHT).all(axis=1)
-        if usable.sum() > MIN_MATCHED * view.kept.sum():  # a few match by chance
-            yield index, match.other, np.log(theirs[usable] / own[usable])
+        found.append((1 - 2 * index) * np.log(own[usable] / theirs[usable]))
+    ratios = np.concatenate(found)
+    return ratios if len(ratios) > MIN_MATCHED * sum(view.kept.sum() for view in pair) else None  # few are by chance
 
 
 def _block_colours(view: FittedView) -> F64:

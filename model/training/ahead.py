@@ -91,7 +91,10 @@ def _draw(recipe: Recipe, steps: range, worker: Worker, sender: Connection, pare
     for step in steps:
         drawn = draw_step(recipe, step, worker)
         arrays = [getattr(drawn.batch, field.name).numpy() for field in fields(TensorBatch)]
-        sender.send((arrays, drawn.torch_seed, drawn.withheld))
+        try:
+            sender.send((arrays, drawn.torch_seed, drawn.withheld))
+        except BrokenPipeError:  # who wanted it was ended
+            return
 
 
 def _received(pipe: Connection) -> StepScenes:

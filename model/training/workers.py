@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import signal
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
+from multiprocessing import active_children
 from pathlib import Path
 
 import numba
@@ -14,7 +16,7 @@ import torch
 import torch.distributed as distributed
 import torch.multiprocessing as multiprocessing
 from torch import nn
-from torch.multiprocessing.spawn import ProcessContext, ProcessException
+from torch.multiprocessing.spawn import ProcessException
 
 from ..weights_file import CheckpointError
 from .run_folder import Refused
@@ -61,22 +63,27 @@ def run_workers(count: int, threads: int, work: Callable[..., None], *arguments:
     with tempfile.TemporaryDirectory() as folder:
         refusal = Path(folder) / REFUSAL
         try:
-            _finished(multiprocessing.spawn(_start, (count, threads, Path(folder), work, arguments), count, join=False))
+            with _none_left():
+                processes = multiprocessing.spawn(_start, (count, threads, Path(folder), work, arguments), count, False)
+                while not processes.join():
+                    pass
         except ProcessException as error:
             if refusal.is_file():
                 raise Refused(refusal.read_text(encoding="utf-8")) from error
             raise
 
 
-def _finished(processes: ProcessContext) -> None:
-    """Wait for all; whatever comes between, an interrupt above all, leaves none at work."""
+@contextmanager
+def _none_left() -> Iterator[None]:
+    """Whatever ends the block, an interrupt above all, leaves no process at work that was started in it."""
+    before = {process.pid for process in active_children()}
     try:
-        while not processes.join():
-            pass
+        yield
     finally:
-        for process in processes.processes:
-            process.kill()  # of those that are done nothing is left to kill
-            process.join()
+        for process in active_children():
+            if process.pid not in before:
+                process.kill()
+                process.join()
 
 
 def _start(

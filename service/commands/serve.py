@@ -64,7 +64,7 @@ def serve(
     import uvicorn
 
     from .. import watched_process
-    from ..http.connections import BACKLOG
+    from ..http.connections import BACKLOG, HEAD_S, ask_for_files
     from ..http.curfew import GRACE_S
     from ..logs import configure
     from ..models import Models
@@ -101,8 +101,10 @@ def serve(
         "server_header": False,
         "http": "gapmes.service.http.connections:Connection",
         "backlog": BACKLOG,
+        "timeout_keep_alive": HEAD_S,
         "timeout_graceful_shutdown": math.ceil(settings.drain_seconds) + GRACE_S,
     }
+    ask_for_files()
     signal.signal(signal.SIGTERM, _ended)  # the server raises it once more when it has ended in order
     if settings.workers == 1:
         _end_with_the_terminal()

@@ -13,9 +13,11 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ..logs import OVER_LIMIT
 
-HEAD_S = 10.0  # from the connection, or from the answer before, to the last byte of a request's head
+HEAD_S = 10  # from the connection, or from the answer before, to the last byte of a request's head
 LOOK_S, LEAST = 60.0, 16 * 2**10  # of an answer that the system does not buffer whole, so many bytes go in that time
 SHARE, MOST = 3, 1000  # connections: this part of the files that the process may open, and never more
+FILES = 2 * SHARE * MOST  # that a process asks for, of those that it may have: twice as many are there for a moment
+CROWDED_S = 1.0  # from when there are too many to when one goes: what was sent with a connection is read before
 BACKLOG = 128  # connections that the system holds ready, and that are taken at once before any of them is looked at
 
 _log = logging.getLogger("gapmes")
@@ -25,6 +27,14 @@ def most_connections() -> int:
     """Of a process at the same time: scenes, uploads and the database need files, too."""
     files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return MOST if files == resource.RLIM_INFINITY else max(1, min(MOST, files // SHARE))
+
+
+def ask_for_files() -> None:
+    """So many files as the bound of connections needs, or as many as the system allows the process."""
+    files, allowed = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = FILES if allowed == resource.RLIM_INFINITY else min(FILES, allowed)
+    if files != resource.RLIM_INFINITY and files < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, allowed))
 
 
 class Connection(H11Protocol):
@@ -37,15 +47,15 @@ class Connection(H11Protocol):
     _moved = False  # whether since then another answer was begun or most of one has gone
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Where there are too many, the one goes that has been silent for the longest time: this one, where all others
-        are being answered."""
+        """Where there are too many, one that is silent goes: after a moment, in which those of a burst are heard, or at
+        once where there are twice as many; then this one, where all others are being answered."""
         super().connection_made(transport)
         self._look = self.loop.call_later(LOOK_S, self._look_at_answer)
         self._wait()
-        most = most_connections()
-        if len(self.connections) > most:
-            _log.warning("%s of %d connections is reached: silent ones are closed", OVER_LIMIT, most)
-            min(self._silent(), key=lambda one: one._since or 0.0)._close()
+        if len(self.connections) > 2 * most_connections():
+            self._make_room()
+        elif len(self.connections) > most_connections():
+            self.loop.call_later(CROWDED_S, self._make_room)
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -69,6 +79,14 @@ class Connection(H11Protocol):
         if self._look is not None:
             self._look.cancel()
         super().connection_lost(exc)
+
+    def _make_room(self) -> None:
+        """Close the one that has been silent for the longest time, if there are too many still."""
+        most, silent = most_connections(), self._silent()
+        if len(self.connections) > most:
+            _log.warning("%s of %d connections is reached: silent ones are closed", OVER_LIMIT, most)
+            if silent:
+                min(silent, key=lambda one: one._since or 0.0)._close()
 
     def _silent(self) -> list[Connection]:
         return [one for one in self.connections if isinstance(one, Connection) and one._since is not None]

@@ -1,4 +1,4 @@
-"""Photographs of different exposure: their factors are found by what matches, and colours are brought to their mean."""
+"""Photographs of different exposure: factors are found by what matches, and colours brought to the middle one."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from plane_scene import PlaneScene
 from gapmes.service import Reconstructor
 from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.depth_range import DepthRange
-from gapmes.service.exposures import equalised, exposure_gains
+from gapmes.service.exposures import equalised, exposures
 from gapmes.service.fitting import FittedPhotos
 from gapmes.service.images import FittedView, PackedView, Photo, decode_image, fit_view, match_photo
 from gapmes.service.shipped import sample_folder
 
 VIEWS = (1, 3, 5)
+GROUPS = (0, 1, 4, 5)  # each view's nearest is of its own pair
 EXACT = 0.015  # of a factor: measured 0.002 without clipping, 0.010 with it
 
 
 @cache
-def sample() -> tuple[tuple[Photo, ...], tuple, DepthRange]:
+def sample(which: tuple[int, ...] = VIEWS) -> tuple[tuple[Photo, ...], tuple, DepthRange]:
     scene = load_scene_folder(sample_folder())
-    photos = tuple(decode_image(scene.image_paths[i].read_bytes(), index=i) for i in VIEWS)
-    cameras = tuple(scene.file.views[i].camera for i in VIEWS)
+    photos = tuple(decode_image(scene.image_paths[i].read_bytes(), index=i) for i in which)
+    cameras = tuple(scene.file.views[i].camera for i in which)
     return photos, cameras, DepthRange(scene.file.near, scene.file.far, "given")
 
 
@@ -34,8 +35,8 @@ def exposed(photo: Photo, factors: tuple[float, ...]) -> Photo:
     return replace(photo, rgb=pixels)
 
 
-def fitted(photos: tuple[Photo, ...], size: int = 256) -> list[FittedView]:
-    _, cameras, _ = sample()
+def fitted(photos: tuple[Photo, ...], size: int = 256, which: tuple[int, ...] = VIEWS) -> list[FittedView]:
+    _, cameras, _ = sample(which)
     return [fit_view(*match_photo(p, c), size, size) for p, c in zip(photos, cameras, strict=False)]
 
 
@@ -49,20 +50,50 @@ def fitted(photos: tuple[Photo, ...], size: int = 256) -> list[FittedView]:
         ((0.7,) * 3, (1.0,) * 3, (0.85,) * 3),
     ],
 )
-def test_factors_are_found_and_their_mean_stays(factors: tuple[tuple[float, ...], ...]) -> None:
+def test_factors_are_found_and_the_middle_one_stays(factors: tuple[tuple[float, ...], ...]) -> None:
     photos, _, depths = sample()
     views = fitted(tuple(exposed(photo, f) for photo, f in zip(photos, factors, strict=False)))
-    gains = exposure_gains(views, depths)
-    assert gains is not None
-    np.testing.assert_allclose(gains.prod(axis=0), 1, rtol=1e-12)
-    mean = np.prod(factors, axis=0) ** (1 / len(factors))
-    np.testing.assert_allclose(gains, mean / np.asarray(factors), rtol=EXACT)
+    found = exposures(views, depths)
+    assert found is not None
+    assert found.parts == [list(range(len(views)))]
+    logs = np.log(factors)
+    np.testing.assert_allclose(found.gains, np.exp(np.median(logs, axis=0) - logs), rtol=EXACT)
+
+
+@pytest.mark.parametrize(
+    ("factors", "gains"),
+    [
+        ((0.6, 1, 1, 1), (1 / 0.6, 1, 1, 1)),  # three keep their colours
+        ((0.6, 0.6, 1, 1), ((1 / 0.6) ** 0.5,) * 2 + (0.6**0.5,) * 2),
+    ],
+)
+def test_pairs_of_nearest_views_are_joined(factors: tuple[float, ...], gains: tuple[float, ...]) -> None:
+    photos, _, depths = sample(GROUPS)
+    views = fitted(tuple(exposed(p, (f,) * 3) for p, f in zip(photos, factors, strict=True)), which=GROUPS)
+    found = exposures(views, depths)
+    assert found is not None
+    assert found.parts == [[0, 1, 2, 3]]
+    np.testing.assert_allclose(found.gains, np.repeat(np.array(gains)[:, None], 3, axis=1), rtol=EXACT)
+
+
+def test_views_that_match_no_others_are_named_and_stay() -> None:
+    """The last one shows something else."""
+    photos, _, depths = sample()
+    noise = np.random.default_rng(0).integers(0, 255, photos[2].rgb.shape, np.uint8)
+    given = (exposed(photos[0], (0.64,) * 3), photos[1], replace(photos[2], rgb=noise))
+    views = fitted(given)
+    found = exposures(views, depths)
+    assert found is not None
+    assert found.parts == [[0, 1], [2]]
+    np.testing.assert_allclose(found.gains, [[1.25] * 3, [0.8] * 3, [1] * 3], rtol=EXACT)
+    _, (notice,) = equalised(FittedPhotos(views, views, [PackedView.of(v) for v in views], []), depths, (4, 7, 9))
+    assert "not enough matches to compare these groups of views with each other: 4, 7; 9" in notice["message"]
 
 
 def test_one_exposure_and_small_differences_stay() -> None:
     photos, _, depths = sample()
-    assert exposure_gains(fitted(photos), depths) is None
-    assert exposure_gains(fitted((photos[0], exposed(photos[1], (1.04,) * 3))), depths) is None
+    assert exposures(fitted(photos), depths) is None
+    assert exposures(fitted((photos[0], exposed(photos[1], (1.04,) * 3))), depths) is None
 
 
 def test_surfaces_that_shine_one_way_are_no_exposure() -> None:
@@ -73,7 +104,7 @@ def test_surfaces_that_shine_one_way_are_no_exposure() -> None:
     pixels[:, :middle] *= 1.25
     pixels[:, middle:] /= 1.25
     shaded = replace(photos[1], rgb=np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
-    assert exposure_gains(fitted((photos[0], shaded)), depths) is None
+    assert exposures(fitted((photos[0], shaded)), depths) is None
 
 
 def test_what_does_not_match_has_no_say() -> None:
@@ -81,7 +112,7 @@ def test_what_does_not_match_has_no_say() -> None:
     noise = [np.random.default_rng(i).integers(0, 80 * (i + 1), (256, 256, 3), np.uint8) for i in range(2)]
     depths = sample()[2]
     for pixels in (flat, noise):
-        assert exposure_gains(fitted(tuple(Photo.from_array(p, index=0) for p in pixels)), depths) is None
+        assert exposures(fitted(tuple(Photo.from_array(p, index=0) for p in pixels)), depths) is None
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -92,11 +123,11 @@ def test_what_masks_leave_out_is_not_compared(which: int) -> None:
     pixels[100:], mask[100:] = 255, False
     masked = [*photos[:2]]
     masked[which] = replace(photos[which], rgb=pixels, mask=mask)
-    assert exposure_gains(fitted(tuple(masked)), depths) is None
+    assert exposures(fitted(tuple(masked)), depths) is None
     masked[1 - which] = exposed(photos[1 - which], (0.7,) * 3)
-    gains = exposure_gains(fitted(tuple(masked)), depths)
-    assert gains is not None
-    np.testing.assert_allclose(gains[1 - which] / gains[which], 1 / 0.7, rtol=EXACT)
+    found = exposures(fitted(tuple(masked)), depths)
+    assert found is not None
+    np.testing.assert_allclose(found.gains[1 - which] / found.gains[which], 1 / 0.7, rtol=EXACT)
 
 
 def fitted_photos(photos: tuple[Photo, ...], *, detail: int) -> FittedPhotos:
@@ -105,7 +136,7 @@ def fitted_photos(photos: tuple[Photo, ...], *, detail: int) -> FittedPhotos:
 
 
 @pytest.mark.parametrize("detail", [1, 2])
-def test_every_crop_of_a_photograph_is_brought_to_the_mean_and_it_is_told(detail: int) -> None:
+def test_every_crop_of_a_photograph_is_brought_to_it_and_it_is_told(detail: int) -> None:
     photos, _, depths = sample()
     given = fitted_photos((photos[0], exposed(photos[1], (0.64,) * 3)), detail=detail)
     found, (notice,) = equalised(given, depths, (4, 7))
@@ -134,9 +165,9 @@ def test_a_plane_in_another_world_has_the_same_factors() -> None:
     scene = PlaneScene.make(np.random.default_rng(3), size=(256, 192), turn=0.5)
     images = [scene.images[0], np.rint(scene.images[1] * 0.8).astype(np.uint8), scene.images[2]]
     views = [fit_view(Photo(i), c, 192, 256) for i, c in zip(images, scene.cameras, strict=True)]
-    gains = exposure_gains(views, DepthRange(scene.near, scene.far, "given"))
-    assert gains is not None
-    np.testing.assert_allclose(gains[[0, 2]] / gains[1], 0.8, rtol=EXACT)
+    found = exposures(views, DepthRange(scene.near, scene.far, "given"))
+    assert found is not None
+    np.testing.assert_allclose(found.gains, [[1] * 3, [1.25] * 3, [1] * 3], rtol=EXACT)
 
 
 def test_a_scene_of_two_exposures_is_the_scene_of_one() -> None:

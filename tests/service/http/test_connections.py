@@ -8,7 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -127,7 +127,9 @@ def test_a_request_that_is_answered_is_not_silent(
 def test_of_too_many_the_one_that_is_silent_for_the_longest_time_goes(
     monkeypatch: pytest.MonkeyPatch, app: App, address: tuple[str, int], caplog: pytest.LogCaptureFixture
 ) -> None:
+    """But for what was sent with a connection, which is read first."""
     monkeypatch.setattr(module, "most_connections", lambda: 3)
+    monkeypatch.setattr(module, "CROWDED_S", 0.3)
     with connected(address) as busy, connected(address) as first, connected(address) as second:
         busy.sendall(GET % b"/wait")
         assert app.begun.wait(120)
@@ -145,14 +147,30 @@ def test_of_too_many_the_one_that_is_silent_for_the_longest_time_goes(
 def test_where_all_are_answered_the_new_one_goes(
     monkeypatch: pytest.MonkeyPatch, app: App, address: tuple[str, int]
 ) -> None:
+    """At twice as many as there may be: as many more are waited for, and answered where they ask."""
     monkeypatch.setattr(module, "most_connections", lambda: 1)
-    with connected(address) as busy:
-        busy.sendall(GET % b"/wait")
-        assert app.begun.wait(120)
+    monkeypatch.setattr(module, "CROWDED_S", 0.3)
+    with connected(address) as busy, connected(address) as other:
+        for one in (busy, other):
+            app.begun.clear()
+            one.sendall(GET % b"/wait")
+            assert app.begun.wait(120)
         with connected(address) as new:
             assert rest(new) == b""
+        time.sleep(2 * module.CROWDED_S)
         app.go_on.set()
-        assert rest(busy).endswith(b"ok")
+        for one in (busy, other):
+            assert rest(one).endswith(b"ok")
+
+
+def test_a_burst_of_clients_is_answered(monkeypatch: pytest.MonkeyPatch, address: tuple[str, int]) -> None:
+    """All that there may be twice, at once, each with its request."""
+    monkeypatch.setattr(module, "most_connections", lambda: 20)
+    with ExitStack() as stack:
+        clients = [stack.enter_context(connected(address)) for _ in range(40)]
+        for client in clients:
+            client.sendall(GET % b"/")
+        assert [client.recv(9) for client in clients] == [b"HTTP/1.1 "] * 40
 
 
 def test_there_are_fewer_than_files_may_be_open() -> None:
@@ -163,6 +181,21 @@ def test_there_are_fewer_than_files_may_be_open() -> None:
             assert most_connections() == most
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (files, hard))
+
+
+def test_as_many_files_are_asked_for_as_the_bound_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int]] = []
+    monkeypatch.setattr(resource, "setrlimit", lambda _, limits: asked.append(limits))
+    for had, allowed, wanted in (
+        (1024, 4096, [(4096, 4096)]),
+        (1024, resource.RLIM_INFINITY, [(module.FILES, resource.RLIM_INFINITY)]),
+        (module.FILES, 2**20, []),
+        (resource.RLIM_INFINITY, resource.RLIM_INFINITY, []),
+    ):
+        asked.clear()
+        monkeypatch.setattr(resource, "getrlimit", lambda _, both=(had, allowed): both)
+        module.ask_for_files()
+        assert asked == wanted
 
 
 def test_an_answer_that_nobody_reads_ends(monkeypatch: pytest.MonkeyPatch, app: App, address: tuple[str, int]) -> None:
@@ -222,9 +255,11 @@ def test_the_service_bounds_its_connections_as_documented(monkeypatch: pytest.Mo
     text = (Path(__file__).parents[3] / "docs" / "operations.md").read_text(encoding="utf-8")
     assert f"{module.HEAD_S:g} s" in text
     assert f"less than {module.LEAST // 2**10} KiB of an answer in {module.LOOK_S:g} s" in text
-    assert f"a third of the files that it may open (`ulimit -n`), {module.MOST:,} at most" in text
+    assert "a third of the files that it may open (`ulimit -n`, " in text
+    assert f"raised to {module.FILES:,} where the hard limit allows it), {module.MOST:,} at most" in text
     assert module.SHARE == 3
     config = uvicorn.Config(App(), http=found[0]["http"], log_config=None)
     config.load()
     assert config.http_protocol_class is Connection
     assert found[0]["backlog"] == module.BACKLOG
+    assert found[0]["timeout_keep_alive"] == module.HEAD_S
