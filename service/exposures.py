@@ -28,6 +28,7 @@ F64 = NDArray[np.float64]
 # seven captures those beyond 0.08 have shares of up to 0.75, of a phone's pictures up to 0.85, and of a clip whose
 # camera adapts by factors of up to 1.8 up to 0.99. Pictures of factors below 1.1 lose as much as they gain.
 BEYOND_DOUBT = ((0.08, 0.9), (0.2, 0.8))
+CHANNELS = ("red", "green", "blue")
 DARK, BRIGHT = 0.05, 0.95  # of white; beyond them noise and clipping hide the factor
 
 
@@ -51,12 +52,13 @@ def equalised(photos: FittedPhotos, depths: DepthRange, numbers: Sequence[int]) 
     shown = [_exposed(view, gain) for view, gain in zip(photos.shown, gains, strict=True)] if finer else seen
     fine = [_packed(view, gain) for view, gain in zip(photos.fine, gains, strict=True)]
     told = ", ".join(f"{number} times {gain.mean():.3g}" for number, gain in zip(numbers, gains, strict=True))
-    brightness = 1 / gains.mean(axis=1)
-    part = max(found.parts, key=lambda views: np.ptp(np.log(gains[views]), axis=0).max())
-    dark, light = min(part, key=lambda view: brightness[view]), max(part, key=lambda view: brightness[view])
+    spread = [np.ptp(np.log(gains[views]), axis=0) for views in found.parts]
+    part, channel = np.unravel_index(np.argmax(spread), np.shape(spread))
+    light, *_, dark = sorted(found.parts[part], key=lambda view: float(gains[view, channel]))
+    factor = gains[light, channel] / gains[dark, channel]
     message = (
-        f"where photographs match, view {numbers[dark]} is {brightness[dark] / brightness[light]:.2f} times as bright "
-        f"as view {numbers[light]}: their colours were brought to one exposure, the middle one ({told})"
+        f"where photographs match, view {numbers[dark]} has {factor:.2f} times as much {CHANNELS[channel]} as view "
+        f"{numbers[light]}: their colours were brought to one exposure, the middle one ({told})"
     )
     if len(found.parts) > 1:
         apart = "; ".join(", ".join(str(numbers[view]) for view in views) for views in found.parts)

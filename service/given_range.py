@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .camera import Camera
 from .coarse_views import CoarseView, nearest_neighbours
-from .depth_range import DepthRange, depth_range
+from .depth_range import DepthRange, depth_range_of_reading
 from .depth_sweep import narrowed
-from .errors import BaselineError, DepthRangeError
 from .images import FittedView
 from .plane_sweep import best_planes
 from .view_checks import Notice
@@ -25,10 +25,7 @@ def as_if_none_given(cameras: Sequence[Camera], depths: DepthRange) -> DepthRang
     """The estimate in place of a given range; None where none was given, or none can be estimated."""
     if depths.source == "estimated":
         return None
-    try:
-        return depth_range(cameras)
-    except (BaselineError, DepthRangeError):
-        return None
+    return depth_range_of_reading(cameras, replace(depths, source="estimated"))
 
 
 def range_doubtful(

@@ -108,6 +108,7 @@ class Reconstructor:
         One in a file is decoded in its turn and dropped once it is fitted: one at a time is in memory; one with a
         lens is resampled to its camera, which is the pinhole that `pinhole_window` names.
         `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
+        Photographs of different exposure are brought to one (`exposures.py`), and the scene's `inputs` with them.
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
         a warning. `budget` says what may be left out of the scene and for which views that is proved. With three
         photographs or more each is also compared with its picture from a reconstruction of the `leave_one_out` others

@@ -142,7 +142,8 @@ def test_every_crop_of_a_photograph_is_brought_to_it_and_it_is_told(detail: int)
     found, (notice,) = equalised(given, depths, (4, 7))
     assert notice["code"] == "exposures_differ"
     assert notice["index"] == 7
-    assert "view 7 is 0.64 times as bright as view 4" in notice["message"]
+    assert "view 7 has 0.64 times as much " in notice["message"]
+    assert " as view 4: " in notice["message"]
     assert "(4 times 0.8, 7 times 1.25)" in notice["message"]
     np.testing.assert_allclose(notice["gains"], [[0.8] * 3, [1.25] * 3], rtol=EXACT)
     for before, after in ((given.seen, found.seen), (given.shown, found.shown), (given.fine, found.fine)):
@@ -151,6 +152,13 @@ def test_every_crop_of_a_photograph_is_brought_to_it_and_it_is_told(detail: int)
             np.testing.assert_allclose(changed.image, wanted, atol=0.5 / 255 + 1e-3)
             assert changed.camera is view.camera
     assert (found.shown[0] is found.seen[0]) == (detail == 1)
+
+
+def test_a_tint_is_told_by_its_channel() -> None:
+    photos, _, depths = sample()
+    given = fitted_photos((photos[0], exposed(photos[1], (1.1, 1.0, 0.75))), detail=1)
+    _, (notice,) = equalised(given, depths, (4, 7))
+    assert "view 7 has 0.75 times as much blue as view 4" in notice["message"]
 
 
 def test_of_one_exposure_nothing_is_copied() -> None:
