@@ -15,12 +15,12 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
-from gapmes.service.backends.choice import DEFAULT_ENGINE, ENGINES
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.select import Wish, checked_wish
-from gapmes.service.fade_passes import DEFAULT_PASSES
-from gapmes.service.images import EncodedPhoto
-from gapmes.service.ply_write import write_ply
+from gapmes.service.formats.ply_write import write_ply
+from gapmes.service.mending.fade_passes import DEFAULT_PASSES
+from gapmes.service.network.backends.choice import DEFAULT_ENGINE, ENGINES
+from gapmes.service.photographs.images import EncodedPhoto
 from gapmes.service.progress import Stage
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.shipped import sample_folder

@@ -15,7 +15,7 @@ import torch
 from torch.export import Dim
 
 from gapmes.model.architectures import Network
-from gapmes.service.contract import INPUTS
+from gapmes.service.network.contract import INPUTS
 
 from .fold import folded
 from .graph import SceneGraph, folded_position_embeddings

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from gapmes.service.cameras.depth_range import depth_range
 from gapmes.service.captures.capture import load_scene_folder
-from gapmes.service.depth_range import depth_range
-from gapmes.service.images import decode_image, fit_view
+from gapmes.service.photographs.images import decode_image, fit_view
 from gapmes.service.shipped import sample_folder
 
 from .build import MAX_VIEWS, MIN_VIEWS

@@ -18,9 +18,9 @@ from gapmes.model.checkpoint import read_config, shipped_checkpoint
 from gapmes.model.config import PRESETS
 from gapmes.model.depthsplat.config import Compatibility
 from gapmes.model.weights_file import CheckpointError
-from gapmes.service.ending import ended_in_order
 from gapmes.service.errors import InputError
-from gapmes.service.terminal import ProgressBars, Quiet
+from gapmes.service.process.ending import ended_in_order
+from gapmes.service.process.terminal import ProgressBars, Quiet
 
 from .measurements import write_tables
 from .model_file import data_files

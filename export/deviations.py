@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from gapmes.model.architectures import Network
-from gapmes.service.contract import GAUSSIAN_OUTPUTS, IMAGE_OUTPUTS
+from gapmes.service.network.contract import GAUSSIAN_OUTPUTS, IMAGE_OUTPUTS
 
 from .cases import Case
 from .compare import Deviation, comparable, deviation

@@ -15,7 +15,7 @@ from gapmes.model.architectures import Network
 from gapmes.model.backbones import DepthAnythingFeatures, VitFeatures
 from gapmes.model.config import PIXELS_PER_PATCH
 from gapmes.model.depthsplat.vit import IntermediateVit
-from gapmes.service.contract import EXPERT_OUTPUTS, MARGIN_OUTPUTS, REQUIRED_OUTPUTS, TASK_OUTPUTS
+from gapmes.service.network.contract import EXPERT_OUTPUTS, MARGIN_OUTPUTS, REQUIRED_OUTPUTS, TASK_OUTPUTS
 
 
 @dataclass(frozen=True)

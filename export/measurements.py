@@ -12,7 +12,7 @@ from rich.console import Console
 
 from gapmes.service.commands.output_file import check_output_folder
 from gapmes.service.errors import InputError
-from gapmes.service.terminal import ProgressBars
+from gapmes.service.process.terminal import ProgressBars
 
 REFUSED = 1
 FAILED = 3

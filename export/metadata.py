@@ -9,7 +9,7 @@ import onnx
 
 from gapmes.model.architectures import Network
 from gapmes.model.config import PIXELS_PER_PATCH
-from gapmes.service.contract import FORMAT
+from gapmes.service.network.contract import FORMAT
 
 from .build import MAX_VIEWS, MIN_VIEWS, OPSET
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gapmes.service.camera import Camera
-from gapmes.service.contract import GAUSSIAN_OUTPUTS
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
-from gapmes.service.picture_error import psnr
-from gapmes.service.scene_views import NEAR_PLANE_SHARE
+from gapmes.service.network.contract import GAUSSIAN_OUTPUTS
+from gapmes.service.pictures.picture_error import psnr
 from gapmes.service.splat import render
+from gapmes.service.viewpoints.scene_views import NEAR_PLANE_SHARE
 
 from .cases import Case
 from .compare import comparable, jumped_rows

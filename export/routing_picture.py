@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.commands.output_file import check_output_file
 from gapmes.service.commands.selection import view_indices
-from gapmes.service.engine import Arrays, Engine
 from gapmes.service.errors import GapmesError, InputError, ModelError
-from gapmes.service.images import EncodedPhoto
+from gapmes.service.network.engine import Arrays, Engine
+from gapmes.service.photographs.images import EncodedPhoto
+from gapmes.service.process.terminal import ProgressBars
 from gapmes.service.progress import Listener, silent
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.shipped import sample_folder
-from gapmes.service.terminal import ProgressBars
 
 F32 = NDArray[np.float32]
 

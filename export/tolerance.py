@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from gapmes.service.contract import MARGIN_OUTPUTS
+from gapmes.service.network.contract import MARGIN_OUTPUTS
 
 Precision = Literal["fp32", "int8"]
 Ceilings = Mapping[str, float]

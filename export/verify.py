@@ -22,8 +22,8 @@ import torch
 from gapmes.model.architectures import Network, config_from_json
 from gapmes.model.config import ModelConfig
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.contract import INPUTS, REQUIRED_OUTPUTS
-from gapmes.service.with_parent import end_with_parent
+from gapmes.service.network.contract import INPUTS, REQUIRED_OUTPUTS
+from gapmes.service.process.with_parent import end_with_parent
 
 from .cases import Case, verification_cases
 from .deviations import LEFT, BesideFloat64, beside_float64, deviations, share_left, untouched_elements

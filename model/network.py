@@ -65,7 +65,7 @@ class GaPMeS(nn.Module):
         patch_mask: Tensor | None = None,
     ) -> FullPrediction:
         """images (B, V, 3, H, W) in [0, 1], H and W multiples of 16; K (B, V, 3, 3) normalised by width and height;
-        poses (B, V, 4, 4) float32, which the caller has re-centred in float64 (`service/world_frame.py`,
+        poses (B, V, 4, 4) float32, which the caller has re-centred in float64 (`service/cameras/world_frame.py`,
         `training/step.py`): an offset that stays in them costs that much precision; near_far (B, 2); patch_mask
         (B, V, P) bool, False leaves out.
         """

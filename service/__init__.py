@@ -6,18 +6,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .budget import Budget as Budget
-    from .camera import Camera as Camera
+    from .cameras.camera import Camera as Camera
     from .errors import GapmesError as GapmesError
     from .errors import InputError as InputError
+    from .formats.ply import inspect_ply as inspect_ply
+    from .formats.ply import read_ply as read_ply
+    from .formats.ply import write_ply as write_ply
     from .formats.registry import read_gaussians as read_gaussians
     from .formats.registry import write_gaussians as write_gaussians
     from .gaussians import Gaussians as Gaussians
-    from .images import EncodedPhoto as EncodedPhoto
-    from .images import Photo as Photo
-    from .ply import inspect_ply as inspect_ply
-    from .ply import read_ply as read_ply
-    from .ply import write_ply as write_ply
+    from .leaving_out.budget import Budget as Budget
+    from .photographs.images import EncodedPhoto as EncodedPhoto
+    from .photographs.images import Photo as Photo
     from .reconstruct import Reconstructor as Reconstructor
     from .reconstruct import Scene as Scene
     from .splat import Render as Render
@@ -25,23 +25,23 @@ if TYPE_CHECKING:
     from .splat import render_reference as render_reference
 
 _HOME = {
-    "Budget": "budget",
-    "Camera": "camera",
-    "EncodedPhoto": "images",
+    "Budget": "leaving_out.budget",
+    "Camera": "cameras.camera",
+    "EncodedPhoto": "photographs.images",
     "GapmesError": "errors",
     "Gaussians": "gaussians",
     "InputError": "errors",
-    "Photo": "images",
+    "Photo": "photographs.images",
     "Reconstructor": "reconstruct",
     "Render": "splat",
     "Scene": "reconstruct",
-    "inspect_ply": "ply",
+    "inspect_ply": "formats.ply",
     "read_gaussians": "formats.registry",
-    "read_ply": "ply",
+    "read_ply": "formats.ply",
     "render": "splat",
     "render_reference": "splat",
     "write_gaussians": "formats.registry",
-    "write_ply": "ply",
+    "write_ply": "formats.ply",
 }
 
 __all__ = [

@@ -13,13 +13,13 @@ from typing import Annotated, Any
 
 import typer
 
-from .allocator import give_back_freed
 from .commands import convert, demo, doctor, reconstruct, render, serve
-from .ending import ended_in_order
 from .errors import CameraError, GapmesError, ImageError
 from .extra_commands import WithExtraCommands
 from .problem_document import of_error, problem
-from .streams import open_missing, visible, write_to
+from .process.allocator import give_back_freed
+from .process.ending import ended_in_order
+from .process.streams import open_missing, visible, write_to
 
 
 def _show_version(asked: bool) -> None:

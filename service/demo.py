@@ -16,13 +16,13 @@ import httpx
 import numpy as np
 from PIL import Image
 
-from .contact_sheet import Cell, Row, contact_sheet
 from .local_server import checked, local_client, local_server, wait_until_ready
-from .picture_error import psnr
+from .pictures.contact_sheet import Cell, Row, contact_sheet
+from .pictures.picture_error import psnr
+from .process.terminal import ProgressBars
 from .progress import Stage, Stages
 from .settings import checked_settings
 from .shipped import sample_folder
-from .terminal import ProgressBars
 
 REQUEST_TIMEOUT_S = 600.0  # two views take seconds; a machine under load may take minutes
 

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .machine import available_memory_mb, processor
+from .process.machine import available_memory_mb, processor
+from .process.threads import available_threads, cpu_limit
 from .settings import Settings
 from .shipped import sample_folder
-from .threads import available_threads, cpu_limit
 
 if TYPE_CHECKING:
-    from .engine import Engine
-    from .model_info import ModelInfo
+    from .network.engine import Engine
+    from .network.model_info import ModelInfo
 
 State = Literal["ok", "warning", "failure"]
 
@@ -101,7 +101,7 @@ class Doctor:
         return ("ok" if free >= LEAST_MEMORY_MB else "warning"), f"{free:.0f} MB free, {LEAST_MEMORY_MB:.0f} are enough"
 
     def _model(self) -> tuple[State, str]:
-        from .engine import Engine
+        from .network.engine import Engine
 
         start = time.perf_counter()
         self._engine = Engine(self._settings.model, threads=self._settings.threads, engine=self._settings.engine)
@@ -159,11 +159,11 @@ class Doctor:
     def _sample(self) -> tuple[State, str]:
         """Two photographs to a scene, and its picture beside a third."""
         from .captures.capture import load_scene_folder
-        from .images import decode_image, fit_view
-        from .picture_error import psnr
+        from .photographs.images import decode_image, fit_view
+        from .pictures.picture_error import psnr
         from .reconstruct import Reconstructor
-        from .scene_views import SceneViews
         from .splat import render
+        from .viewpoints.scene_views import SceneViews
 
         if self._engine is None:
             return "failure", "there is no model"

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .backends.choice import MadeBy
-from .camera import Camera
-from .camera_file import camera_document
-from .depth_range import DepthRange
+from .cameras.camera import Camera
+from .cameras.camera_file import camera_document
+from .cameras.depth_range import DepthRange
 from .gaussians import Gaussians
-from .images import FittedView
-from .model_info import ModelInfo
+from .network.backends.choice import MadeBy
+from .network.model_info import ModelInfo
+from .photographs.images import FittedView
 
 GAUSSIANS = "Gaussians"  # how those rows of `left_out` begin that count them
 TASKS = ("mean", "opacity", "covariance", "colour")  # order of the four task weights

@@ -6,13 +6,13 @@ import functools
 
 import numpy as np
 
-from .camera import Camera
-from .choice.candidates import ABOUT, COUNT, KNOWN
-from .choice.network import shipped_choice
-from .compiler_pages import leave_compiler
+from .cameras.camera import Camera
 from .gaussians import Gaussians
-from .place_kernels import sample_places, see_pixels
-from .plane_kernels import compare_level, compare_planes, mean_planes, spread_along_rows, spread_down_columns
+from .matching.place_kernels import sample_places, see_pixels
+from .matching.plane_kernels import compare_level, compare_planes, mean_planes, spread_along_rows, spread_down_columns
+from .mending.choice.candidates import ABOUT, COUNT, KNOWN
+from .mending.choice.network import shipped_choice
+from .process.compiler_pages import leave_compiler
 from .splat import Definition, leverage, render
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, disable_created_metrics
 
 from .document import gaussians_left_out
-from .peers import FOLDER, is_alive
+from .process.peers import FOLDER, is_alive
 from .progress import Stage
 
 SHARED = FOLDER in os.environ

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from .errors import InputError, ModelUnknown
-from .home import at_home
+from .process.home import at_home
 from .shipped import shipped_model
 
 DEFAULT = "default"

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .backends.choice import EngineName, MadeBy, identity, made_by
 from .errors import ModelError
-from .model_file import ModelFile, model_file, sha256_of
 from .model_names import DEFAULT, checked_name
 from .model_pool import Pool
+from .network.backends.choice import EngineName, MadeBy, identity, made_by
+from .network.model_file import ModelFile, model_file, sha256_of
 from .settings import Settings
 
 if TYPE_CHECKING:

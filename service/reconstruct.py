@@ -10,37 +10,37 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .allocator import freed_blocks_reused
-from .backends.choice import DEFAULT_ENGINE, EngineName
-from .budget import Budget
-from .camera import Camera
-from .compiler_pages import leave_compiler
-from .depth_range import DepthRange, depth_range
-from .depth_sweep import narrowed
-from .detail import finer
-from .detail_level import DETAILS, checked_detail
+from .cameras.camera import Camera
+from .cameras.depth_range import DepthRange, depth_range
+from .cameras.foretold import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
+from .cameras.pose_notices import pose_notices
+from .cameras.view_checks import DEPTH_PLANES, MIN_VIEWS, Notice, check_count, check_views
+from .cameras.world_frame import WorldFrame
 from .document import scene_document
-from .engine import Arrays, Engine
 from .errors import CameraError, InputError, ViewCountError
-from .exposures import equalised
-from .fade_passes import DEFAULT_PASSES, checked_passes
-from .fitting import Picture, fitted_photos
-from .foretold import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
+from .formats.ply_write import Positions, stored_positions
 from .gaussians import Gaussians
-from .images import FittedView, PackedView
 from .kernels import is_warm, warm_up
-from .left_out import leave_out, table
-from .masks import FADED, patch_mask
-from .mending import MOVED, at_finer_depths, at_mended_depths, mended, placed
-from .photo_checks import check_photos
-from .ply_write import Positions, stored_positions
-from .pose_notices import pose_notices
+from .leaving_out.budget import Budget
+from .leaving_out.left_out import leave_out, table
+from .matching.depth_sweep import narrowed
+from .matching.exposures import equalised
+from .matching.photo_checks import check_photos
+from .mending.after_network import MOVED, at_finer_depths, at_mended_depths, mended, placed
+from .mending.detail import finer
+from .mending.detail_level import DETAILS, checked_detail
+from .mending.fade_passes import DEFAULT_PASSES, checked_passes
+from .network.backends.choice import DEFAULT_ENGINE, EngineName
+from .network.engine import Arrays, Engine
+from .photographs.fitting import Picture, fitted_photos
+from .photographs.images import FittedView, PackedView
+from .photographs.masks import FADED, patch_mask
+from .process.allocator import freed_blocks_reused
+from .process.compiler_pages import leave_compiler
 from .progress import Listener, Stages, silent
-from .scene_views import SceneViews
 from .self_check import ambiguous_routes, drawn_again, from_others, self_check
 from .splat import Render, render
-from .view_checks import DEPTH_PLANES, MIN_VIEWS, Notice, check_count, check_views
-from .world_frame import WorldFrame
+from .viewpoints.scene_views import SceneViews
 
 DEFAULT_BUDGET = Budget()
 FINEST = max(DETAILS)  # times the network's pixels, each way

@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import Camera
-from .contract import AMBIGUOUS_MARGIN
-from .depth_range import DepthRange
+from .cameras.camera import Camera
+from .cameras.depth_range import DepthRange
+from .cameras.overlap import inverse_depth_steps
 from .gaussians import Gaussians
-from .images import FittedView
-from .model_info import ModelInfo
-from .overlap import inverse_depth_steps
-from .picture_error import psnr, ssim
-from .plane_means import plane_means
+from .matching.plane_means import plane_means
+from .matching.window_match import contrast
+from .network.contract import AMBIGUOUS_MARGIN
+from .network.model_info import ModelInfo
+from .photographs.images import FittedView
+from .pictures.picture_error import psnr, ssim
 from .splat import Render, render
-from .window_match import contrast
 
 TEXTURE = 2 / 255  # standard deviation of grey in 7 x 7 px below which a window is as good as flat after 8-bit noise
 PARALLAX_PX = 0.25  # shift between near and far below which matching says nothing about depth

@@ -13,13 +13,13 @@ from pathlib import Path
 
 from fastapi import FastAPI
 
-from .allocator import give_back_freed
 from .app import create_app
-from .logs import configure
-from .peers import FOLDER, OURS
+from .process.allocator import give_back_freed
+from .process.logs import configure
+from .process.peers import FOLDER, OURS
+from .process.streams import open_missing
+from .process.terminal import ProgressBars
 from .settings import Settings
-from .streams import open_missing
-from .terminal import ProgressBars
 
 
 def app() -> FastAPI:

@@ -13,11 +13,11 @@ from pydantic import Field, SecretStr, ValidationError, ValidationInfo, field_va
 from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from .backends.choice import DEFAULT_ENGINE, EngineName
-from .detail_level import DETAILS
 from .errors import InputError
-from .home import at_home
+from .mending.detail_level import DETAILS
 from .model_names import model_paths
+from .network.backends.choice import DEFAULT_ENGINE, EngineName
+from .process.home import at_home
 
 PREFIX = "GAPMES_"
 # Variables that begin so and are read elsewhere: by docker/compose.yaml, by setup.py, and by tests/parity.

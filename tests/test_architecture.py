@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 import tomllib
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,46 @@ def test_a_file_keeps_to_the_house_rules(path: Path) -> None:
     assert not {name.split(".")[0] for name in names} & set(PACKAGES), "import by gapmes.*, never by folder name"
     assert ast.get_docstring(ast.parse(path.read_text())), "a file opens with one sentence that says what it holds"
     assert len(path.read_text().splitlines()) <= LONGEST
+
+
+def folder_of(dotted: str) -> str:
+    """The folder of `gapmes.service` that a module lies in; a module that lies in none stands for itself."""
+    return dotted.split(".")[2]
+
+
+def test_the_folders_of_the_service_depend_on_one_another_one_way() -> None:
+    """Imports within functions count, those for type checkers alone do not."""
+    service = ROOT / "service"
+    needs: dict[str, set[str]] = {}
+    for path in sorted(service.rglob("*.py")):
+        name = ("gapmes", "service", *path.relative_to(service).with_suffix("").parts)
+        if len(name) == 3 and name[2] == "__init__":
+            continue  # the public names, which lie everywhere
+        needs.setdefault(folder_of(".".join(name)), set()).update(
+            folder
+            for module in relative_imports(path, name[:-1])
+            if (folder := folder_of(module)) != folder_of(".".join(name))
+        )
+    assert len(needs) > 30
+    assert list(TopologicalSorter(needs).static_order())  # CycleError names the folders of a cycle
+
+
+def relative_imports(path: Path, package: tuple[str, ...]) -> set[str]:
+    """Dotted names of what a file of `package` imports of the same distribution, at run time."""
+    tree = ast.parse(path.read_text())
+    for_checkers = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        for inner in ast.walk(node)
+    }
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level and id(node) not in for_checkers:
+            base = (*package[: len(package) + 1 - node.level], *(node.module or "").split("."))
+            found = [part for part in base if part]
+            names |= {".".join((*found, alias.name)) for alias in node.names}
+    return names
 
 
 def test_importing_the_app_or_the_public_names_loads_nothing_heavy() -> None:

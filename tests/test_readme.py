@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from gapmes.service.formats.ply import read_ply
 from gapmes.service.local_server import local_server, wait_until_ready
-from gapmes.service.masks import REPLACED
-from gapmes.service.ply import read_ply
+from gapmes.service.photographs.masks import REPLACED
 from gapmes.service.progress import Stages
 from gapmes.service.settings import Settings
 from gapmes.service.shipped import sample_folder

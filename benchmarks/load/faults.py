@@ -20,7 +20,7 @@ from pathlib import Path
 
 import httpx
 
-from gapmes.service.ply import read_ply
+from gapmes.service.formats.ply import read_ply
 
 from .requests import Asker
 from .service import Service, running

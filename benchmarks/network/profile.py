@@ -26,9 +26,9 @@ import onnx
 import onnxruntime
 
 from gapmes.export.samples import random_scene
-from gapmes.service.backends.onnxruntime_session import session_options
-from gapmes.service.contract import INPUTS
-from gapmes.service.model_file import model_file
+from gapmes.service.network.backends.onnxruntime_session import session_options
+from gapmes.service.network.contract import INPUTS
+from gapmes.service.network.model_file import model_file
 
 from .worker import matrix_product
 

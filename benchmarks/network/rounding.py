@@ -24,7 +24,7 @@ from gapmes.export.graph import evaluated
 from gapmes.export.routes import flipped_patches
 from gapmes.export.variant import Variant, load_variant
 from gapmes.model.architectures import config_from_json
-from gapmes.service.contract import INPUTS
+from gapmes.service.network.contract import INPUTS
 
 Outputs = dict[str, NDArray[np.generic]]
 

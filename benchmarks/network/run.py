@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-from gapmes.service.terminal import ProgressBars
+from gapmes.service.process.terminal import ProgressBars
 
 from .intel import told_intel
 from .worker import RUNTIMES

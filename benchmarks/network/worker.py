@@ -29,8 +29,8 @@ def runner(runtime: str, model: Path, checkpoint: Path, views: int) -> tuple[Cal
 
     torch.set_num_threads(1)
     from gapmes.export.samples import random_scene
-    from gapmes.service.engine import Engine
-    from gapmes.service.model_file import model_file
+    from gapmes.service.network.engine import Engine
+    from gapmes.service.network.model_file import model_file
 
     info = model_file(model).info
     scene = random_scene(views, info.height, info.width, seed=views)

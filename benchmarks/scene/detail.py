@@ -23,10 +23,10 @@ from PIL import Image
 from gapmes.export.evaluation.case import Case, generated_cases, photograph_case
 from gapmes.export.evaluation.metrics import Figures, figures, mean_figures
 from gapmes.model.training.lpips import Lpips, default_weights
-from gapmes.service.detail_level import DETAILS
-from gapmes.service.fade_passes import DEFAULT_PASSES
-from gapmes.service.images import FittedView
-from gapmes.service.ply_write import ply_size
+from gapmes.service.formats.ply_write import ply_size
+from gapmes.service.mending.detail_level import DETAILS
+from gapmes.service.mending.fade_passes import DEFAULT_PASSES
+from gapmes.service.photographs.images import FittedView
 from gapmes.service.reconstruct import Reconstructor, Scene
 
 Targets = Sequence[FittedView]

@@ -17,16 +17,16 @@ import numpy as np
 
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.select import Wish
-from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.formats.cost import picture_psnr
 from gapmes.service.formats.dialect import AUTO
 from gapmes.service.formats.registry import FORMATS
-from gapmes.service.framing import within
-from gapmes.service.images import EncodedPhoto
-from gapmes.service.picture_error import EQUAL_DB
+from gapmes.service.mending.fade_passes import DEFAULT_PASSES
+from gapmes.service.photographs.images import EncodedPhoto
+from gapmes.service.pictures.picture_error import EQUAL_DB
 from gapmes.service.reconstruct import Reconstructor
-from gapmes.service.scene_views import SceneViews
 from gapmes.service.shipped import sample_folder
+from gapmes.service.viewpoints.framing import within
+from gapmes.service.viewpoints.scene_views import SceneViews
 
 SIDE = 256  # px, the longest of a picture
 

@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from gapmes.export.evaluation.case import Case, photograph_case
-from gapmes.service.budget import KEEP_ALL, Budget
-from gapmes.service.fade_passes import DEFAULT_PASSES
-from gapmes.service.framing import frame
-from gapmes.service.images import FittedView
-from gapmes.service.picture_error import psnr
-from gapmes.service.ply_write import ply_size
+from gapmes.service.formats.ply_write import ply_size
+from gapmes.service.leaving_out.budget import KEEP_ALL, Budget
+from gapmes.service.mending.fade_passes import DEFAULT_PASSES
+from gapmes.service.photographs.images import FittedView
+from gapmes.service.pictures.picture_error import psnr
 from gapmes.service.reconstruct import Reconstructor, Scene
+from gapmes.service.viewpoints.framing import frame
 
 SIDE = 256  # px of inputs and targets
 PICTURE = 512  # px of the picture that is timed

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import evaluate_basis
 from gapmes.service.splat.parallel import run_ranges

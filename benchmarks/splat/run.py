@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numba
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.captures.capture import read_camera_file
+from gapmes.service.formats.ply import read_ply
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.kernels import warm_up
-from gapmes.service.ply import read_ply
-from gapmes.service.threads import available_threads
+from gapmes.service.process.threads import available_threads
 
 from .measure import Other, Row, measure
 from .peak import peak_gflops

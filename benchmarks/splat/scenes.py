@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
 
 FIELD_OF_VIEW = np.radians(60.0)

@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.captures.capture import read_camera_file
+from gapmes.service.formats.ply import read_ply
 from gapmes.service.http.page import STATIC
 from gapmes.service.http.viewer import viewer_settings
-from gapmes.service.ply import read_ply
 from gapmes.service.shipped import sample_folder
 from gapmes.service.splat import render
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from gapmes.model.training.generated_views import exact_views, generated_view
 from gapmes.model.training.scenes import SceneBatch, SceneSampler
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.errors import ImageError
-from gapmes.service.images import FittedView, Photo, decode_image, fit_view, match_photo
+from gapmes.service.photographs.images import FittedView, Photo, decode_image, fit_view, match_photo
 
 from .labels import shortest_names
 from .suggested import suggested_views

@@ -10,10 +10,10 @@ from typing import Annotated
 
 import typer
 
-from gapmes.service.backends.choice import DEFAULT_ENGINE, ENGINES
 from gapmes.service.errors import GapmesError, ModelError
-from gapmes.service.fade_passes import DEFAULT_PASSES, checked_passes
-from gapmes.service.terminal import ProgressBars, Quiet
+from gapmes.service.mending.fade_passes import DEFAULT_PASSES, checked_passes
+from gapmes.service.network.backends.choice import DEFAULT_ENGINE, ENGINES
+from gapmes.service.process.terminal import ProgressBars, Quiet
 
 NEEDED = ("torch", "transformers", "onnx", "onnxscript", "safetensors")  # of the extra `export`
 FLOOR_MISSED = 1

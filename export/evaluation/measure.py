@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from PIL import Image as Pillow
 
 from gapmes.model.training.lpips import Lpips
-from gapmes.service import picture_error
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.errors import GapmesError
-from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.gaussians import Gaussians
-from gapmes.service.images import FittedView
+from gapmes.service.mending.fade_passes import DEFAULT_PASSES
+from gapmes.service.photographs.images import FittedView
+from gapmes.service.pictures import picture_error
 from gapmes.service.reconstruct import Reconstructor
-from gapmes.service.scene_views import NEAR_PLANE_SHARE
 from gapmes.service.splat import Render, render
+from gapmes.service.viewpoints.scene_views import NEAR_PLANE_SHARE
 
 from .case import Case, LargerTargets
 from .covisible import PREDICTED_TOLERANCE, TRUE_TOLERANCE, Mask, covisible

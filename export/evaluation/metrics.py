@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapmes.model.training.lpips import Lpips
-from gapmes.service.picture_error import psnr, ssim
+from gapmes.service.pictures.picture_error import psnr, ssim
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -11,9 +11,9 @@ from safetensors import safe_open
 
 from gapmes.model.checkpoint import read_config, shipped_checkpoint
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.backends.choice import DEFAULT_ENGINE, EngineName, checked_engine, made_by
-from gapmes.service.engine import Arrays, Engine
 from gapmes.service.errors import InputError, ModelError
+from gapmes.service.network.backends.choice import DEFAULT_ENGINE, EngineName, checked_engine, made_by
+from gapmes.service.network.engine import Arrays, Engine
 from gapmes.service.progress import Listener, silent
 from gapmes.service.shipped import shipped_model
 

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gapmes.service.camera import Camera
-from gapmes.service.images import FittedView
-from gapmes.service.overlap import inverse_depth_steps
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.overlap import inverse_depth_steps
+from gapmes.service.photographs.images import FittedView
 
 from .warp import warped
 

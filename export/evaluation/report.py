@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gapmes.service.fade_passes import DEFAULT_PASSES
-from gapmes.service.streams import visible
+from gapmes.service.mending.fade_passes import DEFAULT_PASSES
+from gapmes.service.process.streams import visible
 
 from .floors import Floor, floors
 from .models import Model

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gapmes.service.document import TASKS
-from gapmes.service.engine import Arrays
+from gapmes.service.network.engine import Arrays
 
 
 @dataclass(frozen=True)

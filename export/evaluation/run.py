@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from gapmes.model.training.lpips import Lpips
-from gapmes.service.backends.choice import DEFAULT_ENGINE, EngineName
 from gapmes.service.errors import InputError
-from gapmes.service.fade_passes import DEFAULT_PASSES
+from gapmes.service.mending.fade_passes import DEFAULT_PASSES
+from gapmes.service.network.backends.choice import DEFAULT_ENGINE, EngineName
 from gapmes.service.progress import Listener, Stages, silent
 
 from ..size import Size

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from gapmes.service.contact_sheet import CELL, Cell, Row, contact_sheet
-from gapmes.service.picture_error import psnr
+from gapmes.service.pictures.contact_sheet import CELL, Cell, Row, contact_sheet
+from gapmes.service.pictures.picture_error import psnr
 
 from .case import Case
 from .measure import Measured

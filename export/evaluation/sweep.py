@@ -11,8 +11,8 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gapmes.service.images import FittedView
-from gapmes.service.overlap import inverse_depth_steps
+from gapmes.service.cameras.overlap import inverse_depth_steps
+from gapmes.service.photographs.images import FittedView
 
 from .warp import relative_rays, source_positions, warped
 

@@ -7,10 +7,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from gapmes.service.camera import Camera
-from gapmes.service.coarse_views import pixel_grid
-from gapmes.service.images import FittedView
-from gapmes.service.rotations import turned
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.rotations import turned
+from gapmes.service.matching.coarse_views import pixel_grid
+from gapmes.service.photographs.images import FittedView
 
 
 def warped(camera: Camera, source: FittedView, depths: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,16 +14,16 @@ from mpmath import mp
 from gapmes.model.cost_volume import Views
 from gapmes.model.heads import unit_quaternions
 from gapmes.model.warp import Warp
-from gapmes.service.camera import Camera
-from gapmes.service.depth_range import DepthRange
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.depth_range import DepthRange
+from gapmes.service.cameras.overlap import inverse_depth_steps
+from gapmes.service.cameras.rotations import about_axis, matrix_from_quaternion, quaternion_from_matrix
+from gapmes.service.cameras.world_frame import WorldFrame
+from gapmes.service.formats.ply import ply_bytes, read_ply
 from gapmes.service.gaussians import Gaussians, normalized_quaternions
 from gapmes.service.harmonics import evaluate_basis, rotate_harmonics
-from gapmes.service.overlap import inverse_depth_steps
-from gapmes.service.ply import ply_bytes, read_ply
-from gapmes.service.pruning import prune
-from gapmes.service.rotations import about_axis, matrix_from_quaternion, quaternion_from_matrix
+from gapmes.service.leaving_out.pruning import prune
 from gapmes.service.splat import render_reference
-from gapmes.service.world_frame import WorldFrame
 
 from . import naive
 from .row import Row

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapmes.model.evidence import COLOUR_LIMIT, FLAT, GUIDE_EPSILON, GUIDE_RADIUS, WINDOW_RADIUS
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
 
 F32 = np.float32

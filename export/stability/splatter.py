@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import C0
 from gapmes.service.splat import Definition, render, render_reference
@@ -190,7 +190,7 @@ def lenses() -> Row:
 
 def rigid_motion() -> Row:
     """The 99th percentile: what lies on a cut jumps with the rounding of the inputs."""
-    from gapmes.service.rotations import about_axis, quaternion_from_matrix, quaternion_product
+    from gapmes.service.cameras.rotations import about_axis, quaternion_from_matrix, quaternion_product
 
     scene, camera = cloud(200, 10, (0.02, 0.3), (1.0, 6.0)), view()
     turn, shift = about_axis(np.array([0.48, -0.6, 0.64]), 2.3), np.array([1.0, -0.7, 0.4])

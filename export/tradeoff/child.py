@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gapmes.service.budget import Budget
-from gapmes.service.camera import Camera
-from gapmes.service.fade_passes import DEFAULT_PASSES
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
-from gapmes.service.images import Photo
-from gapmes.service.with_parent import end_with_parent
+from gapmes.service.leaving_out.budget import Budget
+from gapmes.service.mending.fade_passes import DEFAULT_PASSES
+from gapmes.service.photographs.images import Photo
+from gapmes.service.process.with_parent import end_with_parent
 
 if TYPE_CHECKING:
     from gapmes.service.reconstruct import Reconstructor

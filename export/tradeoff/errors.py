@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from gapmes.model.checkpoint import shipped_checkpoint
 from gapmes.model.training.lpips import Lpips
-from gapmes.service.camera import Camera
-from gapmes.service.contract import GAUSSIAN_OUTPUTS
-from gapmes.service.engine import Engine
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
-from gapmes.service.images import FittedView
-from gapmes.service.picture_error import psnr, ssim
-from gapmes.service.pruning import colour_range, reaches
-from gapmes.service.scene_views import NEAR_PLANE_SHARE
+from gapmes.service.leaving_out.pruning import colour_range, reaches
+from gapmes.service.network.contract import GAUSSIAN_OUTPUTS
+from gapmes.service.network.engine import Engine
+from gapmes.service.photographs.images import FittedView
+from gapmes.service.pictures.picture_error import psnr, ssim
 from gapmes.service.splat import Definition, render, render_reference
+from gapmes.service.viewpoints.scene_views import NEAR_PLANE_SHARE
 
 from ..cases import sample_scene
 from ..graph import evaluated

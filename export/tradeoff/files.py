@@ -13,7 +13,7 @@ import onnx
 from gapmes.model.architectures import Network
 from gapmes.model.checkpoint import WEIGHTS_LICENCE, shipped_checkpoint
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.onnx_file import read_header
+from gapmes.service.network.onnx_file import read_header
 from gapmes.service.shipped import shipped_model
 
 from ..metadata import add_metadata, contract_metadata

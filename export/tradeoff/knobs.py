@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gapmes.service.budget import DEFAULT_MAX_ERROR, Budget
-from gapmes.service.effort import ALPHA_MIN, STOP, Effort
+from gapmes.service.leaving_out.budget import DEFAULT_MAX_ERROR, Budget
+from gapmes.service.pictures.effort import ALPHA_MIN, STOP, Effort
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import platform
 from importlib.metadata import version
 
-from gapmes.service.machine import processor
-from gapmes.service.threads import available_threads
+from gapmes.service.process.machine import processor
+from gapmes.service.process.threads import available_threads
 
 from .schema import Machine
 

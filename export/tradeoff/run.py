@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from gapmes.model.training.lpips import Lpips
-from gapmes.service.budget import KEEP_ALL
-from gapmes.service.camera import Camera
-from gapmes.service.effort import draw
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.errors import InputError
-from gapmes.service.fade_passes import DEFAULT_PASSES
+from gapmes.service.formats.ply import ply_bytes
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.kernels import warm_up
-from gapmes.service.ply import ply_bytes
+from gapmes.service.leaving_out.budget import KEEP_ALL
+from gapmes.service.leaving_out.pruning import BAND_NORMS, colour_range
+from gapmes.service.mending.fade_passes import DEFAULT_PASSES
+from gapmes.service.pictures.effort import draw
 from gapmes.service.progress import Listener, Stages, silent
-from gapmes.service.pruning import BAND_NORMS, colour_range
-from gapmes.service.scene_views import NEAR_PLANE_SHARE
+from gapmes.service.viewpoints.scene_views import NEAR_PLANE_SHARE
 
 from ..evaluation.labels import given_twice, shortest_names
 from . import files, knobs

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gapmes.service.images import FittedView
+from gapmes.service.photographs.images import FittedView
 
 from ..evaluation.case import Case, photograph_case
 from ..evaluation.suggested import suggested_views
@@ -41,7 +41,7 @@ def _given(case: Case) -> Given:
 
 
 def _more(folder: Path, case: Case) -> dict[int, Given]:
-    from gapmes.service.images import decode_image, match_photo
+    from gapmes.service.photographs.images import decode_image, match_photo
 
     suggested = suggested_views(folder, 2)
     scene, context, targets = suggested.scene, suggested.inputs, suggested.targets

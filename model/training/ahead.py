@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 import torch
 from numpy.typing import NDArray
 
-from gapmes.service.with_parent import end_with_parent
+from gapmes.service.process.with_parent import end_with_parent
 
 from .recipe import Recipe
 from .run_folder import Refused

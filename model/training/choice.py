@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from gapmes.service import Reconstructor
-from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN
-from gapmes.service.choice.network import ChoiceNetwork
 from gapmes.service.commands.output_file import check_output_file, named
 from gapmes.service.errors import InputError
+from gapmes.service.mending.choice.candidates import ABOUT, COUNT, KNOWN
+from gapmes.service.mending.choice.network import ChoiceNetwork
+from gapmes.service.process.terminal import QUIET_HELP, ProgressBars
+from gapmes.service.process.with_parent import end_with_parent
 from gapmes.service.progress import Stages
-from gapmes.service.terminal import QUIET_HELP, ProgressBars
-from gapmes.service.with_parent import end_with_parent
 
 from .arguments import seed as any_seed
 from .arguments import whole_number
@@ -45,7 +45,7 @@ HELD_OUT = 8  # every eighth scene is for the figures alone
 
 
 class Choice(nn.Module):
-    """`service/choice/kernels.py` in torch."""
+    """`service/mending/choice/kernels.py` in torch."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gapmes.service import Reconstructor
-from gapmes.service.choice.candidates import Candidates, Matched
-from gapmes.service.depth_range import depth_range
-from gapmes.service.mending import matched_depths
+from gapmes.service.cameras.depth_range import depth_range
+from gapmes.service.mending.after_network import matched_depths
+from gapmes.service.mending.choice.candidates import Candidates, Matched
 
 from .generated_views import input_views
 from .scenes import SceneBatch, SceneSampler

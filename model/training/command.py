@@ -9,7 +9,7 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gapmes.service.terminal import QUIET_HELP, ProgressBars
+from gapmes.service.process.terminal import QUIET_HELP, ProgressBars
 
 from ..checkpoint import load_checkpoint
 from ..config import PRESETS, ModelConfig, preset

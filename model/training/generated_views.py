@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gapmes.service.camera import Camera
-from gapmes.service.images import FittedView
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.photographs.images import FittedView
 
 from .scenes import SceneBatch
 

@@ -9,11 +9,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ..camera_fields import CameraFile
-from ..distortion import MAX_SHIFT_PX
+from ..cameras.camera_fields import CameraFile
+from ..cameras.distortion import MAX_SHIFT_PX
+from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS, Notice
 from ..errors import CaptureError, ImageError, IntrinsicsError
-from ..image_files import MAX_PIXELS
-from ..view_checks import MAX_VIEWS, MIN_VIEWS, Notice
+from ..photographs.image_files import MAX_PIXELS
 from .archive import SIGNATURES, ZipFiles
 from .choose import chosen_views
 from .colmap import folders_below_project, is_of_colmap

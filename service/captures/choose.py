@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
-from ..overlap import seen
+from ..cameras.camera import Camera
+from ..cameras.overlap import seen
 
 F64 = NDArray[np.float64]
 

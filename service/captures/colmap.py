@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import PurePath
 
-from ..camera_fields import CameraFile, SizeOf, view_through
-from ..distortion import Lens
+from ..cameras.camera_fields import CameraFile, SizeOf, view_through
+from ..cameras.distortion import Lens
+from ..cameras.pose import inverted_pose
 from ..errors import CameraError, IntrinsicsError
-from ..pose import inverted_pose
 from . import colmap_binary, colmap_text
 from .colmap_model import ColmapCamera, ColmapModel
 from .files import Files, joined

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..cameras.rotations import matrix_from_quaternion
 from ..errors import CameraError, PoseError
-from ..rotations import matrix_from_quaternion
 
 F64 = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 import struct
 
+from ..cameras.view_checks import Notice
 from ..errors import CaptureError
-from ..view_checks import Notice
 from .colmap import has_colmap
 from .files import Files, joined
 from .table import MAX_LISTED

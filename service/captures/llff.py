@@ -9,10 +9,10 @@ from tokenize import TokenError
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
-from ..camera_fields import CameraFile, NamedView, SizeOf
+from ..cameras.camera import Camera
+from ..cameras.camera_fields import CameraFile, NamedView, SizeOf
+from ..cameras.pose import checked_pose
 from ..errors import CameraError
-from ..pose import checked_pose
 from .table import CameraTable, check_listed
 
 SIGNATURE = b"\x93NUMPY"

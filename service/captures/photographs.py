@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from functools import cached_property
 
 from ..errors import CaptureError, ImageError, ImageUnreadable
-from ..image_files import MAX_PIXELS, image_size
+from ..photographs.image_files import MAX_PIXELS, image_size
 from .files import Files, joined, read_bounded
 from .names import Endings, key
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..camera import Camera
-from ..camera_fields import CameraFile, NamedView, SizeOf
+from ..cameras.camera import Camera
+from ..cameras.camera_fields import CameraFile, NamedView, SizeOf
+from ..cameras.pose import inverted_pose
 from ..errors import CameraError
-from ..pose import inverted_pose
 from .table import CameraTable, check_listed
 
 COLUMNS = 19  # time stamp, fx, fy, cx, cy, two zeros, 3 rows of world to camera

@@ -9,8 +9,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from ..camera_fields import CameraFile, SizeOf
-from ..camera_file import parse_camera_file, view_names
+from ..cameras.camera_fields import CameraFile, SizeOf
+from ..cameras.camera_file import parse_camera_file, view_names
 from ..errors import CameraError, CaptureError
 from .colmap import has_colmap, is_of_colmap, read_colmap
 from .colmap_models import models_below, several_models

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from ..errors import InputError, ViewCountError, ViewError
 from ..plain_number import counted
-from ..view_checks import MAX_VIEWS, MIN_VIEWS
 from .names import same_file, same_path
 
 DEFAULT_CONTEXT = 3  # views of a capture that has more than six; a third costs 0.6 of the time of the first two

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from ..camera_fields import CameraFile, SizeOf
+from ..cameras.camera_fields import CameraFile, SizeOf
+from ..cameras.view_checks import Notice
 from ..errors import CameraError
-from ..view_checks import Notice
 
 MAX_LISTED = 20_000  # views of one file; a count above it is a damaged or hostile file
 

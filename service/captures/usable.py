@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from ..camera_fields import CameraFile
+from ..cameras.camera_fields import CameraFile
+from ..cameras.view_checks import MIN_VIEWS, Notice
 from ..errors import IntrinsicsError, PoseError
-from ..view_checks import MIN_VIEWS, Notice
 
 Cameras = Callable[[Sequence[int]], CameraFile]  # of these views
 

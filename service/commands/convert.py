@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..streams import write_result
-from ..terminal import ProgressBars, Quiet
+from ..process.streams import write_result
+from ..process.terminal import ProgressBars, Quiet
 from .dialect_options import (
     AxesOption,
     DropInvalidOption,
@@ -20,9 +20,9 @@ from .dialect_options import (
 )
 
 if TYPE_CHECKING:
-    from ..camera import Camera
+    from ..cameras.camera import Camera
     from ..gaussians import Gaussians
-    from ..scene_views import SceneViews
+    from ..viewpoints.scene_views import SceneViews
 
 AROUND = ("0", "orbit:-30", "orbit:30")  # views of the default framing
 
@@ -46,11 +46,11 @@ def convert(
 ) -> None:
     """Convert Gaussians between formats; says their count, the bytes, what was lost, and the PSNR of pictures."""
     from ..captures.capture import open_capture
-    from ..disk import replace_file
     from ..errors import InputError
     from ..formats.cost import picture_psnr
     from ..formats.dialect import STANDARD, Dialect
     from ..formats.registry import format_named, format_of_path, inspect_gaussians
+    from ..process.disk import replace_file
     from ..progress import Stages
     from .output_file import check_output_file, named
 
@@ -109,9 +109,9 @@ def convert(
 
 def _measured(gaussians: Gaussians, cameras: Sequence[Camera] | None) -> tuple[SceneViews, Sequence[Camera]]:
     """The cameras of a file, else three about the scene."""
-    from ..default_framing import default_views
-    from ..scene_views import SceneViews
-    from ..seen_depths import seen_depths
+    from ..viewpoints.default_framing import default_views
+    from ..viewpoints.scene_views import SceneViews
+    from ..viewpoints.seen_depths import seen_depths
 
     if cameras is None:
         views = default_views(gaussians)

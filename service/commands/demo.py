@@ -10,8 +10,8 @@ from typing import Annotated
 
 import typer
 
-from ..streams import write_result
-from ..terminal import ProgressBars, Quiet
+from ..process.streams import write_result
+from ..process.terminal import ProgressBars, Quiet
 
 
 def demo(

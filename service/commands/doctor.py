@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from ..backends.choice import ENGINES, checked_engine
-from ..streams import write_result
-from ..terminal import ProgressBars, Quiet
+from ..network.backends.choice import ENGINES, checked_engine
+from ..process.streams import write_result
+from ..process.terminal import ProgressBars, Quiet
 from .given import given, path_option
 
 

@@ -8,20 +8,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..camera_path import PathName, loop
-from ..disk import replace_file
-from ..effort import Effort, draw
 from ..errors import InputError
-from ..film import FILM_FORMATS, FilmFormat, FilmShape, check_film, most_frames, write_film
-from ..framing import even, within
-from ..picture import MAX_SIDE, Channel, Format, encode, encode_image
+from ..pictures.effort import Effort, draw
+from ..pictures.film import FILM_FORMATS, FilmFormat, FilmShape, check_film, most_frames, write_film
+from ..pictures.picture import MAX_SIDE, Channel, Format, encode, encode_image
 from ..problem_document import plain
+from ..process.disk import replace_file
 from ..progress import Stages
-from ..scene_views import SceneViews
+from ..viewpoints.camera_path import PathName, loop
+from ..viewpoints.framing import even, within
+from ..viewpoints.scene_views import SceneViews
 from .output_file import named
 
 if TYPE_CHECKING:
-    from ..camera import Camera
+    from ..cameras.camera import Camera
     from ..gaussians import Gaussians
     from ..splat import Render
 
@@ -181,7 +181,7 @@ def write_moving(drawing: Drawing, output: Path, plan: FilmPlan, stages: Stages)
 
 def check_sheet(output: Path, shots: Sequence[Camera]) -> None:
     """Raises `InputError` where a sheet of these views does not fit the format of the file."""
-    from ..contact_sheet import CELL, in_rows, sheet_size
+    from ..pictures.contact_sheet import CELL, in_rows, sheet_size
 
     cells = [within(camera, CELL) for camera in shots]
     size = sheet_size(in_rows([(cell.width, cell.height) for cell in cells]))
@@ -197,7 +197,7 @@ def check_sheet(output: Path, shots: Sequence[Camera]) -> None:
 
 def write_sheet(drawing: Drawing, output: Path, stages: Stages) -> dict[str, Any]:
     """All views in one picture. Returns what it is."""
-    from ..contact_sheet import CELL, Cell, contact_sheet, rows_of
+    from ..pictures.contact_sheet import CELL, Cell, contact_sheet, rows_of
 
     cells, stats = [], []
     with stages.stage("render", len(drawing.specs)) as step:

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-from ..backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
-from ..budget import DEFAULT_CERTIFY
-from ..detail_level import checked_detail
-from ..fade_passes import DEFAULT_PASSES, checked_passes
-from ..foretold import DEFAULT_OTHERS, checked_others
-from ..streams import write_result
-from ..terminal import ProgressBars, Quiet
+from ..cameras.foretold import DEFAULT_OTHERS, checked_others
+from ..leaving_out.budget import DEFAULT_CERTIFY
+from ..mending.detail_level import checked_detail
+from ..mending.fade_passes import DEFAULT_PASSES, checked_passes
+from ..network.backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
+from ..process.streams import write_result
+from ..process.terminal import ProgressBars, Quiet
 from .summary import check_line, fading_line, left_out_lines, selection_line
 
 
@@ -63,15 +63,15 @@ def reconstruct(
     quiet: Quiet = False,
 ) -> None:
     """Reconstruct a scene from some of the views of a capture."""
-    from ..budget import Budget, parse_max_error
     from ..captures.capture import open_capture
     from ..captures.select import Wish, checked_wish
-    from ..disk import replace_file
     from ..formats.encoded import Encoded
+    from ..formats.ply import ply_bytes
     from ..formats.registry import format_of_path
-    from ..image_files import image_size
-    from ..images import EncodedPhoto
-    from ..ply import ply_bytes
+    from ..leaving_out.budget import Budget, parse_max_error
+    from ..photographs.image_files import image_size
+    from ..photographs.images import EncodedPhoto
+    from ..process.disk import replace_file
     from ..progress import Stages
     from ..reconstruct import Reconstructor
     from .output_file import check_output_file, named

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ..camera_path import PathName
-from ..effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort
-from ..streams import write_result
-from ..terminal import ProgressBars, Quiet
+from ..pictures.effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort
+from ..process.streams import write_result
+from ..process.terminal import ProgressBars, Quiet
+from ..viewpoints.camera_path import PathName
 from .dialect_options import (
     AxesOption,
     DropInvalidOption,
@@ -24,7 +24,7 @@ from .dialect_options import (
 from .selection import view_specs
 
 if TYPE_CHECKING:
-    from ..camera import Camera
+    from ..cameras.camera import Camera
     from ..gaussians import Gaussians
 
 
@@ -75,16 +75,16 @@ def render(
 
     Where the camera file lacks near and far, the depths of the Gaussians that its cameras see stand in for them.
     """
+    from ..cameras.depth_range import depth_range
     from ..captures.capture import open_capture
-    from ..depth_range import depth_range
     from ..errors import InputError
     from ..formats.dialect import Dialect
     from ..formats.registry import inspect_gaussians
-    from ..framing import frame, parse_size, square
-    from ..picture import check_format, parse_background
+    from ..pictures.picture import check_format, parse_background
     from ..progress import Stages
-    from ..scene_views import SceneViews
-    from ..seen_depths import seen_depths
+    from ..viewpoints.framing import frame, parse_size, square
+    from ..viewpoints.scene_views import SceneViews
+    from ..viewpoints.seen_depths import seen_depths
     from .output_file import check_output_file, check_output_folder
     from .outputs import (
         SHEET_FORMATS,
@@ -168,8 +168,8 @@ def render(
 
 def _precision(gaussians: Gaussians, shots: Sequence[Camera], near: float | None) -> list[str]:
     """A sentence where positions are float32 numbers so far from the origin that it shows."""
-    from ..float32 import half_step, largest_shift
-    from ..pose_notices import TOLD_PX
+    from ..cameras.float32 import half_step, largest_shift
+    from ..cameras.pose_notices import TOLD_PX
 
     focal = max(max(camera.fx, camera.fy) for camera in shots)
     shift = 0.0 if near is None else largest_shift(half_step(gaussians.means), focal, near)

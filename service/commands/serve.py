@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..backends.choice import DEFAULT_ENGINE, ENGINES
 from ..errors import InputError
+from ..network.backends.choice import DEFAULT_ENGINE, ENGINES
+from ..process.terminal import ProgressBars
 from ..progress import Stages
-from ..terminal import ProgressBars
 from .given import given, path_option
 
 if TYPE_CHECKING:
@@ -63,14 +63,14 @@ def serve(
     starts: what the first start would do once is done."""
     import uvicorn
 
-    from .. import watched_process
     from ..http.connections import BACKLOG, HEAD_S, ask_for_files
     from ..http.curfew import GRACE_S
-    from ..logs import configure
     from ..models import Models
-    from ..peers import FOLDER, OURS
+    from ..process import watched_process
+    from ..process.logs import configure
+    from ..process.peers import FOLDER, OURS
+    from ..scenes.store import SceneStore
     from ..settings import checked_settings, strange_variables
-    from ..store import SceneStore
     from .listening import check_address
 
     options = given(
@@ -125,11 +125,11 @@ def _tell(strange: Sequence[str]) -> None:
 
 def _prepare(settings: Settings, models: Models) -> None:
     """The optimised copy of every model into the store, one after the other, and the kernels compiled."""
-    from ..backends.onnxruntime_session import session_options
     from ..http.runtime import MODELS
     from ..kernels import warm_up
-    from ..prepared_model import prepared
-    from ..threads import available_threads
+    from ..network.backends.onnxruntime_session import session_options
+    from ..network.prepared_model import prepared
+    from ..process.threads import available_threads
 
     if settings.engine != DEFAULT_ENGINE:
         raise InputError(f"{settings.engine} keeps nothing of a model on disk", field="engine", cure=DEFAULT_ENGINE)

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from ..errors import PlyError
 from ..gaussians import Gaussians
 from ..harmonics import C0
-from ..ply_behind import behind
-from ..ply_format import Element, Header, binary_rows, parse_header
-from ..ply_write import require_float32
 from .encoded import INTO_THE_SCENE, Encoded, clamped_note, position_note, quantized
 from .morton import morton_order
+from .ply_behind import behind
+from .ply_format import Element, Header, binary_rows, parse_header
+from .ply_write import require_float32
 from .reading import LARGEST, Reading, check_count, gaussians_of, passed_over
 from .smallest_three import BOUND, join, split
 

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..camera import Camera
+from ..cameras.camera import Camera
 from ..gaussians import Gaussians
-from ..picture_error import psnr
-from ..scene_views import NearPlane
+from ..pictures.picture_error import psnr
+from ..viewpoints.scene_views import NearPlane
 
 
 def picture_psnr(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..gaussians import Gaussians
-from ..ply_write import POSITION_TOLERANCE
+from .ply_write import POSITION_TOLERANCE
 
 INTO_THE_SCENE = "move the world's origin into the scene, or write .ply"  # the cure of positions that do not fit
 

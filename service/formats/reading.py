@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import FormatError, TooManyGaussians
 from ..gaussians import Gaussians
-from ..streams import visible
+from ..process.streams import visible
 
 Source = str | PathLike[str] | bytes | bytearray | memoryview | BinaryIO
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass, fields, replace
 from os import PathLike
 from pathlib import Path
 
-from ..disk import replace_file
 from ..errors import InputError
 from ..gaussians import Gaussians
-from ..ply_format import parse_header
-from ..ply_read import inspect_ply
-from ..ply_write import ply_bytes
+from ..process.disk import replace_file
 from .compressed_ply import compressed_ply_bytes, is_compressed, read_compressed_ply
 from .dialect import AUTO, Dialect
 from .encoded import Encoded
+from .ply_format import parse_header
+from .ply_read import inspect_ply
+from .ply_write import ply_bytes
 from .reading import Reading, Source, bytes_of
 from .splat import ROW, read_splat, splat_bytes
 from .spz import holds_spz, is_gzip, read_spz, spz_bytes

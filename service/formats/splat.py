@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import FormatError
 from ..gaussians import Gaussians
 from ..harmonics import C0
-from ..ply_write import require_float32
 from .encoded import INTO_THE_SCENE, Encoded, bands_note, clamped_note, position_note, quantized
+from .ply_write import require_float32
 from .reading import Reading, check_count, gaussians_of
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])

@@ -9,8 +9,8 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..picture import encode
-from ..scene_views import SceneViews
+from ..pictures.picture import encode
+from ..viewpoints.scene_views import SceneViews
 from .drawing import draw
 from .runtime import Runtime
 

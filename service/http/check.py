@@ -10,15 +10,15 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Request, Response
 from PIL import Image
 
-from ..camera_file import camera_document
-from ..depth_range import depth_range
-from ..fitting import fit_notices
-from ..images import Photo, decode_image, match_photo
-from ..model_info import ModelInfo
-from ..pose_notices import pose_notices
+from ..cameras.camera_file import camera_document
+from ..cameras.depth_range import depth_range
+from ..cameras.pose_notices import pose_notices
+from ..cameras.view_checks import DEPTH_PLANES, check_views
+from ..network.model_info import ModelInfo
+from ..photographs.fitting import fit_notices
+from ..photographs.images import Photo, decode_image, match_photo
+from ..photographs.undistort import match_lens
 from ..settings import Settings
-from ..undistort import match_lens
-from ..view_checks import DEPTH_PLANES, check_views
 from .form import FORM
 from .responses import json_response
 from .runtime import Runtime, runtime_of

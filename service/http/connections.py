@@ -11,7 +11,7 @@ import termios
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from ..logs import OVER_LIMIT
+from ..process.logs import OVER_LIMIT
 
 HEAD_S = 10  # from the connection, or from the answer before, to the last byte of a request's head
 LOOK_S, LEAST = 60.0, 16 * 2**10  # of an answer that the system does not buffer whole, so many bytes go in that time

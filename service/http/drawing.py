@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from ..camera import Camera
-from ..effort import Effort
-from ..effort import draw as effort_draw
+from ..cameras.camera import Camera
 from ..errors import DeadlineExceeded, InputError
 from ..metrics import STAGES
-from ..picture import Channel
+from ..pictures.effort import Effort
+from ..pictures.effort import draw as effort_draw
+from ..pictures.picture import Channel
 from ..revision import DRAWING_REVISION
-from ..scene_views import SceneViews
+from ..viewpoints.scene_views import SceneViews
 from .files import etag_of
 from .gate import Pause
 from .runtime import Runtime

@@ -19,8 +19,8 @@ from ..errors import SceneNotFound
 from ..formats.registry import MEDIA_TYPE
 from ..problem_document import of_error, problem
 from ..revision import DRAWING_REVISION
-from ..scene_files import unknown
-from ..store import SceneStore
+from ..scenes.scene_files import unknown
+from ..scenes.store import SceneStore
 from . import problems
 from .responses import PLY, head_alone
 from .spilled import SpilledResponse

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..budget import DEFAULT_CERTIFY, MAX_CERTIFY
+from ..cameras.foretold import DEFAULT_OTHERS
+from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from ..captures.select import DEFAULT_CONTEXT
-from ..detail_level import DETAILS
-from ..fade_passes import DEFAULT_PASSES, MAX_PASSES
-from ..foretold import DEFAULT_OTHERS
+from ..leaving_out.budget import DEFAULT_CERTIFY, MAX_CERTIFY
+from ..leaving_out.stride import STRIDES
+from ..mending.detail_level import DETAILS
+from ..mending.fade_passes import DEFAULT_PASSES, MAX_PASSES
 from ..model_names import DEFAULT
-from ..stride import STRIDES
-from ..view_checks import MAX_VIEWS, MIN_VIEWS
 from .posted import MAX_IMAGES
 
 # Two cameras side by side that look along z.

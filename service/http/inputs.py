@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
-from ..camera_fields import CameraFile
+from ..cameras.camera_fields import CameraFile
+from ..cameras.view_checks import check_count
 from ..captures.archive import SIGNATURES, ZipFiles
 from ..captures.capture import Capture
 from ..captures.choose import chosen_views
@@ -18,7 +19,6 @@ from ..captures.table import CameraTable
 from ..captures.usable import usable_views
 from ..errors import CameraError, CaptureError, InputError, MalformedRequest, UploadTooLarge
 from ..settings import Settings
-from ..view_checks import check_count
 from .limits import parse_json
 from .pairing import NamedImage, Pairing, PostedSizes, match_names
 

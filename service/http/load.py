@@ -11,13 +11,13 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import Field, ValidationError
 from starlette.datastructures import FormData, UploadFile
 
-from ..camera_fields import CameraFile
+from ..cameras.camera_fields import CameraFile
+from ..cameras.view_checks import Notice
 from ..errors import InputError, UnsupportedMediaType, UploadTooLarge
 from ..formats.dialect import Dialect
 from ..formats.registry import MEDIA_TYPE, NAMES
-from ..loaded_scene import LoadedFile, load
+from ..scenes.loaded_scene import LoadedFile, load
 from ..settings import Settings
-from ..view_checks import Notice
 from .form import CAMERAS
 from .inputs import camera_table
 from .parameters import Parameters

@@ -14,12 +14,12 @@ from prometheus_client.multiprocess import MultiProcessCollector
 from prometheus_client.registry import Collector
 
 from ..metrics import OWN, SHARED, forget_dead
-from ..peers import FOLDER
+from ..process.peers import FOLDER
 from .runtime import Runtime, runtime_of
 
 if TYPE_CHECKING:
     from ..jobs.table import JobTable
-    from ..store import SceneStore
+    from ..scenes.store import SceneStore
 
 router = APIRouter(tags=["operations"])
 

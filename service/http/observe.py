@@ -11,8 +11,8 @@ from urllib.parse import quote
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ..logs import REQUEST_ID
 from ..metrics import REJECTED, REQUESTS, SECONDS
+from ..process.logs import REQUEST_ID
 
 HEADER = "X-Request-ID"
 QUIET = ("/healthz", "/readyz", "/metrics")  # asked for every few seconds: counted, not logged

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..camera import Camera
-from ..camera_fields import NamedView
+from ..cameras.camera import Camera
+from ..cameras.camera_fields import NamedView
 from ..captures.names import places_of, sorted_places
 from ..errors import InputError, ViewCountError
-from ..image_files import image_size
+from ..photographs.image_files import image_size
 from ..plain_number import counted
 
 

@@ -11,8 +11,8 @@ from python_multipart.exceptions import FormParserError
 from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 
-from ..disk import full_is_refused
 from ..errors import InputError, MalformedRequest, UnsupportedMediaType, UploadTimeout, UploadTooLarge
+from ..process.disk import full_is_refused
 from ..settings import Settings
 
 FORM = "multipart/form-data"

@@ -13,15 +13,15 @@ import anyio.to_thread
 from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import Field
 
-from ..camera import Camera
-from ..camera_path import PathName, loop
-from ..contact_sheet import CELL, Cell, contact_sheet, rows_of
-from ..disk import full_is_refused
+from ..cameras.camera import Camera
 from ..errors import InputError
-from ..film import MEDIA_TYPES, FilmFormat, FilmShape, check_film, write_film
-from ..framing import even, frame, within
-from ..picture import Format, encode_image, parse_background
-from ..scene_views import SceneViews
+from ..pictures.contact_sheet import CELL, Cell, contact_sheet, rows_of
+from ..pictures.film import MEDIA_TYPES, FilmFormat, FilmShape, check_film, write_film
+from ..pictures.picture import Format, encode_image, parse_background
+from ..process.disk import full_is_refused
+from ..viewpoints.camera_path import PathName, loop
+from ..viewpoints.framing import even, frame, within
+from ..viewpoints.scene_views import SceneViews
 from .drawing import Sitting, picture_tag
 from .files import matches, not_modified
 from .gate import Pause

@@ -11,15 +11,15 @@ import anyio.to_thread
 from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import Field
 
-from ..camera import Camera
-from ..camera_json import camera_from_json
-from ..effort import ALPHA_MIN, LIMITS, MAX_SAMPLES, STOP, Effort
+from ..cameras.camera import Camera
+from ..cameras.camera_json import camera_from_json
 from ..errors import ViewError
-from ..framing import frame
 from ..metrics import STAGES
-from ..picture import Channel, Format, Picture, check_format, encode, parse_background
+from ..pictures.effort import ALPHA_MIN, LIMITS, MAX_SAMPLES, STOP, Effort
+from ..pictures.picture import Channel, Format, Picture, check_format, encode, parse_background
 from ..problem_document import plain
-from ..scene_views import SceneViews
+from ..viewpoints.framing import frame
+from ..viewpoints.scene_views import SceneViews
 from .drawing import check_size, draw, picture_tag
 from .files import matches, not_modified
 from .limits import parse_json

@@ -22,11 +22,11 @@ from fastapi import Request
 from ..errors import ModelNotReady
 from ..jobs.desk import Desk
 from ..model_names import DEFAULT
-from ..peers import FOLDER, Peers
-from ..priority import give_way
+from ..process.peers import FOLDER, Peers
+from ..process.priority import give_way
 from ..progress import Listener, Stages, silent
+from ..scenes.store import SceneStore
 from ..settings import Settings
-from ..store import SceneStore
 from .curfew import Curfew
 from .gate import GLANCE_S, Lane, Places
 

@@ -10,10 +10,10 @@ import anyio.to_thread
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 
+from ..cameras.view_checks import MAX_VIEWS
 from ..errors import FormatUnknown, InputError
 from ..formats.registry import FORMATS, MEDIA_TYPE, NAMES
-from ..scene_files import is_id
-from ..view_checks import MAX_VIEWS
+from ..scenes.scene_files import is_id
 from .files import ASKED_AGAIN, Made, SceneFile, converted_file, etag_of, etag_of_converted, matches, not_modified
 from .parameters import Parameters
 from .responses import json_response

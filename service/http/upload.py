@@ -10,10 +10,10 @@ import anyio.to_thread
 from fastapi import Request
 from starlette.datastructures import FormData, UploadFile
 
-from ..budget import DEFAULT_CERTIFY, DEFAULT_MAX_ERROR, Budget, parse_max_error
+from ..cameras.foretold import DEFAULT_OTHERS, checked_others
+from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from ..captures.archive import SIGNATURES
 from ..captures.select import Wish, checked_wish
-from ..detail_level import checked_detail
 from ..errors import (
     DepthRangeError,
     InputError,
@@ -21,15 +21,15 @@ from ..errors import (
     UploadTooLarge,
     ViewCountError,
 )
-from ..fade_passes import DEFAULT_PASSES, checked_passes
-from ..foretold import DEFAULT_OTHERS, checked_others
 from ..jobs.work import Work
+from ..leaving_out.budget import DEFAULT_CERTIFY, DEFAULT_MAX_ERROR, Budget, parse_max_error
+from ..leaving_out.stride import STRIDES
+from ..mending.detail_level import checked_detail
+from ..mending.fade_passes import DEFAULT_PASSES, checked_passes
 from ..model_names import DEFAULT, checked_name
 from ..plain_number import counted
-from ..scene_views import SceneViews
 from ..settings import Settings
-from ..stride import STRIDES
-from ..view_checks import MAX_VIEWS, MIN_VIEWS
+from ..viewpoints.scene_views import SceneViews
 from .fields import flag, number, whole
 from .inputs import Inputs, captured, posted
 from .pairing import NamedImage, Pairing

@@ -9,10 +9,10 @@ import anyio.to_thread
 import numpy as np
 from fastapi import APIRouter, Depends, Request, Response
 
-from ..camera import Camera
-from ..level_frame import LevelFrame
-from ..ply import ply_bytes
-from ..scene_views import SceneViews
+from ..cameras.camera import Camera
+from ..formats.ply import ply_bytes
+from ..viewpoints.level_frame import LevelFrame
+from ..viewpoints.scene_views import SceneViews
 from .files import ASKED_AGAIN, etag_of, matches, not_modified
 from .responses import PLY, head_alone, json_response
 from .runtime import Runtime, runtime_of

@@ -10,10 +10,10 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from .. import metrics
-from ..allocator import trim
 from ..errors import ModelChanged, StorageFull
+from ..process.allocator import trim
 from ..progress import Listener, Stage, Stages
-from ..store import SceneStore
+from ..scenes.store import SceneStore
 from .leases import Lease
 from .rows import Job
 from .runner import Compute, Runner

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from ..database import Database
+from ..scenes.database import Database
 from .rows import ACTIVE, JOBS, Event, Job, job_of, unknown_job
 
 

@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable
 
 from ..errors import DeadlineExceeded, GapmesError, JobCancelled
-from ..priority import give_way
 from ..problem_document import problem, public
+from ..process.priority import give_way
 from ..progress import Listener, Stage
 from .leases import Lease
 from .rows import Job

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from ..disk import full_is_refused
+from ..process.disk import full_is_refused
 from .work import Work
 
 _DOCUMENT = "work.json"

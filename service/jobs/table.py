@@ -14,8 +14,8 @@ from sqlite3 import Connection
 from typing import Any
 
 from .. import metrics
-from ..database import Database
 from ..errors import ServiceBusy
+from ..scenes.database import Database
 from .reading import JobReader
 from .rows import (
     Job,

@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..budget import Budget
-from ..camera import Camera
-from ..camera_file import camera_document
-from ..distortion import Lens
-from ..fade_passes import DEFAULT_PASSES
-from ..image_files import check_total
-from ..images import EncodedPhoto
+from ..cameras.camera import Camera
+from ..cameras.camera_file import camera_document
+from ..cameras.distortion import Lens
+from ..cameras.pose import Given
+from ..cameras.view_checks import MIN_VIEWS
+from ..formats.ply import ply_bytes
+from ..leaving_out.budget import Budget
+from ..mending.fade_passes import DEFAULT_PASSES
 from ..model_names import DEFAULT
-from ..picture import png
-from ..ply import ply_bytes
-from ..pose import Given
+from ..photographs.image_files import check_total
+from ..photographs.images import EncodedPhoto
+from ..pictures.picture import png
 from ..progress import Listener
 from ..revision import ALGORITHM_REVISION
-from ..store import SceneStore
-from ..view_checks import MIN_VIEWS
+from ..scenes.store import SceneStore
 
 if TYPE_CHECKING:
     from ..reconstruct import Reconstructor

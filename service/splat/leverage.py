@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
+from ..cameras.camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
 from .access import get, put, smaller

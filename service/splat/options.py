@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
+from ..cameras.camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
 from .binning import Grid

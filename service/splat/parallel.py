@@ -14,7 +14,7 @@ from numbers import Integral
 from typing import TypeVar
 
 from ..errors import InputError
-from ..threads import available_threads
+from ..process.threads import available_threads
 
 T = TypeVar("T")
 

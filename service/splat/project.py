@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
+from ..cameras.camera import Camera
 from .access import BLOCK, get, get_field, larger, put, smaller
 from .definition import Definition
 from .footprint import (

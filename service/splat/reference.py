@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial import Legendre
 from numpy.typing import NDArray
 
-from ..camera import Camera
+from ..cameras.camera import Camera
 from ..gaussians import Gaussians
 from .definition import Definition
 from .options import checked_background, checked_definition, checked_degree

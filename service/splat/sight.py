@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
+from ..cameras.camera import Camera
 from ..gaussians import Gaussians
 from .binning import Grid, TileLists, tile_lists
 from .definition import Definition

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import Camera
+from ..cameras.camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
 from .options import checked_definition

@@ -19,7 +19,7 @@ from gapmes.export.tolerance import TOLERANCES
 from gapmes.export.verify import verify
 from gapmes.model.network import GaPMeS
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
+from gapmes.service.network.contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from gapmes.service.shipped import shipped_model
 
 SIZE, PATCHES = 64, 16

@@ -11,7 +11,7 @@ from onnx import helper, numpy_helper
 from gapmes.export.cases import sample_scene
 from gapmes.export.quantise import quantised
 from gapmes.export.routes import flipped_patches
-from gapmes.service.contract import GAUSSIAN_OUTPUTS, INPUTS
+from gapmes.service.network.contract import GAUSSIAN_OUTPUTS, INPUTS
 
 SIZE = 64
 

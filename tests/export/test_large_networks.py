@@ -24,8 +24,8 @@ from gapmes.export.verify import verify
 from gapmes.model.architectures import Network, config_from_json
 from gapmes.model.depthsplat.config import Compatibility
 from gapmes.model.depthsplat.network import DepthSplat
-from gapmes.service.contract import INPUTS, REQUIRED_OUTPUTS
-from gapmes.service.engine import Engine
+from gapmes.service.network.contract import INPUTS, REQUIRED_OUTPUTS
+from gapmes.service.network.engine import Engine
 
 SIZE = 64
 VIEWS = (2, 3, 4, 6)

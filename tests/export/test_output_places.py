@@ -20,8 +20,8 @@ from gapmes.export.model_file import data_files
 from gapmes.export.pipeline import ExportRejected, VerificationBroken, export_checkpoint
 from gapmes.export.report import CaseResult, Report
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.engine import Engine
 from gapmes.service.errors import InputError
+from gapmes.service.network.engine import Engine
 
 Verify = Callable[..., Report]
 

@@ -14,8 +14,8 @@ from gapmes.export.pictures import PictureAgreement, picture_agreement
 from gapmes.export.samples import random_scene
 from gapmes.export.tolerance import TOLERANCES, Precision
 from gapmes.export.verify import picture_failures
-from gapmes.service.contract import GAUSSIAN_OUTPUTS
-from gapmes.service.picture_error import EQUAL_DB
+from gapmes.service.network.contract import GAUSSIAN_OUTPUTS
+from gapmes.service.pictures.picture_error import EQUAL_DB
 
 SIDE = 32
 COUNT = SIDE * SIDE

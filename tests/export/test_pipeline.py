@@ -20,7 +20,7 @@ from gapmes.export.report import Report
 from gapmes.export.samples import random_scene
 from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.contract import INPUTS
+from gapmes.service.network.contract import INPUTS
 from gapmes.service.shipped import shipped_model
 
 

@@ -26,7 +26,7 @@ from gapmes.export.routes import AMBIGUOUS_GAP
 from gapmes.export.samples import random_scene
 from gapmes.model.architectures import Network
 from gapmes.model.checkpoint import load_checkpoint
-from gapmes.service.contract import INPUTS
+from gapmes.service.network.contract import INPUTS
 
 SIZE, PATCHES = 64, 16
 SAME = 1e-3  # of a tensor's largest value: what two runs in float32 differ by at most, and other tensors by far more

@@ -4,9 +4,9 @@ import copy
 
 import numpy as np
 
-from gapmes.service.camera import Camera
-from gapmes.service.camera_file import camera_document
-from gapmes.service.rotations import about_axis
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.camera_file import camera_document
+from gapmes.service.cameras.rotations import about_axis
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 

@@ -12,9 +12,9 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
-from gapmes.service.camera import Camera
-from gapmes.service.camera_file import camera_document
-from gapmes.service.rotations import about_axis
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.camera_file import camera_document
+from gapmes.service.cameras.rotations import about_axis
 
 WIDTH, HEIGHT, FOCAL = 96, 72, 80.0
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -10,8 +10,8 @@ from plane_scene import PlaneScene
 from plane_views import plane_views, with_wrong_patch
 from standin_model import write_standin
 
-from gapmes.service.engine import Engine
-from gapmes.service.images import FittedView
+from gapmes.service.network.engine import Engine
+from gapmes.service.photographs.images import FittedView
 
 
 @pytest.fixture(scope="session")

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gapmes.service.camera import Camera
-from gapmes.service.rotations import about_axis
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.rotations import about_axis
 
 DEPTH = 4.0  # of the plane z = DEPTH in the world of the unmoved scene
 WAVES = 24

@@ -10,8 +10,8 @@ from plane_scene import DEPTH, PlaneScene
 
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import C0
-from gapmes.service.images import FittedView, Photo, fit_view
-from gapmes.service.picture_error import psnr
+from gapmes.service.photographs.images import FittedView, Photo, fit_view
+from gapmes.service.pictures.picture_error import psnr
 from gapmes.service.splat import render
 
 SIDE = 64

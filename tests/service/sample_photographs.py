@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image
 
-from gapmes.service.camera import Camera
-from gapmes.service.camera_file import parse_camera_file
-from gapmes.service.images import FittedView, Photo, fit_view
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.camera_file import parse_camera_file
+from gapmes.service.photographs.images import FittedView, Photo, fit_view
 from gapmes.service.shipped import sample_folder
 
 NEAR, FAR = 1.647, 4.809

@@ -21,7 +21,7 @@ from ply_cases import binary_file, columns, gaussians
 from typer.testing import CliRunner
 
 from gapmes.service import Gaussians, cli, write_ply
-from gapmes.service.ply import ply_bytes
+from gapmes.service.formats.ply import ply_bytes
 from gapmes.service.settings import Settings
 
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.errors import GaussiansError
 from gapmes.service.harmonics import C0, band_rotations, degree_of, evaluate_basis, rotate_harmonics
-from gapmes.service.rotations import about_axis
 
 # Float64 rounding grows with the band: worst 9e-15 over the cases below; the specification asks for 1e-6.
 ATOL = 1e-13

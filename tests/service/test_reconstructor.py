@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 from standin_model import BAND_1, C0, EXTRA, HEIGHT, OPACITY, ROTATION, SCALES, WIDTH
 
-from gapmes.service.budget import KEEP_ALL, Budget
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.rotations import about_axis, matrix_from_quaternion
 from gapmes.service.errors import (
     CameraError,
     ContradictionError,
@@ -20,12 +20,12 @@ from gapmes.service.errors import (
     ViewCountError,
 )
 from gapmes.service.harmonics import evaluate_basis
-from gapmes.service.images import Photo, fit_view
 from gapmes.service.kernels import warm_up
-from gapmes.service.masks import FADED, REPLACED
-from gapmes.service.picture_error import psnr
+from gapmes.service.leaving_out.budget import KEEP_ALL, Budget
+from gapmes.service.photographs.images import Photo, fit_view
+from gapmes.service.photographs.masks import FADED, REPLACED
+from gapmes.service.pictures.picture_error import psnr
 from gapmes.service.reconstruct import Reconstructor
-from gapmes.service.rotations import about_axis, matrix_from_quaternion
 from gapmes.service.splat import Definition, render
 
 # The network's frame is float32 with near = 1: positions up to `far / near` units carry 24 bits.

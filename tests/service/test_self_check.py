@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.depth_range import DepthRange
 from gapmes.service.commands.summary import check_line, left_out_lines
-from gapmes.service.depth_range import DepthRange
 from gapmes.service.gaussians import Gaussians
-from gapmes.service.images import FittedView
-from gapmes.service.picture_error import psnr, ssim
+from gapmes.service.photographs.images import FittedView
+from gapmes.service.pictures.picture_error import psnr, ssim
 from gapmes.service.self_check import GRID, ambiguous_routes, depth_steps, from_others, parallax, self_check
 from gapmes.service.splat import render
 

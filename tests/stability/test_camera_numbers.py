@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gapmes.service.camera import Camera
-from gapmes.service.camera_file import camera_document, parse_camera_file
-from gapmes.service.depth_range import DepthRange, depth_range
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.camera_file import camera_document, parse_camera_file
+from gapmes.service.cameras.depth_range import DepthRange, depth_range
+from gapmes.service.cameras.pose import checked_pose, rigid_inverse
+from gapmes.service.cameras.view_checks import check_views
+from gapmes.service.cameras.world_frame import WorldFrame
 from gapmes.service.errors import CameraError, InputError
-from gapmes.service.pose import checked_pose, rigid_inverse
-from gapmes.service.view_checks import check_views
-from gapmes.service.world_frame import WorldFrame
 
 SIZES = ("width", "height")
 GOOD = {"width": 64, "height": 48, "fx": 60.0, "fy": 62.0, "cx": 31.0, "cy": 25.0}

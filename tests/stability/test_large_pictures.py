@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, render, render_reference
 

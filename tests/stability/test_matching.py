@@ -18,10 +18,10 @@ from gapmes.model.cost_volume import Views, sweep
 from gapmes.model.evidence import matching_evidence
 from gapmes.model.geometry import camera_rays, pixel_grid
 from gapmes.model.warp import Warp
-from gapmes.service.camera import Camera
-from gapmes.service.depth_range import DepthRange
-from gapmes.service.images import FittedView
-from gapmes.service.overlap import inverse_depth_steps
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.depth_range import DepthRange
+from gapmes.service.cameras.overlap import inverse_depth_steps
+from gapmes.service.photographs.images import FittedView
 from gapmes.service.self_check import self_check
 from gapmes.service.splat import Render
 

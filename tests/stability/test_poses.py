@@ -8,12 +8,12 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from gapmes.service.camera import Camera
-from gapmes.service.depth_range import DepthRange
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.depth_range import DepthRange
+from gapmes.service.cameras.pose import MAX_ORTHONORMALITY_ERROR, ROUNDING, checked_pose
+from gapmes.service.cameras.rotations import about_axis
+from gapmes.service.cameras.world_frame import WorldFrame
 from gapmes.service.errors import PoseError
-from gapmes.service.pose import MAX_ORTHONORMALITY_ERROR, ROUNDING, checked_pose
-from gapmes.service.rotations import about_axis
-from gapmes.service.world_frame import WorldFrame
 
 OFFSETS = [0.0, 1e3, 1e5, 1e6, 1e7]
 SHIFT = np.array([1.0, -0.7, 0.4])

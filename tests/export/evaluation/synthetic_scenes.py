@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gapmes.export.evaluation.case import Case, TrueDepth
-from gapmes.service.camera import Camera
-from gapmes.service.images import FittedView, Photo
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.photographs.images import FittedView, Photo
 
 SIZE = 64  # px
 NEAR, FAR = 1.0, 8.0

@@ -14,7 +14,7 @@ from gapmes.export.evaluation.planes import PLANES, consistent_plane, nearest_in
 from gapmes.export.evaluation.scores import BASELINES, NEAREST, SWEEP, TRUE_DEPTH, TUNED_SWEEP
 from gapmes.export.evaluation.sweep import filled_from_behind, swept_depths
 from gapmes.export.evaluation.warp import source_positions, warped
-from gapmes.service.picture_error import psnr
+from gapmes.service.pictures.picture_error import psnr
 
 
 def test_positions_are_those_of_the_camera() -> None:

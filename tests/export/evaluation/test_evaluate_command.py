@@ -26,9 +26,9 @@ from gapmes.export.evaluation.scores import BASELINES, TRUE_DEPTH
 from gapmes.export.size import Size
 from gapmes.model.training.validation import VALIDATION_SEED
 from gapmes.service import cli, extra_commands
-from gapmes.service.backends import choice
-from gapmes.service.contract import REQUIRED_OUTPUTS
 from gapmes.service.errors import ModelError
+from gapmes.service.network.backends import choice
+from gapmes.service.network.contract import REQUIRED_OUTPUTS
 from gapmes.service.shipped import sample_folder, shipped_model
 
 

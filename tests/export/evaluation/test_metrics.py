@@ -11,7 +11,7 @@ import torch.nn.functional as F
 
 from gapmes.export.evaluation.metrics import Figures, figures, mean_figures
 from gapmes.model.training import losses
-from gapmes.service.picture_error import psnr, ssim
+from gapmes.service.pictures.picture_error import psnr, ssim
 
 RNG = np.random.default_rng(5)
 

@@ -15,8 +15,8 @@ from gapmes.export.evaluation.measure import enlarged, lost_to_detail
 from gapmes.export.evaluation.scores import Group, ModelScore, SceneScore, Twice
 from gapmes.export.evaluation.tables import SCENES_SHOWN, group_section
 from gapmes.export.size import Size
-from gapmes.service.images import FittedView
-from gapmes.service.picture_error import psnr
+from gapmes.service.photographs.images import FittedView
+from gapmes.service.pictures.picture_error import psnr
 from gapmes.service.shipped import sample_folder
 
 

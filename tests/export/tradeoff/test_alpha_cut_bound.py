@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gapmes.export.tradeoff.errors import alpha_cut_bound
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
 
 

@@ -18,13 +18,13 @@ from gapmes.export.tradeoff.errors import model_error, setting_error, splatter_r
 from gapmes.export.tradeoff.machine import this_machine
 from gapmes.export.tradeoff.scenes import load_scene
 from gapmes.export.tradeoff.schema import Report
-from gapmes.service.budget import KEEP_ALL, Budget, parse_max_error
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.cli import app
-from gapmes.service.effort import Effort
 from gapmes.service.errors import InputError
-from gapmes.service.images import FittedView
-from gapmes.service.machine import FLAGS
+from gapmes.service.leaving_out.budget import KEEP_ALL, Budget, parse_max_error
+from gapmes.service.photographs.images import FittedView
+from gapmes.service.pictures.effort import Effort
+from gapmes.service.process.machine import FLAGS
 from gapmes.service.shipped import sample_folder
 from gapmes.service.splat import render
 

@@ -18,11 +18,11 @@ from gapmes.model.training.choice_data import PIXELS, Samples, scene_batch, scen
 from gapmes.model.training.generated_views import input_views
 from gapmes.model.training.scenes import SceneBatch
 from gapmes.service import Reconstructor
-from gapmes.service.choice.candidates import ABOUT, COUNT, KNOWN, Candidates, Matched
-from gapmes.service.choice.network import ChoiceNetwork
-from gapmes.service.depth_range import depth_range
-from gapmes.service.images import FittedView
-from gapmes.service.mending import matched_depths
+from gapmes.service.cameras.depth_range import depth_range
+from gapmes.service.mending.after_network import matched_depths
+from gapmes.service.mending.choice.candidates import ABOUT, COUNT, KNOWN, Candidates, Matched
+from gapmes.service.mending.choice.network import ChoiceNetwork
+from gapmes.service.photographs.images import FittedView
 
 
 def made_up(count: int, seed: int) -> Samples:

@@ -11,7 +11,7 @@ from PIL import Image
 
 import gapmes.service
 from gapmes.model.training.sample_scene import camera_document, render_sample
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 
 FOLDER = Path(gapmes.service.__file__).parent / "assets" / "sample"
 

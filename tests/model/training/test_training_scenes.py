@@ -7,7 +7,7 @@ import pytest
 from gapmes.model.training import textures
 from gapmes.model.training.scenes import LEAST_INPUT_COVER, SceneSampler
 from gapmes.model.training.textures import LEVEL_OFFSETS, LEVELS, ROW_BYTES, build_atlas, load_atlas
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 
 SIZE = 48
 FIELDS = ("images", "depths", "world_from_cam", "intrinsics", "near_far")

@@ -8,7 +8,7 @@ from splat_float64 import splat_reference
 
 from gapmes.model.training.splat import splat
 from gapmes.service import Camera, Gaussians, render
-from gapmes.service.rotations import matrix_from_quaternion
+from gapmes.service.cameras.rotations import matrix_from_quaternion
 
 NAMES = ("means", "factors", "opacities", "colours")
 SIZE = (20, 24)

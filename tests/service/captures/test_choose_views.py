@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from capture_scenes import arc
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.depth_range import DepthRange
+from gapmes.service.cameras.rotations import about_axis
+from gapmes.service.cameras.view_checks import check_views
 from gapmes.service.captures import choose
 from gapmes.service.captures.choose import chosen_views, scene_depths
 from gapmes.service.captures.select import Wish, checked_wish, named_views, several_named_views
-from gapmes.service.depth_range import DepthRange
 from gapmes.service.errors import InputError, ViewCountError, ViewError
-from gapmes.service.rotations import about_axis
-from gapmes.service.view_checks import check_views
 
 
 def around(angles: list[float], radius: float = 4.0) -> list[Camera]:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from capture_scenes import arc, names, photograph, write_cameras_json, write_colmap, write_transforms, zipped
 
-from gapmes.service.camera_fields import CameraFile
+from gapmes.service.cameras.camera_fields import CameraFile
 from gapmes.service.captures.archive import ZipFiles
 from gapmes.service.captures.capture import open_capture, read_camera_file
 from gapmes.service.captures.colmap_text import read_images

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from capture_scenes import arc, photograph, write_photographs, zipped
 
-from gapmes.service.camera_file import camera_document
+from gapmes.service.cameras.camera_file import camera_document
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.files import FolderFiles
 from gapmes.service.captures.names import MOST_PARTS, Endings, places_of, same_file, same_path

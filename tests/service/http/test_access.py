@@ -15,7 +15,7 @@ from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
 from gapmes.service.errors import InputError
-from gapmes.service.logs import REQUEST_ID, configure
+from gapmes.service.process.logs import REQUEST_ID, configure
 from gapmes.service.settings import Settings
 
 KEY = "a key, of some length"

@@ -27,9 +27,9 @@ from http_requests import MAX_UPLOAD, assert_problem, camera_object, stored
 from http_requests import photograph as noise
 from starlette.testclient import TestClient
 
-from gapmes.service.budget import Budget
-from gapmes.service.distortion import Lens
+from gapmes.service.cameras.distortion import Lens
 from gapmes.service.jobs.work import Work
+from gapmes.service.leaving_out.budget import Budget
 from gapmes.service.settings import Settings
 
 DEPTHS = {"near": "2", "far": "8", "trust_poses": "true", "leave_one_out": "0"}

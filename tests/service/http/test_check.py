@@ -12,9 +12,9 @@ from http_requests import assert_problem, camera_object, photograph, post, store
 from PIL import Image
 from starlette.testclient import TestClient
 
-from gapmes.service.ply import read_ply
+from gapmes.service.cameras.view_checks import MAX_VIEWS
+from gapmes.service.formats.ply import read_ply
 from gapmes.service.settings import Settings
-from gapmes.service.view_checks import MAX_VIEWS
 
 
 def checked(client: TestClient, images: list[bytes], cameras: object, **fields: str) -> object:

@@ -17,9 +17,9 @@ import pytest
 import uvicorn
 from cli_runs import run
 
-from gapmes.service import logs
 from gapmes.service.http import connections as module
 from gapmes.service.http.connections import Connection, most_connections
+from gapmes.service.process import logs
 
 PIECE, PIECES = bytes(2**20), 64  # of an answer that no system buffers whole
 GET = b"GET %b HTTP/1.1\r\nHost: gapmes\r\n\r\n"

@@ -15,11 +15,11 @@ from http_requests import assert_problem, camera_object, photograph, post, store
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
-from gapmes.service.database import Database
 from gapmes.service.errors import StorageFull
 from gapmes.service.http import inputs, pairing
+from gapmes.service.scenes.database import Database
+from gapmes.service.scenes.store import SceneStore
 from gapmes.service.settings import Settings
-from gapmes.service.store import SceneStore
 
 
 def transforms(count: int) -> dict[str, Any]:

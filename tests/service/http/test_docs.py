@@ -14,12 +14,12 @@ from http_requests import camera_object, photograph, post
 from starlette.testclient import TestClient
 
 from gapmes.service import errors
-from gapmes.service.effort import LIMITS
 from gapmes.service.http.preview import PreviewQuery, SheetQuery
 from gapmes.service.http.problems import FRAMEWORK_CODES
 from gapmes.service.http.render import RenderQuery
 from gapmes.service.http.upload import FIELDS
-from gapmes.service.scene_files import is_id
+from gapmes.service.pictures.effort import LIMITS
+from gapmes.service.scenes.scene_files import is_id
 from gapmes.service.settings import Settings
 
 ROOT = Path(__file__).parents[3]

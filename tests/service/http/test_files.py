@@ -14,9 +14,9 @@ from http_requests import assert_problem, photograph, post, stored
 from starlette.testclient import TestClient
 
 from gapmes.service.formats.dialect import STANDARD
+from gapmes.service.formats.ply import inspect_ply
 from gapmes.service.formats.registry import FORMATS, inspect_gaussians
 from gapmes.service.http import scenes
-from gapmes.service.ply import inspect_ply
 from gapmes.service.settings import Settings
 
 MADE = [name for name in FORMATS if name != "ply"]

@@ -19,15 +19,15 @@ from ply_cases import binary_file, columns
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
-from gapmes.service.contact_sheet import Row, contact_sheet
-from gapmes.service.default_framing import default_views
 from gapmes.service.formats.dialect import STANDARD
+from gapmes.service.formats.ply import inspect_ply, ply_bytes
 from gapmes.service.formats.registry import FORMATS
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.http import preview
 from gapmes.service.http.schemas import FormatName
-from gapmes.service.ply import inspect_ply, ply_bytes
+from gapmes.service.pictures.contact_sheet import Row, contact_sheet
 from gapmes.service.settings import Settings
+from gapmes.service.viewpoints.default_framing import default_views
 
 RAW = {"Content-Type": "application/octet-stream"}
 

@@ -20,9 +20,9 @@ from gapmes.service import cli
 from gapmes.service.app import create_app
 from gapmes.service.errors import InputError, ModelError
 from gapmes.service.jobs.spool import Spool
-from gapmes.service.model_file import model_file
 from gapmes.service.model_names import model_paths
 from gapmes.service.models import Models
+from gapmes.service.network.model_file import model_file
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.settings import Settings
 from gapmes.service.shipped import sample_folder

@@ -16,12 +16,12 @@ from PIL import Image, ImageSequence
 from starlette.requests import ClientDisconnect
 from starlette.testclient import TestClient
 
-from gapmes.service import film
-from gapmes.service.contact_sheet import CELL, GAP
 from gapmes.service.errors import ServiceBusy
 from gapmes.service.http import drawing
 from gapmes.service.http.gate import Lane
-from gapmes.service.picture_error import psnr
+from gapmes.service.pictures import film
+from gapmes.service.pictures.contact_sheet import CELL, GAP
+from gapmes.service.pictures.picture_error import psnr
 
 needs_av = pytest.mark.skipif(find_spec("av") is None, reason="pip install 'gapmes[video]'")
 

@@ -15,7 +15,7 @@ from PIL import Image
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
-from gapmes.service.picture import MAX_SIDE, check_format, encode
+from gapmes.service.pictures.picture import MAX_SIDE, check_format, encode
 from gapmes.service.settings import Settings
 from gapmes.service.splat import Render
 

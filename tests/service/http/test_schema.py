@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, Phase, given, settings
 from schemathesis.specs.openapi.checks import positive_data_acceptance
 from test_serve import serving
 
-from gapmes.service.camera_file import parse_camera_file
-from gapmes.service.depth_range import depth_range
+from gapmes.service.cameras.camera_file import parse_camera_file
+from gapmes.service.cameras.depth_range import depth_range
+from gapmes.service.cameras.view_checks import check_views
 from gapmes.service.http.form import CAMERAS
-from gapmes.service.view_checks import check_views
 
 # What a photograph, a file of Gaussians, a camera, a view or a place in the list is, a schema cannot say: some that
 # fits it is refused.

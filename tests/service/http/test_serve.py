@@ -24,8 +24,8 @@ from served_process import serving, until
 
 from gapmes.service.commands import serve
 from gapmes.service.commands.listening import check_address
-from gapmes.service.database import Database
 from gapmes.service.errors import InputError
+from gapmes.service.scenes.database import Database
 
 
 @pytest.fixture

@@ -13,9 +13,9 @@ from http_requests import assert_problem, photograph, post, wait_until_ready
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
-from gapmes.service.engine import Engine
 from gapmes.service.errors import ModelError
 from gapmes.service.http.page import STATIC, VIEWER
+from gapmes.service.network.engine import Engine
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.settings import Settings
 

@@ -18,9 +18,9 @@ from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
 from gapmes.service.http import runtime
-from gapmes.service.peers import FOLDER, Peers
+from gapmes.service.process.peers import FOLDER, Peers
+from gapmes.service.process.watched_process import WatchedProcess
 from gapmes.service.settings import Settings
-from gapmes.service.watched_process import WatchedProcess
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from job_place import Place
 
-from gapmes.service.database import Database
 from gapmes.service.jobs.table import JobTable
+from gapmes.service.scenes.database import Database
 
 
 @pytest.fixture

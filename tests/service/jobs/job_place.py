@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from gapmes.service.budget import Budget
-from gapmes.service.camera import Camera
-from gapmes.service.database import Database
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.pose import Given
 from gapmes.service.jobs.leases import Lease
 from gapmes.service.jobs.rows import Job
 from gapmes.service.jobs.runner import Compute, Runner
 from gapmes.service.jobs.spool import Spool
 from gapmes.service.jobs.table import JobTable
 from gapmes.service.jobs.work import Work
-from gapmes.service.pose import Given
+from gapmes.service.leaving_out.budget import Budget
+from gapmes.service.scenes.database import Database
 
 A, B = "a" * 32, "b" * 32
 WHY = {"code": "job_abandoned", "status": 500}

@@ -14,8 +14,8 @@ from gapmes.service.errors import ServiceBusy
 from gapmes.service.http.waiting import ended
 from gapmes.service.jobs.desk import SPOOL, Desk
 from gapmes.service.jobs.rows import Job
+from gapmes.service.scenes.store import SceneStore
 from gapmes.service.settings import Settings
-from gapmes.service.store import SceneStore
 
 
 @pytest.fixture

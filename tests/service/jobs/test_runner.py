@@ -15,9 +15,9 @@ import pytest
 from job_place import A, Place, work
 
 from gapmes.service.errors import InputError, StorageFull
-from gapmes.service.fade_passes import DEFAULT_PASSES
 from gapmes.service.jobs.spool import Spool
 from gapmes.service.jobs.work import Work
+from gapmes.service.mending.fade_passes import DEFAULT_PASSES
 from gapmes.service.progress import Stage, Stages
 
 

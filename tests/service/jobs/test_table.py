@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from job_place import WHY, A, B, states
 
-from gapmes.service.database import Database
 from gapmes.service.errors import JobNotFound, ServiceBusy
 from gapmes.service.jobs.rows import ACTIVE, ENDED
 from gapmes.service.jobs.table import JobTable
 from gapmes.service.metrics import OWN
+from gapmes.service.scenes.database import Database
 
 
 def counted() -> dict[str, float]:

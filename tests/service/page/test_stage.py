@@ -14,11 +14,11 @@ import pytest
 from browser_tab import Tab, launched
 from page_service import decoded, opened, pixels_of, rendered, serving, settled
 
+from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.http.page import STATIC
-from gapmes.service.rotations import about_axis
-from gapmes.service.scene_views import SceneViews
 from gapmes.service.settings import Settings
-from gapmes.service.views import vertical
+from gapmes.service.viewpoints.scene_views import SceneViews
+from gapmes.service.viewpoints.views import vertical
 
 NEED_DB = 25.0  # measured 28.4: at 2.9 times the size that the Gaussians were made for, gaps are drawn otherwise
 

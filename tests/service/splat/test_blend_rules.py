@@ -8,7 +8,7 @@ from splat_cases import bits, camera, compare, scene
 
 from gapmes.service.errors import InputError
 from gapmes.service.gaussians import Gaussians
-from gapmes.service.gaussians_cache import size_of
+from gapmes.service.scenes.gaussians_cache import size_of
 from gapmes.service.splat import INRIA, Definition, render, render_views
 from gapmes.service.splat.blend import PIECE, REACH_SLACK, measure_reach
 from gapmes.service.splat.prepare import BLOCK, Workspace, prepared

@@ -5,7 +5,7 @@ import pytest
 from guarded import PATTERN, Guarded
 from splat_cases import bits, camera, compare, dots, scene
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.splat import Definition, render
 from gapmes.service.splat.access import BLOCK
 from gapmes.service.splat.binning import Grid, tile_lists

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from splat_cases import camera, dots, moved, scene
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.errors import InputError
 from gapmes.service.gaussians import Gaussians, joined
 from gapmes.service.harmonics import C0

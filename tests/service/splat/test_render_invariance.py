@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from splat_cases import bits, camera, compare, dots, moved, rotation, scene
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, render
 from gapmes.service.splat.binning import Grid, TileLists, count_range, fill_rows, tile_lists

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numba.core.errors import TypingError
 from splat_cases import bits, camera, compare, dots, moved, scene
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.errors import GaussiansError, InputError
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, Render, render, render_reference

@@ -21,7 +21,7 @@ from worst_scenes import (
     needles,
 )
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import Definition, render, render_reference
 from gapmes.service.splat.reference import sh_basis

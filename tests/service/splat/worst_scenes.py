@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gapmes.service.camera import Camera
+from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat.tile_state import TILE
 

@@ -1,1 +1,0 @@
-"""gapmes.service.backends: the runtimes that compute the network, each behind the same few calls."""

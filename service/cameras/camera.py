@@ -1,0 +1,168 @@
+"""The pinhole camera: intrinsics in pixels, a float64 camera-to-world pose in OpenCV axes, and the geometry of both.
+
+Pixel i covers [i, i+1), so its centre is i + 0.5. Camera axes: x right, y down, z forward. Depth is z-depth.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import CameraError, IntrinsicsError
+from .pose import AS_IT_IS, Given, Pose, checked_pose, rigid_inverse
+from .rotations import turned
+
+F64 = NDArray[np.float64]
+
+MAX_SIDE = 2**31 - 1  # px, more than any file format holds
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A posed pinhole camera; build it with `Camera.make`, which checks everything once."""
+
+    width: int  # px
+    height: int  # px
+    fx: float  # px
+    fy: float  # px
+    cx: float  # px
+    cy: float  # px
+    world_from_cam: F64  # (4, 4), rotation | centre, caller's units
+    given: Given = AS_IT_IS  # what the pose was like when it came
+
+    @classmethod
+    def make(
+        cls,
+        width: float,
+        height: float,
+        fx: float,
+        fy: float,
+        cx: float,
+        cy: float,
+        world_from_cam: object,
+        *,
+        index: int | None = None,
+        field: str = "camera",
+    ) -> Camera:
+        """Check and build; `world_from_cam` is a matrix, or a `Pose` that was checked already.
+
+        Raises `CameraError`, `IntrinsicsError` or `PoseError` naming field, index and numbers.
+        """
+        if not (_whole(width) and _whole(height)):
+            raise CameraError(
+                f"image size is {width} x {height}, need whole numbers from 1 to {MAX_SIDE}",
+                field=f"{field}.size",
+                index=index,
+            )
+        numbers = {"fx": fx, "fy": fy, "cx": cx, "cy": cy}
+        for name, value in numbers.items():
+            if not math.isfinite(value):
+                raise IntrinsicsError(f"{name} = {value}, need a finite number", field=f"{field}.{name}", index=index)
+        _check_focal(fx, width, "fx", field, index)
+        _check_focal(fy, height, "fy", field, index)
+        for name, value, size in (("cx", cx, width), ("cy", cy, height)):
+            if not -size <= value <= 2 * size:
+                raise IntrinsicsError(
+                    f"{name} = {value:g} px lies far outside an image of {size:g} px",
+                    field=f"{field}.{name}",
+                    index=index,
+                    cure="principal point is in pixels from the upper left corner",
+                )
+        if not isinstance(world_from_cam, Pose):
+            world_from_cam = checked_pose(world_from_cam, field=f"{field}.c2w", index=index)
+        pose = world_from_cam
+        return cls(int(width), int(height), float(fx), float(fy), float(cx), float(cy), pose.matrix, pose.given)
+
+    @property
+    def rotation(self) -> F64:
+        """(3, 3) camera-to-world rotation."""
+        return self.world_from_cam[:3, :3]
+
+    @property
+    def center(self) -> F64:
+        """(3,) camera centre in the world."""
+        return self.world_from_cam[:3, 3]
+
+    @property
+    def cam_from_world(self) -> F64:
+        """(4, 4) rigid inverse [R^T | -R^T t]."""
+        return rigid_inverse(self.world_from_cam)
+
+    @property
+    def intrinsics(self) -> F64:
+        """(3, 3) K in pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def normalized_intrinsics(self) -> F64:
+        """(3, 3) K with the first row divided by the width and the second by the height (the network's unit)."""
+        return self.intrinsics / np.array([[self.width], [self.height], [1.0]])
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view sampled on a grid of another size: intrinsics scale with it, rays do not move."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=self.cx * sx,
+            cy=self.cy * sy,
+        )
+
+    def cropped(self, left: float, top: float, width: int, height: int) -> Camera:
+        """The window of `width` x `height` px whose upper left corner lies at (left, top)."""
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+
+    def posed(self, world_from_cam: F64) -> Camera:
+        """The same lens at another pose."""
+        return replace(self, world_from_cam=world_from_cam, given=AS_IT_IS)
+
+    def rays(self, pixels: F64) -> F64:
+        """World directions (N, 3) of pixel positions (N, 2); length such that the camera-frame z is 1."""
+        cam = np.stack(
+            [(pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy, np.ones(len(pixels))], axis=1
+        )
+        return turned(self.rotation, cam)
+
+    def unproject(self, pixels: F64, depth: F64) -> F64:
+        """World points (N, 3) at z-depth `depth` (N,) behind pixel positions (N, 2)."""
+        return self.center + self.rays(pixels) * np.asarray(depth)[:, None]
+
+    def project(self, points: F64) -> tuple[F64, F64]:
+        """Pixel positions (N, 2) and z-depths (N,) of world points (N, 3); pixels are NaN where z <= 0."""
+        cam = turned(self.rotation.T, np.asarray(points, dtype=np.float64) - self.center)
+        z = cam[:, 2]
+        safe = np.where(z > 0, z, np.nan)
+        with np.errstate(over="ignore"):  # next to the camera's own plane a point is infinitely far off the picture
+            pixels = np.stack([self.fx * cam[:, 0] / safe + self.cx, self.fy * cam[:, 1] / safe + self.cy], axis=1)
+        return pixels, z
+
+
+def _whole(value: float) -> bool:
+    try:
+        return math.isfinite(value) and int(value) == value and 1 <= value <= MAX_SIDE
+    except OverflowError:  # a Python integer beyond float64
+        return False
+
+
+def _check_focal(value: float, size: float, name: str, field: str, index: int | None) -> None:
+    """Field of view between about 3 and 157 degrees: outside it the unit is wrong, not the lens."""
+    ratio = value / size
+    if 0.1 <= ratio <= 20:
+        return
+    cure = None
+    if value <= 0:
+        cure = "focal lengths are positive; a negative one means flipped axes"
+    elif 0.1 <= value <= 20:
+        cure = f"these look normalised; multiply {name} by the image size, which would be {value * size:.4g} px"
+    raise IntrinsicsError(
+        f"{name} = {value:g} px for an image of {size:g} px, need between {0.1 * size:g} and {20 * size:g} px",
+        field=f"{field}.{name}",
+        index=index,
+        cure=cure,
+    )

@@ -1,0 +1,209 @@
+"""The depths between which the scene is looked for: given by the caller, or estimated from the cameras alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BaselineError, DepthRangeError
+from .camera import Camera
+from .overlap import best_partner_shares
+from .pose_readings import apart_when_inverted
+
+F64 = NDArray[np.float64]
+
+SPREAD = 8.0  # near = convergence / 8, far = 8 x convergence: wide, since the photographs narrow it (depth_sweep)
+NEAR_ACROSS = 2.0  # near over baseline for cameras side by side; stereo rigs and slow pans have 3 and more
+NEAR_ALONG = 0.4  # near over baseline for cameras one behind the other; nothing in view is passed on the way
+NEAR_TURNED = 0.4  # near over baseline for axes that miss each other: cameras around a thing are at most 2 depths apart
+FAR = 50.0  # far over baseline
+MIN_CONVERGENCE = math.radians(2.0)  # below this angle between optical axes, as lines, where they meet is chance
+MIN_REACH = 0.1  # of the largest baseline; axes that meet closer to a camera than this meet at the camera itself
+MAX_PARALLEL = math.radians(5.0)  # the widest angle between the axes of cameras that count as side by side
+MAX_MISS = 0.1  # of the depth: axes that pass each other farther off than this do not meet
+MIN_SHARE = 0.1  # of a view; what fewer than this share sees in two views cannot be matched
+MAX_DEPTH = 1e32  # caller's units, and at least its inverse: float32 scales of what lies there keep all their digits
+MAX_RATIO = 1e30  # near is the network's unit, and it reckons in float32
+ENOUGH_STEPS = 100.0  # of float64 at the cameras' largest coordinate: a shorter baseline has less than two digits
+FAR_OFF = 1e6  # units: cameras in one place that are no farther from the origin are so because nobody moved them
+_SCAN = 24  # depths at which the overlap is looked at
+
+
+@dataclass(frozen=True)
+class DepthRange:
+    """near < far, z-depth in the caller's units, the same for all views."""
+
+    near: float
+    far: float
+    source: Literal["given", "estimated"]
+
+
+def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float | None = None) -> DepthRange:
+    """Check the given range, or estimate one where both are None.
+
+    Estimate: let D_v be the z-depth in view v of the point closest to all optical axes (least squares), and B the
+    largest distance between two cameras. If the axes really meet in front of the cameras (as lines at least 2 degrees
+    apart at the widest, every D_v at least B / 10, every axis within D_v / 10 of the point), then
+
+        near = min D_v / 8,   far = 8 max D_v.
+
+    Else, with the parts of B across and along the cameras' mean axis,
+
+        near = 2 B_across + 0.4 B_along   where all axes are within 5 degrees of parallel: a rig, a pan, a walk,
+        near = 0.4 B                      otherwise: cameras held by hand around something, which miss it a little,
+        far = 50 B.
+
+    Both ends are then drawn in to where at least one pair of views shares a tenth of its picture: nothing outside can
+    be matched. Of 4000 simulated pairs around a thing (10 to 90 degrees apart, aim off by up to 8 degrees standard
+    deviation) 18 had the thing outside the range, nearly all of them with narrow lenses that hardly share it.
+
+    Raises `DepthRangeError` for a range that is none, given or estimated, or that leaves 1e-32 to 1e32 units, and
+    `BaselineError` where all cameras stand in one place.
+    """
+    if near is None and far is None:
+        return _estimated(cameras)
+    if near is None or far is None:
+        missing = "near" if near is None else "far"
+        raise DepthRangeError(
+            f"{missing} is missing", field=missing, cure="give near and far, or neither to have both estimated"
+        )
+    for name, value in (("near", near), ("far", far)):
+        if not math.isfinite(value) or value <= 0:
+            raise DepthRangeError(
+                f"{name} = {value:g}, need a finite depth above 0",
+                field=name,
+                cure="depths are counted from the camera along its axis; leave near and far out to have them estimated",
+            )
+    if not near < far:
+        cure = (
+            "are they swapped, or one of them the file's? then give both"
+            if near > far
+            else "the scene needs some depth"
+        )
+        raise DepthRangeError(f"near = {near:g}, far = {far:g}, need near < far", field="near", cure=cure)
+    for name, value in (("near", near), ("far", far)):
+        if not 1 / MAX_DEPTH <= value <= MAX_DEPTH:
+            raise DepthRangeError(
+                f"{name} = {value:g}, need {1 / MAX_DEPTH:g} to {MAX_DEPTH:g}",
+                field=name,
+                cure="give near, far and the poses in one unit, such as metres",
+            )
+    if far / near > MAX_RATIO:
+        raise DepthRangeError(
+            f"far / near = {far / near:.3g}, need at most {MAX_RATIO:g}",
+            field="near",
+            cure="with more than some 1000 no depth candidate is left for the scene",
+        )
+    return DepthRange(float(near), float(far), "given")
+
+
+def depth_range_of_reading(cameras: Sequence[Camera], depths: DepthRange) -> DepthRange | None:
+    """The range for another reading of the poses; None where that reading puts all cameras in one place, or at a
+    distance from which no range can be estimated.
+
+    A given range holds for any reading; an estimate was made from the poses and is made again.
+    """
+    if depths.source == "given":
+        return depths
+    try:
+        return depth_range(cameras)
+    except (BaselineError, DepthRangeError):
+        return None
+
+
+def _estimated(cameras: Sequence[Camera]) -> DepthRange:
+    baseline = largest_baseline(cameras)
+    depths = convergence_depths(cameras)
+    if depths is None:
+        low, high = _range_from_baseline(cameras, baseline)
+    else:
+        low, high = float(depths.min()) / SPREAD, float(depths.max()) * SPREAD
+    scan = np.geomspace(low, high, _SCAN)
+    shared = np.flatnonzero(best_partner_shares(cameras, scan).max(axis=0) >= MIN_SHARE)
+    if len(shared) >= 2:
+        low, high = float(scan[shared[0]]), float(scan[shared[-1]])
+    if low < 1 / MAX_DEPTH or high > MAX_DEPTH:
+        raise DepthRangeError(
+            f"the cameras stand {float(np.linalg.norm(baseline)):.3g} apart: near = {low:.3g} and far = {high:.3g} as "
+            f"estimated, need {1 / MAX_DEPTH:g} to {MAX_DEPTH:g}",
+            field="cameras",
+            cure="give the poses in one unit, such as metres",
+        )
+    return DepthRange(low, high, "estimated")
+
+
+def convergence_depths(cameras: Sequence[Camera]) -> F64 | None:
+    """(V,) z-depths of the point where the optical axes meet, None where they do not meet in front of all cameras.
+
+    The point p solves sum_v (I - a_v a_v^T)(p - c_v) = 0 with centres c_v and unit axes a_v: the least sum of squared
+    distances to the axes. Centres are taken relative to the first, so that a far-off origin costs no digits. Parallel
+    axes, the same way or opposite ways, have no such point. Where a camera stands on the axis of another, as after
+    a step forward and a turn, the point is that camera, and its depth is rounding; hence MIN_REACH.
+    """
+    axes = np.stack([camera.rotation[:, 2] for camera in cameras])
+    centers = np.stack([camera.center for camera in cameras]) - cameras[0].center
+    if _widest_between_lines(axes) < MIN_CONVERGENCE:
+        return None
+    projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    point = np.linalg.solve(projectors.sum(axis=0), np.einsum("vij,vj->i", projectors, centers))
+    to_point = point - centers
+    depths = np.einsum("vi,vi->v", to_point, axes)
+    misses = np.linalg.norm(np.cross(to_point, axes), axis=1)
+    least = MIN_REACH * float(np.linalg.norm(largest_baseline(cameras)))
+    return depths if (depths >= least).all() and (misses <= MAX_MISS * depths).all() else None
+
+
+def widest_angle(axes: F64) -> float:
+    """The largest angle in radians between two of the unit vectors (V, 3)."""
+    return max((angle_between(axes[i], axes[j]) for i in range(len(axes)) for j in range(i)), default=0.0)
+
+
+def _widest_between_lines(axes: F64) -> float:
+    """The largest angle in radians, a right one at most, between the lines along two of the unit vectors (V, 3)."""
+    angles = (angle_between(axes[i], axes[j]) for i in range(len(axes)) for j in range(i))
+    return max((min(angle, math.pi - angle) for angle in angles), default=0.0)
+
+
+def angle_between(one: F64, other: F64) -> float:
+    """Angle in radians between two unit vectors; by atan2, so that small angles keep their digits."""
+    return float(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other))
+
+
+def largest_baseline(cameras: Sequence[Camera]) -> F64:
+    """(3,) the longest vector between two camera centres. Raises `BaselineError` where it is zero to rounding."""
+    centers = np.stack([camera.center for camera in cameras])
+    vectors = (centers[:, None] - centers[None]).reshape(-1, 3)
+    longest = vectors[np.argmax(np.linalg.norm(vectors, axis=1))]
+    length, away = float(np.linalg.norm(longest)), float(np.abs(centers).max())
+    step = float(np.spacing(away))
+    if length <= ENOUGH_STEPS * step:
+        cure = "move the camera between the photographs"
+        if away <= FAR_OFF:
+            cure += apart_when_inverted(cameras)
+        else:
+            cure = (
+                f"they are up to {away:.3g} units from the origin, perhaps too far for float64, whose steps are "
+                f"{step:.2g} there: subtract a common offset; or {cure}"
+            )
+        raise BaselineError(
+            f"all {len(cameras)} cameras stand in one place (largest distance {length:.3g}): without a baseline "
+            "there is no depth",
+            field="cameras",
+            cure=cure,
+        )
+    return longest
+
+
+def _range_from_baseline(cameras: Sequence[Camera], baseline: F64) -> tuple[float, float]:
+    size = float(np.linalg.norm(baseline))
+    axes = np.stack([camera.rotation[:, 2] for camera in cameras])
+    if widest_angle(axes) > MAX_PARALLEL:
+        return NEAR_TURNED * size, FAR * size
+    axis = axes.mean(axis=0) / np.linalg.norm(axes.mean(axis=0))
+    across, along = float(np.linalg.norm(np.cross(baseline, axis))), abs(float(baseline @ axis))
+    return NEAR_ACROSS * across + NEAR_ALONG * along, FAR * size

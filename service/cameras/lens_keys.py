@@ -1,0 +1,90 @@
+"""Keys of a camera file that say what no reader of ours would act on: another lens than a pinhole, or one whose
+coefficients have other names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from ..errors import IntrinsicsError
+from ..plain_number import plain_float
+
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+# Pinholes, and what can be undistorted to one.
+MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+# Words of names of other models. The short ones are so alone: they are also part of names of devices.
+BENDING = {
+    *("FISHEYE", "EQUIDISTANT", "EQUISOLID", "STEREOGRAPHIC", "ORTHOGRAPHIC", "KANNALA", "BRANDT", "EUCM"),
+    *("SPHERE", "SPHERICAL", "EQUIRECTANGULAR", "PANORAMA", "PANORAMIC", "CYLINDRICAL", "OMNIDIRECTIONAL", "PRISM"),
+}
+BENDING_ALONE = {"FOV", "OMNI", "UCM", "MEI", "ORTHO", "DIVISION"}
+OTHER_NAMES = (
+    "distortion",
+    "distortion_params",
+    "distortion_parameters",
+    "distortion_coefficients",
+    "distortion_coeffs",
+    "dist_coeffs",
+    "radial_distortion",
+    "tangential_distortion",
+)
+NOTHING = 1e-6  # of a coefficient: at the corner of a picture of 90 degrees it moves a point by a thousandth of a px
+NO_SKEW = 0.01  # px
+UNDISTORT = "undistort the photographs first"
+
+
+def require_pinhole_model(values: Mapping, *, field: str, index: int | None) -> None:
+    """Raises `IntrinsicsError` unless `camera_model` is one of MODELS, and for `is_fisheye`."""
+    model = str(values.get("camera_model") or "OPENCV")
+    if model.upper() not in MODELS:
+        _refuse(f"camera_model is {model[:60]}, need a pinhole ({', '.join(MODELS)})", f"{field}.camera_model", index)
+    _refuse_fisheye(values, field, index)
+
+
+def refuse_bending_model(values: Mapping, *, field: str, index: int | None) -> None:
+    """Raises `IntrinsicsError` for a `camera_model` that is no pinhole by its name, which may also be that of a device,
+    and for `is_fisheye`."""
+    model = str(values.get("camera_model") or "")
+    if BENDING & set(re.split("[^A-Z]+", model.upper())) or model.upper() in BENDING_ALONE:
+        _refuse(f"camera_model is {model[:60]}, need a pinhole", f"{field}.camera_model", index)
+    _refuse_fisheye(values, field, index)
+
+
+def refuse_other_names(values: Mapping, *, field: str, index: int | None) -> None:
+    """Raises `IntrinsicsError` for coefficients that are not 0 under other names than those of COEFFICIENTS, where
+    all of these are: passed over, a bent picture would be taken for a straight one."""
+    told = any(_bends(values.get(known)) for known in COEFFICIENTS)
+    for name in OTHER_NAMES:
+        if not told and _bends(values.get(name)):
+            message = f"{name} = {str(values[name])[:60]}: coefficients are read from {', '.join(COEFFICIENTS)} alone"
+            cure = "undistort the photographs, or name the coefficients so in a transforms.json"
+            _refuse(message, f"{field}.{name}", index, cure)
+    if _bends(values.get("skew"), NO_SKEW):
+        _refuse(f"skew = {str(values['skew'])[:60]}, need 0: a pinhole has none", f"{field}.skew", index)
+
+
+def _refuse_fisheye(values: Mapping, field: str, index: int | None) -> None:
+    if str(values.get("is_fisheye") or "false").lower() not in ("false", "0", "no", "off"):
+        _refuse("is_fisheye is set: the lens is a fisheye, need a pinhole", f"{field}.is_fisheye", index)
+
+
+def _refuse(message: str, field: str, index: int | None, cure: str = UNDISTORT) -> None:
+    raise IntrinsicsError(message, field=field, index=index, cure=cure)
+
+
+def _bends(value: Any, nothing: float = NOTHING) -> bool:
+    """Whether it is a number that is more than nothing, as text too, or holds one."""
+    if isinstance(value, str):
+        value = [_number(word) for word in re.split(r"[\s,;\[\]()]+", value)]
+    if isinstance(value, list | tuple | Mapping):
+        listed = value.values() if isinstance(value, Mapping) else value
+        return any(_bends(one, nothing) for one in listed)
+    return isinstance(value, int | float) and not abs(value) <= nothing
+
+
+def _number(word: str) -> float | None:
+    try:
+        return plain_float(word)
+    except ValueError:
+        return None

@@ -1,0 +1,143 @@
+"""Rigid motions: parsing a pose matrix, projecting what rounding did to its rotation away, and inverting it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import PoseError
+from .float32 import half_step
+
+F64 = NDArray[np.float64]
+
+# At this distance from orthonormal the projection onto SO(3) moves the principal ray by 0.05 px each way at f = 1000
+# px; rounding to six decimals in a text file stays far below.
+MAX_ORTHONORMALITY_ERROR = 1e-4
+FEW_DIGITS = 0.03  # what two digits behind the point leave of orthonormality: at most 0.016 of a thousand rotations
+LEAST_SCALE = 1e-3  # from 1; what is less may be rounding unless it explains nine tenths of the drift
+MAX_OFFSET = 1e100  # caller's units: squares and cubes stay finite
+ROUNDING = 1e-14  # what float64 leaves of orthonormality (some 1e-15); such a matrix is kept to the bit
+
+
+class Given(NamedTuple):
+    """What a camera's pose was like when it came."""
+
+    drift: float = 0.0  # max |R^T R - I| of camera to world; 0 where that is rounding and R is kept to the bit
+    shift: float = 0.0  # how far the projection onto SO(3) moved the camera, units; not 0 for world to camera alone
+    step: float = 0.0  # half a float32 step of its translation, see `float32.py`
+
+
+AS_IT_IS = Given()
+
+
+class Pose(NamedTuple):
+    """A checked rigid motion."""
+
+    matrix: F64  # (4, 4)
+    given: Given
+
+
+def rigid_inverse(matrix: F64) -> F64:
+    """(4, 4) inverse of a rigid motion, exact to rounding: [R^T | -R^T t]."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = matrix[:3, :3].T
+    inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
+    return inverse
+
+
+def checked_pose(value: object, *, field: str = "c2w", index: int | None = None) -> Pose:
+    """Parse a (4, 4) or (3, 4) rigid motion; a drift below 1e-4 is projected onto SO(3), more is refused.
+
+    A rotation that is one to rounding stays as it is, so that a pose that was checked once is never changed again.
+    """
+    try:
+        matrix = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise PoseError(
+            "is not a matrix of numbers", field=field, index=index, cure="give 4 rows of 4 numbers"
+        ) from error
+    if matrix.shape == (3, 4):
+        matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
+    if matrix.shape != (4, 4):
+        raise PoseError(
+            f"shape is {matrix.shape}, need (4, 4)",
+            field=field,
+            index=index,
+            cure="give 4 rows of 4 numbers, or the upper 3 of them",
+        )
+    bad = int((~np.isfinite(matrix)).sum())
+    if bad:
+        cure = "was the pose of this view found at all? leave it out"
+        raise PoseError(f"{bad} of 16 numbers are NaN or infinite", field=field, index=index, cure=cure)
+    if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6):
+        raise PoseError(
+            f"last row is {matrix[3].tolist()}, need [0, 0, 0, 1]", field=field, index=index, cure="is it transposed?"
+        )
+    offset = float(np.abs(matrix[:3, 3]).max())
+    if offset > MAX_OFFSET:
+        raise PoseError(
+            f"the camera is {offset:.3g} units away, need at most {MAX_OFFSET:g}",
+            field=field,
+            index=index,
+            cure="was the pose of this view found at all? leave it out",
+        )
+    rotation = matrix[:3, :3]
+    largest = float(np.abs(rotation).max())
+    if largest > MAX_OFFSET:
+        raise PoseError(
+            f"R has an entry of {largest:.3g}, need at most 1",
+            field=field,
+            index=index,
+            cure="was the pose of this view found at all? leave it out",
+        )
+    drift = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    det = float(rotation[0] @ np.cross(rotation[1], rotation[2]))  # np.linalg.det divides by pivots, which may be 0
+    if det < 0:
+        raise PoseError(
+            f"det(R) = {det:.4g}, need +1",
+            field=field,
+            index=index,
+            cure="one axis is mirrored; is the source left-handed?",
+        )
+    if drift > MAX_ORTHONORMALITY_ERROR:
+        scale = abs(det) ** (1 / 3)
+        left = float(np.abs(rotation.T @ rotation / scale**2 - np.eye(3)).max()) if scale > 0 else math.inf
+        scaled = left <= MAX_ORTHONORMALITY_ERROR and abs(scale - 1) > LEAST_SCALE
+        if scaled or left <= 0.1 * drift:
+            cure = f"R carries a scale of {scale:.6g}; divide it out"
+        elif drift < FEW_DIGITS:
+            cure = "R is sheared, or was written with too few digits: give five or more behind the point"
+        else:
+            cure = "R is sheared or not a rotation"
+        raise PoseError(
+            f"max |R^T R - I| = {drift:.3g}, need at most {MAX_ORTHONORMALITY_ERROR:g} (det {det:.4g})",
+            field=field,
+            index=index,
+            cure=cure,
+        )
+    pose, step = np.eye(4), half_step(matrix[:3, 3])
+    pose[:3, 3] = matrix[:3, 3]
+    if drift <= ROUNDING:
+        pose[:3, :3] = rotation
+        return Pose(pose, Given(step=step))
+    u, _, vt = np.linalg.svd(rotation)
+    pose[:3, :3] = u @ vt
+    return Pose(pose, Given(drift, 0.0, step))
+
+
+def inverted_pose(value: object, *, field: str = "c2w", index: int | None = None) -> Pose:
+    """The inverse of a motion as `checked_pose` parses it: what is given is world to camera, R x + t.
+
+    The camera is where R x + t = 0; with R projected it is -R^T t, which is another place far from the origin.
+    """
+    (matrix, given) = checked_pose(value, field=field, index=index)
+    inverse = rigid_inverse(matrix)
+    if given.drift == 0:
+        return Pose(inverse, given)
+    rotation, offset = np.array(value, dtype=np.float64)[:3, :3], matrix[:3, 3]
+    drift = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    shift = float(np.linalg.norm(inverse[:3, 3] + np.linalg.solve(rotation, offset)))
+    return Pose(inverse, Given(drift, shift, given.step))

@@ -1,0 +1,127 @@
+"""Parse a transforms.json as nerfstudio, instant-ngp and Blender scripts write it: OpenGL axes, camera to world."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..errors import CameraError, IntrinsicsError
+from .camera import MAX_SIDE
+from .camera_fields import (
+    CameraFile,
+    SizeOf,
+    image_name,
+    list_of,
+    number_of,
+    opencv_pose,
+    optional_number,
+    view_through,
+)
+from .distortion import Lens
+from .lens_keys import COEFFICIENTS, OTHER_NAMES, refuse_other_names, require_pinhole_model
+
+_LENGTHS, _ANGLES = ("fl_x", "fl_y"), ("camera_angle_x", "camera_angle_y")
+_OF_A_FRAME = (
+    "w",
+    "h",
+    *_LENGTHS,
+    *_ANGLES,
+    "cx",
+    "cy",
+    *COEFFICIENTS,
+    *OTHER_NAMES,
+    "skew",
+    "camera_model",
+    "is_fisheye",
+)  # the top says it for all
+
+
+def parse_transforms(
+    obj: Mapping, *, size_of: SizeOf | None = None, indices: Sequence[int] | None = None
+) -> CameraFile:
+    """Views in the order of `frames`, or those of `indices`; a value of a frame wins over the same name at the top,
+    and its own field of view over the focal lengths there.
+
+    Focal lengths are `fl_x`, `fl_y` (the latter defaults to the former) or `camera_angle_x`, `camera_angle_y`; the
+    principal point defaults to the image centre, the size to `size_of`. Distortion that moves no point of the picture
+    by 0.5 px is left out; with more the view has its lens, and the pinhole that this becomes. `applied_transform` says
+    what was done to the poses that are in the file: they are taken as they are. Raises `IntrinsicsError` for a lens
+    that does not become a pinhole (fisheye, folds) and `CameraError` for what is missing.
+    """
+    views = []
+    frames = list_of(obj, "frames")
+    common = {name: value for name, value in obj.items() if name in _OF_A_FRAME}
+    for index in range(len(frames)) if indices is None else indices:
+        frame = frames[index]
+        values = {**_of_the_top(common, frame), **frame}
+        name = image_name(frame, "file_path", field="frames", index=index)
+        require_pinhole_model(values, field="frames", index=index)
+        refuse_other_names(values, field="frames", index=index)
+        width, height = _size(values, name, size_of, index)
+        fx = _focal(values, "x", width, index)
+        has_fy = "fl_y" in values or "camera_angle_y" in values
+        fy = _focal(values, "y", height, index) if has_fy else fx
+        cx = number_of(values, "cx", field="frames", index=index) if "cx" in values else width / 2
+        cy = number_of(values, "cy", field="frames", index=index) if "cy" in values else height / 2
+        if "transform_matrix" not in frame:
+            raise CameraError("transform_matrix is missing", field="frames.transform_matrix", index=index)
+        pose = opencv_pose(
+            frame["transform_matrix"], axes="opengl", pose="c2w", field="frames.transform_matrix", index=index
+        )
+        lens = _lens(values, (width, height), (fx, fy), (cx, cy), index)
+        views.append(view_through(name, lens, pose, field="frames", index=index))
+    return CameraFile(tuple(views), optional_number(obj, "near"), optional_number(obj, "far"))
+
+
+def _of_the_top(common: Mapping, frame: Mapping) -> dict[str, Any]:
+    """What the top says for this frame: no focal lengths where the frame has a field of view, and the reverse."""
+    dropped = (_LENGTHS if any(name in frame for name in _ANGLES) else ()) + (
+        _ANGLES if any(name in frame for name in _LENGTHS) else ()
+    )
+    return {name: value for name, value in common.items() if name not in dropped}
+
+
+def _lens(
+    values: Mapping, size: tuple[int, int], focal: tuple[float, float], center: tuple[float, float], index: int
+) -> Lens:
+    """With k5 or k6 the coefficient k4 is one of the denominator; without them that of r^8, as nerfstudio has it."""
+    given: dict[str, Any] = {
+        name: number_of(values, name, field="frames", index=index) for name in COEFFICIENTS if name in values
+    }
+    if not (given.get("k5") or given.get("k6")) and str(values.get("camera_model")).upper() != "FULL_OPENCV":
+        given["r8"] = given.pop("k4", 0.0)
+    return Lens(*size, *focal, *center, **given)
+
+
+def _size(values: Mapping, name: str | None, size_of: SizeOf | None, index: int) -> tuple[int, int]:
+    if "w" in values and "h" in values:
+        size = (
+            number_of(values, "w", field="frames", index=index),
+            number_of(values, "h", field="frames", index=index),
+        )
+        if any(side != int(side) or side > MAX_SIDE for side in size):
+            need = f"need whole numbers up to {MAX_SIDE}"
+            raise CameraError(f"w, h = {size[0]:g}, {size[1]:g}, {need}", field="frames.w", index=index)
+        return int(size[0]), int(size[1])
+    if size_of is None:
+        raise CameraError("w and h are missing", field="frames.w", index=index, cure="add the image size in px")
+    return size_of(name, index)
+
+
+def _focal(values: Mapping, axis: str, size: int, index: int) -> float:
+    """Focal length in px; from a field of view a, half the size over tan(a / 2)."""
+    if f"fl_{axis}" in values:
+        return number_of(values, f"fl_{axis}", field="frames", index=index)
+    name = f"camera_angle_{axis}"
+    if name not in values:
+        raise CameraError(f"neither fl_{axis} nor {name} is given", field=f"frames.fl_{axis}", index=index)
+    angle = number_of(values, name, field="frames", index=index)
+    if not 0 < angle < math.pi or math.tan(0.5 * angle) == 0:
+        raise IntrinsicsError(
+            f"{name} = {angle:g}, need between 0 and pi",
+            field=f"frames.{name}",
+            index=index,
+            cure="angles are in radians",
+        )
+    return 0.5 * size / math.tan(0.5 * angle)

@@ -1,0 +1,181 @@
+"""Checks of a set of cameras before anything is computed: count, plausible lenses, baseline, depth range, overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import BaselineError, IntrinsicsError, OverlapError, ViewCountError
+from ..plain_number import counted
+from .camera import Camera
+from .depth_range import MAX_RATIO, DepthRange, depth_range_of_reading, largest_baseline
+from .overlap import best_partner_shares, inverse_depth_steps
+from .pose_readings import apart_when_inverted, other_readings
+from .rotations import rotation_angle
+
+MIN_VIEWS = 2
+MAX_VIEWS = 6
+MIN_PARALLAX_PX = 0.25  # the largest shift between near and infinity; below it depth is noise
+SAME_POSITION = 1e-6  # of the near depth: 1e-3 px at f = 1000 px
+SAME_ROTATION = 1e-6  # rad
+MIN_SHARE = 0.1  # of a view, at the depth where it shares most; real captures have 0.9 and more
+LITTLE_SHARE = 0.3  # below it, a warning
+TIE = 0.1  # readings of the poses that overlap about equally are all named
+WIDE_RANGE = 1000.0  # far / near from which the depth steps are too coarse beyond some 10 x near
+DEPTH_PLANES = 64  # of the shipped network, for the depth-step table in the warning
+_DEPTHS = 16  # at which the overlap is looked at
+_ANY_DEPTH = np.geomspace(0.1, 1000.0, 32)  # in baselines: where an estimated range may be wrong, this one is not
+
+Notice = dict[str, Any]  # code, message and what it is about
+
+
+def check_views(
+    cameras: Sequence[Camera],
+    depths: DepthRange,
+    *,
+    trust_poses: bool = False,
+    numbers: Sequence[int] | None = None,
+    planes: int = DEPTH_PLANES,
+) -> list[Notice]:
+    """Refuse sets of cameras that cannot give a scene; return warnings about those that hardly can.
+
+    Raises `ViewCountError`, `IntrinsicsError`, `BaselineError` (same view twice, no parallax, or a distance beyond
+    float32) or `OverlapError`, which says what the poses look like if another reading of them would overlap. Views
+    that do not overlap within an estimated depth range are refused only if they overlap at no other depth either; with
+    `trust_poses` none are. `numbers` are what the caller calls the views, where these were chosen from more, `planes`
+    the network's depths.
+    """
+    check_count(len(cameras))
+    numbers = range(len(cameras)) if numbers is None else numbers
+    for number, camera in zip(numbers, cameras, strict=True):
+        _check_principal_point(camera, number)
+    _check_baselines(cameras, depths, numbers)
+    return [*_range_notices(depths, planes), *_check_overlap(cameras, depths, trust_poses, numbers)]
+
+
+def check_count(count: int) -> None:
+    """Raises `ViewCountError` outside 2..6."""
+    if not MIN_VIEWS <= count <= MAX_VIEWS:
+        raise ViewCountError(
+            f"{counted(count, 'view')}, need {MIN_VIEWS} to {MAX_VIEWS}",
+            field="cameras",
+            cure="one view has no parallax"
+            if count < MIN_VIEWS
+            else "choose views that overlap, from different places",
+        )
+
+
+def parallax_px(one: Camera, other: Camera, near: float) -> float:
+    """How far a point at depth `near` shifts between two views against one at infinity: at most this many pixels."""
+    return max(one.fx, one.fy, other.fx, other.fy) * float(np.linalg.norm(one.center - other.center)) / near
+
+
+def _check_principal_point(camera: Camera, index: int) -> None:
+    """A principal point within one pixel of the upper left corner is a normalised one."""
+    if 0 < camera.cx <= 1 < camera.width / 8 and 0 < camera.cy <= 1 < camera.height / 8:
+        raise IntrinsicsError(
+            f"cx, cy = {camera.cx:g}, {camera.cy:g} px in an image of {camera.width} x {camera.height} px",
+            field="cameras.cx",
+            index=index,
+            cure=f"these look normalised; in pixels they are {camera.cx * camera.width:g}, "
+            f"{camera.cy * camera.height:g}",
+        )
+
+
+def _check_baselines(cameras: Sequence[Camera], depths: DepthRange, numbers: Sequence[int]) -> None:
+    widest = (0.0, 0, 1)
+    for j, one in enumerate(cameras):
+        for i, other in enumerate(cameras[:j]):
+            apart = float(np.abs(one.center - other.center).max())
+            if apart > MAX_RATIO * depths.near:
+                raise BaselineError(
+                    f"views {numbers[i]} and {numbers[j]} stand {apart:.3g} apart at near = {depths.near:g}, need at "
+                    f"most {MAX_RATIO:g} times near",
+                    field="cameras",
+                    index=numbers[j],
+                    cure="give near, far and the poses in one unit, such as metres",
+                )
+            baseline = float(np.linalg.norm(one.center - other.center))
+            angle = rotation_angle(one.rotation.T @ other.rotation)
+            if baseline <= SAME_POSITION * depths.near and angle <= SAME_ROTATION:
+                raise BaselineError(
+                    f"views {numbers[i]} and {numbers[j]} have the same pose "
+                    f"(distance {baseline:.3g}, angle {angle:.3g} rad)",
+                    field="cameras",
+                    index=numbers[j],
+                    cure="leave one of them out; is each pose the one of its own photograph?",
+                )
+            widest = max(widest, (parallax_px(one, other, depths.near), i, j))
+    parallax, i, j = widest
+    if parallax < MIN_PARALLAX_PX:
+        raise BaselineError(
+            f"no pair of views has parallax: the widest, views {numbers[i]} and {numbers[j]}, shifts a point at "
+            f"near = {depths.near:g} by {parallax:.3g} px, need at least {MIN_PARALLAX_PX}",
+            field="cameras",
+            index=numbers[j],
+            cure="move the camera between the photographs; are positions and near in the same unit?"
+            + apart_when_inverted(cameras),
+        )
+
+
+def _range_notices(depths: DepthRange, planes: int) -> list[Notice]:
+    """Half a step h = (1 / near - 1 / far) / (2 (planes - 1)) of inverse depth makes z nearer by z h / (1 + z h)."""
+    ratio = depths.far / depths.near
+    if ratio <= WIDE_RANGE:
+        return []
+    step = (1 / depths.near - 1 / depths.far) / (2 * (planes - 1))
+    table = {
+        f"{z:.4g}": f"{100 * z * step / (1 + z * step):.2g} %"
+        for z in depths.near * np.array([1.0, 10.0, 100.0, 1000.0])
+    }
+    return [
+        {
+            "code": "depth_range_wide",
+            "field": "near",
+            "message": f"far / near = {ratio:.3g}: depth steps are coarse beyond {10 * depths.near:.3g}; "
+            f"half a step with {planes} planes, by depth: "
+            + ", ".join(f"{depth}: {share}" for depth, share in table.items()),
+        }
+    ]
+
+
+def _check_overlap(
+    cameras: Sequence[Camera], depths: DepthRange, trust_poses: bool, numbers: Sequence[int]
+) -> list[Notice]:
+    steps = inverse_depth_steps(depths.near, depths.far, _DEPTHS)
+    shares = best_partner_shares(cameras, steps).max(axis=1)
+    lonely = int(np.argmin(shares))
+    if shares[lonely] >= LITTLE_SHARE:
+        return []
+    message = (
+        f"view {numbers[lonely]} shares at most {100 * shares[lonely]:.0f} % of its picture with any other view, "
+        f"at any depth from {depths.near:.4g} to {depths.far:.4g}"
+    )
+    notices = [{"code": "little_overlap", "field": "cameras", "index": numbers[lonely], "message": message}]
+    if shares[lonely] >= MIN_SHARE or trust_poses:
+        return notices
+    if depths.source == "estimated":
+        steps = _ANY_DEPTH * float(np.linalg.norm(largest_baseline(cameras)))
+        shares = best_partner_shares(cameras, steps).max(axis=1)
+        if shares.min() >= MIN_SHARE:
+            return notices
+        lonely = int(np.argmin(shares))
+        share = 100 * shares[lonely]
+        message = (
+            f"view {numbers[lonely]} shares at most {share:.0f} % of its picture with any other view, at any depth"
+        )
+    cure = "are near and far in the unit of the poses? is each pose the one of its own photograph?"
+    shares_by_reading = []
+    for reading in other_readings(cameras):
+        other = depth_range_of_reading(reading.cameras, depths)
+        if other is not None:
+            steps = inverse_depth_steps(other.near, other.far, _DEPTHS)
+            shares_by_reading.append((float(best_partner_shares(reading.cameras, steps).max(axis=1).min()), reading))
+    best = max((share for share, _ in shares_by_reading), default=0.0)
+    if best >= LITTLE_SHARE:
+        likely = [reading for share, reading in shares_by_reading if share >= best - TIE]
+        cure = "these poses look like " + "; or ".join(f"{reading.looks_like}: {reading.cure}" for reading in likely)
+    cure += "; if the poses are right as they are, set trust_poses"
+    raise OverlapError(f"{message}; need {100 * MIN_SHARE:.0f} %", field="cameras", index=numbers[lonely], cure=cure)

@@ -1,0 +1,241 @@
+"""The .ply container (Turk 1994): parse the header, walk past other elements, return the rows of one as numbers."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import PlyError
+
+F64 = NDArray[np.float64]
+
+TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+LENGTH_TYPES = frozenset(name for name, kind in TYPES.items() if kind[0] != "f")
+BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": None}
+MAX_LISTS = 200_000  # before the vertices, walked one by one; where a mesh has faces they stand behind
+_LINE = re.compile(rb"[^\r\n]+")
+MAX_HEADER = 1 << 16  # bytes: a 3DGS header has about 1,500; more is another kind of file
+
+
+@dataclass(frozen=True)
+class Property:
+    """One column of an element; a list has the type of its length in `length_kind`."""
+
+    name: str
+    kind: str  # numpy type code without byte order
+    length_kind: str | None = None
+
+
+@dataclass(frozen=True)
+class Element:
+    """One table of the file."""
+
+    name: str
+    count: int
+    properties: tuple[Property, ...]
+
+    @property
+    def lists(self) -> int:
+        """Of each row."""
+        return sum(prop.length_kind is not None for prop in self.properties)
+
+
+@dataclass(frozen=True)
+class Header:
+    """What the file says about itself; `body` is the offset of the first byte after the header."""
+
+    byte_order: str | None  # "<", ">" or None for ASCII
+    elements: tuple[Element, ...]
+    body: int
+
+    @property
+    def vertex(self) -> Element:
+        """The one element of that name, which every header has."""
+        return self.elements[self._place("vertex")]
+
+    def element(self, name: str) -> Element | None:
+        """The first element of this name, None where there is none."""
+        return next((element for element in self.elements if element.name == name), None)
+
+    def before(self, name: str) -> tuple[Element, ...]:
+        """The elements that precede the first one of this name."""
+        return self.elements[: self._place(name)]
+
+    def _place(self, name: str) -> int:
+        return [element.name for element in self.elements].index(name)
+
+
+def parse_header(data: bytes) -> Header:
+    """Parse the header. Raises `PlyError` with the line number of what is not understood."""
+    start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
+    if start is None:
+        raise PlyError(
+            f"starts with {data[:4]!r}, need 'ply' and a line end", field="header", cure="is this a .ply file?"
+        )
+    # The first line tells how lines end, so that a binary body that happens to start with a line feed stays whole.
+    line_end = re.escape(start[1])
+    end = re.search(line_end + rb"[ \t]*end_header[ \t]*" + line_end, data[:MAX_HEADER])
+    if end is None:
+        raise PlyError(
+            f"no end_header line in the first {min(len(data), MAX_HEADER)} bytes",
+            field="header",
+            cure="is it truncated?",
+        )
+    lines = [line.decode("latin-1") for line in data[: end.start()].split(start[1])]
+    format_name: str | None = None
+    tables: list[tuple[str, int, list[Property]]] = []
+    for number, line in enumerate(lines[1:], start=2):
+        words = line.split()
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        if words[0] == "format" and len(words) == 3 and words[1] in BYTE_ORDERS and words[2] == "1.0":
+            format_name = words[1]
+        elif words[0] == "element" and len(words) == 3 and re.fullmatch("[0-9]{1,15}", words[2]):
+            tables.append((words[1], int(words[2]), []))
+        elif words[0] == "property" and tables:
+            tables[-1][2].append(_parse_property(words, number, line))
+        else:
+            raise PlyError(f"line {number} is not understood: {line[:80]!r}", field="header", index=number)
+    if format_name is None:
+        raise PlyError("no format line", field="header", cure="need 'format binary_little_endian 1.0' or another")
+    elements = [_checked_element(*table) for table in tables]
+    names = [element.name for element in elements]
+    if names.count("vertex") != 1:
+        raise PlyError(f"elements are {names}, need one named vertex", field="header")
+    header = Header(BYTE_ORDERS[format_name], tuple(elements), end.end())
+    if header.vertex.lists:
+        raise PlyError("has list properties, need numbers only", field="vertex")
+    return header
+
+
+def _parse_property(words: list[str], number: int, line: str) -> Property:
+    if len(words) == 3 and words[1] in TYPES:
+        return Property(words[2], TYPES[words[1]])
+    if len(words) == 5 and words[1] == "list" and words[2] in LENGTH_TYPES and words[3] in TYPES:
+        return Property(words[4], TYPES[words[3]], TYPES[words[2]])
+    raise PlyError(f"line {number} is no known property: {line[:80]!r}", field="header", index=number)
+
+
+def _checked_element(name: str, count: int, properties: list[Property]) -> Element:
+    for prop, times in Counter(prop.name for prop in properties).items():
+        if times > 1:
+            raise PlyError(f"property {prop!r} is declared {times} times", field=name)
+    return Element(name, count, tuple(properties))
+
+
+def vertex_columns(data: bytes, header: Header) -> dict[str, F64]:
+    """The vertex table as float64 columns by name. Raises `PlyError` if the file ends before it does."""
+    if header.byte_order is None:
+        return _ascii_columns(data, header)
+    table = binary_rows(data, header, header.vertex)
+    with np.errstate(invalid="ignore"):  # signalling NaNs of a damaged file; whoever reads the column refuses NaN
+        return {prop.name: table[prop.name].astype(np.float64) for prop in header.vertex.properties}
+
+
+def binary_rows(data: bytes, header: Header, element: Element) -> NDArray:
+    """The rows of an element without lists as they lie in a binary file, a structured array by property name.
+
+    Raises `PlyError` if the file ends before they do.
+    """
+    order = header.byte_order or "<"
+    offset = header.body
+    before = header.before(element.name)
+    if (lists := sum(other.count * other.lists for other in before)) > MAX_LISTS:
+        raise PlyError(
+            f"{lists} lists stand before it, at most {MAX_LISTS} are walked past",
+            field=element.name,
+            cure="write the vertices first",
+        )
+    for other in before:
+        offset = _skip_binary(data, offset, other, order)
+    row = row_type(element, order)
+    return np.frombuffer(data, row, count=_whole_rows(data, offset, element, row.itemsize), offset=offset)
+
+
+def row_type(element: Element, byte_order: str) -> np.dtype:
+    """Of an element without lists."""
+    return np.dtype([(prop.name, byte_order + prop.kind) for prop in element.properties])
+
+
+def _whole_rows(data: bytes, offset: int, element: Element, row_bytes: int) -> int:
+    """`element.count`, once the file is long enough for it."""
+    room = max(len(data) - offset, 0)
+    if element.count * row_bytes > room:
+        raise PlyError(
+            f"{element.count} rows of {row_bytes} bytes need {element.count * row_bytes} bytes, "
+            f"the file has {room} left ({room // row_bytes} whole rows)",
+            field=element.name,
+            index=room // row_bytes,
+            cure="is the file truncated?",
+        )
+    return element.count
+
+
+def _skip_binary(data: bytes, offset: int, element: Element, byte_order: str) -> int:
+    if not element.lists:
+        row_bytes = row_type(element, byte_order).itemsize
+        return offset + _whole_rows(data, offset, element, row_bytes) * row_bytes
+    for index in range(element.count):
+        for prop in element.properties:
+            size = np.dtype(prop.kind).itemsize
+            if prop.length_kind:
+                length_type = np.dtype(byte_order + prop.length_kind)
+                _require_bytes(data, offset, length_type.itemsize, element, index)
+                length = int(np.frombuffer(data, length_type, count=1, offset=offset)[0])
+                if length < 0:
+                    raise PlyError(f"a list has length {length}", field=f"{element.name}.{prop.name}", index=index)
+                offset, size = offset + length_type.itemsize, size * length
+            _require_bytes(data, offset, size, element, index)
+            offset += size
+    return offset
+
+
+def _require_bytes(data: bytes, offset: int, size: int, element: Element, index: int) -> None:
+    if offset + size > len(data):
+        raise PlyError(
+            f"row {index} of {element.count} needs {size} bytes at {offset}, the file has {len(data)}",
+            field=element.name,
+            index=index,
+            cure="is the file truncated?",
+        )
+
+
+def filled_lines(data: bytes, header: Header) -> Iterator[bytes]:
+    """Of the body of an ASCII file, without blank ones."""
+    found = (match.group() for match in _LINE.finditer(data, header.body))
+    return (line for line in found if line.strip())
+
+
+def _ascii_columns(data: bytes, header: Header) -> dict[str, F64]:
+    """One row per line, blank lines left out."""
+    start = sum(element.count for element in header.before("vertex") if element.properties)
+    vertex = header.vertex
+    lines = list(islice(filled_lines(data, header), start, start + vertex.count))  # those before are passed over
+    if vertex.count > len(lines):
+        raise PlyError(
+            f"{vertex.count} rows are declared, the file has {len(lines)} lines of them",
+            field="vertex",
+            index=len(lines),
+            cure="is the file truncated?",
+        )
+    table = np.empty((vertex.count, len(vertex.properties)))
+    for index, line in enumerate(lines):
+        words = line.split()
+        if len(words) != len(vertex.properties):
+            raise PlyError(f"row has {len(words)} numbers, need {len(vertex.properties)}", field="vertex", index=index)
+        try:
+            table[index] = [float(word) for word in words]
+        except ValueError as error:
+            raise PlyError(f"row is not made of numbers: {line[:80]!r}", field="vertex", index=index) from error
+    return {prop.name: table[:, column].copy() for column, prop in enumerate(vertex.properties)}

@@ -1,0 +1,1 @@
+"""gapmes.service.leaving_out: what a scene does not need, left out within a proved bound."""

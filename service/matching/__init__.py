@@ -1,0 +1,1 @@
+"""gapmes.service.matching: where photographs match, and what that tells of cameras, depths and exposures."""

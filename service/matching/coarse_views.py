@@ -1,0 +1,92 @@
+"""Small grey copies of the views, and one seen from another as if all lay at one depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cameras.camera import Camera
+from ..cameras.rotations import turned
+from ..photographs.images import FittedView
+
+F64 = NDArray[np.float64]
+
+MIN_BASELINE = 0.05  # of the largest distance; depth from less of a baseline is too coarse to check anything by
+COARSE_SIDE = 64  # px; enough to tell right poses from wrong ones and near from far
+ENOUGH = 0.25  # of a cell that a mask must keep: 4 px of 16 still have a mean, and a dithered mask leaves a picture
+
+
+@dataclass(frozen=True)
+class CoarseView:
+    grey: F64  # (h, w) in [0, 1], of what the mask keeps of a cell
+    kept: NDArray[np.bool_]  # (h, w) cells of which the mask keeps a quarter or more
+    camera: Camera
+
+
+def coarse_view(view: FittedView) -> CoarseView:
+    """Grey, averaged over whole blocks down to about 64 px; mask and camera follow."""
+    block = block_px(view)
+    grey = view.image.mean(axis=0, dtype=np.float64)
+    share = block_means(view.kept.astype(np.float64), block)
+    grey = block_means(np.where(view.kept, grey, 0.0), block) / np.where(share > 0, share, 1.0)
+    rows, columns = grey.shape
+    camera = view.camera.cropped(0, 0, columns * block, rows * block).resized(columns, rows)
+    return CoarseView(grey, share >= ENOUGH, camera)
+
+
+def block_px(view: FittedView) -> int:
+    """The side of the square that becomes a cell."""
+    return max(1, min(view.image.shape[1:]) // COARSE_SIDE)
+
+
+def block_means(values: F64, block: int) -> F64:
+    """(h // block, w // block) means over whole blocks of (h, w) values."""
+    rows, columns = values.shape[0] // block, values.shape[1] // block
+    return values[: rows * block, : columns * block].reshape(rows, block, columns, block).mean(axis=(1, 3))
+
+
+def warp_to(shape: tuple[int, int], camera: Camera, source: CoarseView, depths: F64) -> tuple[F64, NDArray[np.bool_]]:
+    """`source` as `camera` would see it if all lay at one z-depth, for each of D depths: (D, h, w), and where seen.
+
+    What lies between four cells of `source` is seen if it keeps all of them.
+    """
+    rows, columns = shape
+    rays = turned(source.camera.rotation.T, camera.rays(pixel_grid(shape)))
+    offset = (camera.center - source.camera.center) @ source.camera.rotation
+    points = offset + depths[:, None, None] * rays
+    front = points[..., 2] > 0
+    z = np.where(front, points[..., 2], 1.0)
+    x = source.camera.fx * points[..., 0] / z + source.camera.cx - 0.5
+    y = source.camera.fy * points[..., 1] / z + source.camera.cy - 0.5
+    height, width = source.grey.shape
+    seen = front & (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    x, y = np.where(seen, x, 0.0), np.where(seen, y, 0.0)
+    i, j = np.minimum(x.astype(np.intp), width - 2), np.minimum(y.astype(np.intp), height - 2)
+    kept = source.kept[:-1] & source.kept[1:]
+    seen &= (kept[:, :-1] & kept[:, 1:])[j, i]
+    a, b = x - i, y - j
+    flat, corner = source.grey.ravel(), j * width + i
+    upper = (1 - a) * flat[corner] + a * flat[corner + 1]
+    lower = (1 - a) * flat[corner + width] + a * flat[corner + width + 1]
+    return ((1 - b) * upper + b * lower).reshape(-1, rows, columns), seen.reshape(-1, rows, columns)
+
+
+def pixel_grid(shape: tuple[int, int]) -> F64:
+    """(h * w, 2) pixel centres (x, y), row by row."""
+    rows, columns = shape
+    return np.stack(np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5), axis=-1).reshape(-1, 2)
+
+
+def nearest_neighbours(cameras: Sequence[Camera]) -> list[int]:
+    """Per camera the index of the closest one with parallax to it: at least 1/20 of the largest distance away.
+
+    Every camera has one: of the two that are farthest apart, one is at least half their distance away from it.
+    """
+    centers = np.stack([camera.center for camera in cameras])
+    distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)
+    distances[distances < MIN_BASELINE * distances.max()] = np.inf
+    np.fill_diagonal(distances, np.inf)
+    return [int(index) for index in distances.argmin(axis=1)]

@@ -1,0 +1,62 @@
+"""A range of depths that was given and misses the scene: the photographs match better in the one that is estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cameras.camera import Camera
+from ..cameras.depth_range import DepthRange, depth_range_of_reading
+from ..cameras.view_checks import Notice
+from ..photographs.images import FittedView
+from .coarse_views import CoarseView, nearest_neighbours
+from .depth_sweep import narrowed
+from .plane_sweep import best_planes
+from .window_match import NOT_SEEN, contrast
+
+AT_END = 0.2  # of what has contrast: right ranges of 170 pairs have at most 0.05 of it at near and 0.11 at far
+END = 2  # planes of an end
+
+
+def as_if_none_given(cameras: Sequence[Camera], depths: DepthRange) -> DepthRange | None:
+    """The estimate in place of a given range; None where none was given, or none can be estimated."""
+    if depths.source == "estimated":
+        return None
+    return depth_range_of_reading(cameras, replace(depths, source="estimated"))
+
+
+def range_doubtful(
+    views: Sequence[FittedView],
+    coarse: Sequence[CoarseView],
+    swept: NDArray[np.float64],
+    depths: DepthRange,
+    estimate: DepthRange,
+    scores: tuple[float, float],
+) -> Notice:
+    """The warning, with both ranges and the `scores` in them; `swept` (D,) are the planes of the given one."""
+    found, (inside, elsewhere) = narrowed(estimate, views), scores
+    message = (
+        f"the photographs match with score {inside:.2f} at depths from the given near = {depths.near:.4g} to far = "
+        f"{depths.far:.4g}, and {elsewhere:.2f} where the range is estimated: {found.near:.4g} to {found.far:.4g}"
+    )
+    at_near, at_far = _at_ends(coarse, swept)
+    if max(at_near, at_far) > AT_END:
+        share, end, where = (at_near, "near", "nearer") if at_near > at_far else (at_far, "far", "farther")
+        message += f"; {100 * share:.0f} % match best at {end}: what they show may be {where}"
+    cure = "give near and far in the unit of the poses, about all of the scene, or neither"
+    return {"code": "depth_range_doubtful", "field": "near", "message": f"{message} ({cure})", "score": inside}
+
+
+def _at_ends(views: Sequence[CoarseView], swept: NDArray[np.float64]) -> tuple[float, float]:
+    """Share of what is seen at any plane, by contrast, whose best plane is one of the first END, and of the last."""
+    near, far, total = 0.0, 0.0, 0.0
+    for view, neighbour in zip(views, nearest_neighbours([view.camera for view in views]), strict=True):
+        best, depth = best_planes(view, views[neighbour], swept)
+        weights = np.where(view.kept & (best > NOT_SEEN), contrast(view.grey, view.kept), 0.0)
+        near += float(weights[depth <= swept[END - 1]].sum())
+        far += float(weights[depth >= swept[-END]].sum())
+        total += float(weights.sum())
+    return (near / total, far / total) if total > 0 else (0.0, 0.0)

@@ -1,0 +1,150 @@
+"""Loops over pixels that numpy would take many passes for: window means, comparison of warped features, edge-aware
+sums."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..splat.access import get, larger, put, smaller
+from ..splat.kernel_cache import kernel
+
+ROWS = 4  # as many as `_sum_along` has sums
+
+
+@kernel()
+def mean_planes(planes, radius, means):
+    """`means` (D, H, W) of `planes` (D, H, W) over windows of 2 * radius + 1 px, cut off at the border; by running sums
+    down the columns, then along the rows, of which ROWS are summed side by side: each waits for its own sum alone."""
+    height, width = planes.shape[1], planes.shape[2]
+    sums, along = np.zeros((height + 1) * width), np.zeros(ROWS * (width + 1))
+    rows = np.zeros(ROWS * width)
+    inner = smaller(radius, width)
+    for plane in range(planes.shape[0]):
+        start = plane * height * width
+        for at in range(height * width):
+            put(sums, at + width, get(sums, at) + get(planes, start + at))
+        for first in range(0, height, ROWS):
+            count = smaller(ROWS, height - first)
+            for row in range(count):
+                y = first + row
+                low, high = larger(y - radius, 0) * width, smaller(y + radius + 1, height) * width
+                size = np.float64((high - low) // width)
+                for x in range(width):
+                    put(rows, row * width + x, (get(sums, high + x) - get(sums, low + x)) / size)
+            _sum_along(rows, width, along)
+            for row in range(count):
+                begin, to, size = row * (width + 1), start + (first + row) * width, np.float64(2 * radius + 1)
+                for x in range(inner):
+                    put(means, to + x, _cut_off(along, begin, x, radius, width))
+                for x in range(inner, width - radius):
+                    put(means, to + x, (get(along, begin + x + radius + 1) - get(along, begin + x - radius)) / size)
+                for x in range(larger(width - radius, inner), width):
+                    put(means, to + x, _cut_off(along, begin, x, radius, width))
+
+
+@kernel()
+def _sum_along(rows, width, along):
+    """`along` (ROWS, width + 1), 0 at first in each, of `rows` (ROWS, width)."""
+    one = two = three = four = 0.0
+    for x in range(width):
+        one += get(rows, x)
+        two += get(rows, width + x)
+        three += get(rows, 2 * width + x)
+        four += get(rows, 3 * width + x)
+        put(along, x + 1, one)
+        put(along, width + x + 2, two)
+        put(along, 2 * width + x + 3, three)
+        put(along, 3 * width + x + 4, four)
+
+
+@kernel()
+def _cut_off(along, begin, x, radius, width):
+    """The mean about x of a row whose running sums begin there."""
+    low, high = larger(x - radius, 0), smaller(x + radius + 1, width)
+    return (get(along, begin + high) - get(along, begin + low)) / (high - low)
+
+
+@kernel()
+def _apart(own, others, at, column, row):
+    """Mean absolute difference of pixel `at` of `own` and what `others` has at `column` and `row`, between its pixels;
+    beyond the border the outermost go on."""
+    height, width, channels = others.shape
+    x = smaller(larger(column, 0.0), width - 1.0)
+    y = smaller(larger(row, 0.0), height - 1.0)
+    left, upper = np.int64(x), np.int64(y)
+    over, down = np.float32(x - left), np.float32(y - upper)
+    right, lower = smaller(left + 1, width - 1), smaller(upper + 1, height - 1)
+    corners = (upper * width + left) * channels, (upper * width + right) * channels
+    below = (lower * width + left) * channels, (lower * width + right) * channels
+    before, above = np.float32(1.0) - over, np.float32(1.0) - down
+    total = np.float32(0.0)
+    for channel in range(channels):
+        top = get(others, corners[0] + channel) * before + get(others, corners[1] + channel) * over
+        base = get(others, below[0] + channel) * before + get(others, below[1] + channel) * over
+        total += abs(top * above + base * down - get(own, at * channels + channel))
+    return np.float64(total * (np.float32(1.0) / np.float32(channels)))
+
+
+@kernel()
+def compare_planes(own, others, column, row, seen, limit, found):
+    """`found` (H, W) mean absolute difference of `own` (H, W, C) and `others` (h, w, C) between its pixels at `column`
+    and `row` (H, W), at most `limit`; `limit` where `seen` (H, W) is 0."""
+    for at in range(found.size):
+        put(found, at, limit)
+        if get(seen, at) != 0:
+            put(found, at, smaller(_apart(own, others, at, get(column, at), get(row, at)), limit))
+
+
+@kernel()
+def compare_level(own, others, rays, way, lens, level, limit, found):
+    """`found` (H, W) mean absolute difference of `own` (H, W, C) and `others` (h, w, C), at most `limit`, where all
+    pixels have the inverse z-depth `level`: seen along ray + level * way, `rays` (H, W, 3) and `way` (3,) in the axes
+    of the other view, whose `lens` is fx, fy, cx, cy in px. `limit` where it is behind that or beside it, and where
+    one of the four pixels about the place has a NaN."""
+    height, width, _ = others.shape
+    x_way, y_way, z_way = level * get(way, 0), level * get(way, 1), level * get(way, 2)
+    for at in range(found.size):
+        apart, z = limit, get(rays, 3 * at + 2) + z_way
+        x = get(lens, 0) * ((get(rays, 3 * at) + x_way) / z) + get(lens, 2)
+        y = get(lens, 1) * ((get(rays, 3 * at + 1) + y_way) / z) + get(lens, 3)
+        if z > 0 and x > 0 and y > 0 and x < width and y < height:
+            apart = smaller(_apart(own, others, at, x - 0.5, y - 0.5), limit)  # the limit for NaN
+        put(found, at, apart)
+
+
+@kernel()
+def spread_along_rows(planes, weights, sums):
+    """`sums` (K, H, W) of `planes` (K, H, W) over each row, where a step from one pixel to the next multiplies by its
+    `weights` (H, W - 1)."""
+    height, width = planes.shape[1], planes.shape[2]
+    for plane_row in range(planes.shape[0] * height):
+        start, edge = plane_row * width, (plane_row % height) * (width - 1)
+        total = 0.0
+        for x in range(width):
+            total = get(planes, start + x) + (total * get(weights, edge + x - 1) if x > 0 else 0.0)
+            put(sums, start + x, total)
+        total = 0.0
+        for x in range(width - 2, -1, -1):
+            total = (total + get(planes, start + x + 1)) * get(weights, edge + x)
+            put(sums, start + x, get(sums, start + x) + total)
+
+
+@kernel()
+def spread_down_columns(planes, weights, sums):
+    """The same over each column, with `weights` (H - 1, W)."""
+    height, width = planes.shape[1], planes.shape[2]
+    total = np.zeros(width)
+    for plane in range(planes.shape[0]):
+        start = plane * height * width
+        for x in range(width):
+            put(sums, start + x, get(planes, start + x))
+            put(total, x, 0.0)
+        for y in range(1, height):
+            for x in range(width):
+                at = start + y * width + x
+                put(sums, at, get(planes, at) + get(sums, at - width) * get(weights, (y - 1) * width + x))
+        for y in range(height - 2, -1, -1):
+            for x in range(width):
+                at = start + y * width + x
+                put(total, x, (get(total, x) + get(planes, at + width)) * get(weights, y * width + x))
+                put(sums, at, get(sums, at) + get(total, x))

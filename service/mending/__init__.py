@@ -1,0 +1,1 @@
+"""gapmes.service.mending: what is done with the network's Gaussians: depths, backdrop, opacities, colours, detail."""

@@ -1,0 +1,141 @@
+"""Candidates for the depths that no other view confirms, and what is known of each: what the choice is made by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...matching.confirmed import confirmed
+from ...matching.correspondence import from_elsewhere, seen_by
+from ...matching.match_cost import LIMIT, Gathering, difference_there, features
+from ...matching.plane_means import plane_means
+from ...matching.window_match import contrast
+from ...photographs.images import FittedView
+from ..surfaces import LEAST, Described, described_surface
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+REACHES = (
+    (6.0, True),
+    (24.0, True),
+    (64.0, True),
+    (6.0, False),
+    (24.0, False),
+)  # of surfaces: px, and whether edges end them
+FREE = 3  # candidates that are of no surface: the depth as it is, the network's own and that before planes
+COUNT = FREE + len(REACHES)
+KNOWN, ABOUT = 14, 7  # numbers of each candidate, and of each pixel
+NEAR, FAR = 4.0, 32.0  # px of parallax: scales of differences
+MOST = 16.0  # px: farther in front of or behind another view's surface is as far as can be
+ALIKE = 1.5  # px: candidates that are closer stand for one depth
+CONTRAST = 0.05  # of a window of grey, the scale; twice as much is as much as can be
+
+
+class Candidates(NamedTuple):
+    """Of one view, with N pixels that have a choice; inverse depths are in px of parallax, in the view that is farthest
+    away."""
+
+    inverse: F64  # (COUNT, H, W)
+    known: NDArray[np.float16]  # (COUNT, KNOWN, N)
+    about: NDArray[np.float16]  # (ABOUT, N)
+    undecided: Mask  # (H, W) which pixels have a choice: kept ones that nothing confirms
+    outside: Mask  # (H, W) which of all pixels no other view has in its picture, at the depth as it is
+    way: float  # px per unit of inverse depth
+
+
+class Matched:
+    """Views with their depths as they are, and two `others`: stacks (V, H, W) of z-depths in the cameras' units."""
+
+    def __init__(self, views: Sequence[FittedView], depths: F64, others: Sequence[F64]) -> None:
+        self.views, self.depths, self.others = views, depths, others
+        self.sure = confirmed(views, depths)
+        self.pictures = [features(view) for view in views]
+        self.surfaces = [np.stack([1 / depth, sure], axis=-1) for depth, sure in zip(depths, self.sure, strict=True)]
+
+    def candidates(self, index: int) -> Candidates | None:
+        """Of view `index`; nothing where nothing in it is confirmed, or no other view is elsewhere."""
+        view, depth, sure = self.views[index], self.depths[index], self.sure[index]
+        ways, undecided = from_elsewhere(self.views, index, depth), view.kept & ~sure
+        if not ways or not sure.any() or not undecided.any():
+            return None
+        way = max(ways.values())
+        known = np.zeros((COUNT, KNOWN, int(undecided.sum())), np.float16)
+        inverse = np.empty((COUNT, *depth.shape))
+        inverse[:FREE] = way / np.stack([depth, *(stack[index] for stack in self.others)])
+        for place, (reach, edges) in enumerate(REACHES, start=FREE):
+            found = described_surface(view.image, inverse[0], sure, reach, edges=edges)
+            inverse[place] = found.surface.within(inverse[0], view.kept)
+            known[place, 4:7] = _of_surface(found, undecided)
+        self._compared(index, ways, inverse, undecided, known)
+        about = _about(view, inverse, undecided)
+        return Candidates(inverse, known, about, undecided, self._outside(index, ways), way)
+
+    def _compared(
+        self, index: int, ways: Mapping[int, float], inverse: F64, undecided: Mask, known: NDArray[np.float16]
+    ) -> None:
+        """Fills in what of `known` tells candidates apart."""
+        gathering, of_all = Gathering(self.views[index], self.views[index].kept), inverse[:, undecided]
+        middle = np.median(of_all, axis=0)
+        for place, own in enumerate(of_all):
+            seen = self._seen(index, ways, max(ways.values()) / inverse[place], gathering)
+            cost, share, front, sure = (plane[undecided] for plane in seen)
+            apart = [np.tanh((own - other) / scale) for other in of_all[:2] for scale in (NEAR, FAR)]
+            alike = np.mean(np.abs(of_all - own) < ALIKE, axis=0)
+            rest = (cost / LIMIT, share, np.tanh(front / 2), sure, np.tanh((own - middle) / NEAR), alike)
+            for number, values in zip((*range(4), *range(7, KNOWN)), (*apart, *rest, np.log1p(own) / 5), strict=True):
+                known[place, number] = values
+
+    def _outside(self, index: int, ways: Mapping[int, float]) -> Mask:
+        """(H, W) which pixels no other view has in its picture."""
+        view, depth = self.views[index], self.depths[index]
+        return ~np.any([seen_by(view, depth, self.views[other]).inside for other in ways], axis=0)
+
+    def _seen(
+        self, index: int, ways: Mapping[int, float], depth: F64, gathering: Gathering
+    ) -> tuple[F64, F64, F64, F64]:
+        """(H, W) each, of all other views: least gathered difference of the photographs; share of them that see the
+        point; by how many px it stands in front of their surface, the most; whether that is sure."""
+        view, own = self.views[index], self.pictures[index]
+        cost, share = np.full(depth.shape, LIMIT), np.zeros(depth.shape)
+        front, sure = np.full(depth.shape, -MOST), np.zeros(depth.shape)
+        for other, way in ways.items():
+            seen = seen_by(view, depth, self.views[other])
+            now = view.kept * difference_there(own, seen, self.pictures[other])
+            cost = np.minimum(cost, gathering.of(now))
+            share += seen.where / len(ways)
+            theirs = seen.value(self.surfaces[other])
+            gap = np.where(seen.where, np.clip((1 / seen.z - theirs[..., 0]) * way, -MOST, MOST), -MOST)
+            sure = np.where(gap > front, theirs[..., 1], sure)
+            front = np.maximum(front, gap)
+        return cost, share, np.where(share > 0, front, 0.0), np.where(share > 0, sure, 0.0)
+
+
+def _of_surface(found: Described, undecided: Mask) -> NDArray[np.float64]:
+    """(3, N) how much is confirmed about each pixel, how far that lies off the plane and how far away."""
+    known = found.surface.known[undecided]
+    weight = np.log10(np.maximum(found.surface.weight[undecided], LEAST)) / -np.log10(LEAST)
+    return np.stack([weight, np.tanh(found.spread[undecided] / 2) * known, np.tanh(found.away[undecided] / 2) * known])
+
+
+def _about(view: FittedView, inverse: F64, undecided: Mask) -> NDArray[np.float16]:
+    """(ABOUT, N)"""
+    y, x = (np.arange(count) for count in undecided.shape)
+    border = np.minimum(np.minimum(y, y[::-1])[:, None], np.minimum(x, x[::-1]))
+    low, high = inverse[0][view.kept].min(), inverse[0][view.kept].max()
+    texture = contrast(view.image.mean(axis=0, dtype=np.float64), view.mask, plane_means) / CONTRAST
+    of_all = inverse[:, undecided]
+    now, network, middle = of_all[0], of_all[1], np.median(of_all, axis=0)
+    about = (
+        np.log1p(border[undecided]) / 4,
+        np.minimum(texture[undecided], 2),
+        np.tanh((middle - now) / NEAR),
+        np.tanh(of_all.std(axis=0) / NEAR),
+        np.full(now.shape, 1 - undecided.sum() / view.kept.sum()),
+        (now - low) / max(high - low, np.finfo(np.float64).tiny),
+        np.tanh((now - network) / NEAR),
+    )
+    return np.stack(about).astype(np.float16)

@@ -1,0 +1,16 @@
+"""How often a scene is corrected where the photographs contradict it; apart from `fading.py`, which loads the
+splatter."""
+
+from __future__ import annotations
+
+from ..errors import InputError
+
+DEFAULT_PASSES = 4  # each gains less than the one before
+MAX_PASSES = 8
+
+
+def checked_passes(passes: int) -> int:
+    """Raises `InputError` unless it is a whole number from 0, which leaves the scene as it is, to 8."""
+    if isinstance(passes, bool) or not isinstance(passes, int) or not 0 <= passes <= MAX_PASSES:
+        raise InputError(f"is {passes}, need a whole number from 0 to {MAX_PASSES}", field="fade")
+    return passes

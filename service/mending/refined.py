@@ -1,0 +1,74 @@
+"""Depths moved to where the photographs match best, within a pixel of parallax.
+
+The network decides on a depth at half the resolution of the photographs and matches small windows; here the whole
+pictures are compared, edges included, close to what it found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..matching.correspondence import disagreement, from_elsewhere, seen_by
+from ..matching.match_cost import GAIN, NOTHING, Gathering, difference, features
+from ..photographs.images import FittedView
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+OFFSETS_PX = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of parallax, in the view that is farthest away
+VISIBLE_PX = 3.0  # between the depths of both views; beyond, the other one sees something else
+RANGE = 2.0  # most by which a depth changes: with little parallax a pixel of it is all there is
+
+
+def refined(views: Sequence[FittedView], depths: F64) -> F64:
+    """(V, H, W) z-depths, from those of the network, in the cameras' units.
+
+    For each of OFFSETS_PX a pixel is compared with where the other views would see it (`match_cost.py`), over the views
+    whose own depth there lies within VISIBLE_PX. The least of the gathered costs is refined by a parabola, and taken if
+    it is less than GAIN times that of the depth as it is, by NOTHING more. What no other view sees and what a mask
+    leaves out stays as it is; a view from nearly the same place is not compared.
+    """
+    pictures = [features(view) for view in views]
+    return np.stack([_of_view(views, pictures, depths, index) for index in range(len(views))])
+
+
+def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depths: F64, index: int) -> F64:
+    view, inverse = views[index], 1 / depths[index]
+    others = from_elsewhere(views, index, depths[index])
+    if not others:
+        return depths[index]
+    pixels = max(others.values())
+    steps = [np.clip(inverse + offset / pixels, inverse / RANGE, inverse * RANGE) for offset in OFFSETS_PX]
+    total, counted = np.zeros((len(OFFSETS_PX), *inverse.shape)), np.zeros(inverse.shape)
+    for other in others:
+        seen = seen_by(view, depths[index], views[other])
+        visible = seen.where & (disagreement(view, seen, views[other], depths[other]) < VISIBLE_PX)
+        if view.mask is not None:
+            visible &= view.mask
+        if visible.any():
+            counted += visible
+            for cost, step in zip(total, steps, strict=True):
+                cost += visible * difference(view, pictures[index], 1 / step, views[other], pictures[other])
+    known = counted > 0
+    gathering = Gathering(view, known)
+    for cost in total:
+        cost[:] = gathering.of(cost / np.maximum(counted, 1))
+    offset, gains = _least(total)
+    moved = np.clip(inverse + offset / pixels, inverse / RANGE, inverse * RANGE)
+    return np.where(known & gains, 1 / moved, depths[index])
+
+
+def _least(costs: F64) -> tuple[F64, NDArray[np.bool_]]:
+    """(H, W) the offset of the least of (D, H, W) costs, between the steps, in px; and whether it gains enough."""
+    best = costs.argmin(axis=0)[None]
+    inner = np.clip(best, 1, len(costs) - 2)
+    before, at, after = (np.take_along_axis(costs, inner + step, axis=0)[0] for step in (-1, 0, 1))
+    bend = before - 2 * at + after
+    vertex = np.where((inner == best)[0] & (bend > 0), 0.5 * (before - after) / np.where(bend > 0, bend, 1.0), 0.0)
+    step = OFFSETS_PX[1] - OFFSETS_PX[0]
+    offset = OFFSETS_PX[0] + step * (best[0] + np.clip(vertex, -0.5, 0.5))
+    as_it_is = costs[OFFSETS_PX.index(0.0)]
+    return offset, np.take_along_axis(costs, best, axis=0)[0] < GAIN * as_it_is - NOTHING

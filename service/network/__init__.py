@@ -1,0 +1,1 @@
+"""gapmes.service.network: the network as an ONNX file: what it says of itself, its weights, running it."""

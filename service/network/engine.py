@@ -1,0 +1,167 @@
+"""The network as an ONNX file: load it into a runtime, check that it is one of ours, run it, check what comes out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ModelError
+from ..process.threads import available_threads
+from ..shipped import shipped_model
+from .backends.choice import DEFAULT_ENGINE, EngineName, Session, Sides, checked_engine, identity, made_by, open_session
+from .contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
+from .model_file import model_file
+from .model_info import ModelInfo
+
+Arrays = dict[str, NDArray]
+
+
+class Engine:
+    """A loaded model; `run` may be called from several threads at once."""
+
+    def __init__(
+        self,
+        model: str | Path | None = None,
+        *,
+        threads: int | None = None,
+        prepare: Path | None = None,
+        engine: EngineName = DEFAULT_ENGINE,
+    ) -> None:
+        """Load `model` (default: the one in the package) for `threads` threads (default: the CPUs of this process).
+
+        `prepare` is a folder for the model as onnxruntime has optimised it, whose weights all processes share; without
+        it each has its own. `engine` is what computes it, and in which precision. Raises `ModelError` where the file
+        or its weights are missing, are not what they should be, or are no gapmes model of this format, and where its
+        graph takes other shapes than its metadata say.
+        """
+        engine = checked_engine(engine)
+        file = model_file(shipped_model() if model is None else Path(model))
+        self.threads = threads if threads is not None else available_threads()
+        if self.threads < 1:
+            raise ModelError(f"threads = {self.threads}, need at least 1", field="threads")
+        if file.weights is not None:
+            file.weights.check()
+        self.made_by = made_by(engine)
+        self._session = open_session(engine, file, self.threads, prepare)
+        self.info = file.info
+        self.identity = identity(file.info.file_sha256, engine)
+        self.outputs = _checked_signature(self._session, file.path, file.info)
+
+    def run(
+        self,
+        images: NDArray[np.float32],
+        intrinsics: NDArray[np.float32],
+        world_from_cam: NDArray[np.float32],
+        near_far: NDArray[np.float32],
+        patch_mask: NDArray[np.bool_],
+    ) -> Arrays:
+        """Run the network on V views.
+
+        images (V, 3, H, W) float32 in [0, 1]; intrinsics (V, 3, 3) float32, rows normalised by width and height;
+        world_from_cam (V, 4, 4) float32 relative to camera 0; near_far (2,) float32; patch_mask (V, P) bool, False
+        leaves a patch out. Returns means (N, 3), scales (N, 3), rotations_wxyz (N, 4), opacities (N,), harmonics
+        (N, K, 3), depth and confidence (V, H, W), expert_index (V, P, k) int64, expert_weight (V, P, k), task_weight
+        (V, P, 4), route_margin (V, P); of the last four those are missing that the network does not have. The first
+        V * H * W Gaussians belong to the pixels, view by view, row by row; others may follow.
+        Same bits for the same input, thread count and engine. Raises `ModelError` for other shapes and for outputs that
+        are not finite.
+        """
+        info, views = self.info, len(images)
+        values = (images, intrinsics, world_from_cam, near_far, patch_mask)
+        shapes = _input_shapes(info, views)
+        feed = {
+            name: (value, np.bool_ if name == "patch_mask" else np.float32, shapes[name])
+            for name, value in zip(INPUTS, values, strict=True)
+        }
+        for name, (value, dtype, shape) in feed.items():
+            if value.dtype != dtype or value.shape != shape:
+                raise ModelError(
+                    f"is {value.dtype} {value.shape}, the model needs {np.dtype(dtype)} {shape}", field=name
+                )
+        try:
+            found = self._session.run(self.outputs, {name: value for name, (value, _, _) in feed.items()})
+        except self._session.failures as error:
+            raise ModelError(f"{self.made_by.name} failed on {views} views: {error}", field="model") from error
+        outputs = dict(zip(self.outputs, found, strict=True))
+        _check_outputs(outputs, views, info)
+        return outputs
+
+
+def _input_shapes(info: ModelInfo, views: int | None) -> dict[str, Sides]:
+    """Of the contract, by name."""
+    return {
+        "images": (views, 3, info.height, info.width),
+        "intrinsics": (views, 3, 3),
+        "world_from_cam": (views, 4, 4),
+        "near_far": (2,),
+        "patch_mask": (views, info.patches),
+    }
+
+
+def _checked_signature(session: Session, path: Path, info: ModelInfo) -> tuple[str, ...]:
+    """The contract's outputs that this file has; further ones are allowed.
+
+    Raises `ModelError` for missing names, and for an input of a shape that its metadata do not say.
+    """
+    if set(session.inputs) != set(INPUTS):
+        raise ModelError(f"{path} has the inputs {sorted(session.inputs)}, need {sorted(INPUTS)}", field="model")
+    for name, need in _input_shapes(info, None).items():
+        if not _fits(taken := session.inputs[name], need):
+            raise ModelError(
+                f"{path} takes {name} of {_shown(taken)}, its metadata gapmes.height {info.height} and gapmes.width "
+                f"{info.width} mean {_shown(need)}",
+                field="model",
+                cure="export it again with gapmes-export",
+            )
+    missing = [name for name in REQUIRED_OUTPUTS if name not in session.outputs]
+    if missing:
+        raise ModelError(f"{path} lacks the outputs {', '.join(missing)}", field="model")
+    return REQUIRED_OUTPUTS + tuple(name for name in OPTIONAL_OUTPUTS if name in session.outputs)
+
+
+def _fits(taken: Sides, need: Sides) -> bool:
+    """Where neither leaves a side open they are equal."""
+    return len(taken) == len(need) and all(None in pair or pair[0] == pair[1] for pair in zip(taken, need, strict=True))
+
+
+def _shown(sides: Sides) -> str:
+    return f"({', '.join('any' if side is None else str(side) for side in sides)})"
+
+
+def _check_outputs(outputs: Arrays, views: int, info: ModelInfo) -> None:
+    """Shapes against the contract, then finiteness, naming output, first row and count."""
+    count = len(outputs["means"])
+    coefficients = outputs["harmonics"].shape[1:2]
+    chosen = outputs["expert_index"].shape[2:3] if "expert_index" in outputs else ()
+    maps, patches = (views, info.height, info.width), (views, info.patches)
+    shapes = {
+        "means": (count, 3),
+        "scales": (count, 3),
+        "rotations_wxyz": (count, 4),
+        "opacities": (count,),
+        "harmonics": (count, *coefficients, 3),
+        "depth": maps,
+        "confidence": maps,
+        "expert_index": (*patches, *chosen),
+        "expert_weight": (*patches, *chosen),
+        "task_weight": (*patches, 4),
+        "route_margin": patches,
+    }
+    for name, value in outputs.items():
+        if value.shape != shapes[name]:
+            raise ModelError(f"output is {value.shape}, need {shapes[name]}", field=name)
+    if count < views * info.height * info.width:
+        raise ModelError(f"{count} Gaussians, need one per pixel: {views * info.height * info.width}", field="means")
+    for name, value in outputs.items():
+        _require(np.isfinite(value), name, "finite")
+    _require(outputs["scales"] >= 0, "scales", "at least 0")
+    _require(outputs["depth"] > 0, "depth", "above 0")
+    _require((outputs["opacities"] >= 0) & (outputs["opacities"] <= 1), "opacities", "in [0, 1]")
+
+
+def _require(ok: NDArray[np.bool_], name: str, need: str) -> None:
+    if not ok.all():
+        first = [int(i) for i in np.argwhere(~ok)[0]]
+        raise ModelError(f"{int((~ok).sum())} of {ok.size} numbers are not {need}, first at {first}", field=name)

@@ -1,0 +1,113 @@
+"""A model on disk: what it says of itself, the file of weights beside it, its size and its sum; nothing is loaded."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+
+from ..errors import ModelError
+from .model_info import ModelInfo, parse_model_info
+from .onnx_file import OnnxHeader, read_header
+
+EXTERNAL_SHA256 = "gapmes.external_sha256"  # metadata: the sum of the weights, so that the graph's sum names them too
+
+
+@dataclass(frozen=True)
+class Weights:
+    """A file of weights beside the graph, of which the graph says what it must be."""
+
+    path: Path
+    sha256: str
+
+    def check(self) -> None:
+        """Raises `ModelError` where the content is another one. Reads all of it, once for as long as it is the same
+        file."""
+        found = sha256_of(self.path)
+        if found != self.sha256:
+            raise ModelError(
+                f"{self.path} has the sha256 {found}, the graph was exported with {self.sha256}",
+                field="model",
+                cure=_cure(self.path),
+            )
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """A model of ours that could be loaded."""
+
+    path: Path
+    info: ModelInfo
+    weights: Weights | None  # None: inside the graph's file
+    bytes: int  # of graph and weights
+
+
+def model_file(path: Path) -> ModelFile:
+    """Look at the model at `path`; the weights beside it are there and long enough, `Weights.check` tells whether they
+    are the right ones. Raises `ModelError`."""
+    try:
+        header = read_header(path)
+        size = path.stat().st_size
+    except OSError as error:
+        raise _unreadable(path, error, "make one with gapmes-export, or name another file") from error
+    except ValueError as error:
+        raise ModelError(f"{path} cannot be loaded, it is no ONNX file: {error}", field="model") from error
+    info = parse_model_info(header.metadata, path, sha256_of(path))
+    weights = _weights(path, header)
+    return ModelFile(path, info, weights, size + (0 if weights is None else weights.path.stat().st_size))
+
+
+def sha256_of(path: Path) -> str:
+    """The file's sum, read in pieces, and anew only where size or time of the file have changed. Raises
+    `ModelError`."""
+    try:
+        stat = path.stat()
+        return _sha256(path, stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns)
+    except OSError as error:
+        raise _unreadable(path, error, None) from error
+
+
+@lru_cache(maxsize=64)
+def _sha256(path: Path, *_: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _weights(path: Path, header: OnnxHeader) -> Weights | None:
+    if not header.external:
+        return None
+    if len(header.external) > 1:
+        names = ", ".join(sorted(header.external))
+        raise ModelError(f"{path} has weights in {len(header.external)} files ({names}), need one", field="model")
+    [(name, need)] = header.external.items()
+    if PurePosixPath(name).name != name or name in ("", ".", "..") or os.sep in name:
+        raise ModelError(f"{path} has weights in {name!r}, need the name of a file beside it", field="model")
+    sha256 = header.metadata.get(EXTERNAL_SHA256)
+    if sha256 is None:
+        raise ModelError(
+            f"{path} has weights in {name}, and no metadata {EXTERNAL_SHA256} that says which",
+            field="model",
+            cure="export it again with this version's gapmes-export",
+        )
+    data = path.parent / name
+    try:
+        size = data.stat().st_size
+    except OSError as error:
+        raise ModelError(
+            f"{data} with the weights of {path.name} (sha256 {sha256}) cannot be read: {error.strerror}",
+            field="model",
+            cure=_cure(data),
+        ) from error
+    if size < need:
+        raise ModelError(f"{data} has {size} bytes, the graph needs {need}", field="model", cure=_cure(data))
+    return Weights(data, sha256)
+
+
+def _cure(data: Path) -> str:
+    return f"copy the {data.name} beside it that was exported with it"
+
+
+def _unreadable(path: Path, error: OSError, cure: str | None) -> ModelError:
+    return ModelError(f"{path} cannot be read: {error.strerror}", field="model", cure=cure)

@@ -1,0 +1,96 @@
+"""What an exported model says about itself: its `gapmes.*` ONNX metadata, parsed and checked once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import ModelError
+from .contract import FORMAT
+
+PATCH_PX = 16
+_REQUIRED = ("preset", "config", "weights_sha256", "opset", "height", "width", "patch_px", "licence", "precision")
+
+
+@dataclass(frozen=True)
+class ModelInfo:
+    """What an exported model says about itself (ONNX metadata `gapmes.*`), and the hash of its file."""
+
+    preset: str
+    config: dict[str, Any]
+    weights_sha256: str
+    file_sha256: str
+    height: int  # px, of every view
+    width: int  # px
+    patch: int  # px
+    opset: int
+    licence: str
+    precision: str  # fp32, int8, ...
+    tolerance: dict[str, Any]  # measured at export, per output
+    keep_all: bool = False  # every expert runs on every patch, every pair of views is compared
+
+    @property
+    def depth_planes(self) -> int | None:
+        """How many depths the network compares; None where it does not say so."""
+        planes = self.config.get("depth_planes")
+        return planes if isinstance(planes, int) and planes >= 2 else None
+
+    @property
+    def patches(self) -> int:
+        return (self.height // self.patch) * (self.width // self.patch)
+
+
+def parse_model_info(metadata: Mapping[str, str], path: Path, file_sha256: str) -> ModelInfo:
+    """Parse the metadata of the model at `path`. Raises `ModelError` where it is not ours, or not of this format."""
+    if "gapmes.format" not in metadata:
+        raise ModelError(f"{path} is an ONNX file, but not a gapmes model: it has no gapmes.format", field="model")
+    if metadata["gapmes.format"] != FORMAT:
+        raise ModelError(
+            f"{path} has format {metadata['gapmes.format']}, this version reads {FORMAT}",
+            field="model",
+            cure="export it again with this version's gapmes-export",
+        )
+    missing = [name for name in _REQUIRED if f"gapmes.{name}" not in metadata]
+    if missing:
+        raise ModelError(f"{path} lacks the metadata {', '.join('gapmes.' + name for name in missing)}", field="model")
+    value = {name: metadata[f"gapmes.{name}"] for name in _REQUIRED}
+    try:
+        info = ModelInfo(
+            preset=value["preset"],
+            config=_object("config", value["config"]),
+            weights_sha256=value["weights_sha256"],
+            file_sha256=file_sha256,
+            height=int(value["height"]),
+            width=int(value["width"]),
+            patch=int(value["patch_px"]),
+            opset=int(value["opset"]),
+            licence=value["licence"],
+            precision=value["precision"],
+            tolerance=_object("tolerance", metadata.get("gapmes.tolerance", "{}")),
+            keep_all=metadata.get("gapmes.keep_all") == "true",
+        )
+    except ValueError as error:
+        raise ModelError(f"{path} has malformed metadata: {error}", field="model") from error
+    sides = (info.height, info.width)
+    if info.patch != PATCH_PX or min(sides) < PATCH_PX or any(side % PATCH_PX for side in sides):
+        raise ModelError(
+            f"{path} is for {info.width} x {info.height} px in patches of {info.patch}, need multiples of {PATCH_PX}",
+            field="model",
+        )
+    return info
+
+
+def _object(name: str, text: str) -> dict[str, Any]:
+    """Raises `ValueError` for what is no JSON object."""
+    try:
+        found = json.loads(text)
+    except RecursionError:
+        raise ValueError(f"gapmes.{name} is nested too deeply") from None
+    except ValueError as error:
+        raise ValueError(f"gapmes.{name} is no JSON: {error}") from error
+    if not isinstance(found, dict):
+        raise ValueError(f"gapmes.{name} is {text[:50]!r}, need a JSON object")
+    return found

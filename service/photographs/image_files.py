@@ -1,0 +1,120 @@
+"""Encoded photographs: opened within bounds, their size read, before any pixel of them is decoded."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import threading
+import warnings
+from collections.abc import Sequence
+
+from PIL import Image, UnidentifiedImageError
+
+from ..errors import ImageError, ImageTooLarge, ImageUnreadable
+
+FORMATS = ("JPEG", "PNG", "WEBP")
+MAX_PIXELS = 64_000_000  # 192 MB once decoded; the largest phone photographs have 50 to 60 million
+MAX_SCANS = 100  # of one JPEG; encoders write about ten, and each costs a pass over all coefficients
+MAX_SEGMENTS = 10_000  # of one JPEG; a photograph has some dozens, and each costs a turn of the header's parser
+DAMAGED = (OSError, SyntaxError, ValueError, EOFError, struct.error)  # what Pillow's decoders raise on damaged files
+
+_START_OF_SCAN, _END_OF_IMAGE, _START_OF_IMAGE = 0xDA, 0xD9, 0xD8
+# ITU-T T.81, B.1.1.2: inside a scan 0xFF stands before 0 (stuffed) or a restart marker; 1 (TEM) has no parameters.
+_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
+_quiet = threading.Lock()  # the filters of `warnings` belong to the whole process
+
+
+def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Image.Image:
+    """The image with its header read and its size bounded, no pixel decoded.
+
+    Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (a JPEG of too many parts).
+    """
+    if data[:2] == b"\xff\xd8":
+        _check_jpeg(data, index)
+    try:
+        with _quiet, warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the bound below is the tighter one
+            image = Image.open(io.BytesIO(data), formats=FORMATS)
+    except UnidentifiedImageError as error:
+        raise ImageUnreadable(
+            f"{len(data)} bytes are not a {', '.join(FORMATS)} file",
+            field="images",
+            index=index,
+            cure="save the photograph in one of these formats; its content counts, not its name",
+        ) from error
+    except Image.DecompressionBombError as error:
+        raise ImageTooLarge(
+            f"has more pixels than the limit of {max_pixels}", field="images", index=index, cure="scale it down"
+        ) from error
+    except DAMAGED as error:
+        raise damaged(error, index) from error
+    width, height = image.size
+    if width * height > max_pixels:
+        raise ImageTooLarge(
+            f"has {width} x {height} = {width * height} pixels, the limit is {max_pixels}",
+            field="images",
+            index=index,
+            cure="scale it down; the network works on far smaller images",
+        )
+    return image
+
+
+def image_size(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> tuple[int, int]:
+    """(width, height) in px from the header alone. Raises as `open_image`."""
+    with open_image(data, index=index, max_pixels=max_pixels) as image:
+        return image.size
+
+
+def check_total(
+    photos: Sequence[bytes], *, max_pixels: int, max_total: int, numbers: Sequence[int] | None = None
+) -> None:
+    """Refuse photographs that are small enough each, but have more than `max_total` pixels together.
+
+    Raises `ImageTooLarge`, and what `open_image` raises for a single one, under its place or what `numbers` calls it.
+    """
+    numbers = range(len(photos)) if numbers is None else numbers
+    sizes = [
+        image_size(data, index=number, max_pixels=max_pixels) for number, data in zip(numbers, photos, strict=True)
+    ]
+    total = sum(width * height for width, height in sizes)
+    if total > max_total:
+        raise ImageTooLarge(
+            f"the {len(sizes)} photographs have {total} pixels together, the limit is {max_total}",
+            field="images",
+            cure="scale them down; the network works on far smaller images",
+        )
+
+
+def _check_jpeg(data: bytes, index: int) -> None:
+    scans, segments = jpeg_parts(data)
+    for count, most, what in ((scans, MAX_SCANS, "scans"), (segments, MAX_SEGMENTS, "segments")):
+        if count > most:
+            raise ImageError(
+                f"is a JPEG of {count} {what} or more, the limit is {most}",
+                field="images",
+                index=index,
+                cure="save it anew; no encoder writes so many",
+            )
+
+
+def jpeg_parts(data: bytes) -> tuple[int, int]:
+    """How many scans and segments a JPEG has before its end; counting stops just above the limits.
+
+    What lies in metadata or behind the end does not count.
+    """
+    scans = segments = place = 0
+    while scans <= MAX_SCANS and segments <= MAX_SEGMENTS and (match := _MARKER.search(data, place)) is not None:
+        marker, place = match[1][0], match.end()
+        if marker == _END_OF_IMAGE:
+            break
+        if marker == _START_OF_IMAGE:
+            continue
+        segments += 1
+        scans += marker == _START_OF_SCAN
+        place += int.from_bytes(data[place : place + 2], "big")  # the segment's length counts its own two bytes
+    return scans, segments
+
+
+def damaged(error: Exception, index: int | None) -> ImageUnreadable:
+    return ImageUnreadable(f"cannot be decoded: {error}", field="images", index=index, cure="is the upload complete?")

@@ -1,0 +1,272 @@
+"""Photographs: decode uploaded bytes within bounds, match them with their camera, fit them to the network's grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..cameras.camera import Camera
+from ..cameras.distortion import Lens
+from ..errors import ImageError
+from .image_files import DAMAGED, MAX_PIXELS, damaged, open_image
+from .resampling import OPAQUE, resampled
+from .upright import ON_ITS_SIDE, upright
+
+MIN_SIDE = 32  # px; two patches of the network, below that there is nothing to match
+_STRIP = 64  # rows of a 16-bit image that are converted at a time
+_PNG_BIT_DEPTH = 24  # place in the file: behind its signature, the header's length and name, width and height
+_ORIENTATION = 0x0112  # EXIF tag
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """A decoded photograph as stored in its file (EXIF orientation not applied, but remembered)."""
+
+    rgb: NDArray[np.uint8]  # (H, W, 3), sRGB
+    mask: NDArray[np.bool_] | None = None  # (H, W), True keeps; None keeps everything
+    orientation: int = 1  # EXIF 1..8
+
+    @property
+    def height(self) -> int:
+        return self.rgb.shape[0]
+
+    @property
+    def width(self) -> int:
+        return self.rgb.shape[1]
+
+    @classmethod
+    def from_array(cls, array: object, *, index: int | None = None) -> Photo:
+        """Check (H, W, 3) or (H, W, 4) uint8 RGB values; the fourth channel is the mask. Raises `ImageError`."""
+        pixels = np.asarray(array)
+        if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
+            raise ImageError(
+                f"array is {pixels.dtype} of shape {pixels.shape}, need uint8 (H, W, 3) or (H, W, 4)",
+                field="images",
+                index=index,
+                cure="give 8-bit RGB with the channels last; np.rint(255 * array).astype(np.uint8) where it is 0 to 1",
+            )
+        _check_smallest(pixels.shape[1], pixels.shape[0], index)
+        mask = None
+        if pixels.shape[2] == 4:
+            mask = pixels[:, :, 3] >= OPAQUE
+            if not mask.any():
+                raise ImageError(
+                    f"alpha is below {OPAQUE} everywhere: the mask leaves no pixel",
+                    field="images",
+                    index=index,
+                    cure="save the photograph without transparency, or with what is to be kept opaque",
+                )
+        return cls(np.ascontiguousarray(pixels[:, :, :3]), None if mask is None or mask.all() else mask)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedView:
+    """A photograph on the network's pixel grid, with the camera that belongs to that grid."""
+
+    image: NDArray[np.float32]  # (3, H, W) in [0, 1]
+    mask: NDArray[np.bool_] | None  # (H, W), True keeps
+    camera: Camera
+    kept_share: float  # of the photograph's area inside the crop
+    step: float = 1.0  # of the photograph's pixels, from one of these to the next; below 1 it was enlarged
+    orientation: int = 1  # EXIF's of the photograph, which is not applied
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """(H, W) what the mask keeps: all where there is none."""
+        return np.ones(self.image.shape[1:], np.bool_) if self.mask is None else self.mask
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """(H, W, 3) bytes, or (H, W, 4) with the mask as the last."""
+        rgb = np.rint(self.image.transpose(1, 2, 0) * 255).astype(np.uint8)
+        if self.mask is None:
+            return rgb
+        return np.dstack([rgb, np.where(self.mask, 255, 0).astype(np.uint8)])
+
+
+@dataclass(frozen=True, eq=False)
+class PackedView:
+    """A `FittedView` of 8-bit colours in a quarter of its memory; its `image` is made anew whenever it is asked for."""
+
+    pixels: NDArray[np.uint8]  # (H, W, 3), or (H, W, 4) with the mask as the last, as `FittedView.pixels` has them
+    camera: Camera
+
+    @classmethod
+    def of(cls, view: FittedView) -> PackedView:
+        return cls(view.pixels(), view.camera)
+
+    @property
+    def image(self) -> NDArray[np.float32]:
+        """(3, H, W) in [0, 1]."""
+        return np.divide(self.pixels[:, :, :3], 255, dtype=np.float32).transpose(2, 0, 1)
+
+    @property
+    def mask(self) -> NDArray[np.bool_] | None:
+        """(H, W), True keeps."""
+        return self.pixels[:, :, 3] > 0 if self.pixels.shape[2] == 4 else None
+
+
+def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Photo:
+    """Decode JPEG, PNG or WEBP bytes; the size is read and bounded before any pixel is decoded.
+
+    Greyscale, palette, CMYK and 16-bit images become 8-bit RGB; an alpha channel or the transparent level, colour or
+    palette entry of a PNG becomes the mask. 16-bit grey is rounded to eight; of colours, and of grey with an alpha
+    channel, Pillow keeps the upper eight bits, one level off at most.
+    Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (below 32 x 32, animated, a
+    JPEG of hundreds of scans).
+    """
+    with open_image(data, index=index, max_pixels=max_pixels) as image:
+        _check_smallest(*image.size, index)
+        if getattr(image, "is_animated", False) and image.format in ("PNG", "WEBP"):
+            frames = getattr(image, "n_frames", 1)  # of the format's own class, not of every image
+            raise ImageError(
+                f"is an animation of {frames} frames, need one",
+                field="images",
+                index=index,
+                cure="save its frames as files of their own",
+            )
+        try:
+            orientation = image.getexif().get(_ORIENTATION, 1)
+            image.load()
+            _narrow_transparency(image, data)
+            pixels = _eight_bit(image)
+        except DAMAGED as error:
+            raise damaged(error, index) from error
+    photo = Photo.from_array(pixels, index=index)
+    return replace(photo, orientation=orientation if orientation in range(1, 9) else 1)
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedPhoto:
+    """A photograph still in its file: decoded when it is its turn, so that only one lies in memory at full size."""
+
+    data: bytes
+    max_pixels: int = MAX_PIXELS
+    lens: Lens | None = None  # what it is resampled from to its camera; None where it shows that pinhole's picture
+
+    def decode(self, *, index: int) -> Photo:
+        """Raises as `decode_image`."""
+        return decode_image(self.data, index=index, max_pixels=self.max_pixels)
+
+
+def match_photo(photo: Photo, camera: Camera, *, index: int | None = None) -> tuple[Photo, Camera]:
+    """The photograph and its camera on one pixel grid.
+
+    Sizes that agree in aspect within 1 px (of the coarser grid) are one view at two resolutions: the camera is resized
+    to the photograph. EXIF orientation is applied only where the camera has the upright size and not the stored one.
+    Raises `ImageError` with both sizes.
+    """
+    if _same_aspect(photo.width, photo.height, camera):
+        return photo, camera.resized(photo.width, photo.height)
+    if photo.orientation in ON_ITS_SIDE and _same_aspect(photo.height, photo.width, camera):
+        turned = _turned_upright(photo)
+        return turned, camera.resized(turned.width, turned.height)
+    cure = "the camera must describe this very image: crop neither alone"
+    if _same_aspect(photo.height, photo.width, camera):
+        cure = "one of them is turned by 90 degrees"
+    raise ImageError(
+        f"the photograph is {photo.width} x {photo.height} px, its camera {camera.width} x {camera.height} px: "
+        "the aspects differ",
+        field="images",
+        index=index,
+        cure=cure,
+    )
+
+
+def fit_view(photo: Photo, camera: Camera, height: int, width: int) -> FittedView:
+    """Centre crop to the aspect of `height` x `width`, then resample; `camera` must have the photograph's size.
+
+    The crop window is real-valued, so that nothing is rounded: a pixel position p of the photograph lands at
+    (p - corner) * (new size / window size), and the intrinsics follow by the same map.
+    """
+    window_w = min(photo.width, photo.height * width / height)
+    window_h = min(photo.height, photo.width * height / width)
+    left, top = (photo.width - window_w) / 2, (photo.height - window_h) / 2
+    sx, sy = width / window_w, height / window_h
+    fitted = replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx * sx,
+        fy=camera.fy * sy,
+        cx=(camera.cx - left) * sx,
+        cy=(camera.cy - top) * sy,
+    )
+    box = (left, top, left + window_w, top + window_h)
+    rgb, mask = resampled(photo.rgb, photo.mask, (width, height), box)
+    image = np.ascontiguousarray(rgb.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
+    kept_share = window_w * window_h / (photo.width * photo.height)
+    return FittedView(image, mask, fitted, kept_share, window_w / width, photo.orientation)
+
+
+def resized(photo: Photo, width: int, height: int) -> Photo:
+    """The whole photograph at another size, as it is stored: its orientation stays."""
+    rgb, mask = resampled(photo.rgb, photo.mask, (width, height), (0, 0, photo.width, photo.height))
+    return Photo(rgb, mask, photo.orientation)
+
+
+def _eight_bit(image: Image.Image) -> NDArray[np.uint8]:
+    """(H, W, 3 or 4) uint8 of an opened image of any mode that the three formats can have."""
+    if image.mode.startswith("I"):  # 16-bit greyscale; Pillow's own conversion would clip it at 255
+        return _eight_bit_grey(image)
+    transparent = image.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in image.info
+    mode = "RGBA" if transparent else "RGB"
+    return np.asarray(image if image.mode == mode else image.convert(mode))
+
+
+def _narrow_transparency(image: Image.Image, data: bytes) -> None:
+    """Bring a PNG's transparent level or colour to the eight bits that Pillow gives its pixels, which it leaves to us.
+
+    Levels of 2 and 4 bits are spread over 8. Of colours of 16 bits Pillow keeps the upper eight, which is all that can
+    be compared.
+    """
+    if image.format != "PNG":
+        return
+    bits, transparent = data[_PNG_BIT_DEPTH], image.info.get("transparency")
+    if image.mode == "L" and bits in (2, 4) and isinstance(transparent, int):
+        image.info["transparency"] = transparent * (255 // (2**bits - 1))
+    if image.mode == "RGB" and bits == 16 and isinstance(transparent, tuple):
+        image.info["transparency"] = tuple(value >> 8 for value in transparent)
+
+
+def _eight_bit_grey(image: Image.Image) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 of 16-bit levels, strip by strip: round(level / 257), which has no ties; (H, W, 4) where one
+    level is transparent, compared as it is in the file."""
+    transparent = image.info.get("transparency")
+    pixels = np.empty((image.height, image.width, 3 if transparent is None else 4), np.uint8)
+    for top in range(0, image.height, _STRIP):
+        bottom = min(top + _STRIP, image.height)
+        levels = np.asarray(image.crop((0, top, image.width, bottom)), dtype=np.int32).clip(0, 65535)
+        pixels[top:bottom, :, :3] = ((levels + 128) // 257)[:, :, None]
+        if transparent is not None:
+            pixels[top:bottom, :, 3] = np.where(levels == transparent, 0, 255)
+    return pixels
+
+
+def _turned_upright(photo: Photo) -> Photo:
+    """Undo what EXIF says, which is done then."""
+    mask = None if photo.mask is None else upright(photo.mask, photo.orientation)
+    return Photo(upright(photo.rgb, photo.orientation), mask)
+
+
+def _same_aspect(width: int, height: int, camera: Camera) -> bool:
+    """Whether one size is the other at another resolution, up to rounding one side by at most 1 px."""
+    if width > camera.width:
+        small, large = (camera.width, camera.height), (width, height)
+    else:
+        small, large = (width, height), (camera.width, camera.height)
+    by_width = abs(large[1] * small[0] / large[0] - small[1])
+    by_height = abs(large[0] * small[1] / large[1] - small[0])
+    return min(by_width, by_height) <= 1.0
+
+
+def _check_smallest(width: int, height: int, index: int | None) -> None:
+    if width < MIN_SIDE or height < MIN_SIDE:
+        raise ImageError(
+            f"is {width} x {height} px, need at least {MIN_SIDE} x {MIN_SIDE}",
+            field="images",
+            index=index,
+            cure="send the photograph itself, not a thumbnail of it",
+        )

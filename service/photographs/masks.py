@@ -1,0 +1,80 @@
+"""What a mask leaves out: whole patches before the network, single Gaussians after it, all of it counted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cameras.rotations import turned
+from ..errors import ImageError
+from .images import FittedView
+
+if TYPE_CHECKING:
+    from ..cameras.world_frame import WorldFrame
+
+TRANSPARENT = "opacity is 0"
+MASKED = "its pixel is masked"
+UNSEEN = "behind masked pixels only"
+REPLACED = "stood behind depths that have moved"
+FADED = "faded until nothing of it is drawn"
+
+
+def check_kept(view: FittedView, index: int) -> None:
+    """Refuse a photograph whose mask keeps nothing of what the network sees of it. Raises `ImageError`."""
+    if view.mask is None or view.mask.any():
+        return
+    height, width = view.mask.shape
+    raise ImageError(
+        f"the mask keeps 0 of {width} x {height} px of the centre crop, {view.kept_share:.0%} of the photograph",
+        field="images",
+        index=index,
+        cure="crop the photograph about what the mask keeps, and take the crop's corner off cx and cy",
+    )
+
+
+def patch_mask(views: Sequence[FittedView], patch: int) -> NDArray[np.bool_]:
+    """(V, P) which patches hold at least one kept pixel, row by row."""
+    rows = []
+    for view in views:
+        height, width = view.image.shape[1:]
+        blocks = view.kept.reshape(height // patch, patch, width // patch, patch)
+        rows.append(blocks.any(axis=(1, 3)).ravel())
+    return np.stack(rows)
+
+
+def kept_rows(
+    outputs: Mapping[str, NDArray], views: Sequence[FittedView], frame: WorldFrame
+) -> tuple[NDArray[np.intp], dict[str, int]]:
+    """Rows of the network's Gaussians that belong into the scene, and how many do not, by reason.
+
+    The first V * H * W rows belong to the pixels in order; a row of a masked pixel goes. The rows after them stand
+    behind the scene; under masks they stay where at least one view keeps the pixel that they project to.
+    """
+    opaque = outputs["opacities"] > 0
+    dropped = {TRANSPARENT: int((~opaque).sum())}
+    keep = opaque.copy()
+    if any(view.mask is not None for view in views):
+        pixel = np.concatenate([view.kept.ravel() for view in views])
+        count = len(pixel)
+        keep[:count] &= pixel
+        dropped[MASKED] = int((opaque[:count] & ~pixel).sum())
+        points = frame.origin + turned(frame.rotation, outputs["means"][count:]) * frame.unit
+        seen = np.zeros(len(points), dtype=np.bool_)
+        for view in views:
+            seen |= _on_kept_pixel(view, points)
+        dropped[UNSEEN] = int((opaque[count:] & ~seen).sum())
+        keep[count:] &= seen
+    return np.flatnonzero(keep), {reason: count for reason, count in dropped.items() if count}
+
+
+def _on_kept_pixel(view: FittedView, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    height, width = view.image.shape[1:]
+    pixels, z = view.camera.project(points)
+    inside = (z > 0) & ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
+    if view.mask is None:
+        return inside
+    column, row = np.where(inside[:, None], pixels, 0.0).astype(np.intp).T
+    return inside & view.mask[row, column]

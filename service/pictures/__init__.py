@@ -1,0 +1,1 @@
+"""gapmes.service.pictures: renders as files: pictures, films, contact sheets, and how wrong they are."""

@@ -1,0 +1,56 @@
+"""How much a picture may cost: the splatter's cuts and samples that a caller may set, and drawing no plane in vain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..cameras.camera import Camera
+from ..errors import InputError
+from ..gaussians import Gaussians
+from .picture import Channel
+
+if TYPE_CHECKING:
+    from ..splat import Render
+
+ALPHA_MIN, STOP = 1 / 255, 1e-4  # the splatter's own
+MAX_SAMPLES = 4  # per side of a pixel
+LIMITS = {"alpha_min": (1e-6, 0.9), "stop": (0.0, 0.9), "samples": (1, MAX_SAMPLES)}
+_PLANES: dict[Channel, tuple[str, ...]] = {"rgb": (), "alpha": ("alpha",), "depth": ("alpha", "depth")}
+
+
+@dataclass(frozen=True)
+class Effort:
+    """`alpha_min`: a layer below this opacity is not drawn; `stop`: what lies behind so little light is not drawn;
+    `sh_degree`: highest band of harmonics, None for all; `samples` per side of a pixel.
+
+    Raises `InputError` beyond `LIMITS`.
+    """
+
+    alpha_min: float = ALPHA_MIN
+    stop: float = STOP
+    sh_degree: int | None = None
+    samples: int = 1
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in LIMITS.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"is {value:g}, need {low:g} to {high:g}", field=name)
+
+
+def draw(
+    gaussians: Gaussians, camera: Camera, channel: Channel = "rgb", effort: Effort | None = None, **options: Any
+) -> Render:
+    """The planes that `channel` needs, and no others; `options` are further keywords of `render`.
+
+    Raises `InputError` as `render` does.
+    """
+    from ..splat import Definition, render, render_supersampled
+
+    effort = effort or Effort()
+    options |= {"definition": Definition(alpha_min=effort.alpha_min, stop=effort.stop), "sh_degree": effort.sh_degree}
+    options["outputs"] = _PLANES[channel]
+    if effort.samples == 1:
+        return render(gaussians, camera, **options)
+    return render_supersampled(gaussians, camera, effort.samples, **options)

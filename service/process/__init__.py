@@ -1,0 +1,1 @@
+"""gapmes.service.process: the process and its machine: memory, threads, signals, streams, files, locks."""

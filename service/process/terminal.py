@@ -1,0 +1,74 @@
+"""Progress on a terminal: one bar with its time per stage, drawn from `Stage` events; plain lines elsewhere."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
+from rich.text import Text
+
+from ..progress import Stage
+from .streams import visible
+
+QUIET_HELP = "write nothing to stderr but errors"
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help=QUIET_HELP)]  # of all but `serve`
+
+NAME_WIDTH = 14  # the longest stage name, so that all bars begin in one column
+
+
+class _Seconds(ProgressColumn):
+    """The stage's own seconds once it has ended, until then those since it began."""
+
+    def render(self, task: Task) -> Text:
+        measured = task.fields["seconds"]
+        return Text(_seconds((task.elapsed or 0.0) if measured is None else measured))
+
+
+def _seconds(value: float) -> str:
+    return f"{value:7.2f} s"
+
+
+class ProgressBars:
+    """A listener for `Stages`; use it as a context manager. Writes to stderr, so that stdout stays for results.
+
+    `quiet`: neither bars nor lines are written, only what somebody prints past this.
+    """
+
+    def __init__(self, console: Console | None = None, *, quiet: bool = False) -> None:
+        self.console = console or Console(stderr=True, highlight=False, soft_wrap=True, quiet=quiet)
+        self._live = self.console.is_terminal and not quiet
+        self._progress = Progress(
+            TextColumn(f"{{task.description:{NAME_WIDTH}}}"),
+            BarColumn(bar_width=30),
+            MofNCompleteColumn(),
+            _Seconds(),
+            console=self.console,
+            disable=not self._live,
+        )
+        self._tasks: dict[str, TaskID] = {}
+
+    def __enter__(self) -> ProgressBars:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def __call__(self, event: Stage) -> None:
+        """Show one event; a stage that has ended shows its seconds."""
+        if not self._live:
+            if event.seconds is not None:
+                self.console.print(f"{event.name:{NAME_WIDTH}} {_seconds(event.seconds)}")
+            return
+        if event.name not in self._tasks:
+            self._tasks[event.name] = self._progress.add_task(event.name, total=event.total, seconds=event.seconds)
+        self._progress.update(self._tasks[event.name], completed=event.done, total=event.total, seconds=event.seconds)
+
+    def say(self, text: str) -> None:
+        """One line, of what `visible` makes of the text; above the bars while they are drawn."""
+        self.console.print(visible(text), markup=False)

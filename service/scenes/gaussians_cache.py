@@ -1,0 +1,66 @@
+"""A cache of decoded Gaussians, bounded in bytes: what was used longest ago goes first."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+
+from ..gaussians import Gaussians
+
+
+class GaussiansCache:
+    """Thread-safe; loading happens outside the lock, so that one slow file does not hold up the others."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self.max_bytes = max_bytes
+        self._entries: OrderedDict[str, Gaussians] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    @property
+    def bytes(self) -> int:
+        """Held now; never above `max_bytes`."""
+        return self._bytes
+
+    def get(self, key: str, load: Callable[[], Gaussians]) -> Gaussians:
+        """The entry under `key`, else what `load` returns, kept if it fits."""
+        with self._lock:
+            if key in self._entries:
+                self._entries.move_to_end(key)
+                return self._entries[key]
+        gaussians = load()
+        with self._lock:
+            self._remove(key)
+            size = size_of(gaussians)
+            if size <= self.max_bytes:
+                self._entries[key] = gaussians
+                self._bytes += size
+                while self._bytes > self.max_bytes:
+                    self._remove(next(iter(self._entries)))
+        return gaussians
+
+    def drop(self, key: str) -> None:
+        """Forget an entry, if it is there."""
+        with self._lock:
+            self._remove(key)
+
+    def _remove(self, key: str) -> None:
+        gaussians = self._entries.pop(key, None)
+        if gaussians is not None:
+            self._bytes -= size_of(gaussians)
+
+
+# What the splatter keeps beside a set that it has drawn (`splat/prepare.py`): in blocks of 256 Gaussians 14 doubles for
+# every camera and the harmonics once more, and the projection of one camera, 108 bytes each.
+BLOCK, PREPARED_BYTES, PROJECTED_BYTES = 256, 14 * 8, 108
+
+
+def size_of(gaussians: Gaussians) -> int:
+    """Bytes of the arrays, and of what the splatter will keep beside them."""
+    arrays = (gaussians.means, gaussians.scales, gaussians.rotations_wxyz, gaussians.opacities, gaussians.harmonics)
+    count = len(gaussians)
+    padded = -(-count // BLOCK) * BLOCK
+    harmonics = gaussians.harmonics[:1].nbytes if count else 0
+    drawing = padded * (PREPARED_BYTES + harmonics) + count * PROJECTED_BYTES
+    return sum(array.nbytes for array in arrays) + drawing

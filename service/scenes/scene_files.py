@@ -1,0 +1,230 @@
+"""One scene's folder: its .ply and its document, written whole or not at all, and locked while they are read. What was
+damaged from outside is said by name, can be removed, and gives way to the whole scene."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import re
+import shutil
+import stat
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from ..errors import FormatError, SceneNotFound
+from ..process.disk import full_is_refused, sync, write_file
+
+PLY = "scene.ply"
+DOCUMENT = "scene.json"
+TEMPORARY = ".incoming-"  # what is being written, and what is being removed
+_ID = re.compile(r"[0-9a-f]{32}")
+_KINDS = {"gaussians": dict, "view_cameras": list}  # what a list of scenes tells of a document
+_ANEW = "delete it, or ask for it again with the same photographs or file"
+
+
+def is_id(text: str) -> bool:
+    """Whether it is 32 hex digits: nothing else ever becomes part of a path."""
+    return _ID.fullmatch(text) is not None
+
+
+class SceneFiles:
+    """The folders under `root`, one per scene."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def folder(self, scene_id: str) -> Path:
+        """Of a well-formed id. Raises `SceneNotFound`."""
+        if not is_id(scene_id):
+            raise unknown(scene_id)
+        return self.root / scene_id
+
+    def write(
+        self,
+        scene_id: str,
+        ply: bytes,
+        document: bytes,
+        created_ns: int,
+        inputs: Sequence[bytes] = (),
+    ) -> bool:
+        """Store a scene with its document as JSON and PNGs of its inputs, new or in the place of a damaged one;
+        False where it was there already. Raises `StorageFull`, with nothing left behind."""
+        target, incoming = self.folder(scene_id), self._temporary(scene_id)
+        with full_is_refused("the scene"):
+            try:
+                incoming.mkdir(mode=0o755)
+                write_file(incoming / PLY, ply)
+                for index, picture in enumerate(inputs):
+                    write_file(incoming / _input(index), picture)
+                write_file(incoming / DOCUMENT, document)
+                os.utime(incoming / DOCUMENT, ns=(created_ns, created_ns))
+                sync(incoming)
+                try:
+                    incoming.rename(target)
+                except OSError:
+                    if self.whole(scene_id):
+                        return False
+                    if not os.path.lexists(target):
+                        raise
+                    self.remove(scene_id)
+                    incoming.rename(target)
+                sync(self.root)
+            finally:
+                shutil.rmtree(incoming, ignore_errors=True)
+        return True
+
+    def whole(self, scene_id: str) -> bool:
+        """Whether the scene is there, with Gaussians and with a document that can be read."""
+        try:
+            self.document(scene_id)
+        except (SceneNotFound, FormatError):
+            return False
+        return True
+
+    def document(self, scene_id: str) -> dict[str, Any]:
+        """The document of a scene that has its Gaussians. Raises `SceneNotFound`, and `FormatError` where it cannot be
+        read."""
+        folder = self.folder(scene_id)
+        try:
+            _require_gaussians(scene_id, (folder / PLY).stat())
+            document = json.loads((folder / DOCUMENT).read_bytes())
+        except (FileNotFoundError, NotADirectoryError) as error:
+            if (folder / PLY).is_file():
+                raise _damaged(scene_id, f"{DOCUMENT} is missing") from error
+            raise self._missing(scene_id) from error
+        except (IsADirectoryError, PermissionError) as error:
+            raise _damaged(scene_id, f"{DOCUMENT} cannot be read: {error.strerror}") from error
+        except (ValueError, RecursionError) as error:
+            raise _damaged(scene_id, f"{DOCUMENT} is no JSON: {error}") from error
+        if not isinstance(document, dict):
+            raise _damaged(scene_id, f"{DOCUMENT} holds no object")
+        for name, kind in _KINDS.items():
+            if not isinstance(document.get(name, kind()), kind):
+                raise _damaged(scene_id, f"{name} in {DOCUMENT} is no {kind.__name__}")
+        return document
+
+    def size(self, scene_id: str) -> tuple[int, int]:
+        """Bytes, and nanoseconds since 1970 of its making. Raises `FileNotFoundError`."""
+        folder = self.folder(scene_id)
+        files = sum(entry.stat().st_size for entry in os.scandir(folder))
+        return files, (folder / DOCUMENT).stat().st_mtime_ns
+
+    def input(self, scene_id: str, index: int) -> bytes:
+        """A PNG of what the network saw of a photograph. Raises `SceneNotFound`, also where there is none."""
+        try:
+            return (self.folder(scene_id) / _input(index)).read_bytes()
+        except (FileNotFoundError, NotADirectoryError) as error:
+            if not self.folder(scene_id).is_dir():
+                raise unknown(scene_id) from error
+            count = len(list(self.folder(scene_id).glob(_input("*"))))
+            there = f"0 to {count - 1}" if count else "none: the scene was loaded from a file"
+            raise SceneNotFound(f"scene {scene_id!r} has no input {index}", field="index", cure=there) from error
+
+    @contextmanager
+    def reading(self, scene_id: str) -> Iterator[Path]:
+        """The .ply, which nobody evicts during the block. Raises `SceneNotFound`, also where it is deleted then, and
+        `FormatError` where it is empty."""
+        path = self.folder(scene_id) / PLY
+        try:
+            handle = os.open(path, os.O_RDONLY)
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise self._missing(scene_id) from error
+        try:
+            fcntl.flock(handle, fcntl.LOCK_SH)
+            if os.fstat(handle).st_ino != path.stat().st_ino:  # deleted and stored anew between the two lines
+                raise unknown(scene_id)
+            _require_gaussians(scene_id, os.fstat(handle))
+            yield path
+        except FileNotFoundError as error:
+            raise unknown(scene_id) from error
+        finally:
+            os.close(handle)
+
+    def remove(self, scene_id: str, *, unless_read: bool = False) -> bool:
+        """Remove a scene, gone at once for every reader; False where `unless_read` and somebody reads it.
+
+        Raises `SceneNotFound`.
+        """
+        folder, trash = self.folder(scene_id), self._temporary(scene_id)
+        try:
+            with _unread(folder / PLY) if unless_read else nullcontext():
+                folder.rename(trash)
+        except BlockingIOError:
+            return False
+        except FileNotFoundError as error:
+            raise unknown(scene_id) from error
+        _drop(trash)
+        return True
+
+    def ids(self) -> set[str]:
+        """Of every folder that is there."""
+        return {entry.name for entry in os.scandir(self.root) if is_id(entry.name)}
+
+    def writable(self) -> bool:
+        """Whether a file of a page can be made here."""
+        probe = self.root / f"{TEMPORARY}{uuid.uuid4().hex}"
+        try:
+            probe.write_bytes(bytes(4096))
+            probe.unlink(missing_ok=True)  # a process that starts meanwhile sweeps it away
+        except OSError:
+            with contextlib.suppress(OSError):
+                probe.unlink()
+            return False
+        return True
+
+    def sweep(self) -> None:
+        """Remove what an interrupted `write` or `remove` left; only while nobody is at it."""
+        for leftover in self.root.glob(f"{TEMPORARY}*"):
+            _drop(leftover)
+
+    def _missing(self, scene_id: str) -> SceneNotFound:
+        if not self.folder(scene_id).is_dir():
+            return unknown(scene_id)
+        return SceneNotFound(f"of scene {scene_id} the Gaussians are gone", field="scene", cure=_ANEW)
+
+    def _temporary(self, scene_id: str) -> Path:
+        return self.root / f"{TEMPORARY}{scene_id}-{uuid.uuid4().hex}"
+
+
+def _input(index: int | str) -> str:
+    return f"input_{index}.png"
+
+
+@contextmanager
+def _unread(path: Path) -> Iterator[None]:
+    """Nobody reads the .ply during the block. Raises `BlockingIOError` where somebody does."""
+    handle = None
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError, PermissionError):  # then nobody can
+        handle = os.open(path, os.O_RDONLY)
+    try:
+        if handle is not None:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def _drop(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _require_gaussians(scene_id: str, ply: os.stat_result) -> None:
+    if not (stat.S_ISREG(ply.st_mode) and ply.st_size):
+        raise _damaged(scene_id, f"{PLY} holds nothing")
+
+
+def _damaged(scene_id: str, what: str) -> FormatError:
+    return FormatError(f"the stored scene {scene_id} cannot be read: {what}", field="scene", cure=_ANEW)
+
+
+def unknown(scene_id: str) -> SceneNotFound:
+    return SceneNotFound(f"no scene {scene_id[:64]!r}", field="scene", cure="GET /scenes lists what there is")

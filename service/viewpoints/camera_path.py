@@ -1,0 +1,63 @@
+"""Camera paths for moving pictures: a swing about the scene, the whole circle, or through the inputs and back.
+
+A path is a closed loop: a function of the time in [0, 1), as a share of its length, where 1 would be 0 again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Literal, get_args
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..errors import ViewError
+from .input_path import InputPath
+from .views import mean_camera, orbit_camera, vertical
+
+PathName = Literal["turntable", "inputs", "orbit"]
+PATHS: tuple[PathName, ...] = get_args(PathName)
+
+LEAST_SWING, MOST_SWING = 5.0, 90.0  # degrees: less is hardly seen, more lies behind what the inputs see of the scene
+
+Path = Callable[[float], Camera]
+
+
+def camera_path(name: PathName, cameras: Sequence[Camera], *, pivot_depth: float, swing: float | None = None) -> Path:
+    """The path of this name, from the time in [0, 1] to the camera at that moment.
+
+    "turntable" swings about the pivot at z-depth `pivot_depth` (caller's units) of the mean camera, to its right, to
+    its left and back, by `swing` degrees each way (default: `seen_swing`); "orbit" goes round it once, also where no
+    input has seen anything; "inputs" goes through the cameras in their order and back. Raises `ViewError`.
+    """
+    if name not in PATHS:
+        raise ViewError(f"{name[:50]!r} is no path", field="path", cure=f"one of {', '.join(PATHS)}")
+    if swing is not None and name != "turntable":
+        raise ViewError(f"goes with the path turntable, not with {name}", field="swing", cure="leave it out")
+    if swing is not None and not 0 < swing <= 180:
+        raise ViewError(f"is {swing:g} degrees, need more than 0 and at most 180", field="swing")
+    if name == "inputs":
+        return InputPath.through(cameras, pivot_depth).at
+    if name == "orbit":
+        return lambda time: orbit_camera(cameras, math.tau * (time % 1.0), pivot_depth)
+    most = math.radians(seen_swing(cameras, pivot_depth) if swing is None else swing)
+    return lambda time: orbit_camera(cameras, most * math.sin(math.tau * (time % 1.0)), pivot_depth)
+
+
+def loop(path: Path, frames: int) -> list[Camera]:
+    """`frames` cameras at equal times; the first one follows on the last, and is not there twice."""
+    return [path(index / frames) for index in range(frames)]
+
+
+def seen_swing(cameras: Sequence[Camera], pivot_depth: float) -> float:
+    """Degrees each way that a swing stays among the inputs: the largest angle about the vertical, seen from the pivot,
+    between the mean camera and an input, within `LEAST_SWING` and `MOST_SWING`. Behind the inputs nothing was seen.
+    """
+    middle, up = mean_camera(cameras), vertical(cameras)
+    forward = middle.rotation[:, 2]
+    offsets = np.stack([camera.center - middle.center for camera in cameras]) - pivot_depth * forward  # from the pivot
+    ahead = -forward + (forward @ up) * up
+    right = np.cross(ahead, up)
+    angles = np.degrees(np.arctan2(offsets @ right, offsets @ ahead))
+    return float(np.clip(np.abs(angles).max(), LEAST_SWING, MOST_SWING))

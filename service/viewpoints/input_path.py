@@ -1,0 +1,166 @@
+"""A smooth path through posed cameras and back: it meets each of them exactly, without a kink in place or direction.
+
+Where the cameras lead back exactly the way that they came, it turns back on the spot. Between two cameras the centre
+is on a cubic Hermite curve whose tangents are those of a centripetal Catmull-Rom spline (Catmull and Rom 1974; Yuksel,
+Schaefer and Keyser, Computer-Aided Design 43, 2011: centripetal knots have neither cusps nor loops). The rotation is
+the cumulative cubic Bezier curve with the same knots and tangents (Kim, Kim and Shin, SIGGRAPH 1995), which is a slerp
+where the cameras turn evenly. The lens goes linearly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..cameras.rotations import (
+    F64,
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    quaternion_from_vector,
+    quaternion_product,
+    rotation_vector,
+)
+from ..errors import ViewError
+from .framing import frame
+from .views import between
+
+STEPS = 256  # per piece, by which its length is measured
+TURN_SHARE = 0.15  # of the way there, and of the way back, in which the speed grows from nothing, and falls to it again
+LEAST_STEP = 1e-9  # of the pivot's depth: cameras closer than that are one
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """From one camera to the next; its parameter goes from 0 to 1. Tangents are per parameter."""
+
+    start: Camera
+    end: Camera
+    center_tangents: F64  # (2, 3) caller's units
+    turns: F64  # (3, 3) rotation vectors, radians, in the axes of `start`: exp(t0) exp(t1) exp(t2) leads to `end`
+
+    def centers(self, u: F64) -> F64:
+        """(N, 3) camera centres at the parameters (N,)."""
+        u = u[:, None]
+        first, last = self.center_tangents
+        from_start = u * u * (3 - 2 * u) * (self.end.center - self.start.center)
+        tangents = u * (1 - u) ** 2 * first + u * u * (u - 1) * last
+        return self.start.center + from_start + tangents
+
+    def rotations(self, u: F64) -> F64:
+        """(N, 4) unit quaternions wxyz, camera to world."""
+        shares = (1 - (1 - u) ** 3, u * u * (3 - 2 * u), u**3)
+        found = quaternion_from_matrix(self.start.rotation)[None]
+        for share, turn in zip(shares, self.turns, strict=True):
+            found = quaternion_product(found, quaternion_from_vector(share[:, None] * turn))
+        return found
+
+    def camera(self, u: float) -> Camera:
+        """The camera at one parameter; at 0 and 1 it is the one that was given."""
+        if u in (0.0, 1.0):
+            return frame((self.start, self.end)[int(u)], self.start.width, self.start.height)
+        at = np.array([u])
+        pose = np.eye(4)
+        pose[:3, :3] = matrix_from_quaternion(self.rotations(at)[0])
+        pose[:3, 3] = self.centers(at)[0]
+        return between(self.start, self.end, u).posed(pose)
+
+    def lengths(self, pivot_depth: float) -> F64:
+        """(STEPS + 1,) way from the start to equidistant parameters, see `distance`."""
+        u = np.linspace(0.0, 1.0, STEPS + 1)
+        moved = np.linalg.norm(np.diff(self.centers(u), axis=0), axis=1)
+        q = self.rotations(u)
+        back = q[:-1] * (1, -1, -1, -1)
+        turned = quaternion_product(back, q[1:])
+        angles = 2 * np.arctan2(np.linalg.norm(turned[:, 1:], axis=1), np.abs(turned[:, 0]))
+        return np.concatenate([[0.0], np.cumsum(np.hypot(moved, pivot_depth * angles))])
+
+
+@dataclass(frozen=True, eq=False)
+class InputPath:
+    """There at constant speed and back; slower where it turns. All pictures have the size of the first camera's."""
+
+    pieces: Sequence[Piece]
+    ways: Sequence[F64]  # of each piece, (STEPS + 1,)
+
+    @classmethod
+    def through(cls, cameras: Sequence[Camera], pivot_depth: float) -> InputPath:
+        """Raises `ViewError` where the cameras are not two at least, or all the same."""
+        kept = list(cameras[:1])
+        for camera in cameras[1:]:
+            if distance(kept[-1], camera, pivot_depth) > LEAST_STEP * pivot_depth:
+                kept.append(frame(camera, kept[0].width, kept[0].height))
+        if len(kept) < 2:
+            raise ViewError(
+                f"{len(kept)} place of a camera is no path, need 2", field="path", cure="ask for turntable or orbit"
+            )
+        knots = np.sqrt([distance(one, other, pivot_depth) for one, other in pairwise(kept)])
+        moves = np.diff([camera.center for camera in kept], axis=0)
+        turns = np.stack([rotation_vector(one.rotation.T @ other.rotation) for one, other in pairwise(kept)])
+        move_tangents, turn_tangents = _tangents(moves, knots), _tangents(turns, knots)
+        pieces = []
+        for index, h in enumerate(knots):
+            first, last = h * turn_tangents[index : index + 2] / 3
+            whole = kept[index].rotation.T @ kept[index + 1].rotation
+            middle = rotation_vector(_matrix(-first) @ whole @ _matrix(-last))
+            pieces.append(
+                Piece(
+                    kept[index],
+                    kept[index + 1],
+                    h * move_tangents[index : index + 2],
+                    np.stack([first, middle, last]),
+                )
+            )
+        return cls(pieces, [piece.lengths(pivot_depth) for piece in pieces])
+
+    @property
+    def meetings(self) -> list[float]:
+        """The times on the way there at which the path meets each camera: the first is 0, the last 1/2."""
+        ends = np.cumsum([0.0, *(way[-1] for way in self.ways)])
+        return [_time(end / ends[-1]) / 2 for end in ends]
+
+    def at(self, time: float) -> Camera:
+        """The camera at a time in [0, 1], as a share of the way there and back."""
+        time = time % 1.0
+        ends = np.cumsum([0.0, *(way[-1] for way in self.ways)])
+        way = ends[-1] * _way(2 * min(time, 1 - time))
+        index = int(np.clip(np.searchsorted(ends, way, side="right") - 1, 0, len(self.pieces) - 1))
+        u = float(np.interp(way - ends[index], self.ways[index], np.linspace(0.0, 1.0, STEPS + 1)))
+        return self.pieces[index].camera(u)
+
+
+def distance(one: Camera, other: Camera, pivot_depth: float) -> float:
+    """How far apart two poses are, in the caller's units: a turn counts as it moves what lies at `pivot_depth`."""
+    angle = float(np.linalg.norm(rotation_vector(one.rotation.T @ other.rotation)))
+    return float(np.hypot(np.linalg.norm(other.center - one.center), pivot_depth * angle))
+
+
+def _tangents(steps: F64, knots: F64) -> F64:
+    """(N + 1, 3), one per knot, as Catmull and Rom take them from the steps (N, 3); at the ends, the step's own."""
+    speeds = steps / knots[:, None]
+    h = knots[:, None]
+    inner = speeds[:-1] - (steps[:-1] + steps[1:]) / (h[:-1] + h[1:]) + speeds[1:]
+    return np.concatenate([speeds[:1], inner, speeds[-1:]])
+
+
+def _way(time: float) -> float:
+    """Share of the way at a share of the time: even but for `TURN_SHARE` at both ends, where the speed starts at 0."""
+    e = TURN_SHARE
+    if time > 0.5:
+        return 1 - _way(1 - time)
+    return time * time / (2 * e * (1 - e)) if time < e else (time - e / 2) / (1 - e)
+
+
+def _time(way: float) -> float:
+    """The inverse of `_way`."""
+    e = TURN_SHARE
+    if way > 0.5:
+        return 1 - _time(1 - way)
+    return float(np.sqrt(2 * e * (1 - e) * way)) if way < e / (2 * (1 - e)) else way * (1 - e) + e / 2
+
+
+def _matrix(vector: F64) -> F64:
+    return matrix_from_quaternion(quaternion_from_vector(vector))

@@ -1,0 +1,94 @@
+"""Which camera a view means: an input view, a place between two of them, or an orbit about what they look at."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..cameras.rotations import F64, about_axis, mean_rotation, slerp
+from ..errors import ViewError
+from .framing import frame
+
+_LENS = ("fx", "fy", "cx", "cy")
+_NUMBER = re.compile(r"[0-9]{1,9}(\.[0-9]{1,30})?")
+_ORBIT = re.compile(r"orbit:([+-]?[0-9]{1,6}(?:\.[0-9]{1,30})?)")
+
+
+def resolve_view(spec: str, cameras: Sequence[Camera], *, pivot_depth: float) -> Camera:
+    """The camera that `spec` names.
+
+    "2" is input view 2; "1.5" lies half way between views 1 and 2 (rotation on the shortest arc, centre and lens on a
+    line, size of view 1, to which the other is cropped where its shape differs); "orbit:30" is the mean camera turned
+    by 30 degrees about the vertical through the point at z-depth `pivot_depth` (caller's units) on its optical axis, to
+    the right for positive angles. Raises `ViewError`.
+    """
+    text = spec.strip()
+    orbit = _ORBIT.fullmatch(text)
+    if orbit is not None:
+        return orbit_camera(cameras, math.radians(float(orbit[1])), pivot_depth)
+    if _NUMBER.fullmatch(text) is None:
+        raise ViewError(
+            f"{spec[:50]!r} is not a view",
+            field="view",
+            cure='give an index ("2"), a place between two views ("1.5") or an orbit in degrees ("orbit:30")',
+        )
+    place = float(text)
+    if place > len(cameras) - 1:
+        raise ViewError(
+            f"{text} is out of range, there are {len(cameras)} views: 0 to {len(cameras) - 1}",
+            field="view",
+            cure="views are counted from 0",
+        )
+    first = int(place)
+    if place == first:
+        return cameras[first]
+    return between(cameras[first], cameras[first + 1], place - first)
+
+
+def between(start: Camera, end: Camera, fraction: float) -> Camera:
+    """The camera at `fraction` of the way from `start` to `end`, with the picture size of `start`."""
+    end = frame(end, start.width, start.height)
+    pose = np.eye(4)
+    pose[:3, :3] = slerp(start.rotation, end.rotation, fraction)
+    pose[:3, 3] = start.center + fraction * (end.center - start.center)
+    lens = {name: (1 - fraction) * getattr(start, name) + fraction * getattr(end, name) for name in _LENS}
+    return replace(start.posed(pose), **lens)
+
+
+def mean_camera(cameras: Sequence[Camera]) -> Camera:
+    """Chordal mean rotation, mean centre and mean lens, with the picture size of the first camera."""
+    first = cameras[0]
+    pose = np.eye(4)
+    pose[:3, :3] = mean_rotation(np.stack([camera.rotation for camera in cameras]))
+    pose[:3, 3] = first.center + np.mean([camera.center - first.center for camera in cameras], axis=0)
+    framed = [frame(camera, first.width, first.height) for camera in cameras]
+    fx, fy, cx, cy = (float(np.mean([getattr(camera, name) for camera in framed])) for name in _LENS)
+    return replace(first, world_from_cam=pose, fx=fx, fy=fy, cx=cx, cy=cy)
+
+
+def orbit_camera(cameras: Sequence[Camera], angle: float, pivot_depth: float) -> Camera:
+    """The mean camera moved by `angle` radians on a circle about the vertical through its pivot.
+
+    A positive angle moves the camera to its right, and it keeps looking at the pivot.
+    """
+    middle = mean_camera(cameras)
+    to_pivot = pivot_depth * middle.rotation[:, 2]
+    turn = about_axis(vertical(cameras), angle)
+    pose = np.eye(4)
+    pose[:3, :3] = turn @ middle.rotation
+    pose[:3, 3] = middle.center + to_pivot - turn @ to_pivot
+    return middle.posed(pose)
+
+
+def vertical(cameras: Sequence[Camera]) -> F64:
+    """(3,) the mean up direction of the cameras as a unit vector in the world; up is -y in the camera."""
+    up = -np.mean([camera.rotation[:, 1] for camera in cameras], axis=0)
+    length = float(np.linalg.norm(up))
+    if length > 1e-6:
+        return up / length
+    return -mean_rotation(np.stack([camera.rotation for camera in cameras]))[:, 1]  # upside down to each other

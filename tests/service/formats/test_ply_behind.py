@@ -1,0 +1,40 @@
+"""Rows behind those that a header declares are said, and nothing else that stands there."""
+
+from __future__ import annotations
+
+from ply_cases import columns
+from test_ply_dialects import scene
+
+from gapmes.service.formats.ply import inspect_ply, ply_bytes
+from gapmes.service.formats.registry import FORMATS, inspect_gaussians
+
+
+def test_rows_behind_the_declared_ones_are_said() -> None:
+    """Another count in the header hides Gaussians."""
+    data = ply_bytes(scene(1000))
+    reading = inspect_ply(data.replace(b"element vertex 1000", b"element vertex 900"))
+    assert len(reading.gaussians) == 900
+    assert reading.notes()[-1].startswith("of 1000 rows 100 lie behind those that the header declares")
+    names = list(columns(data))
+    header = "".join(f"property float {name}\n" for name in names)
+    lines = "\n".join(" ".join(["0"] * (len(names) - 4) + ["1", "0", "0", "0"]) for _ in range(5))
+    text = f"ply\nformat ascii 1.0\nelement vertex 3\n{header}end_header\n{lines}\n\n\x1a"
+    assert any("of 5 rows 2 lie behind" in note for note in inspect_ply(text.encode()).notes())
+    packed = FORMATS["compressed.ply"].write(scene(10)).data
+    assert any("of 12 rows 2 lie behind" in note for note in inspect_gaussians(packed + bytes(2 * 16))[0].notes())
+    faces = b"element face 0\nproperty list uchar int vertex_indices\nend_header"
+    short = data.replace(b"element vertex 1000", b"element vertex 900").replace(b"end_header", faces)
+    assert any("of 1000 rows 100 lie" in note for note in inspect_ply(short).notes())
+
+
+def test_what_is_no_row_behind_the_rows_is_nothing() -> None:
+    """Line ends, zeros, a last element that is short and that nobody reads, and a line of a million blanks."""
+    data = ply_bytes(scene(100))
+    extra = data.replace(b"end_header", b"element extra 999999999999\nproperty float a\nend_header")
+    faces = data.replace(b"end_header", b"element face 9\nproperty list uchar int vertex_indices\nend_header")
+    names = list(columns(data))
+    header = "".join(f"property float {name}\n" for name in names)
+    line = " ".join(["0"] * (len(names) - 4) + ["1", "0", "0", "0"])
+    blank = f"ply\nformat ascii 1.0\nelement vertex 1\n{header}end_header\n{line}\n{' ' * 1_000_000}\n".encode()
+    for file in (data + b"\n", data + bytes(3), extra, faces, blank):
+        assert not any("lie behind" in note for note in inspect_ply(file).notes())

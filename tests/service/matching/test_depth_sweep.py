@@ -1,0 +1,118 @@
+"""Narrowing the depth range by the photographs of a plane, whose depths are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plane_scene import DEPTH, PlaneScene
+
+from gapmes.service.cameras.depth_range import DepthRange, depth_range
+from gapmes.service.cameras.rotations import about_axis
+from gapmes.service.matching.coarse_views import coarse_view, nearest_neighbours
+from gapmes.service.matching.depth_sweep import matched_depths, narrowed
+from gapmes.service.photographs.images import Photo, fit_view
+
+
+def fitted(scene):
+    return [fit_view(Photo(i), c, 72, 96) for i, c in zip(scene.images, scene.cameras, strict=True)]
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.0])
+def test_the_range_closes_in_on_the_plane(turn):
+    scene = PlaneScene.make(np.random.default_rng(3), turn=turn)
+    wide = depth_range(scene.cameras)
+    result = narrowed(wide, fitted(scene))
+    assert result.source == "estimated"
+    # the plane spans z = 3.5 to 4.6 over the turned views
+    assert 0.6 * 3.2 < result.near < 0.6 * 4.6
+    assert 1.5 * 3.5 < result.far < 1.5 * 5.2
+    assert wide.near <= result.near
+    assert result.far <= wide.far
+
+
+def test_matched_depths_are_those_of_the_plane():
+    scene = PlaneScene.make(np.random.default_rng(4), turn=0.0)
+    found, weights, share = matched_depths(
+        [coarse_view(view) for view in fitted(scene)], DepthRange(1.0, 30.0, "estimated")
+    )
+    assert share > 0.4
+    assert (weights > 0).all()
+    # half a step of 64 planes in inverse depth is 12 % at z = 4, and the third camera stands 0.2 nearer
+    assert np.percentile(found, 10) > DEPTH * 0.85
+    assert np.percentile(found, 90) < DEPTH * 1.15
+
+
+def test_a_wide_range_is_swept_as_finely():
+    """Of 64 planes none would be nearer to the scene than 3.4 and 4.8, of the 200 that its 300 px need some are."""
+    scene = PlaneScene.make(np.random.default_rng(4), turn=0.0)
+    coarse = [coarse_view(view) for view in fitted(scene)]
+    _, _, share = matched_depths(coarse, DepthRange(1.0, 30.0, "estimated"))
+    found, _, of_wide = matched_depths(coarse, DepthRange(0.182, 30.0, "estimated"))
+    assert of_wide > 0.9 * share
+    assert np.percentile(found, 10) > DEPTH * 0.85
+    assert np.percentile(found, 90) < DEPTH * 1.15
+
+
+@pytest.mark.parametrize("rows", [slice(120, None), slice(0, 150)])
+def test_masked_pixels_have_no_say(rows):
+    """Where both masks end at one place nothing matches for that; a part of a view that is kept is enough."""
+    scene = PlaneScene.make(np.random.default_rng(3), size=(256, 192))
+    wide = depth_range(scene.cameras)
+    views = [fit_view(Photo(i), c, 192, 256) for i, c in zip(scene.images, scene.cameras, strict=True)]
+    mask = np.ones((192, 256), np.bool_)
+    mask[rows] = False
+    ranges = []
+    for fill in (0.0, 1.0, 0.5):
+        image = [np.where(mask, view.image, np.float32(fill)) for view in views]
+        result = narrowed(wide, [replace(v, image=i, mask=mask) for v, i in zip(views, image, strict=True)])
+        ranges.append((result.near, result.far))
+    assert ranges[0] == ranges[1] == ranges[2]
+    near, far = ranges[0]
+    assert 0.6 * 3.0 < near < 0.6 * 4.6
+    assert 1.5 * 3.5 < far < 1.5 * 5.2
+
+
+def test_a_mask_that_leaves_too_little_of_every_cell_leaves_the_range():
+    scene = PlaneScene.make(np.random.default_rng(3), size=(256, 192))
+    views = [fit_view(Photo(i), c, 192, 256) for i, c in zip(scene.images, scene.cameras, strict=True)]
+    mask = np.zeros((192, 256), np.bool_)
+    mask[::3, ::3] = True
+    wide = depth_range(scene.cameras)
+    assert narrowed(wide, [replace(view, mask=mask) for view in views]) is wide
+
+
+def test_the_range_moves_with_the_unit():
+    scene = PlaneScene.make(np.random.default_rng(3))
+    result = narrowed(depth_range(scene.cameras), fitted(scene))
+    moved = scene.moved(np.eye(3), np.array([1e4, 0.0, -3e4]), 100.0)
+    scaled = narrowed(depth_range(moved.cameras), fitted(moved))
+    assert scaled.near == pytest.approx(100 * result.near, rel=1e-6)
+    assert scaled.far == pytest.approx(100 * result.far, rel=1e-6)
+
+
+def test_a_given_range_stays():
+    given = DepthRange(0.1, 1000.0, "given")
+    assert narrowed(given, fitted(PlaneScene.make(np.random.default_rng(3)))) is given
+
+
+def test_without_matches_the_range_stays():
+    scene = PlaneScene.make(np.random.default_rng(3))
+    flat = replace(scene, images=tuple(np.full_like(image, 90) for image in scene.images))
+    wide = depth_range(scene.cameras)
+    assert narrowed(wide, fitted(flat)) is wide
+
+
+def test_nearest_neighbours():
+    first, second, third = PlaneScene.make(np.random.default_rng(3)).cameras
+    assert nearest_neighbours([first, second, third])[::2] == [1, 1]
+    assert nearest_neighbours([third, first, second])[:2] == [2, 2]
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-3])
+def test_a_neighbour_has_parallax(apart):
+    """Two cameras at one place, turned: both are compared with the third, and it with either."""
+    first, second, _ = PlaneScene.make(np.random.default_rng(3)).cameras
+    pose = first.world_from_cam.copy()
+    pose[:3, :3] = pose[:3, :3] @ about_axis(np.array([0.0, 1.0, 0.0]), 0.1)
+    pose[0, 3] += apart
+    assert nearest_neighbours([first, first.posed(pose), second])[:2] == [2, 2]

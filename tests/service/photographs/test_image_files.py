@@ -1,0 +1,105 @@
+"""What a file may cost before it is decoded: scans of a JPEG, pixels of several photographs together."""
+
+import io
+import warnings
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gapmes.service.errors import ImageError, ImageTooLarge, ImageUnreadable
+from gapmes.service.photographs.image_files import MAX_SEGMENTS, check_total, image_size, jpeg_parts, open_image
+from gapmes.service.photographs.images import decode_image
+
+START_OF_SCAN, END_OF_IMAGE = b"\xff\xda", b"\xff\xd9"
+
+
+def encoded(kind="JPEG", width=64, height=48, **options):
+    buffer = io.BytesIO()
+    pixels = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(buffer, kind, **options)
+    return buffer.getvalue()
+
+
+def with_scans(count: int) -> bytes:
+    """A progressive JPEG that repeats its last scan until it has `count`; decoders decode every one of them."""
+    data = encoded(progressive=True)
+    body, last = data[:-2], data[data.rindex(START_OF_SCAN) : -2]
+    return body + last * (count - jpeg_parts(data)[0]) + END_OF_IMAGE
+
+
+@pytest.mark.parametrize(("options", "expected"), [({}, 1), ({"progressive": True}, 10)])
+def test_scans_are_counted(options, expected):
+    assert jpeg_parts(encoded(**options))[0] == expected
+    assert jpeg_parts(encoded(quality=98, restart_marker_blocks=1, **options))[0] == expected
+
+
+def test_a_jpeg_of_hundreds_of_scans_is_refused_with_both_numbers():
+    assert decode_image(with_scans(100), index=0).width == 64
+    for count in (101, 700):
+        with pytest.raises(ImageError, match="JPEG of 101 scans or more, the limit is 100") as caught:
+            decode_image(with_scans(count), index=2)
+        assert (caught.value.status, caught.value.index) == (422, 2)
+
+
+@pytest.mark.parametrize("behind", [2, -2])
+def test_a_jpeg_of_countless_empty_segments_is_refused_before_it_is_parsed(behind):
+    """Before the first scan they keep the header's parser busy, behind it the count itself."""
+    data = encoded()
+    padded = data[:behind] + b"\xff\xe0\x00\x02" * (MAX_SEGMENTS + 1) + data[behind:]
+    with pytest.raises(ImageError, match="segments or more, the limit is 10000"):
+        open_image(padded, index=1)
+    assert max(jpeg_parts(data)) < 20
+
+
+def test_what_only_looks_like_a_scan_does_not_count():
+    """Bytes of metadata, and of the film that some telephones append to their photographs."""
+    data = encoded()
+    payload = START_OF_SCAN * 2000
+    comment = b"\xff\xe5" + (len(payload) + 2).to_bytes(2, "big") + payload
+    odd = data[:2] + comment + data[2:] + payload
+    assert jpeg_parts(odd)[0] == 1
+    np.testing.assert_array_equal(decode_image(odd, index=0).rgb, decode_image(data, index=0).rgb)
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff", b"\xff\xd8\xff", b"\xff\xda", b"\xff" * 1000, b"\xff\xda\xff\xff"])
+def test_counting_ends_on_anything(data):
+    assert jpeg_parts(data)[0] <= 1
+
+
+def test_size_comes_from_the_header():
+    assert image_size(encoded("PNG", 70, 50)[:60], index=0) == (70, 50)
+    with pytest.raises(ImageUnreadable):
+        image_size(b"nothing", index=0)
+    with pytest.raises(ImageTooLarge, match="70 x 50 = 3500 pixels, the limit is 3499"):
+        image_size(encoded("PNG", 70, 50), index=0, max_pixels=3499)
+
+
+def test_photographs_are_bounded_together():
+    photos = [encoded("PNG", 70, 50), encoded("PNG", 40, 40), encoded("JPEG", 40, 40)]
+    check_total(photos, max_pixels=3500, max_total=6700)
+    with pytest.raises(ImageTooLarge, match="the 3 photographs have 6700 pixels together, the limit is 6699") as caught:
+        check_total(photos, max_pixels=3500, max_total=6699)
+    assert caught.value.status == 413
+    with pytest.raises(ImageTooLarge) as caught:
+        check_total(photos, max_pixels=3499, max_total=10**9)
+    assert caught.value.index == 0
+
+
+def test_every_sixteen_bit_level_is_rounded():
+    levels = np.arange(65536, dtype=np.uint16).reshape(512, 128)  # more rows than are converted at a time
+    buffer = io.BytesIO()
+    Image.fromarray(levels).save(buffer, "PNG")
+    photo = decode_image(buffer.getvalue(), index=0)
+    np.testing.assert_array_equal(photo.rgb, np.rint(levels / 257.0).astype(np.uint8)[:, :, None].repeat(3, axis=2))
+
+
+def test_large_images_are_opened_without_a_warning_and_the_filters_stay():
+    buffer = io.BytesIO()
+    Image.new("1", (10_000, 9_000)).save(buffer, "PNG")  # above the size from which Pillow warns
+    before = list(warnings.filters)
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        assert open_image(buffer.getvalue(), index=0, max_pixels=10**9).size == (10_000, 9_000)
+    assert heard == []
+    assert warnings.filters == before

@@ -1,0 +1,52 @@
+"""A mask that leaves out nothing of a crop is none, and what is taken for out of reach is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.photographs.images import Photo, fit_view
+from gapmes.service.photographs.resampling import _met, resampled
+
+BOXES = [
+    ((64, 64), (32.0, 0.0, 96.0, 64.0)),  # as it is
+    ((40, 24), (20.5, 10.25, 100.75, 58.0)),  # coarser
+    ((90, 120), (40.0, 20.0, 70.5, 60.25)),  # finer
+    ((16, 16), (0.0, 0.0, 128.0, 64.0)),
+]
+
+
+def noise(seed: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
+
+
+@pytest.mark.parametrize(("size", "box"), BOXES)
+def test_what_lies_beyond_the_filter_changes_nothing(size: tuple[int, int], box: tuple) -> None:
+    rgb, other = noise(0, 64, 128, 3), noise(1, 64, 128, 3)
+    inside = np.zeros((64, 128), bool)
+    inside[_met(size, box)] = True
+    expected, _ = resampled(rgb, None, size, box)
+    found, mask = resampled(np.where(inside[..., None], rgb, other), inside, size, box)
+    assert mask is None
+    assert (found == expected).all()
+
+
+def test_a_mask_beside_the_crop_is_none() -> None:
+    rgb = noise(2, 64, 128, 3)
+    mask = np.ones((64, 128), bool)
+    mask[:10, :10] = False
+    camera = Camera.make(128, 64, 64.0, 64.0, 64.0, 32.0, np.eye(4))
+    masked, whole = (fit_view(Photo(rgb, kept), camera, 64, 64) for kept in (mask, None))
+    assert masked.mask is None
+    assert (masked.image == whole.image).all()
+    mask[:10, 31:] = False
+    assert fit_view(Photo(rgb, mask), camera, 64, 64).mask is not None
+
+
+def test_a_pixel_that_is_averaged_away_leaves_no_mask_and_no_colour() -> None:
+    rgb, mask = np.full((640, 640, 3), 200, np.uint8), np.ones((640, 640), bool)
+    rgb[300, 300], mask[300, 300] = 0, False
+    found, kept = resampled(rgb, mask, (64, 64), (0.0, 0.0, 640.0, 640.0))
+    assert kept is None
+    assert np.abs(found.astype(int) - 200).max() <= 1  # rounding of the weighted colours

@@ -1,0 +1,44 @@
+"""Sheets of labelled pictures: the demonstration's comparison, and all views of a scene."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gapmes.service.pictures.contact_sheet import (
+    CELL,
+    GAP,
+    LABEL,
+    TITLE,
+    Cell,
+    Row,
+    contact_sheet,
+    in_rows,
+    rows_of,
+    sheet_size,
+)
+
+
+def test_comparison_holds_every_picture() -> None:
+    colours = [(200, 0, 0), (0, 200, 0), (0, 0, 200)]
+    cells = [Cell(np.full((256, 256, 3), colour, np.uint8), "label") for colour in colours]
+    sheet = np.asarray(contact_sheet([Row("One", cells[:1]), Row("Two", cells[1:])]))
+    for colour in colours:
+        assert (sheet == colour).all(axis=2).sum() == 256 * 256
+
+
+def test_the_size_of_a_sheet_is_known_before_it_is_drawn() -> None:
+    sides = [(160, 90), (90, 160), (256, 256), (1, 256), (7, 3)]
+    cells = [Cell(np.zeros((height, width, 3), np.uint8), "") for width, height in sides]
+    for columns in (1, 2, 3, 6):
+        sheet = contact_sheet(rows_of("Views", cells, columns))
+        assert sheet_size(in_rows(sides, columns)) == sheet.size
+
+
+def test_many_cells_go_into_several_rows_as_high_as_their_pictures() -> None:
+    cells = [Cell(np.full((90, 160, 3), 10 + index, np.uint8), str(index)) for index in range(8)]
+    rows = rows_of("Views", cells, columns=3)
+    assert [(row.title, len(row.cells)) for row in rows] == [("Views", 3), ("", 3), ("", 2)]
+    sheet = np.asarray(contact_sheet(rows))
+    assert sheet.shape == (3 * (TITLE + 90 + LABEL + GAP) + GAP, 3 * (CELL + GAP) + GAP, 3)
+    for index in range(8):
+        assert (sheet == 10 + index).all(axis=2).sum() >= 90 * 160  # text has greys of its own

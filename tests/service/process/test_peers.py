@@ -1,0 +1,75 @@
+"""Processes that share a port know when all of them are loaded, and who comes later."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gapmes.service.process.peers import Peers, is_alive
+
+
+@pytest.fixture
+def gone() -> int:
+    """The number of a process that has ended."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+@pytest.fixture
+def living() -> Iterator[int]:
+    """The number of another process of ours."""
+    process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    yield process.pid
+    process.kill()
+    process.wait()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_that_shares_no_folder_is_complete_by_itself(count: int) -> None:
+    alone = Peers(count, None)
+    alone.loaded()
+    assert alone.complete
+    assert alone.wanted
+
+
+def test_a_single_process_leaves_the_folder_of_others_alone(tmp_path: Path) -> None:
+    alone = Peers(1, tmp_path)
+    alone.loaded()
+    assert alone.complete
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_they_are_complete_when_the_last_is_loaded_and_stay_so(tmp_path: Path, living: int) -> None:
+    peers = Peers(2, tmp_path)
+    peers.loaded()
+    peers.loaded()  # the same one
+    assert not peers.complete
+    assert peers.wanted
+    assert peers.living() == [os.getpid()]
+    (tmp_path / f"loaded_{living}").touch()
+    peers.loaded()
+    assert sorted(peers.living()) == sorted([os.getpid(), living])
+    late = Peers(2, tmp_path)
+    for each in (peers, late):
+        assert each.complete
+        assert not each.wanted
+    for file in tmp_path.iterdir():  # whoever tidies there
+        file.unlink()
+    for each in (peers, late):
+        assert each.complete
+        assert each.wanted  # nobody else answers, as far as one can tell
+
+
+def test_one_that_died_does_not_count(tmp_path: Path, gone: int) -> None:
+    assert not is_alive(gone)
+    (tmp_path / f"loaded_{gone}").touch()
+    peers = Peers(2, tmp_path)
+    peers.loaded()
+    assert not peers.complete
+    assert peers.living() == [os.getpid()]

@@ -1,0 +1,126 @@
+"""The store's SQLite file: versions, whole transactions, a full disk, many who open it at once."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from pathlib import Path
+
+import pytest
+
+from gapmes.service.errors import GapmesError, StorageFull
+from gapmes.service.jobs.table import JobTable
+from gapmes.service.scenes.database import Database
+
+# Version 1, with a job that is kept, one whose request waits, one that runs, and one that is done.
+VERSION_1 = """
+CREATE TABLE scenes (
+    id TEXT PRIMARY KEY, created_ns INTEGER NOT NULL, used_ns INTEGER NOT NULL, bytes INTEGER NOT NULL,
+    summary TEXT NOT NULL
+);
+CREATE INDEX scenes_created ON scenes (created_ns);
+CREATE INDEX scenes_used ON scenes (used_ns);
+CREATE TABLE jobs (
+    id TEXT PRIMARY KEY, scene_id TEXT NOT NULL, state TEXT NOT NULL, kept INTEGER NOT NULL, waiting INTEGER NOT NULL,
+    cancelled INTEGER NOT NULL DEFAULT 0, attempts INTEGER NOT NULL DEFAULT 0, owner TEXT, created REAL NOT NULL,
+    started REAL, ended REAL, problem TEXT
+);
+CREATE UNIQUE INDEX jobs_active ON jobs (scene_id) WHERE state IN ('queued', 'running');
+CREATE INDEX jobs_state ON jobs (state, created);
+CREATE INDEX jobs_ended ON jobs (ended);
+CREATE TABLE events (
+    job_id TEXT NOT NULL, seq INTEGER NOT NULL, name TEXT NOT NULL, data TEXT NOT NULL, PRIMARY KEY (job_id, seq)
+);
+INSERT INTO scenes VALUES ('s', 1, 1, 1, '{}');
+INSERT INTO jobs VALUES ('kept', 'a', 'queued', 1, 0, 0, 0, NULL, 1.0, NULL, NULL, NULL);
+INSERT INTO jobs VALUES ('waited', 'b', 'queued', 0, 1, 0, 0, NULL, 2.0, NULL, NULL, NULL);
+INSERT INTO jobs VALUES ('running', 'c', 'running', 0, 2, 0, 1, 'dead', 3.0, 4.0, NULL, NULL);
+INSERT INTO jobs VALUES ('done', 'd', 'done', 1, 0, 0, 1, 'dead', 5.0, 6.0, 9e9, NULL);
+INSERT INTO events VALUES ('kept', 1, 'state', '{"state": "queued"}');
+PRAGMA user_version = 1;
+"""
+
+
+def test_a_file_of_another_version_is_refused(tmp_path: Path) -> None:
+    with Database(tmp_path / "index.sqlite").write() as connection:
+        connection.execute("PRAGMA user_version = 99")
+    with pytest.raises(GapmesError, match="version 99, this service reads versions 1 to 2"):
+        Database(tmp_path / "index.sqlite")
+
+
+def test_jobs_of_a_file_of_version_1_go_on(tmp_path: Path) -> None:
+    path = tmp_path / "index.sqlite"
+    with sqlite3.connect(path) as connection:
+        connection.executescript(VERSION_1)
+    connection.close()
+    for _ in range(2):  # the second time it is of this version
+        database = Database(path)
+        table = JobTable(database, most=9, keep_s=1e9)
+        assert database.rows("PRAGMA user_version")[0][0] == 2
+        assert len(database.rows("SELECT * FROM scenes")) == 1
+        assert table.unfinished() == {"kept", "waited", "running"}
+    assert table.get("done").state == "done"
+    assert [event.data for event in table.events("kept")] == [{"state": "queued"}]
+    assert table.processes() == {"dead"}
+    assert table.recover({"dead"}, {}) == set()
+    assert [table.claim("me").id for _ in range(3)] == ["kept", "waited", "running"]
+    assert table.stage("waited", "me", {"stage": "x"})  # nobody has cancelled it
+    assert table.join("b", "me").waiting == 1
+    columns = [
+        {row["name"] for row in Database(file).rows("PRAGMA table_info(jobs)")} for file in (path, tmp_path / "new")
+    ]
+    assert columns[0] == columns[1]
+
+
+def test_what_is_no_such_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "index.sqlite").write_bytes(b"something else" * 1000)
+    with pytest.raises(GapmesError, match="cannot be used: file is not a database") as caught:
+        Database(tmp_path / "index.sqlite")
+    assert caught.value.cure is not None
+
+
+def test_a_failed_transaction_leaves_nothing(tmp_path: Path) -> None:
+    database = Database(tmp_path / "index.sqlite")
+
+    def broken() -> None:
+        with database.write() as connection:
+            connection.execute("INSERT INTO scenes VALUES ('x', 1, 1, 1, '{}')")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        broken()
+    assert database.rows("SELECT * FROM scenes") == []
+    with database.write() as connection:
+        connection.execute("INSERT INTO scenes VALUES ('x', 1, 1, 1, '{}')")
+    assert len(database.rows("SELECT * FROM scenes")) == 1
+
+
+def test_a_full_disk_is_named(tmp_path: Path) -> None:
+    database = Database(tmp_path / "index.sqlite")
+    database.rows("PRAGMA max_page_count = 20")
+
+    def fill() -> None:
+        with database.write() as connection:
+            connection.execute("INSERT INTO scenes VALUES ('x', 1, 1, 1, ?)", ["y" * 200_000])
+
+    with pytest.raises(StorageFull, match="no space for the index"):
+        fill()
+    assert database.rows("SELECT * FROM scenes") == []
+
+
+def test_many_open_a_new_file_at_once(tmp_path: Path) -> None:
+    failures = []
+
+    def opened(path: Path) -> None:
+        try:
+            Database(path)
+        except Exception as error:
+            failures.append(error)
+
+    for number in range(20):
+        threads = [threading.Thread(target=opened, args=(tmp_path / str(number),)) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert failures == []
