@@ -6,39 +6,21 @@ import json
 import shutil
 import subprocess
 import sys
-from importlib.metadata import PackageNotFoundError
-from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
 import onnx
 import pytest
+from evaluate_runs import refused, run
 from PIL import Image
 from standin_model import METADATA, write_standin
 
-from gapmes.export.evaluation import command, models
+from gapmes.export.evaluation import command
 from gapmes.export.evaluation import run as measuring
-from gapmes.export.evaluation.case import GENERATED_SEED, generated_cases
-from gapmes.export.evaluation.models import load_models
-from gapmes.export.evaluation.plans import evaluation_plans
-from gapmes.export.evaluation.routing import routing_statistics
+from gapmes.export.evaluation.case import GENERATED_SEED
 from gapmes.export.evaluation.scores import BASELINES, TRUE_DEPTH
-from gapmes.export.size import Size
-from gapmes.model.training.validation import VALIDATION_SEED
 from gapmes.service import cli, extra_commands
-from gapmes.service.errors import ModelError
-from gapmes.service.network.backends import choice
 from gapmes.service.network.contract import REQUIRED_OUTPUTS
 from gapmes.service.shipped import sample_folder, shipped_model
-
-
-def run(*arguments: object) -> int:
-    """The exit code of `gapmes evaluate`."""
-    try:
-        cli.main(["evaluate", *[str(argument) for argument in arguments], "--threads", "1"])
-    except SystemExit as end:
-        return int(end.code or 0)
-    return 0
 
 
 def test_two_models_on_generated_scenes(
@@ -119,13 +101,6 @@ def test_check_sets_the_exit_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     monkeypatch.setattr(whole.Report, "write", lambda *_: None)
     assert run("--generated", 1, "--size", 64, "--out", tmp_path, "--check") == (1 if passed is False else 0)
     assert run("--generated", 1, "--size", 64, "--out", tmp_path) == 0
-
-
-def refused(capfd: pytest.CaptureFixture[str], words: str) -> None:
-    """One line on stderr."""
-    lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error: ")]
-    assert len(lines) == 1
-    assert words in lines[0]
 
 
 def test_refusals_are_one_line(
@@ -294,138 +269,3 @@ def test_a_network_without_gates_is_measured(tmp_path: Path) -> None:
     (group,) = json.loads((out / "report.json").read_text())["groups"]
     assert group["routing"] == {"plain": None}
     assert "Routing of" not in (out / "report.md").read_text()
-
-
-def test_plans() -> None:
-    folder = sample_folder()
-    plans = evaluation_plans([folder], None, [], [], [])
-    assert [(p.kind, p.inputs, p.size) for p in plans] == [
-        ("photographs", inputs, (side, side)) for side in (256, 128) for inputs in (2, 3)
-    ]
-    (only,) = evaluation_plans([], 5, [], [], [])
-    assert (only.kind, only.count, only.inputs, only.size) == ("generated", 5, 2, (128, 128))
-    own_size = evaluation_plans([folder], 5, [3], [], [shipped_model()])
-    assert [(p.kind, p.inputs, p.size) for p in own_size] == [
-        ("photographs", 3, (256, 256)),
-        ("generated", 3, (256, 256)),
-    ]
-    (wide,) = evaluation_plans([], 5, [], [Size.parse("256x336")], [])
-    assert wide.size == (256, 336)
-    everything = evaluation_plans([], None, [], [], [])
-    assert [(p.size, p.count) for p in everything if p.kind == "generated"] == [((256, 256), 24), ((128, 128), 100)]
-    small = evaluation_plans([], None, [], [Size.square(64)], [])[-1]
-    assert (small.kind, small.size, small.count) == ("generated", (64, 64), 100)
-
-
-def test_generated_scenes_are_those_of_their_seed_and_not_of_the_validation() -> None:
-    assert GENERATED_SEED != VALIDATION_SEED
-    first, second = (list(generated_cases(2, 2, 32, 48)) for _ in range(2))
-    for one, other in zip(first, second, strict=True):
-        np.testing.assert_array_equal(one.targets[0].image, other.targets[0].image)
-        assert one.near == other.near
-        assert one.inputs[0].image.shape == (3, 32, 48)
-        # the inputs are what their photographs hold: 8 bits
-        np.testing.assert_array_equal(np.rint(one.inputs[0].image * 255), one.photos[0].rgb.transpose(2, 0, 1))
-        assert one.truth is not None
-        assert one.truth.targets.shape == (2, 32, 48)
-    assert not np.array_equal(first[0].targets[0].image, first[1].targets[0].image)
-
-
-@pytest.mark.skipif(find_spec("openvino") is None, reason="pip install 'gapmes[openvino]'")
-def test_engines_side_by_side(small_graph: onnx.ModelProto, tmp_path: Path) -> None:
-    """The same file in two runtimes: both are measured, and the report says which is which."""
-    (tmp_path / "net.onnx").write_bytes(small_graph.SerializeToString())
-    files, engines = ("--model", tmp_path / "net.onnx"), ("--engine", "onnxruntime", "--engine", "openvino-fp32")
-    assert run("--generated", 1, *files, *engines, "--fade", 0, "--out", tmp_path / "out") == 0
-    document = json.loads((tmp_path / "out" / "report.json").read_text())
-    names = ["net, onnxruntime", "net, openvino-fp32"]
-    assert [model["label"] for model in document["models"]] == names
-    assert [model["engine"]["name"] for model in document["models"]] == ["onnxruntime", "openvino"]
-    one, other = (document["groups"][0]["mean"][name]["all"]["psnr"] for name in names)
-    assert one != other
-    assert one == pytest.approx(other, abs=0.1)
-    assert f"openvino {document['models'][1]['engine']['version']}, fp32" in (tmp_path / "out/report.md").read_text()
-
-
-def test_every_file_in_every_engine(
-    monkeypatch: pytest.MonkeyPatch, checkpoint: Path, small_graph: onnx.ModelProto, tmp_path: Path
-) -> None:
-    """Files first, then engines; a checkpoint keeps its name. OpenVINO's part is taken by onnxruntime here."""
-    made = []
-
-    class Pretended(models.RecordingEngine):
-        def __init__(self, path: Path, *, threads: int | None, engine: str) -> None:
-            made.append((path.name, engine))
-            super().__init__(path, threads=threads)
-
-    def exported(_source: Path, target: Path, **_: object) -> None:
-        target.write_bytes(small_graph.SerializeToString())
-
-    monkeypatch.setattr(models, "RecordingEngine", Pretended)
-    monkeypatch.setattr(models, "export_checkpoint", exported)
-    (tmp_path / "net.onnx").write_bytes(small_graph.SerializeToString())
-    files = [tmp_path / "net.onnx", checkpoint]
-    found = load_models(files, [Size.square(64)], tmp_path, engines=["onnxruntime", "openvino-bf16"], threads=1)
-    assert [model.label for model in found] == [
-        "net, onnxruntime",
-        "net, openvino-bf16",
-        "tiny, onnxruntime",
-        "tiny, openvino-bf16",
-    ]
-    assert [model.file for model in found] == ["net.onnx"] * 2 + [checkpoint.name] * 2
-    assert made == [(name, e) for name in ("net.onnx", "tiny-64.onnx") for e in ("onnxruntime", "openvino-bf16")]
-    assert all(model.lambdas == found[0].lambdas is not None for model in found)
-    (alone,) = load_models(files[:1], [Size.square(64)], tmp_path, engines=["openvino-fp32"], threads=1)
-    assert alone.label == "net"
-
-
-def test_wrong_engines_are_named_before_anything_is_loaded(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def missing(name: str) -> str:
-        raise PackageNotFoundError(name)
-
-    arguments = ("--generated", 1, "--size", 256, "--model", tmp_path / "nowhere.safetensors", "--out", tmp_path)
-    assert run(*arguments, "--engine", "tpu") == 1
-    refused(capfd, "is no engine")
-    assert run(*arguments, "--engine", "onnxruntime", "--engine", "onnxruntime") == 1
-    refused(capfd, "the same engine twice")
-    monkeypatch.setattr(choice, "version", missing)
-    assert run(*arguments, "--engine", "openvino-fp32") == 1
-    refused(capfd, "needs the package openvino")
-
-
-def test_a_checkpoint_is_exported_for_every_size(
-    monkeypatch: pytest.MonkeyPatch, checkpoint: Path, small_graph: onnx.ModelProto, tmp_path: Path
-) -> None:
-    exports = []
-
-    def exported(source: Path, target: Path, *, height: int, width: int, **_: object) -> None:
-        exports.append((source, height, width))
-        target.write_bytes(small_graph.SerializeToString())
-
-    monkeypatch.setattr(models, "export_checkpoint", exported)
-    (model,) = load_models([checkpoint], [Size.square(64)], tmp_path, threads=1)
-    assert exports == [(checkpoint, 64, 64)]
-    assert model.size == (64, 64)
-    assert model.lambdas is not None
-    assert all(0 < value < 1 for value in model.lambdas.values())
-    with pytest.raises(ModelError, match="twice"):
-        load_models([checkpoint, checkpoint], [Size.square(64)], tmp_path)
-
-
-def test_routing_statistics_by_hand() -> None:
-    routes = [
-        {"expert_index": np.array([[0, 2], [2, 1]]), "task_weight": np.array([[1, 0, 0, 0], [0, 1, 0, 0]], np.float32)},
-        {"expert_index": np.array([[2, 0]]), "task_weight": np.array([[0.4, 0.2, 0.2, 0.2]], np.float32)},
-    ]
-    result = routing_statistics(routes, 4, None)
-    assert result is not None
-    assert result.expert_share == pytest.approx([2 / 6, 1 / 6, 3 / 6, 0])
-    values = np.array([1, 0, 0.4])
-    assert result.task_mean["mean"] == pytest.approx(values.mean())
-    assert result.task_deviation["mean"] == pytest.approx(values.std())
-    assert routing_statistics([{}], 4, None) is None
-    unnumbered = routing_statistics(routes, None, None)
-    assert unnumbered is not None
-    assert unnumbered.expert_share == []

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from http_requests import MAX_UPLOAD, wait_until_ready
+from http_requests import MAX_UPLOAD, post, stored, wait_until_ready
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
@@ -24,3 +24,15 @@ def client(settings: Settings) -> Iterator[TestClient]:
     with TestClient(create_app(settings), raise_server_exceptions=False) as client:
         wait_until_ready(client)
         yield client
+
+
+@pytest.fixture
+def unharmed(client: TestClient, settings: Settings) -> Iterator[None]:
+    """Around a test: a good request works afterwards and nothing was left in the store."""
+    good = post(client)
+    before = stored(settings)
+    yield
+    assert stored(settings) == before
+    again = post(client)
+    assert again.status_code == 200
+    assert again.json()["id"] == good.json()["id"]

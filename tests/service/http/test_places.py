@@ -27,7 +27,7 @@ from pathlib import Path
 from prometheus_client import CollectorRegistry
 from prometheus_client.multiprocess import MultiProcessCollector
 from gapmes.service.metrics import forget_dead
-from gapmes.service.peers import FOLDER
+from gapmes.service.process.peers import FOLDER
 forget_dead(Path(os.environ[FOLDER]))
 registry = CollectorRegistry()
 MultiProcessCollector(registry)

@@ -15,7 +15,7 @@ from gapmes.service.jobs.runner import Runner
 CHILD = """
 import sys, time
 from pathlib import Path
-from gapmes.service.database import Database
+from gapmes.service.scenes.database import Database
 from gapmes.service.jobs.leases import Lease
 from gapmes.service.jobs.runner import Runner
 from gapmes.service.jobs.spool import Spool
@@ -63,7 +63,7 @@ def test_a_job_that_kills_its_process_twice_fails_with_the_reason(place: Place) 
 WAITS = """
 import sys, time
 from pathlib import Path
-from gapmes.service.database import Database
+from gapmes.service.scenes.database import Database
 from gapmes.service.jobs.leases import Lease
 from gapmes.service.jobs.table import JobTable
 root = Path(sys.argv[1])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_pruning import cloud, view
+from clouds import cloud, view
 
 from gapmes.service.formats.ply_write import ply_size
 from gapmes.service.gaussians import Gaussians, without_zero_bands

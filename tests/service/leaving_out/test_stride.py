@@ -1,5 +1,6 @@
 """One Gaussian per square of pixels, and leaving out the faint ones: which stay, how large, and what that changes."""
 
+import clouds
 import numpy as np
 import pytest
 from plane_scene import PlaneScene
@@ -115,9 +116,7 @@ def test_a_mask_of_every_fourth_row_leaves_a_scene(engine):
 
 @pytest.mark.parametrize("min_opacity", [0.05, 0.3, 0.95])
 def test_faint_gaussians_go_and_the_change_is_bounded(min_opacity):
-    from test_pruning import cloud, view
-
-    gaussians, cameras = cloud(300, 4, degree=1), [view(-0.1), view(0.1)]
+    gaussians, cameras = clouds.cloud(300, 4, degree=1), [clouds.view(-0.1), clouds.view(0.1)]
     scene = SceneViews(cameras)
     lean, pictures, report = leave_out(
         gaussians, np.ones(300, bool), scene, Budget(None, certify=2, min_opacity=min_opacity), 1

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_pruning import cloud, view
+from clouds import cloud, view
 
 from gapmes.service.errors import InputError
 from gapmes.service.pictures.effort import ALPHA_MIN, STOP, Effort, draw

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from capture_scenes import arc, write_colmap
 from cli_runs import assert_refusal, run
+from clouds import cloud
 from PIL import Image, ImageSequence
 from test_film import decoded, planes
-from test_pruning import cloud
 from typer.main import get_command
 
 from gapmes.service.captures.capture import read_camera_file

@@ -13,7 +13,7 @@ import pytest
 # block's size of it.
 SCRIPT = """
 import resource, sys
-from gapmes.service.allocator import give_back_freed
+from gapmes.service.process.allocator import give_back_freed
 
 def resident():
     with open("/proc/self/statm") as file:
@@ -50,7 +50,7 @@ def test_what_was_freed_goes_back() -> None:
 # Blocks of 4 MB, one after the other, within two contexts of which one ends later; page faults tell what was new.
 REUSE = """
 import resource, sys
-from gapmes.service.allocator import freed_blocks_reused, give_back_freed
+from gapmes.service.process.allocator import freed_blocks_reused, give_back_freed
 
 def resident():
     with open("/proc/self/statm") as file:

@@ -22,8 +22,8 @@ RESIDENT = """
 import json
 from pathlib import Path
 import numba
-from gapmes.service.allocator import give_back_freed
-from gapmes.service.compiler_pages import code_as_in_its_file, leave_compiler
+from gapmes.service.process.allocator import give_back_freed
+from gapmes.service.process.compiler_pages import code_as_in_its_file, leave_compiler
 from gapmes.service.kernels import warm_up
 
 def resident():

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from capture_scenes import arc, write_cameras_json
 from cli_runs import run
-from test_pruning import cloud
+from clouds import cloud
 
 from gapmes.service import write_gaussians, write_ply
 from gapmes.service.pictures.film import FilmShape, write_film

@@ -17,7 +17,7 @@ from gapmes.service.process.ending import SIGNALS, ended_in_order
 HALF = """
 import time
 from pathlib import Path
-from gapmes.service.ending import ended_in_order, unfinished
+from gapmes.service.process.ending import ended_in_order, unfinished
 whole, part, folder = (Path(name) for name in ("whole", "part", "folder"))
 with ended_in_order():
     for path in (whole, part):

@@ -11,7 +11,7 @@ import pytest
 CHILD = "import sys; sys.exit(None in (sys.stdin, sys.stdout, sys.stderr))"
 PARENT = f"""
 import subprocess, sys
-from gapmes.service.streams import open_missing
+from gapmes.service.process.streams import open_missing
 open_missing()
 open_missing()
 print("nowhere")

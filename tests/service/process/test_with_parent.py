@@ -10,7 +10,7 @@ from pathlib import Path
 
 CHILD = """
 import sys, time
-from gapmes.service.with_parent import end_with_parent
+from gapmes.service.process.with_parent import end_with_parent
 end_with_parent(int(sys.argv[1]))
 print("ready", flush=True)
 time.sleep(600)

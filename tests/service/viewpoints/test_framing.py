@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_pruning import cloud
+from clouds import cloud
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.splat import render

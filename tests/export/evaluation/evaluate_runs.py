@@ -1,0 +1,23 @@
+"""`gapmes evaluate` as the tests call it, in this process."""
+
+from __future__ import annotations
+
+import pytest
+
+from gapmes.service import cli
+
+
+def run(*arguments: object) -> int:
+    """The exit code of `gapmes evaluate`."""
+    try:
+        cli.main(["evaluate", *[str(argument) for argument in arguments], "--threads", "1"])
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def refused(capfd: pytest.CaptureFixture[str], words: str) -> None:
+    """One line on stderr."""
+    lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error: ")]
+    assert len(lines) == 1
+    assert words in lines[0]
