@@ -75,7 +75,8 @@ def export_checkpoint(
     listener: Listener = silent,
 ) -> Exported:
     """Export, verify and write `out` with its report beside it (`NAME.report.json`), and what became of each tensor of
-    a checkpoint that is not ours (`NAME.checkpoint.json`). While it is verified it is in a folder of its own.
+    a checkpoint that is not ours (`NAME.checkpoint.json`). While it is verified it is in a folder of its own. Of a link
+    it is the file behind it that is replaced, and what belongs beside the file is beside that one.
 
     Raises `ExportRejected` when a check fails: the file is then `NAME.rejected.onnx`, its report beside it, and `out`
     is left as it was; before any work `InputError` where `out` or its report cannot be written, and where `out` is the
@@ -84,6 +85,9 @@ def export_checkpoint(
     nothing behind.
     """
     _check_place(out, checkpoint)
+    if out.is_symlink():
+        out = out.resolve()
+        _check_place(out, checkpoint)
     stages = Stages(listener)
     with stages.stage("load checkpoint"):
         loaded = load_variant(checkpoint, variant)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from gapmes.model.training.lpips import Lpips
+from gapmes.service.commands.output_file import check_output_folder
 from gapmes.service.errors import InputError
 from gapmes.service.mending.fade_passes import DEFAULT_PASSES
 from gapmes.service.network.backends.choice import DEFAULT_ENGINE, EngineName
@@ -64,6 +65,7 @@ def evaluate(
     A folder that suggests no views for a plan is left out, with the reason in the report. Raises `GapmesError`.
     """
     sizes = sorted({plan.size for plan in plans}, key=Size.order, reverse=True)
+    check_output_folder(out)  # before the work, as everything here
     check_sizes(files, sizes)  # here and not one by one: an export takes minutes
     plans = [_looked_at(plan) for plan in plans]
     weights = None if lpips is None else Lpips.load(lpips)

@@ -66,7 +66,10 @@ def main(arguments: list[str] | None = None) -> int:
     if options.out.is_dir():  # the name of none, also "", cannot be written beside
         return _refused(options.out, "it is a folder")
     try:
-        digests = [file_sha256(path) for path in options.weights if path.is_file()]
+        for path in options.weights:
+            if not path.is_file():
+                parser.error(f"{path}: no such file")
+        digests = [file_sha256(path) for path in options.weights]
         for place, digest in enumerate(digests):
             if digest in digests[:place]:
                 same = options.weights[digests.index(digest)]

@@ -120,7 +120,7 @@ def _run(
         "revision": REVISION,
         "config": config.to_json(),
         "recipe": json.dumps(asdict(recipe), sort_keys=True),
-        "backbones": model.provenance.get(RECORD),  # the frozen parts are not in the state: others are another run
+        "backbones": _sums(model.provenance.get(RECORD)),  # not in the state: other frozen parts are another run
         "initial": None if initial is None else file_sha256(initial),
         "precision": "bfloat16" if coarse else "float32",
         "process count": str(worker.count),  # each draws its own noise, and what is withheld
@@ -177,6 +177,13 @@ def check_start(path: Path, config: ModelConfig) -> None:
             f"{path} has another configuration than this run: {differences(asdict(found), asdict(config))}; "
             "give the preset and the switches that it was trained with"
         )
+
+
+def _sums(record: str | None) -> str | None:
+    """Which weights the frozen parts have, wherever they lay and whatever they were called."""
+    if record is None:
+        return None
+    return json.dumps({part: row["sha256"] for part, row in json.loads(record).items()}, sort_keys=True)
 
 
 def _started_from(path: Path, config: ModelConfig) -> GaPMeS:

@@ -53,8 +53,8 @@ def run_workers(count: int, threads: int, work: Callable[..., None], *arguments:
     """Call `work(worker, *arguments)` in `count` processes of `threads` threads; any failure ends them all, and so does
     an interrupt of this process alone.
 
-    A refusal in one of several is raised here as one, also where another, which lost it, is heard first; anything else
-    as `ProcessException`.
+    A refusal in one of several is raised here as one, also where another, which lost it, is heard first, and so
+    is that one was killed; anything else as `ProcessException`.
     """
     if count == 1:
         limit_threads(threads)
@@ -62,15 +62,20 @@ def run_workers(count: int, threads: int, work: Callable[..., None], *arguments:
         return
     with tempfile.TemporaryDirectory() as folder:
         refusal = Path(folder) / REFUSAL
-        try:
-            with _none_left():
-                processes = multiprocessing.spawn(_start, (count, threads, Path(folder), work, arguments), count, False)
+        with _none_left():
+            processes = multiprocessing.spawn(_start, (count, threads, Path(folder), work, arguments), count, False)
+            try:
                 while not processes.join():
                     pass
-        except ProcessException as error:
-            if refusal.is_file():
-                raise Refused(refusal.read_text(encoding="utf-8")) from error
-            raise
+            except ProcessException as error:
+                if refusal.is_file():
+                    raise Refused(refusal.read_text(encoding="utf-8")) from error
+                if killed := [n for n, one in enumerate(processes.processes) if one.exitcode == -signal.SIGKILL]:
+                    raise Refused(
+                        f"process {killed[0]} of {count} was killed, for lack of memory perhaps; the same command goes "
+                        "on from the last state"
+                    ) from error
+                raise
 
 
 @contextmanager

@@ -65,6 +65,20 @@ def test_a_folder_where_a_file_belongs_is_refused_before_any_work(name: str, che
 
 
 @pytest.mark.usefixtures("_stubbed")
+def test_behind_a_link_the_file_is_replaced_with_what_lies_beside_it(checkpoint: Path, tmp_path: Path) -> None:
+    real, out = tmp_path / "real" / "net.onnx", tmp_path / "served.onnx"
+    real.parent.mkdir()
+    real.write_text("old")
+    out.symlink_to(real)
+    made = pipeline.export_checkpoint(checkpoint, out, **QUICK)
+    assert out.readlink() == real
+    assert said_of(out) == said_of(real)
+    assert made.report_path == real.with_name("net.report.json")
+    assert Report.read(made.report_path).model_sha256 == pipeline.file_sha256(out)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["real", "served.onnx"]
+
+
+@pytest.mark.usefixtures("_stubbed")
 def test_two_exports_to_one_place_do_not_meet(
     checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -185,6 +186,9 @@ def test_a_state_holds_what_is_trained_and_a_run_goes_on_from_it(tmp_path: Path,
 def test_a_run_does_not_go_on_with_other_frozen_weights(tmp_path: Path, sources: BackboneSources) -> None:
     config, recipe = miniature().config, replace(Recipe(), steps=1)
     train(config, recipe, tmp_path / "run", validate_every=10, validation_scenes=1, backbones=sources)
+    renamed = replace(sources, semantic=str(Path(sources.semantic).with_name("renamed.pth")))
+    shutil.copy(sources.semantic, renamed.semantic)
+    train(config, recipe, tmp_path / "run", validate_every=10, validation_scenes=1, backbones=renamed)  # the same ones
     torch.save(miniature(seed=4).semantic.vit.state_dict(), sources.semantic)
     record = tmp_path / "run" / "semantic.checkpoint.json"
     before = record.read_text()

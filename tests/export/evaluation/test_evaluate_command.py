@@ -110,6 +110,9 @@ def test_refusals_are_one_line(
     monkeypatch.setattr(measuring, "load_models", None)  # which may export, for minutes
     assert run(tmp_path / "missing", "--out", out) == 1
     refused(capfd, "missing")
+    (tmp_path / "file").write_text("")
+    assert run("--generated", 1, "--size", 64, "--out", tmp_path / "file") == 1
+    refused(capfd, "file is not a folder")
     (tmp_path / "scene").mkdir()
     for text, words in (
         ("{bad", "is no JSON"),

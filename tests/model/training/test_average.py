@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,14 @@ def test_the_same_weights_under_another_name_are_refused(
         main([str(tmp_path / "out.safetensors"), *map(str, runs), str(copy)])
     assert f"{copy} holds the same weights as {runs[1]}" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out.safetensors").exists()
+
+
+def test_a_missing_file_is_named_before_copies_are(runs: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    copy = runs[0].with_name("copy.safetensors")
+    shutil.copy(runs[0], copy)
+    with pytest.raises(SystemExit):
+        main([str(copy.with_name("mean.safetensors")), "missing.safetensors", str(runs[0]), str(copy)])
+    assert "missing.safetensors: no such file" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("out", [".", ""])

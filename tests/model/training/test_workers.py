@@ -181,6 +181,17 @@ def test_a_refusal_is_heard_where_another_process_fails_for_it() -> None:
         run_workers(2, 1, _refuse_and_stay)
 
 
+def _killed(worker: Worker) -> None:
+    if not worker.leads:
+        os.kill(os.getpid(), signal.SIGKILL)
+    torch.distributed.all_reduce(torch.zeros(1))
+
+
+def test_a_process_that_was_killed_is_told_as_one() -> None:
+    with pytest.raises(run_folder.Refused, match=r"^process 1 of 2 was killed, .* goes on from the last state$"):
+        run_workers(2, 1, _killed)
+
+
 def test_a_failure_ends_all(tmp_path: Path) -> None:
     # the other one, left waiting, may be the first to be heard
     with pytest.raises(ProcessException, match=r"this one fails|Connection closed by peer|Connection reset by peer"):
