@@ -15,6 +15,7 @@ from .gaussians import Gaussians
 from .network.backends.choice import MadeBy
 from .network.model_info import ModelInfo
 from .photographs.images import FittedView
+from .photographs.rolled import turned_patches
 
 GAUSSIANS = "Gaussians"  # how those rows of `left_out` begin that count them
 TASKS = ("mean", "opacity", "covariance", "colour")  # order of the four task weights
@@ -28,6 +29,7 @@ def scene_document(
     cameras: Sequence[Camera],
     detail: int,
     views: Sequence[FittedView],
+    turns: Sequence[int],
     depths: DepthRange,
     outputs: Mapping[str, NDArray],
     gaussians: Gaussians,
@@ -59,13 +61,16 @@ def scene_document(
         "detail": detail,
         "cameras": [camera_document(camera) for camera in cameras],
         "view_cameras": [camera_document(view.camera) for view in views],
-        "crop": [{"kept_share": round(view.kept_share, 6)} for view in views],
+        "crop": [
+            {"kept_share": round(view.kept_share, 6), "turned_degrees": 90 * turn}
+            for view, turn in zip(views, turns, strict=True)
+        ],
         "gaussians": {"count": len(gaussians), "sh_degree": gaussians.sh_degree, "added": added},
         "dropped": [{"reason": reason, "count": count} for reason, count in dropped.items()],
         "left_out": [dict(row) for row in left_out],
         "pruning": dict(pruned),
         "fading": dict(faded),
-        "routing": routing_summary(outputs),
+        "routing": routing_summary(outputs, turns, info.height // info.patch),
         "check": dict(check),
         "warnings": [dict(warning) for warning in warnings],
         "timings": {stage: round(seconds, 6) for stage, seconds in timings.items()},
@@ -77,25 +82,27 @@ def gaussians_left_out(document: Mapping[str, Any]) -> int:
     return sum(row["count"] for row in document["left_out"] if row["what"].startswith(GAUSSIANS))
 
 
-def routing_summary(outputs: Mapping[str, NDArray]) -> dict[str, Any]:
+def routing_summary(outputs: Mapping[str, NDArray], turns: Sequence[int], rows: int) -> dict[str, Any]:
     """How many patches each expert worked on (weight above 0), the mean weight of each task, and as `maps` the heaviest
-    expert and task of each patch, a string per view: a digit of base 36 per patch, row by row.
+    expert and task of each patch, a string per view: a digit of base 36 per patch, row by row (`rows` of them), of the
+    photographs as they came: the network had each after so many `turns` (`rolled.py`).
 
     A network without experts or without a task gate has nothing to say about them.
     """
     summary: dict[str, Any] = {}
     maps: dict[str, list[str]] = {}
+    back = [-turn for turn in turns]
     if "expert_index" in outputs:
         index, weight = outputs["expert_index"], outputs["expert_weight"]
         experts = np.bincount(index[weight > 0].ravel(), minlength=int(index.max(initial=-1)) + 1)
         summary["patches"] = int(index.shape[0] * index.shape[1])
         summary["patches_per_expert"] = {str(expert): int(count) for expert, count in enumerate(experts)}
         heaviest = np.take_along_axis(index, weight.argmax(-1)[..., None], -1)[..., 0]
-        maps["experts"] = [_digits(view) for view in heaviest]
+        maps["experts"] = [_digits(view) for view in turned_patches(heaviest, back, rows)]
     if "task_weight" in outputs:
         tasks = outputs["task_weight"].reshape(-1, len(TASKS)).mean(axis=0)
         summary["mean_task_weight"] = {n: round(float(v), 6) for n, v in zip(TASKS, tasks, strict=True)}
-        maps["tasks"] = [_digits(view) for view in outputs["task_weight"].argmax(-1)]
+        maps["tasks"] = [_digits(view) for view in turned_patches(outputs["task_weight"].argmax(-1), back, rows)]
     if maps:
         summary["maps"] = maps
     return summary

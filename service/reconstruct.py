@@ -23,7 +23,7 @@ from .gaussians import Gaussians
 from .kernels import is_warm, warm_up
 from .leaving_out.budget import Budget
 from .leaving_out.left_out import leave_out, table
-from .matching.depth_sweep import narrowed
+from .matching.depth_sweep import coarse_notices, narrowed
 from .matching.exposures import equalised
 from .matching.photo_checks import check_photos
 from .mending.after_network import MOVED, at_finer_depths, at_mended_depths, mended, placed
@@ -35,6 +35,7 @@ from .network.engine import Arrays, Engine
 from .photographs.fitting import Picture, fitted_photos
 from .photographs.images import FittedView, PackedView
 from .photographs.masks import FADED, patch_mask
+from .photographs.rolled import quarter_turns, turned_photos
 from .process.allocator import freed_blocks_reused
 from .process.compiler_pages import leave_compiler
 from .progress import Listener, Stages, silent
@@ -108,7 +109,8 @@ class Reconstructor:
         One in a file is decoded in its turn and dropped once it is fitted: one at a time is in memory; one with a
         lens is resampled to its camera, which is the pinhole that `pinhole_window` names.
         `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
-        Photographs of different exposure are brought to one (`exposures.py`), and the scene's `inputs` with them.
+        Photographs of different exposure are brought to one (`exposures.py`), and the scene's `inputs` with them;
+        rolled ones are turned for the network (`rolled.py`), and nowhere else.
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
         a warning. `budget` says what may be left out of the scene and for which views that is proved. With three
         photographs or more each is also compared with its picture from a reconstruction of the `leave_one_out` others
@@ -142,9 +144,12 @@ class Reconstructor:
             given = fitted_photos(images, cameras, numbers, info, detail, finer=finest, done=done)
             warnings += given.notices
             warnings += check_photos(given.seen, depths, trust_poses=trust_poses, numbers=numbers)
-            depths = narrowed(depths, given.seen)
+            asked, depths = depths, narrowed(depths, given.seen, planes)
+            warnings += coarse_notices(asked, depths, given.seen, planes)
             given, told = equalised(given, depths, numbers)
             warnings += told
+            turns = quarter_turns(cameras, square=info.height == info.width)
+            photos, given = given, turned_photos(given, turns)
             seen, views, fine = given.seen, given.shown, given.fine
         masks = patch_mask(seen, info.patch)
         if not is_warm():
@@ -165,7 +170,7 @@ class Reconstructor:
         with stages.stage("gaussians"):
             found = placed(outputs, frame, views, stride=budget.stride, moved=fade > 0, coarse=seen)
             outputs = {name: value for name, value in outputs.items() if name not in MOVED}
-        view_cameras = tuple(view.camera for view in views)
+        view_cameras = tuple(view.camera for view in photos.shown)
         scene = SceneViews(view_cameras, depths.near, depths.far)
         with stages.stage("fade", fade + 1) as done:
             resized = [PackedView.of(view) for view in seen] if detail > 1 else fine
@@ -177,7 +182,7 @@ class Reconstructor:
             lean, drawn, pruned = leave_out(gaussians, may_go, scene, budget, self.engine.threads)
         with stages.stage("check"), freed_blocks_reused():
             check = {
-                **self_check(seen, depths, info, drawn, views),
+                **self_check(photos.seen, depths, info, drawn, photos.shown),
                 "from_others": from_others(
                     found.gaussians, found.owner, views, threads=self.engine.threads, **scene.near_plane
                 ),
@@ -196,7 +201,8 @@ class Reconstructor:
             threads=self.engine.threads,
             cameras=cameras,
             detail=detail,
-            views=views,
+            views=photos.shown,
+            turns=turns,
             depths=depths,
             outputs=outputs,
             gaussians=lean,
@@ -209,7 +215,7 @@ class Reconstructor:
             warnings=warnings,
             timings=stages.timings,
         )
-        return Scene(lean, cameras, view_cameras, tuple(view.pixels() for view in views), document)
+        return Scene(lean, cameras, view_cameras, tuple(view.pixels() for view in photos.shown), document)
 
     def run_network(self, views: Sequence[FittedView], depths: DepthRange) -> tuple[Arrays, WorldFrame]:
         """The network's outputs, and the frame that they are in."""

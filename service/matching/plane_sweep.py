@@ -25,7 +25,7 @@ _BATCH = 32  # planes at a time, which bounds the memory: 1 MB per array of 64 x
 
 def step_px(cameras: Sequence[Camera], depths: DepthRange) -> float:
     """The parallax from plane to plane: STEP_PX, or more where there would be too many."""
-    return max(STEP_PX, _parallax_px(cameras, depths) / (_most(cameras) - 1))
+    return max(STEP_PX, swept_px(cameras, depths) / (_most(cameras) - 1))
 
 
 def planes(cameras: Sequence[Camera], depths: DepthRange, least: int, step: float) -> F64:
@@ -34,7 +34,7 @@ def planes(cameras: Sequence[Camera], depths: DepthRange, least: int, step: floa
 
     The cameras are those of the coarse views.
     """
-    count = math.ceil(_parallax_px(cameras, depths) / step) + 1
+    count = math.ceil(swept_px(cameras, depths) / step) + 1
     return inverse_depth_steps(depths.near, depths.far, min(max(count, least), _most(cameras)))
 
 
@@ -58,12 +58,7 @@ def best_planes(view: CoarseView, other: CoarseView, depths: F64) -> tuple[F64, 
     return best, found
 
 
-def _most(cameras: Sequence[Camera]) -> int:
-    cells = max(camera.width * camera.height for camera in cameras)
-    return max(FEWEST, min(MOST_PLANES, MOST_PLANES * CELLS // cells))
-
-
-def _parallax_px(cameras: Sequence[Camera], depths: DepthRange) -> float:
+def swept_px(cameras: Sequence[Camera], depths: DepthRange) -> float:
     """How far a place of a picture moves between near and far in the cameras' pixels, the most of all views and their
     nearest neighbours, as if these looked the same way.
 
@@ -78,3 +73,8 @@ def _parallax_px(cameras: Sequence[Camera], depths: DepthRange) -> float:
             for v in (-other.cy, other.height - other.cy):
                 largest = max(largest, math.hypot(other.fx * x - u * z, other.fy * y - v * z))
     return largest * (1.0 / depths.near - 1.0 / depths.far)
+
+
+def _most(cameras: Sequence[Camera]) -> int:
+    cells = max(camera.width * camera.height for camera in cameras)
+    return max(FEWEST, min(MOST_PLANES, MOST_PLANES * CELLS // cells))

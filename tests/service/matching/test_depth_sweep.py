@@ -9,7 +9,7 @@ from plane_scene import DEPTH, PlaneScene
 from gapmes.service.cameras.depth_range import DepthRange, depth_range
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.matching.coarse_views import coarse_view, nearest_neighbours
-from gapmes.service.matching.depth_sweep import matched_depths, narrowed
+from gapmes.service.matching.depth_sweep import COARSE_PX, coarse_notices, matched_depths, narrowed, planes_apart_px
 from gapmes.service.photographs.images import Photo, fit_view
 
 
@@ -91,7 +91,7 @@ def test_the_range_moves_with_the_unit():
 
 
 def test_a_given_range_stays():
-    given = DepthRange(0.1, 1000.0, "given")
+    given = DepthRange(0.5, 1000.0, "given")
     assert narrowed(given, fitted(PlaneScene.make(np.random.default_rng(3)))) is given
 
 
@@ -116,3 +116,45 @@ def test_a_neighbour_has_parallax(apart):
     pose[:3, :3] = pose[:3, :3] @ about_axis(np.array([0.0, 1.0, 0.0]), 0.1)
     pose[0, 3] += apart
     assert nearest_neighbours([first, first.posed(pose), second])[:2] == [2, 2]
+
+
+@pytest.mark.parametrize(("near", "told"), [(2.0, False), (0.3, True)])
+def test_a_given_range_is_narrowed_where_the_planes_would_stand_far_apart(near, told):
+    scene = PlaneScene.make(np.random.default_rng(3), size=(256, 192))
+    views = [fit_view(Photo(i), c, 192, 256) for i, c in zip(scene.images, scene.cameras, strict=True)]
+    given = DepthRange(near, 30.0, "given")
+    assert (planes_apart_px(given, views, 16) > COARSE_PX) == told
+    result = narrowed(given, views, 16)
+    notices = coarse_notices(given, result, views, 16)
+    assert result.source == "given"
+    assert (result != given) == told == bool(notices)
+    if told:
+        assert 0.6 * 3.0 < result.near < 0.6 * 4.6
+        assert 1.5 * 3.5 < result.far < 1.5 * 5.2
+        (notice,) = notices
+        assert (notice["code"], notice["field"]) == ("depth_range_coarse", "near")
+        apart = planes_apart_px(given, views, 16)
+        words = f"given near = 0.3 and far = 30 the network's 16 depths stand {apart:.3g} px"
+        assert words in notice["message"]
+        assert f"from {result.near:.4g} to {result.far:.4g}" in notice["message"]
+
+
+def test_planes_stand_as_far_apart_as_a_point_moves():
+    """Sideways cameras of one lens: f B (1 / near - 1 / far) / (planes - 1)."""
+    scene = PlaneScene.make(np.random.default_rng(3), size=(256, 192), turn=0.0, count=2)
+    one = fit_view(Photo(scene.images[0]), scene.cameras[0], 192, 256)
+    pose = np.eye(4)
+    pose[:3, 3] = one.camera.center + np.array([0.5, 0.0, 0.0])
+    views = [one, replace(one, camera=one.camera.posed(pose))]
+    expected = one.camera.fx * 0.5 * (1 / 2 - 1 / 30) / 63
+    assert planes_apart_px(DepthRange(2.0, 30.0, "given"), views, 64) == pytest.approx(expected)
+
+
+def test_a_coarse_range_stays_where_nothing_matches_and_says_so():
+    scene = PlaneScene.make(np.random.default_rng(3), size=(256, 192))
+    noise = [np.random.default_rng(k).integers(0, 256, image.shape, np.uint8) for k, image in enumerate(scene.images)]
+    views = [fit_view(Photo(i), c, 192, 256) for i, c in zip(noise, scene.cameras, strict=True)]
+    given = DepthRange(0.1, 30.0, "given")
+    assert narrowed(given, views, 16) == given
+    (notice,) = coarse_notices(given, given, views, 16)
+    assert "do not match well enough to narrow the range" in notice["message"]
