@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import real_number, shown
 from ..errors import CameraError, IntrinsicsError
 from .pose import AS_IT_IS, Given, Pose, checked_pose, rigid_inverse
 from .rotations import turned
@@ -51,19 +52,24 @@ class Camera:
 
         Raises `CameraError`, `IntrinsicsError` or `PoseError` naming field, index and numbers.
         """
-        if not (_whole(width) and _whole(height)):
+        across, down = _whole(width), _whole(height)
+        if across is None or down is None:
             raise CameraError(
-                f"image size is {width} x {height}, need whole numbers from 1 to {MAX_SIDE}",
+                f"image size is {shown(width)} x {shown(height)}, need whole numbers from 1 to {MAX_SIDE}",
                 field=f"{field}.size",
                 index=index,
             )
-        numbers = {"fx": fx, "fy": fy, "cx": cx, "cy": cy}
-        for name, value in numbers.items():
-            if not math.isfinite(value):
-                raise IntrinsicsError(f"{name} = {value}, need a finite number", field=f"{field}.{name}", index=index)
-        _check_focal(fx, width, "fx", field, index)
-        _check_focal(fy, height, "fy", field, index)
-        for name, value, size in (("cx", cx, width), ("cy", cy, height)):
+        numbers = {}
+        for name, given in (("fx", fx), ("fy", fy), ("cx", cx), ("cy", cy)):
+            number = real_number(given)
+            if number is None or not math.isfinite(number):
+                told = shown(given) if number is None else f"{number}"
+                raise IntrinsicsError(f"{name} = {told}, need a finite number", field=f"{field}.{name}", index=index)
+            numbers[name] = number
+        _check_focal(numbers["fx"], across, "fx", field, index)
+        _check_focal(numbers["fy"], down, "fy", field, index)
+        for name, size in (("cx", across), ("cy", down)):
+            value = numbers[name]
             if not -size <= value <= 2 * size:
                 raise IntrinsicsError(
                     f"{name} = {value:g} px lies far outside an image of {size:g} px",
@@ -74,7 +80,7 @@ class Camera:
         if not isinstance(world_from_cam, Pose):
             world_from_cam = checked_pose(world_from_cam, field=f"{field}.c2w", index=index)
         pose = world_from_cam
-        return cls(int(width), int(height), float(fx), float(fy), float(cx), float(cy), pose.matrix, pose.given)
+        return cls(across, down, **numbers, world_from_cam=pose.matrix, given=pose.given)
 
     @property
     def rotation(self) -> F64:
@@ -143,11 +149,10 @@ class Camera:
         return pixels, z
 
 
-def _whole(value: float) -> bool:
-    try:
-        return math.isfinite(value) and int(value) == value and 1 <= value <= MAX_SIDE
-    except OverflowError:  # a Python integer beyond float64
-        return False
+def _whole(value: float) -> int | None:
+    """The side of a picture that it is, also as a float; None for anything else."""
+    number = real_number(value)
+    return int(number) if number is not None and 1 <= number <= MAX_SIDE and number.is_integer() else None
 
 
 def _check_focal(value: float, size: float, name: str, field: str, index: int | None) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import real_number
 from ..errors import CameraError, IntrinsicsError
 from .camera import Camera
 from .distortion import MAX_SHIFT_PX, Lens, pinhole_window
@@ -64,12 +65,9 @@ def number_of(entry: Mapping, name: str, *, field: str, index: int | None = None
     if name not in entry:
         raise CameraError(f"{name} is missing", field=field, index=index)
     value = entry[name]
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    number = real_number(value)
+    if number is None:
         raise CameraError(f"{name} = {value!r} is not a number", field=f"{field}.{name}", index=index)
-    try:
-        number = float(value)
-    except OverflowError:  # JSON integers have no upper limit
-        number = math.inf
     if not math.isfinite(number):
         raise CameraError(f"{name} = {number}, need a finite number", field=f"{field}.{name}", index=index)
     return number

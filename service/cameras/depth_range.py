@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import real_number, shown
 from ..errors import BaselineError, DepthRangeError
 from .camera import Camera
 from .overlap import best_partner_shares
@@ -73,12 +74,14 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
             f"{missing} is missing", field=missing, cure="give near and far, or neither to have both estimated"
         )
     for name, value in (("near", near), ("far", far)):
-        if not math.isfinite(value) or value <= 0:
+        number = real_number(value)
+        if number is None or not math.isfinite(number) or number <= 0:
             raise DepthRangeError(
-                f"{name} = {value:g}, need a finite depth above 0",
+                f"{name} = {shown(value) if number is None else f'{number:g}'}, need a finite depth above 0",
                 field=name,
                 cure="depths are counted from the camera along its axis; leave near and far out to have them estimated",
             )
+    near, far = float(near), float(far)
     if not near < far:
         cure = (
             "are they swapped, or one of them the file's? then give both"
@@ -99,7 +102,7 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
             field="near",
             cure="with more than some 1000 no depth candidate is left for the scene",
         )
-    return DepthRange(float(near), float(far), "given")
+    return DepthRange(near, far, "given")
 
 
 def depth_range_of_reading(cameras: Sequence[Camera], depths: DepthRange) -> DepthRange | None:

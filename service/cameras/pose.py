@@ -54,7 +54,11 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
     A rotation that is one to rounding stays as it is, so that a pose that was checked once is never changed again.
     """
     try:
-        matrix = np.array(value, dtype=np.float64)
+        entries = np.asarray(value)
+        if entries.dtype.kind == "c":
+            cure = "take its real part, where the imaginary one is rounding"
+            raise PoseError("holds complex numbers, need real ones", field=field, index=index, cure=cure)
+        matrix = entries.astype(np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise PoseError(
             "is not a matrix of numbers", field=field, index=index, cure="give 4 rows of 4 numbers"

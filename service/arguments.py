@@ -1,0 +1,64 @@
+"""What a Python program gives for a number or for several things: numpy's own types as well as Python's."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Iterable
+from numbers import Integral, Real
+from typing import Any, TypeVar
+
+from .errors import InputError
+
+T = TypeVar("T")
+
+
+def whole_number(value: object) -> int | None:
+    """The whole number that it is, of any type of them; None for anything else, also for 2.0, True and "2"."""
+    value = _scalar(value)
+    return operator.index(value) if isinstance(value, Integral) and not isinstance(value, bool) else None
+
+
+def real_number(value: object) -> float | None:
+    """The number that it is, infinite beyond float64; None for anything else, also for True, "2", 1j and arrays that
+    have axes."""
+    value = _scalar(value)
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return None
+    try:
+        return float(value)
+    except OverflowError:  # whole numbers have no upper limit
+        return math.inf
+
+
+def shown(value: object) -> str:
+    """For a message: a number as people write it, anything else as Python does, so that 2 and "2" are told apart."""
+    return str(value) if isinstance(_scalar(value), Real) else f"{value!r:.50}"
+
+
+def listed(values: Iterable[T], field: str) -> list[T]:
+    """All of them, in order; those of an iterator as well. Raises `InputError` for what has no parts, and for text."""
+    try:
+        if isinstance(values, str | bytes):
+            raise TypeError
+        parts = iter(values)
+    except TypeError:
+        message = f"is a {type(values).__name__}, need several in a sequence"
+        raise InputError(message, field=field, cure="give a list") from None
+    return list(parts)
+
+
+def whole_numbers(values: Iterable[object], field: str) -> list[int]:
+    """All of them as `int`. Raises `InputError` for what is not `listed` and, with its place, for what is none."""
+    found = []
+    for index, value in enumerate(listed(values, field)):
+        number = whole_number(value)
+        if number is None:
+            raise InputError(f"is {shown(value)}, need a whole number", field=field, index=index)
+        found.append(number)
+    return found
+
+
+def _scalar(value: Any) -> object:
+    """A Python number in place of numpy's own or of an array without axes."""
+    return value.item() if getattr(value, "shape", None) == () else value

@@ -1,0 +1,47 @@
+"""What Python programs give to `Camera.make`: any type of number, and what is none is refused by field and index."""
+
+import numpy as np
+import pytest
+
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.errors import CameraError, IntrinsicsError, PoseError
+
+GIVEN = {"width": 512, "height": 384, "fx": 500.0, "fy": 510.0, "cx": 256.0, "cy": 192.0, "world_from_cam": np.eye(4)}
+
+
+def test_numbers_of_numpy_make_the_same_camera() -> None:
+    given = {"width": np.int64(512), "height": np.float32(384), "fx": np.float32(500), "fy": np.array(510), "cx": 256}
+    camera, expected = Camera.make(**{**GIVEN, **given}), Camera.make(**GIVEN)
+    for name in ("width", "height", "fx", "fy", "cx", "cy"):
+        value = getattr(camera, name)
+        assert type(value) is type(getattr(expected, name))
+        assert value == getattr(expected, name)
+
+
+@pytest.mark.parametrize("value", ["500", None, 1j, True, [500.0], np.array([500.0]), np.complex64(500)])
+@pytest.mark.parametrize("name", ["fx", "fy", "cx", "cy"])
+def test_intrinsics_that_are_no_numbers_are_refused(name: str, value: float) -> None:
+    with pytest.raises(IntrinsicsError, match="need a finite number") as caught:
+        Camera.make(**{**GIVEN, name: value}, index=3)
+    assert (caught.value.field, caught.value.index) == (f"camera.{name}", 3)
+    assert caught.value.message.startswith(f"{name} = {value!r}"[:20])
+
+
+def test_a_whole_number_beyond_float64_is_refused() -> None:
+    with pytest.raises(IntrinsicsError, match="fx = inf, need a finite number"):
+        Camera.make(**{**GIVEN, "fx": 10**400})
+
+
+@pytest.mark.parametrize("value", ["512", None, 1j, True, 512.5, 0, 10**400, np.array([512])])
+def test_sides_that_are_no_whole_numbers_are_refused(value: float) -> None:
+    with pytest.raises(CameraError, match="need whole numbers from 1 to") as caught:
+        Camera.make(**{**GIVEN, "width": value}, index=1)
+    assert (caught.value.field, caught.value.index) == ("camera.size", 1)
+
+
+@pytest.mark.parametrize("pose", [np.eye(4, dtype=complex), [[1j, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]])
+def test_a_pose_of_complex_numbers_is_refused(pose: object) -> None:
+    """No imaginary part is dropped, not one of rounding either."""
+    with pytest.raises(PoseError, match="holds complex numbers, need real ones") as caught:
+        Camera.make(**{**GIVEN, "world_from_cam": pose}, index=2)
+    assert (caught.value.field, caught.value.index) == ("camera.c2w", 2)
