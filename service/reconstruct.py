@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arguments import listed, whole_numbers
 from .cameras.camera import Camera
 from .cameras.depth_range import DepthRange, depth_range
 from .cameras.foretold import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
@@ -21,7 +22,7 @@ from .errors import CameraError, InputError, ViewCountError
 from .formats.ply_write import Positions, stored_positions
 from .gaussians import Gaussians
 from .kernels import is_warm, warm_up
-from .leaving_out.budget import Budget
+from .leaving_out.budget import Budget, checked_budget
 from .leaving_out.left_out import leave_out, table
 from .matching.depth_sweep import coarse_notices, narrowed
 from .matching.exposures import equalised
@@ -43,7 +44,6 @@ from .self_check import ambiguous_routes, drawn_again, from_others, self_check
 from .splat import Render, render
 from .viewpoints.scene_views import SceneViews
 
-DEFAULT_BUDGET = Budget()
 FINEST = max(DETAILS)  # times the network's pixels, each way
 
 
@@ -96,7 +96,7 @@ class Reconstructor:
         near: float | None = None,
         far: float | None = None,
         trust_poses: bool = False,
-        budget: Budget = DEFAULT_BUDGET,
+        budget: Budget | None = None,
         leave_one_out: int = DEFAULT_OTHERS,
         fade: int = DEFAULT_PASSES,
         detail: int = 1,
@@ -112,8 +112,9 @@ class Reconstructor:
         Photographs of different exposure are brought to one (`exposures.py`), and the scene's `inputs` with them;
         rolled ones are turned for the network (`rolled.py`), and nowhere else.
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
-        a warning. `budget` says what may be left out of the scene and for which views that is proved. With three
-        photographs or more each is also compared with its picture from a reconstruction of the `leave_one_out` others
+        a warning. `budget` says what may be left out of the scene and for which views that is proved; `Budget()`
+        does without one. With three photographs or
+        more each is also compared with its picture from a reconstruction of the `leave_one_out` others
         that are nearest to it (2 or more; all others where there are fewer; 0: not done) and have parallax among
         themselves; where none have, a warning says so. `fade` is how
         often opacities are lowered and colours corrected where the photographs contradict them (`fading.py`), after
@@ -129,11 +130,12 @@ class Reconstructor:
         stages = Stages(listener)
         info = self.engine.info
         warnings: list[Notice] = []
-        checked_others(leave_one_out)
-        checked_passes(fade)
-        checked_detail(detail, budget.stride)
+        budget = checked_budget(budget)
+        leave_one_out, fade = checked_others(leave_one_out), checked_passes(fade)
+        detail = checked_detail(detail, budget.stride)
         with stages.stage("cameras"):
-            numbers = range(len(images)) if numbers is None else numbers
+            images, cameras = listed(images, "images"), listed(cameras, "cameras")
+            numbers = range(len(images)) if numbers is None else whole_numbers(numbers, "numbers")
             cameras = _as_cameras(cameras, numbers, len(images))
             depths = depth_range(cameras, near, far)
             planes = info.depth_planes or DEPTH_PLANES

@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
+from ..arguments import shown, whole_number
 from ..errors import InputError
 from .camera import Camera
 from .shortest_ways import DIGITS
@@ -17,13 +18,14 @@ DEFAULT_OTHERS = 2
 
 
 def checked_others(count: int) -> int:
-    """Raises `InputError` unless it is 0 (nothing is foretold) or so many views can foretell another one."""
-    if isinstance(count, bool) or not isinstance(count, int) or count not in (0, *range(MIN_VIEWS, MAX_VIEWS)):
+    """As `int`. Raises `InputError` unless it is 0 (nothing is foretold) or so many views can foretell another one."""
+    others = whole_number(count)
+    if others is None or others not in (0, *range(MIN_VIEWS, MAX_VIEWS)):
         raise InputError(
-            f"is {count}, need {MIN_VIEWS} to {MAX_VIEWS - 1} views that foretell another, or 0 for none",
+            f"is {shown(count)}, need {MIN_VIEWS} to {MAX_VIEWS - 1} views that foretell another, or 0 for none",
             field="leave_one_out",
         )
-    return count
+    return others
 
 
 def nearest_others(cameras: Sequence[Camera], index: int, count: int, near: float) -> list[int]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 
+from ..arguments import listed, real_number, shown, whole_number
 from ..errors import InputError
 from ..plain_number import plain_float
 from .stride import STRIDES
@@ -33,29 +33,34 @@ class Budget:
         if isinstance(self.asked, str | bytes):
             message = f"is the text {self.asked[:50]!r}, need several of them"
             raise InputError(message, field="asked", cure='give a tuple such as ("orbit:20",)')
-        object.__setattr__(self, "asked", tuple(sorted(set(self.asked))))
-        if self.max_error is not None:
-            checked_max_error(self.max_error)
-        if isinstance(self.certify, bool) or not isinstance(self.certify, int) or not 0 <= self.certify <= MAX_CERTIFY:
-            raise InputError(f"is {self.certify}, need a whole number from 0 to {MAX_CERTIFY}", field="certify")
-        if isinstance(self.min_opacity, bool) or not 0 <= self.min_opacity <= 1:
-            raise InputError(f"is {self.min_opacity:g}, need 0 to 1", field="min_opacity")
-        if isinstance(self.stride, bool) or not isinstance(self.stride, int) or self.stride not in STRIDES:
-            raise InputError(f"is {self.stride}, need one of {STRIDES}", field="stride")
+        asked = listed(self.asked, "asked")
+        for index, view in enumerate(asked):
+            if not isinstance(view, str):
+                cure = 'views are named by text, such as "1.5" or "orbit:20"'
+                raise InputError(f"is {shown(view)}, need text", field="asked", index=index, cure=cure)
+        max_error = None if self.max_error is None else checked_max_error(self.max_error)
+        certify, stride = whole_number(self.certify), whole_number(self.stride)
+        if certify is None or not 0 <= certify <= MAX_CERTIFY:
+            raise InputError(f"is {shown(self.certify)}, need a whole number from 0 to {MAX_CERTIFY}", field="certify")
+        min_opacity = _share(self.min_opacity, "min_opacity")
+        if stride not in STRIDES:
+            raise InputError(f"is {shown(self.stride)}, need one of {STRIDES}", field="stride")
+        plain = {"max_error": max_error, "certify": certify, "min_opacity": min_opacity, "stride": stride}
+        for name, value in {"asked": tuple(sorted(set(asked))), **plain}.items():
+            object.__setattr__(self, name, value)
 
 
-KEEP_ALL = Budget(None)
+def checked_budget(budget: Budget | None) -> Budget:
+    """The default one in place of None. Raises `InputError` for anything else."""
+    if budget is not None and not isinstance(budget, Budget):
+        cure = "give a Budget, or leave it out for the default one"
+        raise InputError(f"is a {type(budget).__name__}, need a Budget", field="budget", cure=cure)
+    return Budget() if budget is None else budget
 
 
 def checked_max_error(value: float) -> float:
     """A budget on a change of colour, 0..1. Raises `InputError`."""
-    number = isinstance(value, Real) and not isinstance(value, bool)
-    if not number or not 0 <= value <= 1:
-        shown = f"{value:g}" if number else f"{value}"
-        raise InputError(
-            f"is {shown}, need 0 to 1", field="max_error", cure="1/255 = 0.0039 is one level of 8 bits; off keeps all"
-        )
-    return float(value)
+    return _share(value, "max_error", "1/255 = 0.0039 is one level of 8 bits; off keeps all")
 
 
 def parse_max_error(text: str) -> float | None:
@@ -71,3 +76,14 @@ def parse_max_error(text: str) -> float | None:
             f"{text[:50]!r} is not a budget", field="max_error", cure="give a change of colour such as 1/255, 0, or off"
         ) from error
     return checked_max_error(value + 0.0)  # -0 is 0
+
+
+def _share(value: float, field: str, cure: str | None = None) -> float:
+    number = real_number(value)
+    if number is None or not 0 <= number <= 1:
+        told = shown(value) if number is None else f"{number:g}"
+        raise InputError(f"is {told}, need 0 to 1", field=field, cure=cure)
+    return number
+
+
+KEEP_ALL = Budget(None)

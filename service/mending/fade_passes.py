@@ -3,6 +3,7 @@ splatter."""
 
 from __future__ import annotations
 
+from ..arguments import shown, whole_number
 from ..errors import InputError
 
 DEFAULT_PASSES = 4  # each gains less than the one before
@@ -10,7 +11,8 @@ MAX_PASSES = 8
 
 
 def checked_passes(passes: int) -> int:
-    """Raises `InputError` unless it is a whole number from 0, which leaves the scene as it is, to 8."""
-    if isinstance(passes, bool) or not isinstance(passes, int) or not 0 <= passes <= MAX_PASSES:
-        raise InputError(f"is {passes}, need a whole number from 0 to {MAX_PASSES}", field="fade")
-    return passes
+    """As `int`. Raises `InputError` unless it is a whole number from 0, which leaves the scene as it is, to 8."""
+    count = whole_number(passes)
+    if count is None or not 0 <= count <= MAX_PASSES:
+        raise InputError(f"is {shown(passes)}, need a whole number from 0 to {MAX_PASSES}", field="fade")
+    return count

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import shown, whole_number
 from ..errors import ModelError
 from ..process.threads import available_threads
 from ..shipped import shipped_model
@@ -38,9 +39,10 @@ class Engine:
         """
         engine = checked_engine(engine)
         file = model_file(shipped_model() if model is None else Path(model))
-        self.threads = threads if threads is not None else available_threads()
-        if self.threads < 1:
-            raise ModelError(f"threads = {self.threads}, need at least 1", field="threads")
+        count = available_threads() if threads is None else whole_number(threads)
+        if count is None or count < 1:
+            raise ModelError(f"threads = {shown(threads)}, need a whole number of at least 1", field="threads")
+        self.threads = count
         if file.weights is not None:
             file.weights.check()
         self.made_by = made_by(engine)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arguments import real_number, shown, whole_number
 from ..errors import InputError
 
 
@@ -55,8 +56,9 @@ class Definition:
 
     def __post_init__(self) -> None:
         for name in ("dilation", "alpha_min", "alpha_max", "stop", "near", "far", "fov_margin"):
-            if not math.isfinite(getattr(self, name)):
-                raise InputError(f"is {getattr(self, name)}, need a finite number", field=f"definition.{name}")
+            number = real_number(getattr(self, name))
+            if number is None or not math.isfinite(number):
+                raise InputError(f"is {shown(getattr(self, name))}, need a finite number", field=f"definition.{name}")
         # Below 1e-30 the polynomial power of two would leave the normal range of float32.
         _require("alpha_min", self.alpha_min, 1e-30, self.alpha_max)
         _require("alpha_max", self.alpha_max, self.alpha_min, 1.0)
@@ -65,8 +67,12 @@ class Definition:
         _require("near", self.near, 0.0, self.far)
         _require("far", self.far, self.near, 1e37)
         _require("fov_margin", self.fov_margin, 0.0, 10.0)
-        if not self.cut_radius > 0:
-            raise InputError(f"is {self.cut_radius:g}, need more than 0", field="definition.cut_radius")
+        radius = real_number(self.cut_radius)
+        if radius is None or not radius > 0:
+            told = shown(self.cut_radius) if radius is None else f"{radius:g}"
+            raise InputError(f"is {told}, need more than 0", field="definition.cut_radius")
+        if whole_number(self.max_entries) is None:
+            raise InputError(f"is {shown(self.max_entries)}, need a whole number", field="definition.max_entries")
         _require("max_entries", self.max_entries, 1, 1 << 31)
 
 

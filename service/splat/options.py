@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import real_number, shown, whole_number
 from ..cameras.camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
@@ -28,7 +29,12 @@ def checked_definition(definition: Definition | None, near: float | None, compat
             raise InputError("goes without a definition, which it is", field="compatibility")
         definition = COMPATIBLE[compatibility]
     definition = definition or Definition()
-    return definition if near is None else replace(definition, near=float(near))
+    if near is None:
+        return definition
+    plane = real_number(near)
+    if plane is None:
+        raise InputError(f"is {shown(near)}, need a number", field="near")
+    return replace(definition, near=plane)
 
 
 def checked_background(background: Sequence[float] | None) -> NDArray[np.float32]:
@@ -38,7 +44,7 @@ def checked_background(background: Sequence[float] | None) -> NDArray[np.float32
     except (TypeError, ValueError):
         value = np.empty(0, np.float32)
     if value.shape != (3,) or not np.isfinite(value).all():
-        raise InputError(f"is {background}, need three finite numbers", field="background")
+        raise InputError(f"is {shown(background)}, need three finite numbers", field="background")
     return value
 
 
@@ -77,6 +83,7 @@ def checked_degree(sh_degree: int | None, gaussians: Gaussians) -> int:
     """The SH degree to evaluate: the one asked for, at most what the scene has."""
     if sh_degree is None:
         return gaussians.sh_degree
-    if sh_degree not in (0, 1, 2, 3):
-        raise InputError(f"is {sh_degree}, need 0, 1, 2 or 3", field="sh_degree")
-    return min(int(sh_degree), gaussians.sh_degree)
+    degree = whole_number(sh_degree)
+    if degree not in (0, 1, 2, 3):
+        raise InputError(f"is {shown(sh_degree)}, need 0, 1, 2 or 3", field="sh_degree")
+    return min(degree, gaussians.sh_degree)

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from itertools import pairwise
-from numbers import Integral
 from typing import TypeVar
 
+from ..arguments import shown, whole_number
 from ..errors import InputError
 from ..process.threads import available_threads
 
@@ -23,9 +23,10 @@ def checked_threads(threads: int | None) -> int:
     """The number of threads to use; None is all that are available."""
     if threads is None:
         return available_threads()
-    if not isinstance(threads, Integral) or threads < 1:
-        raise InputError(f"is {threads}, need a whole number of at least 1", field="threads")
-    return int(threads)
+    count = whole_number(threads)
+    if count is None or count < 1:
+        raise InputError(f"is {shown(threads)}, need a whole number of at least 1", field="threads")
+    return count
 
 
 def run_ranges(work: Callable[[int, int], T], bounds: Iterable[int], threads: int) -> list[T]:

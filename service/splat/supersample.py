@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import shown, whole_number
 from ..cameras.camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
@@ -25,25 +26,26 @@ def render_supersampled(gaussians: Gaussians, camera: Camera, factor: int, **opt
     pixel is finer. Time grows with the square of the factor. `stats` are those of the larger picture. Raises
     `InputError` for a factor that is no whole number from 1 on, and for outputs that have no mean.
     """
-    if not isinstance(factor, int) or factor < 1:
-        raise InputError(f"is {factor}, need a whole number of at least 1", field="factor")
+    times = whole_number(factor)
+    if times is None or times < 1:
+        raise InputError(f"is {shown(factor)}, need a whole number of at least 1", field="factor")
     outputs = options.pop("outputs", AVERAGED)
     others = sorted(set(outputs) - set(AVERAGED))
     if others:
         raise InputError(f"{others[0]!r} has no mean over samples, need some of {', '.join(AVERAGED)}", field="outputs")
     rule = checked_definition(*(options.pop(name, None) for name in ("definition", "near", "compatibility")))
-    rule = replace(rule, dilation=rule.dilation * factor * factor)
-    larger = camera.resized(factor * camera.width, factor * camera.height)
+    rule = replace(rule, dilation=rule.dilation * times * times)
+    larger = camera.resized(times * camera.width, times * camera.height)
     needed = {*outputs, "alpha"} if "depth" in outputs else outputs
     image = render(gaussians, larger, definition=rule, outputs=needed, **options)
     alpha = depth = image.depth[:0, :0]
     if "depth" in outputs:
-        weight = averaged(image.alpha, factor)
-        total = averaged(image.alpha * image.depth, factor)
+        weight = averaged(image.alpha, times)
+        total = averaged(image.alpha * image.depth, times)
         depth = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0)
     if "alpha" in outputs:
-        alpha = averaged(image.alpha, factor)
-    return Render(averaged(image.rgb, factor), alpha, depth, image.stats)
+        alpha = averaged(image.alpha, times)
+    return Render(averaged(image.rgb, times), alpha, depth, image.stats)
 
 
 def averaged(plane: NDArray[np.floating], factor: int) -> NDArray[np.float32]:
