@@ -103,8 +103,8 @@ class Reconstructor:
         numbers: Sequence[int] | None = None,
         listener: Listener = silent,
     ) -> Scene:
-        """2..6 photographs, uint8 (H, W, 3 or 4), path, a file's bytes, `Photo` or `EncodedPhoto`, with one camera each
-        -> `Scene`.
+        """2..6 photographs, uint8 (H, W, 3 or 4), path, a file's bytes, PIL image, `Photo` or `EncodedPhoto`, with one
+        camera each -> `Scene`.
 
         One in a file is decoded in its turn and dropped once it is fitted: one at a time is in memory; one with a
         lens is resampled to its camera, which is the pinhole that `pinhole_window` names.

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from ..cameras.camera import Camera
 from ..cameras.distortion import Lens, PinholeWindow, pinhole_window
@@ -19,7 +20,9 @@ from .images import EncodedPhoto, FittedView, PackedView, Photo, fit_view, match
 from .masks import check_kept
 from .undistort import match_lens, undistorted
 
-Picture = NDArray[np.uint8] | Photo | EncodedPhoto | str | PathLike[str] | bytes  # what is taken for a photograph
+# what is taken for a photograph
+Bytes = bytes | bytearray | memoryview
+Picture = NDArray[np.uint8] | Photo | EncodedPhoto | Image.Image | str | PathLike[str] | Bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +64,14 @@ def fitted(
     """The photograph of view `index` as the network of `info` sees it, the same crop with `finer` times the pixels
     each way, and the warnings that belong to it in a scene of this `detail`.
 
-    A path is read, bytes are those of a file. At full size it lives in here only. Raises `ImageError` where it is none,
-    too small, of another shape than its camera, or its mask keeps nothing of the crop.
+    A path is read, bytes are those of a file; a view of memory is bytes unless it has the shape of pixels. At full size
+    it lives in here only. Raises `ImageError` where it is none, too small, of another shape than its camera, or its
+    mask keeps nothing of the crop.
     """
     if isinstance(image, str | PathLike):
         image = _read(image, index)
-    if isinstance(image, bytes):
-        image = EncodedPhoto(image)
+    if isinstance(image, bytes | bytearray) or (isinstance(image, memoryview) and image.ndim == 1):
+        image = EncodedPhoto(bytes(image))
     if isinstance(image, EncodedPhoto):
         return _fitted(image.decode(index=index), camera, image.lens, index, info, detail, finer)
     photo = image if isinstance(image, Photo) else Photo.from_array(image, index=index)
@@ -77,9 +81,14 @@ def fitted(
 def _read(path: str | PathLike[str], index: int) -> bytes:
     try:
         return Path(path).read_bytes()
-    except OSError as error:
-        message = f"{path} cannot be read: {error.strerror}"
-        raise ImageError(message, field="images", index=index) from error
+    except (OSError, ValueError) as error:  # such as a null byte in the path
+        why = error.strerror if isinstance(error, OSError) else error
+        cure = "may this user read it?"
+        if isinstance(error, IsADirectoryError):
+            cure = "give the photographs in it, each by its path"
+        elif isinstance(error, FileNotFoundError | ValueError):
+            cure = "is it spelled so? a relative path counts from the working folder"
+        raise ImageError(f"{path} cannot be read: {why}", field="images", index=index, cure=cure) from error
 
 
 def fit_notices(

@@ -11,13 +11,12 @@ from PIL import Image
 from ..cameras.camera import Camera
 from ..cameras.distortion import Lens
 from ..errors import ImageError
+from .eight_bit import check_mode, eight_bit, narrow_transparency
 from .image_files import DAMAGED, MAX_PIXELS, damaged, open_image
 from .resampling import OPAQUE, resampled
 from .upright import ON_ITS_SIDE, upright
 
 MIN_SIDE = 32  # px; two patches of the network, below that there is nothing to match
-_STRIP = 64  # rows of a 16-bit image that are converted at a time
-_PNG_BIT_DEPTH = 24  # place in the file: behind its signature, the header's length and name, width and height
 _ORIENTATION = 0x0112  # EXIF tag
 
 
@@ -39,15 +38,11 @@ class Photo:
 
     @classmethod
     def from_array(cls, array: object, *, index: int | None = None) -> Photo:
-        """Check (H, W, 3) or (H, W, 4) uint8 RGB values; the fourth channel is the mask. Raises `ImageError`."""
-        pixels = np.asarray(array)
-        if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
-            raise ImageError(
-                f"array is {pixels.dtype} of shape {pixels.shape}, need uint8 (H, W, 3) or (H, W, 4)",
-                field="images",
-                index=index,
-                cure="give 8-bit RGB with the channels last; np.rint(255 * array).astype(np.uint8) where it is 0 to 1",
-            )
+        """Check (H, W, 3) or (H, W, 4) uint8 RGB values; the fourth channel is the mask. A PIL image is taken as by
+        `from_image`. Raises `ImageError`."""
+        if isinstance(array, Image.Image):
+            return cls.from_image(array, index=index)
+        pixels = _checked_pixels(array, index)
         _check_smallest(pixels.shape[1], pixels.shape[0], index)
         mask = None
         if pixels.shape[2] == 4:
@@ -60,6 +55,17 @@ class Photo:
                     cure="save the photograph without transparency, or with what is to be kept opaque",
                 )
         return cls(np.ascontiguousarray(pixels[:, :, :3]), None if mask is None or mask.all() else mask)
+
+    @classmethod
+    def from_image(cls, image: Image.Image, *, index: int | None = None) -> Photo:
+        """An image that Pillow has opened or made, as `decode_image` has that of a file. Raises `ImageError`, also
+        where its colours, or what is transparent, cannot be told without the file."""
+        check_mode(image, index)
+        try:
+            pixels, orientation = eight_bit(image), _orientation(image)
+        except DAMAGED as error:
+            raise damaged(error, index) from error
+        return replace(cls.from_array(pixels, index=index), orientation=orientation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,14 +134,13 @@ def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Ph
                 cure="save its frames as files of their own",
             )
         try:
-            orientation = image.getexif().get(_ORIENTATION, 1)
+            orientation = _orientation(image)
             image.load()
-            _narrow_transparency(image, data)
-            pixels = _eight_bit(image)
+            narrow_transparency(image, data)
+            pixels = eight_bit(image)
         except DAMAGED as error:
             raise damaged(error, index) from error
-    photo = Photo.from_array(pixels, index=index)
-    return replace(photo, orientation=orientation if orientation in range(1, 9) else 1)
+    return replace(Photo.from_array(pixels, index=index), orientation=orientation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,42 +212,25 @@ def resized(photo: Photo, width: int, height: int) -> Photo:
     return Photo(rgb, mask, photo.orientation)
 
 
-def _eight_bit(image: Image.Image) -> NDArray[np.uint8]:
-    """(H, W, 3 or 4) uint8 of an opened image of any mode that the three formats can have."""
-    if image.mode.startswith("I"):  # 16-bit greyscale; Pillow's own conversion would clip it at 255
-        return _eight_bit_grey(image)
-    transparent = image.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in image.info
-    mode = "RGBA" if transparent else "RGB"
-    return np.asarray(image if image.mode == mode else image.convert(mode))
+def _checked_pixels(array: object, index: int | None) -> NDArray[np.uint8]:
+    pixels = np.asarray(array)
+    if pixels.dtype == np.uint8 and pixels.ndim == 3 and pixels.shape[2] in (3, 4):
+        return pixels
+    what = f"array is {pixels.dtype} of shape {pixels.shape}"
+    cure = "give 8-bit RGB with the channels last; np.rint(255 * array).astype(np.uint8) where it is 0 to 1"
+    if pixels.dtype.hasobject:
+        what = f"is a {type(array).__name__}"
+        cure = "give a path, the bytes of a file, or an array of 8-bit RGB with the channels last"
+        if hasattr(array, "read"):
+            cure = "give what its read() returns, from the beginning of a file opened for bytes, or the file's path"
+    elif pixels.dtype == np.uint8 and pixels.ndim == 1:
+        cure = "are these the bytes of a file? give them as bytes, such as by tobytes()"
+    raise ImageError(f"{what}, need uint8 (H, W, 3) or (H, W, 4)", field="images", index=index, cure=cure)
 
 
-def _narrow_transparency(image: Image.Image, data: bytes) -> None:
-    """Bring a PNG's transparent level or colour to the eight bits that Pillow gives its pixels, which it leaves to us.
-
-    Levels of 2 and 4 bits are spread over 8. Of colours of 16 bits Pillow keeps the upper eight, which is all that can
-    be compared.
-    """
-    if image.format != "PNG":
-        return
-    bits, transparent = data[_PNG_BIT_DEPTH], image.info.get("transparency")
-    if image.mode == "L" and bits in (2, 4) and isinstance(transparent, int):
-        image.info["transparency"] = transparent * (255 // (2**bits - 1))
-    if image.mode == "RGB" and bits == 16 and isinstance(transparent, tuple):
-        image.info["transparency"] = tuple(value >> 8 for value in transparent)
-
-
-def _eight_bit_grey(image: Image.Image) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 of 16-bit levels, strip by strip: round(level / 257), which has no ties; (H, W, 4) where one
-    level is transparent, compared as it is in the file."""
-    transparent = image.info.get("transparency")
-    pixels = np.empty((image.height, image.width, 3 if transparent is None else 4), np.uint8)
-    for top in range(0, image.height, _STRIP):
-        bottom = min(top + _STRIP, image.height)
-        levels = np.asarray(image.crop((0, top, image.width, bottom)), dtype=np.int32).clip(0, 65535)
-        pixels[top:bottom, :, :3] = ((levels + 128) // 257)[:, :, None]
-        if transparent is not None:
-            pixels[top:bottom, :, 3] = np.where(levels == transparent, 0, 255)
-    return pixels
+def _orientation(image: Image.Image) -> int:
+    orientation = image.getexif().get(_ORIENTATION, 1)
+    return orientation if orientation in range(1, 9) else 1
 
 
 def _turned_upright(photo: Photo) -> Photo:

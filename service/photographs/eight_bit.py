@@ -1,0 +1,64 @@
+"""Pixels of opened images, of whatever mode, as 8-bit RGB, and what is transparent in them as a fourth channel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..errors import ImageError
+
+_STRIP = 64  # rows of a 16-bit image that are converted at a time
+_PNG_BIT_DEPTH = 24  # place in the file: behind its signature, the header's length and name, width and height
+_NO_COLOURS = ("F", "I", "LAB", "La")  # modes of Pillow's: numbers of any range, and what it does not convert
+_OF_A_DEPTH = ("L", "RGB")  # modes whose transparent level or colour has the bits of the file, not of the pixels
+
+
+def eight_bit(image: Image.Image) -> NDArray[np.uint8]:
+    """(H, W, 3 or 4) uint8 of an opened image of any mode that JPEG, PNG and WEBP can have."""
+    if image.mode.startswith("I"):  # 16-bit greyscale; Pillow's own conversion would clip it at 255
+        return _eight_bit_grey(image)
+    transparent = image.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in image.info
+    mode = "RGBA" if transparent else "RGB"
+    return np.asarray(image if image.mode == mode else image.convert(mode))
+
+
+def check_mode(image: Image.Image, index: int | None) -> None:
+    """Raises `ImageError` for a PIL image that `eight_bit` would misread without the file that it is of."""
+    what, cure = None, "give 8-bit RGB, such as Image.fromarray makes of uint8 (H, W, 3)"
+    if image.mode in _NO_COLOURS:
+        what = f"is a PIL image of mode {image.mode}, need one that becomes 8-bit RGB"
+    elif image.mode in _OF_A_DEPTH and "transparency" in image.info:
+        what = f"is a PIL image of mode {image.mode} with a transparent level or colour, whose bits only its file tells"
+        cure = 'give the path or the bytes of its file, or what convert("RGBA") makes of it'
+    if what is not None:
+        raise ImageError(what, field="images", index=index, cure=cure)
+
+
+def narrow_transparency(image: Image.Image, data: bytes) -> None:
+    """Bring a PNG's transparent level or colour to the eight bits that Pillow gives its pixels, which it leaves to us.
+
+    Levels of 2 and 4 bits are spread over 8. Of colours of 16 bits Pillow keeps the upper eight, which is all that can
+    be compared.
+    """
+    if image.format != "PNG":
+        return
+    bits, transparent = data[_PNG_BIT_DEPTH], image.info.get("transparency")
+    if image.mode == "L" and bits in (2, 4) and isinstance(transparent, int):
+        image.info["transparency"] = transparent * (255 // (2**bits - 1))
+    if image.mode == "RGB" and bits == 16 and isinstance(transparent, tuple):
+        image.info["transparency"] = tuple(value >> 8 for value in transparent)
+
+
+def _eight_bit_grey(image: Image.Image) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 of 16-bit levels, strip by strip: round(level / 257), which has no ties; (H, W, 4) where one
+    level is transparent, compared as it is in the file."""
+    transparent = image.info.get("transparency")
+    pixels = np.empty((image.height, image.width, 3 if transparent is None else 4), np.uint8)
+    for top in range(0, image.height, _STRIP):
+        bottom = min(top + _STRIP, image.height)
+        levels = np.asarray(image.crop((0, top, image.width, bottom)), dtype=np.int32).clip(0, 65535)
+        pixels[top:bottom, :, :3] = ((levels + 128) // 257)[:, :, None]
+        if transparent is not None:
+            pixels[top:bottom, :, 3] = np.where(levels == transparent, 0, 255)
+    return pixels
