@@ -7,27 +7,39 @@ import json
 import re
 import zipfile
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import IO, Any
 
-from ..pictures.picture import encode
+from ..pictures.picture import png
 from ..viewpoints.scene_views import SceneViews
-from .drawing import draw
+from .drawing import Sitting
+from .gate import Gone, Pause
 from .runtime import Runtime
+from .spilled import spilled
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold: no clock in the bytes
 
 
-def zip_bundle(runtime: Runtime, document: Mapping[str, Any], views: Sequence[str]) -> bytes:
-    """`scene.ply`, `scene.json` and `renders/view_<spec>.png`; call it on a worker thread."""
-    scene_id = document["id"]
+async def zip_bundle(runtime: Runtime, document: Mapping[str, Any], views: Sequence[str], gone: Gone) -> IO[bytes]:
+    """`scene.ply`, `scene.json` and `renders/view_<spec>.png`: drawn in the lane of the pictures one after the other,
+    packed in that of the files. Call it while the scene is kept."""
+    scene_views = SceneViews.of_document(document)
+    cameras = {spec: scene_views.resolve(spec, field="views") for spec in views}
+
+    def drawn(pause: Pause) -> dict[str, bytes]:
+        sitting = Sitting(runtime, document["id"], scene_views, None, pause)
+        return {spec: png(sitting.pixels(camera)) for spec, camera in cameras.items()}
+
+    pictures = await runtime.pictures.run_in_steps(drawn, gone) if cameras else {}
+    return await runtime.files.run(lambda: spilled(_packed(runtime, document, pictures), runtime.store.root), gone)
+
+
+def _packed(runtime: Runtime, document: Mapping[str, Any], pictures: Mapping[str, bytes]) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as bundle:
-        bundle.writestr(_entry("scene.ply"), runtime.store.ply(scene_id), zipfile.ZIP_DEFLATED, 1)
+        bundle.writestr(_entry("scene.ply"), runtime.store.ply(document["id"]), zipfile.ZIP_DEFLATED, 1)
         bundle.writestr(_entry("scene.json"), json.dumps(document, indent=1), zipfile.ZIP_DEFLATED, 6)
-        scene_views = SceneViews.of_document(document)
-        for spec in dict.fromkeys(views):
-            picture = encode(draw(runtime, scene_id, scene_views.resolve(spec, field="views"), scene_views))
-            bundle.writestr(_entry(f"renders/view_{re.sub(r'[^0-9A-Za-z.+-]', '_', spec)}.png"), picture.data)
+        for spec, data in pictures.items():
+            bundle.writestr(_entry(f"renders/view_{re.sub(r'[^0-9A-Za-z.+-]', '_', spec)}.png"), data)
     return buffer.getvalue()
 
 

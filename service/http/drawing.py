@@ -68,9 +68,12 @@ def _check_time(begun: float, seconds: float) -> None:
 
 
 class Sitting:
-    """Pictures of one scene in one turn of the lane, between which it pauses; `seconds` has what it took."""
+    """Pictures of one scene in one turn of the lane, between which it pauses; `seconds` has what it took. Whoever lets
+    it draw keeps the scene meanwhile."""
 
-    def __init__(self, runtime: Runtime, scene_id: str, views: SceneViews, background: Sequence[float], pause: Pause):
+    def __init__(
+        self, runtime: Runtime, scene_id: str, views: SceneViews, background: Sequence[float] | None, pause: Pause
+    ) -> None:
         self._draw = partial(draw, runtime, scene_id, views=views, background=background)
         self._pause = pause
         self._begun = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Annotated, Any, Literal
 
 import anyio.to_thread
@@ -13,10 +14,11 @@ from starlette.datastructures import FormData, UploadFile
 
 from ..cameras.camera_fields import CameraFile
 from ..cameras.view_checks import Notice
-from ..errors import InputError, UnsupportedMediaType, UploadTooLarge
+from ..errors import FormatError, InputError, SceneNotFound, UnsupportedMediaType, UploadTooLarge
 from ..formats.dialect import Dialect
 from ..formats.registry import MEDIA_TYPE, NAMES
 from ..scenes.loaded_scene import LoadedFile, load
+from ..scenes.store import SceneStore
 from ..settings import Settings
 from .form import CAMERAS
 from .inputs import camera_table
@@ -94,15 +96,23 @@ async def load_scene(
                 cure=EXAMPLE,
             )
         scene_id = await anyio.to_thread.run_sync(file.scene_id)
-        new = not await anyio.to_thread.run_sync(runtime.store.listed, scene_id)
-        if new:
+        stored = await anyio.to_thread.run_sync(_stored, runtime.store, scene_id)
+        new = stored is None
+        if stored is None:
             most = settings.max_gaussians
-            await runtime.files.run(lambda: load(file, scene_id, runtime.store, most), request.is_disconnected)
-    document = with_links(await anyio.to_thread.run_sync(runtime.store.document, scene_id))
+            stored = await runtime.files.run(lambda: load(file, scene_id, runtime.store, most), request.is_disconnected)
+    document = with_links(stored)
     headers = {"Location": document["links"]["self"]}
     if new:
         headers["Server-Timing"] = server_timing(document["timings"])
     return json_response(document, 201 if new else 200, headers)
+
+
+def _stored(store: SceneStore, scene_id: str) -> dict[str, Any] | None:
+    """The document of a scene that is there, whole; call it on a worker thread."""
+    with suppress(SceneNotFound, FormatError):
+        return store.document(scene_id) if store.listed(scene_id) else None
+    return None
 
 
 async def _of_form(form: FormData, settings: Settings) -> LoadedFile:

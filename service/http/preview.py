@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -77,7 +78,8 @@ class SheetQuery(_SceneQuery):
 async def preview(request: Request, scene_id: str, query: Annotated[PreviewQuery, Query()], runtime: Held) -> Response:
     """Draw a film of the scene on the CPU, a picture after the other; it ends where nobody waits for it any more."""
 
-    def asked() -> tuple[SceneViews, FilmShape, list[Camera], Colour, str]:
+    def asked(held: ExitStack) -> tuple[SceneViews, FilmShape, list[Camera], Colour, str]:
+        held.enter_context(runtime.store.keeping(scene_id))
         views = SceneViews.of_document(runtime.store.document(scene_id))
         background = parse_background(query.background)
         cameras = [_framed(camera, query) for camera in loop(views.path(query.path, query.swing), query.frames)]
@@ -87,16 +89,17 @@ async def preview(request: Request, scene_id: str, query: Annotated[PreviewQuery
         return views, shape, cameras, background, picture_tag(runtime, scene_id, query)
 
     runtime.models  # noqa: B018  refuses until the kernels are warm
-    views, shape, cameras, background, etag = await anyio.to_thread.run_sync(asked)
+    with ExitStack() as held:  # until the last picture is drawn
+        views, shape, cameras, background, etag = await anyio.to_thread.run_sync(asked, held)
 
-    def work(sitting: Sitting) -> bytes:
-        with tempfile.TemporaryDirectory(prefix="gapmes-") as folder, full_is_refused("the film"):
-            path = Path(folder) / f"film.{shape.format}"
-            write_film(path, shape, map(sitting.pixels, cameras))
-            return path.read_bytes()
+        def work(sitting: Sitting) -> bytes:
+            with tempfile.TemporaryDirectory(prefix="gapmes-") as folder, full_is_refused("the film"):
+                path = Path(folder) / f"film.{shape.format}"
+                write_film(path, shape, map(sitting.pixels, cameras))
+                return path.read_bytes()
 
-    begin = partial(Sitting, runtime, scene_id, views, background)
-    return await _answer(request, runtime, etag, MEDIA_TYPES[shape.format], begin, work)
+        begin = partial(Sitting, runtime, scene_id, views, background)
+        return await _answer(request, runtime, etag, MEDIA_TYPES[shape.format], begin, work)
 
 
 @router.head("/scenes/{scene_id:path}/sheet", include_in_schema=False)
@@ -114,26 +117,28 @@ async def sheet(request: Request, scene_id: str, query: Annotated[SheetQuery, Qu
     A scene that was loaded from a file has no photographs, and its pictures no such number.
     """
 
-    def asked() -> tuple[dict[str, Any], Colour, str]:
+    def asked(held: ExitStack) -> tuple[dict[str, Any], Colour, str]:
+        held.enter_context(runtime.store.keeping(scene_id))
         document = runtime.store.document(scene_id)
         return document, parse_background(query.background), picture_tag(runtime, scene_id, query)
 
     runtime.models  # noqa: B018  refuses until the kernels are warm
-    document, background, etag = await anyio.to_thread.run_sync(asked)
-    views = SceneViews.of_document(document)
-    check = document.get("check")  # a loaded scene has none
-    title = "Inputs, drawn again" if check else "Views"
-    scores = [view["psnr"] for view in check["input_views"]] if check else [None] * len(views.cameras)
+    with ExitStack() as held:
+        document, background, etag = await anyio.to_thread.run_sync(asked, held)
+        views = SceneViews.of_document(document)
+        check = document.get("check")  # a loaded scene has none
+        title = "Inputs, drawn again" if check else "Views"
+        scores = [view["psnr"] for view in check["input_views"]] if check else [None] * len(views.cameras)
 
-    def work(sitting: Sitting) -> bytes:
-        cells = []
-        for index, (camera, score) in enumerate(zip(views.cameras, scores, strict=True)):
-            like = "" if score is None else f"   {score:.1f} dB PSNR"  # nothing to compare: its mask keeps nothing
-            cells.append(Cell(sitting.pixels(within(camera, CELL)), f"view {index}{like}"))
-        return encode_image(contact_sheet(rows_of(title, cells)), query.format)
+        def work(sitting: Sitting) -> bytes:
+            cells = []
+            for index, (camera, score) in enumerate(zip(views.cameras, scores, strict=True)):
+                like = "" if score is None else f"   {score:.1f} dB PSNR"  # nothing to compare: its mask keeps nothing
+                cells.append(Cell(sitting.pixels(within(camera, CELL)), f"view {index}{like}"))
+            return encode_image(contact_sheet(rows_of(title, cells)), query.format)
 
-    begin = partial(Sitting, runtime, scene_id, views, background)
-    return await _answer(request, runtime, etag, f"image/{query.format}", begin, work)
+        begin = partial(Sitting, runtime, scene_id, views, background)
+        return await _answer(request, runtime, etag, f"image/{query.format}", begin, work)
 
 
 async def _answer(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, ExitStack, suppress
 from functools import partial
 from typing import Annotated
 
 import anyio.to_thread
 from fastapi import APIRouter, Depends, Request, Response
 
+from ..errors import FormatError, SceneNotFound
+from ..scenes.store import SceneStore
 from . import problems
 from .bundle import zip_bundle
 from .form import FORM
@@ -57,7 +59,8 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
             job, new = None, False
             if not kept:
                 await held.enter_async_context(runtime.scenes.place())
-            if kept or not runtime.store.exists(scene_id):
+            scene = held.enter_context(ExitStack())  # is not evicted before its answer is made
+            if kept or not await anyio.to_thread.run_sync(_there, runtime.store, scene_id, scene):
                 submit = partial(runtime.desk.submit, work, scene_id, kept=kept)
                 job, new = await anyio.to_thread.run_sync(submit)
                 del submit
@@ -69,7 +72,18 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
             job = await ended(runtime.desk, job, runtime.settings.wait_seconds, request.is_disconnected)
             if job.state != "done":
                 return problems.of_document(why_not(job))
+            await anyio.to_thread.run_sync(lambda: scene.enter_context(runtime.store.keeping(scene_id)))
         return await _answer(request, runtime, scene_id, form, told, 201 if new else 200)
+
+
+def _there(store: SceneStore, scene_id: str, held: ExitStack) -> bool:
+    """Whether the scene is stored, whole; then it is kept as long as `held`. Call it on a worker thread."""
+    with suppress(SceneNotFound, FormatError), ExitStack() as kept:
+        kept.enter_context(store.keeping(scene_id))
+        if store.exists(scene_id):
+            held.enter_context(kept.pop_all())
+            return True
+    return False
 
 
 async def _answer(request: Request, runtime: Runtime, scene_id: str, form: str, told: Told, status: int) -> Response:
@@ -86,7 +100,6 @@ async def _answer(request: Request, runtime: Runtime, scene_id: str, form: str, 
         body = await anyio.to_thread.run_sync(lambda: spilled(runtime.store.ply(scene_id), runtime.store.root))
     else:
         name = f"{scene_id}.zip"
-        made = partial(zip_bundle, runtime, document, told.views)
-        body = await runtime.pictures.run(lambda: spilled(made(), runtime.store.root), request.is_disconnected)
+        body = await zip_bundle(runtime, document, told.views, request.is_disconnected)
     headers["Content-Disposition"] = f'attachment; filename="{name}"'
     return SpilledResponse(body, form, headers, status)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -80,17 +82,34 @@ async def render(
     if query.view is not None and query.camera is not None:
         raise ViewError("view and camera are both given, need one", field="camera")
     runtime.models  # noqa: B018  refuses until the kernels are warm
-    asked = await anyio.to_thread.run_sync(_asked, runtime, query)
-    cache = {"ETag": asked.etag, "Cache-Control": KEPT if query.scene is not None else "no-cache"}
-    if matches(request, asked.etag):
-        return not_modified(asked.etag, cache)
-    background = parse_background(query.background)
-    if request.method == "HEAD":
-        return head_alone(f"image/{query.format}", {"X-Gapmes-Scene": asked.scene_id, **cache})
+    with ExitStack() as held:  # until it is drawn
+        asked = await anyio.to_thread.run_sync(_asked, runtime, query, held)
+        cache = {"ETag": asked.etag, "Cache-Control": KEPT if query.scene is not None else "no-cache"}
+        if matches(request, asked.etag):
+            return not_modified(asked.etag, cache)
+        if request.method == "HEAD":
+            return head_alone(f"image/{query.format}", {"X-Gapmes-Scene": asked.scene_id, **cache})
+        return await _drawn(request, runtime, query, asked, cache)
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What a query means."""
+
+    scene_id: str
+    views: SceneViews
+    camera: Camera
+    background: tuple[float, float, float]
+    etag: str
+
+
+async def _drawn(
+    request: Request, runtime: Runtime, query: RenderQuery, asked: _Asked, cache: Mapping[str, str]
+) -> Response:
     effort = Effort(query.alpha_min, query.stop, query.sh_degree, query.samples)
 
     def work() -> tuple[Picture, dict[str, Any], float]:
-        drawn = draw(runtime, asked.scene_id, asked.camera, asked.views, query.channel, effort, background)
+        drawn = draw(runtime, asked.scene_id, asked.camera, asked.views, query.channel, effort, asked.background)
         start = time.perf_counter()
         return (
             encode(drawn, query.channel, query.format, query.depth_scale),
@@ -111,19 +130,10 @@ async def render(
     return Response(picture.data, media_type=picture.media_type, headers=headers)
 
 
-@dataclass(frozen=True, eq=False)
-class _Asked:
-    """What a query means."""
-
-    scene_id: str
-    views: SceneViews
-    camera: Camera
-    etag: str
-
-
-def _asked(runtime: Runtime, query: RenderQuery) -> _Asked:
-    """Read from the store; call it on a worker thread."""
+def _asked(runtime: Runtime, query: RenderQuery, held: ExitStack) -> _Asked:
+    """Read from the store, in which the scene is kept as long as `held`; call it on a worker thread."""
     scene_id = query.scene if query.scene is not None else runtime.store.newest()
+    held.enter_context(runtime.store.keeping(scene_id))
     views = SceneViews.of_document(runtime.store.document(scene_id))
     if query.camera is not None:
         camera = camera_from_json(parse_json(query.camera, "camera"))
@@ -131,4 +141,5 @@ def _asked(runtime: Runtime, query: RenderQuery) -> _Asked:
         camera = views.resolve(query.view if query.view is not None else "0")
     camera = check_size(frame(camera, query.width, query.height), runtime.settings.max_render_pixels, query.samples)
     check_format(camera.width, camera.height, query.channel, query.format, query.depth_scale)
-    return _Asked(scene_id, views, camera, picture_tag(runtime, scene_id, query))
+    background = parse_background(query.background)
+    return _Asked(scene_id, views, camera, background, picture_tag(runtime, scene_id, query))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
@@ -69,22 +70,25 @@ async def scene_file(
     The .ply is a file, whole or by ranges; the others are made of it, and `X-Gapmes-Notes` lists what they cannot hold.
     """
     scene_id, _, extension = f"{scene_id}.{extension}".partition(".")  # no id has a dot, an extension may
-    etag, size = await anyio.to_thread.run_sync(_stored, runtime, scene_id)
-    if extension not in FORMATS:
-        raise FormatUnknown(f"{extension[:50]!r} is no format of a scene", field="extension", cure=f"one of {NAMES}")
-    if extension != "ply":
-        etag = etag_of_converted(etag, extension)
-    if matches(request, etag):
-        return not_modified(etag, {"Cache-Control": ASKED_AGAIN})
-    if extension == "ply":
-        return SceneFile(runtime.store, scene_id, etag, size)
+    with ExitStack() as held:  # until it is made
+        etag, size = await anyio.to_thread.run_sync(_stored, runtime, scene_id, held)
+        if extension not in FORMATS:
+            raise FormatUnknown(
+                f"{extension[:50]!r} is no format of a scene", field="extension", cure=f"one of {NAMES}"
+            )
+        if extension != "ply":
+            etag = etag_of_converted(etag, extension)
+        if matches(request, etag):
+            return not_modified(etag, {"Cache-Control": ASKED_AGAIN})
+        if extension == "ply":
+            return SceneFile(runtime.store, scene_id, etag, size)
 
-    def convert() -> Made:
-        encoded = FORMATS[extension].write(runtime.store.gaussians(scene_id))
-        return Made(spilled(encoded.data, runtime.store.root), encoded.notes)
+        def convert() -> Made:
+            encoded = FORMATS[extension].write(runtime.store.gaussians(scene_id))
+            return Made(spilled(encoded.data, runtime.store.root), encoded.notes)
 
-    made = None if request.method == "HEAD" else await runtime.files.run(convert, request.is_disconnected)
-    return converted_file(f"{scene_id}.{extension}", etag, made)
+        made = None if request.method == "HEAD" else await runtime.files.run(convert, request.is_disconnected)
+        return converted_file(f"{scene_id}.{extension}", etag, made)
 
 
 @router.head("/scenes/{scene_id}/inputs/{index}", include_in_schema=False)
@@ -113,8 +117,9 @@ def delete_scene(scene_id: str, runtime: Held) -> Response:
     return Response(status_code=204)
 
 
-def _stored(runtime: Runtime, scene_id: str) -> tuple[str, int]:
-    """Tag and bytes of the .ply; call it on a worker thread."""
+def _stored(runtime: Runtime, scene_id: str, held: ExitStack) -> tuple[str, int]:
+    """Tag and bytes of the .ply, which is kept as long as `held`; call it on a worker thread."""
+    held.enter_context(runtime.store.keeping(scene_id))
     with runtime.store.reading(scene_id) as path:
         return etag_of(path), path.stat().st_size
 

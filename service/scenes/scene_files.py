@@ -129,6 +129,16 @@ class SceneFiles:
     def reading(self, scene_id: str) -> Iterator[Path]:
         """The .ply, which nobody evicts during the block. Raises `SceneNotFound`, also where it is deleted then, and
         `FormatError` where it is empty."""
+        with self.keeping(scene_id):
+            try:
+                yield self.folder(scene_id) / PLY
+            except FileNotFoundError as error:
+                raise unknown(scene_id) from error
+
+    @contextmanager
+    def keeping(self, scene_id: str) -> Iterator[None]:
+        """Nobody evicts the scene during the block, whatever that does and raises. Raises as `reading` at its
+        beginning."""
         path = self.folder(scene_id) / PLY
         try:
             handle = os.open(path, os.O_RDONLY)
@@ -136,12 +146,10 @@ class SceneFiles:
             raise self._missing(scene_id) from error
         try:
             fcntl.flock(handle, fcntl.LOCK_SH)
-            if os.fstat(handle).st_ino != path.stat().st_ino:  # deleted and stored anew between the two lines
+            if not _same(handle, path):  # deleted, or stored anew, between the two lines
                 raise unknown(scene_id)
             _require_gaussians(scene_id, os.fstat(handle))
-            yield path
-        except FileNotFoundError as error:
-            raise unknown(scene_id) from error
+            yield
         finally:
             os.close(handle)
 
@@ -208,6 +216,14 @@ def _unread(path: Path) -> Iterator[None]:
     finally:
         if handle is not None:
             os.close(handle)
+
+
+def _same(handle: int, path: Path) -> bool:
+    """Whether the open file is still the one at `path`."""
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except (FileNotFoundError, NotADirectoryError):
+        return False
 
 
 def _drop(path: Path) -> None:

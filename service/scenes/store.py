@@ -119,6 +119,12 @@ class SceneStore:
         self._index.used(scene_id)
         return self._files.reading(scene_id)
 
+    def keeping(self, scene_id: str) -> AbstractContextManager[None]:
+        """The scene is not evicted during the block, in which it is read piece by piece, or later. Raises as
+        `reading`."""
+        self._index.used(scene_id)
+        return self._files.keeping(scene_id)
+
     def ply(self, scene_id: str) -> bytes:
         """The .ply file. Raises `SceneNotFound`."""
         with self.reading(scene_id) as path:
