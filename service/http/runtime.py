@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import anyio
 import anyio.to_thread
 from fastapi import Request
+from uvicorn import Server
 
 from ..errors import ModelNotReady
 from ..jobs.desk import Desk
@@ -134,6 +135,9 @@ class Runtime:
 
         for number in before:
             signal.signal(number, heard)
+        servers = [getattr(handler, "__self__", None) for handler in before.values()]
+        if any(isinstance(server, Server) and server.should_exit for server in servers):  # it heard one before
+            self.stop()
         try:
             yield
         finally:

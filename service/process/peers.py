@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 FOLDER = "PROMETHEUS_MULTIPROC_DIR"  # names it, read by the library of the numbers when it is imported
@@ -51,9 +52,11 @@ class Peers:
 
 
 def is_alive(pid: int) -> bool:
-    """Whether a process of ours has this number."""
+    """Whether a process of ours has this number, and has not ended: one that ended has it until its parent looks."""
     try:
         os.kill(pid, 0)
     except OSError:
         return False
+    with suppress(OSError):  # not every system has such a file
+        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0] != b"Z"
     return True

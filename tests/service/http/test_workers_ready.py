@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import asyncio
 import signal
 import subprocess
 import sys
@@ -19,7 +19,6 @@ from starlette.testclient import TestClient
 from gapmes.service.app import create_app
 from gapmes.service.http import runtime
 from gapmes.service.process.peers import FOLDER, Peers
-from gapmes.service.process.watched_process import WatchedProcess
 from gapmes.service.settings import Settings
 
 
@@ -129,17 +128,25 @@ def test_one_that_cannot_be_loaded_ends_where_another_is(
     assert how == [("at once" if complete else "in order",)]
 
 
-def test_the_end_of_a_worker_that_has_not_answered_is_heard_of() -> None:
-    """Not when the time to answer is over, which is long: until then nobody would hear a signal."""
-    worker = WatchedProcess(uvicorn.Config("gapmes.service.serving:app", factory=True, workers=2), [])
-    worker.start()
-    assert worker.pid is not None
-    os.kill(worker.pid, signal.SIGSTOP)
-    heard: list[bool] = []
-    asked = threading.Thread(target=lambda: heard.append(worker.ping(600)), daemon=True)
-    asked.start()
-    os.kill(worker.pid, signal.SIGKILL)
-    asked.join(120)
-    worker.join()
-    assert heard == [False]
-    worker.kill()  # as the watcher does then
+@pytest.mark.usefixtures("other")
+def test_one_that_was_told_to_end_before_it_could_hear_it_ends(
+    settings: Settings, tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By its server, which imports the application only then; it does not wait to be loaded, which may never be."""
+    (folder / "complete").touch()
+    never = threading.Event()
+    monkeypatch.setattr(runtime.Runtime, "_load", lambda _: never.wait(120))
+    server = uvicorn.Server(uvicorn.Config("gapmes.service.serving:app"))
+    ours = runtime.Runtime(settings.model_copy(update={"store": tmp_path / "scenes", "workers": 2}))
+
+    async def lifespan() -> None:
+        async with ours.running():
+            assert ours.stopping
+
+    before = signal.signal(signal.SIGTERM, server.handle_exit)
+    try:
+        signal.raise_signal(signal.SIGTERM)
+        asyncio.run(asyncio.wait_for(lifespan(), 60))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        never.set()

@@ -66,6 +66,13 @@ def test_they_are_complete_when_the_last_is_loaded_and_stay_so(tmp_path: Path, l
         assert each.wanted  # nobody else answers, as far as one can tell
 
 
+def test_one_that_died_unseen_by_its_parent_does_not_live() -> None:
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+    assert not is_alive(process.pid)
+    process.wait()
+
+
 def test_one_that_died_does_not_count(tmp_path: Path, gone: int) -> None:
     assert not is_alive(gone)
     (tmp_path / f"loaded_{gone}").touch()

@@ -1,0 +1,98 @@
+"""The process that watches workers hears at once of the end of one, and of a signal to end, whatever it is at."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import uvicorn
+from uvicorn.supervisors import multiprocess
+
+from gapmes.service.process.watched_process import Told, WatchedProcess, Watcher
+
+CONFIG = uvicorn.Config("gapmes.service.serving:app", factory=True, workers=2)
+
+
+def test_the_end_of_a_worker_that_has_not_answered_is_heard_of() -> None:
+    """Not when the time to answer is over, which is long: until then nobody would hear a signal."""
+    worker = WatchedProcess(CONFIG, [])
+    worker.start()
+    assert worker.pid is not None
+    os.kill(worker.pid, signal.SIGSTOP)
+    heard: list[bool] = []
+    asked = threading.Thread(target=lambda: heard.append(worker.ping(600)), daemon=True)
+    asked.start()
+    os.kill(worker.pid, signal.SIGKILL)
+    asked.join(120)
+    worker.join()
+    assert heard == [False]
+    worker.kill()  # as the watcher does then
+
+
+def test_a_worker_that_does_not_answer_keeps_nobody_from_ending() -> None:
+    told = Told()
+    worker = WatchedProcess(CONFIG, [], told)
+    worker.start()
+    assert worker.pid is not None
+    os.kill(worker.pid, signal.SIGSTOP)
+    heard: list[bool] = []
+    asked = threading.Thread(target=lambda: heard.append(worker.ping(600)), daemon=True)
+    asked.start()
+    told.set()
+    asked.join(120)
+    assert heard == [True]
+    worker.kill()
+    worker.join()
+
+
+class Worker:
+    """One that is being replaced, or that is to take its place."""
+
+    exitcode = None
+
+    def __init__(self, *_: Any) -> None:
+        self.pid = id(self)
+        self.done: list[str] = []
+
+    def start(self) -> None:
+        self.done.append("start")
+
+    def wait_until_ready(self, _: float, told: Told) -> bool:
+        signal.raise_signal(signal.SIGTERM)
+        return not told.is_set()
+
+    def kill(self) -> None:
+        self.done.append("kill")
+
+    def terminate(self) -> None:
+        self.done.append("terminate")
+
+    def join(self) -> None:
+        self.done.append("join")
+
+
+@pytest.fixture
+def watcher(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watcher]:
+    before = {number: signal.getsignal(number) for number in multiprocess.SIGNALS}
+    monkeypatch.setattr(multiprocess, "Process", multiprocess.Process)  # so that it is what it was afterwards
+    yield Watcher(CONFIG, [])
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def test_a_signal_to_end_is_heard_while_workers_are_replaced(watcher: Watcher, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The workers hear it at once, too: what one that is being replaced still has to do takes none of their time."""
+    killed: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "kill", lambda *told: killed.append(told))
+    monkeypatch.setattr(multiprocess, "Process", Worker)
+    workers: Any = [Worker(), Worker()]
+    watcher.processes = list(workers)
+    watcher.restart_all()
+    assert watcher.should_exit.is_set()
+    assert watcher.processes == workers
+    assert [worker.done for worker in workers] == [[], []]
+    assert killed == [(worker.pid, signal.SIGTERM) for worker in workers]
