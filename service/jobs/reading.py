@@ -26,8 +26,8 @@ class JobReader:
         """How many are queued before it or running."""
         rows = self._database.rows(
             "SELECT count(*) FROM jobs WHERE id != ? "
-            "AND (state = 'running' OR (state = 'queued' AND (created, id) < (?, ?)))",
-            [job.id, job.created, job.id],  # it may have begun since it was read
+            "AND (state = 'running' OR (state = 'queued' AND rowid < (SELECT rowid FROM jobs WHERE id = ?)))",
+            [job.id, job.id],  # it may have begun since it was read
         )
         return int(rows[0][0])
 

@@ -16,6 +16,7 @@ from typing import Any
 from .. import metrics
 from ..errors import ServiceBusy
 from ..scenes.database import Database
+from ..scenes.scene_index import UNSET_NS
 from .reading import JobReader
 from .rows import (
     Job,
@@ -28,6 +29,7 @@ from .rows import (
     wait_for,
 )
 
+UNSET_S = UNSET_NS / 10**9
 MAX_ATTEMPTS = 2  # a job whose process died is tried once more; then it is taken for the reason
 
 
@@ -90,15 +92,15 @@ class JobTable(JobReader):
         return job
 
     def claim(self, owner: str, *, waited_for: bool = False) -> Job | None:
-        """The oldest queued job, running from now on and this owner's; with `waited_for` one whose answer a request
-        waits for."""
+        """The queued job that was asked for first, as the rows tell and no clock, running from now on and this owner's;
+        with `waited_for` one whose answer a request waits for."""
         some = "state = 'queued'" + (" AND id IN (SELECT job_id FROM waits)" if waited_for else "")
         if not self._database.rows(f"SELECT 1 FROM jobs WHERE {some} LIMIT 1"):
             return None  # most looks find nothing, and need not write
         with self._database.write() as connection:
             rows = connection.execute(
                 "UPDATE jobs SET state = 'running', owner = ?, started = ?, attempts = attempts + 1 WHERE id ="
-                f" (SELECT id FROM jobs WHERE {some} ORDER BY created, id LIMIT 1) RETURNING id",
+                f" (SELECT id FROM jobs WHERE {some} ORDER BY rowid LIMIT 1) RETURNING id",
                 [owner, time.time()],
             ).fetchall()
             if not rows:
@@ -187,8 +189,11 @@ class JobTable(JobReader):
         return set(over)
 
     def forget(self) -> None:
-        """Forget jobs that ended long ago."""
-        if not self._database.rows("SELECT 1 FROM jobs WHERE ended < ? LIMIT 1", [time.time() - self._keep_s]):
+        """Forget jobs that ended long ago. An end that lies ahead, noted by a clock that was fast, is now."""
+        now = time.time()
+        if not self._database.rows(
+            "SELECT 1 FROM jobs WHERE ended < ? OR ended > ? LIMIT 1", [now - self._keep_s, now]
+        ):
             return
         with self._database.write() as connection:
             self._forget(connection)
@@ -218,7 +223,10 @@ class JobTable(JobReader):
         return found_job(connection, rows[0]["id"])
 
     def _forget(self, connection: Connection) -> None:
-        old = [time.time() - self._keep_s]
+        now = time.time()
+        if now > UNSET_S:
+            connection.execute("UPDATE jobs SET ended = ? WHERE ended > ?", [now, now])
+        old = [now - self._keep_s]
         connection.execute("DELETE FROM events WHERE job_id IN (SELECT id FROM jobs WHERE ended < ?)", old)
         connection.execute("DELETE FROM jobs WHERE ended < ?", old)
 

@@ -43,6 +43,42 @@ def test_from_queued_to_done(table: JobTable) -> None:
     assert table.claim("me") is None
 
 
+@pytest.fixture
+def fast(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """The clock is two days fast until this is undone."""
+    true = time.time
+    monkeypatch.setattr(time, "time", lambda: true() + 2 * 86_400)
+    return monkeypatch
+
+
+def test_jobs_have_their_turn_in_the_order_of_asking_whatever_the_clock_says(
+    table: JobTable, fast: pytest.MonkeyPatch
+) -> None:
+    table.submit("9", A)
+    fast.undo()
+    table.submit("1", B)
+    assert (table.ahead(table.get("9")), table.ahead(table.get("1"))) == (0, 1)
+    assert [table.claim("me").id for _ in range(2)] == ["9", "1"]
+
+
+def test_a_job_that_ended_by_a_fast_clock_is_forgotten_in_its_time(tmp_path: Path, fast: pytest.MonkeyPatch) -> None:
+    table = JobTable(Database(tmp_path / "index.sqlite"), most=5, keep_s=3600.0)
+    table.submit("1", A)
+    table.cancel("1")
+    fast.undo()
+    now = time.time()
+    fast.setattr(time, "time", lambda: 1000.0)  # a clock that has not been set yet knows no better
+    table.forget()
+    assert table.get("1").ended > now + 86_400
+    fast.setattr(time, "time", lambda: now)
+    table.forget()
+    assert table.get("1").ended == now
+    fast.setattr(time, "time", lambda: now + 3601.0)
+    table.forget()
+    with pytest.raises(JobNotFound):
+        table.get("1")
+
+
 def test_a_scene_has_one_active_job(table: JobTable) -> None:
     first = table.submit("1", A, "web")
     again = table.submit("2", A)
