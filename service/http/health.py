@@ -39,7 +39,8 @@ async def readyz(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
         error.extra |= {"state": state, "stage": stage, "timings": runtime.timings}
         raise
     if not await anyio.to_thread.run_sync(runtime.store.writable):
-        raise StorageFull("the store cannot be written", field="store", cure="is its disk full, or read-only?")
+        cure = "is its disk full or read-only, or index.sqlite damaged?"
+        raise StorageFull("the store cannot be written", field="store", cure=cure)
     default, *_ = models["models"]
     loaded = {model["name"]: model["loaded"] for model in models["models"]}
     return json_response({"status": "ready", "model": default, "loaded": loaded, "timings": runtime.timings})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,12 @@ CREATE TABLE IF NOT EXISTS events (
 );
 {_WAITS}
 """
+_PROBES = (
+    "scenes VALUES ('', 0, 0, 0, '')",
+    "jobs (id, scene_id, state, kept, created) VALUES ('', '', '', 0, 0)",
+    "events VALUES ('', 0, '', '')",
+    "waits VALUES ('', '')",
+)
 # What a file of each version lacks. Version 1 counted the requests that wait in `jobs.waiting`: they ended with their
 # processes.
 _MISSING = {0: _SCHEMA, 1: f"{_WAITS} ALTER TABLE jobs DROP COLUMN waiting", VERSION: ""}
@@ -54,7 +60,7 @@ class Database:
     def __init__(self, path: Path) -> None:
         """Open or make the file, and give one of an earlier version what it lacks; one of this version is not written,
         so that what is on a full disk can be read. Raises `GapmesError` where a later version of the service has made
-        it, or where it is no such file or cannot be written."""
+        it, or where it is no such file, damaged, or cannot be written."""
         self._path = path
         self._threads = threading.local()
         with exclusive(path.with_name(f"{path.name}.lock")):  # the change to the write-ahead log waits for nobody
@@ -68,6 +74,9 @@ class Database:
                 ) from error
 
     def _complete(self) -> None:
+        damage = self.rows("PRAGMA quick_check(1)")[0][0]
+        if damage != "ok":
+            raise sqlite3.DatabaseError(str(damage).strip())
         found = self.rows("PRAGMA user_version")[0][0]
         if found not in _MISSING:
             raise GapmesError(
@@ -110,6 +119,19 @@ class Database:
                     "no space for the index", field="store", cure="delete scenes, or give it room"
                 ) from error
             raise
+
+    def writable(self) -> bool:
+        """Whether a row could be added to every table, by a connection of its own, which knows nothing of the file yet:
+        it is tried and taken back."""
+        try:
+            with closing(sqlite3.connect(self._path, timeout=BUSY_S, isolation_level=None)) as connection:
+                connection.execute("BEGIN IMMEDIATE")
+                for row in _PROBES:
+                    connection.execute(f"INSERT INTO {row}")
+                connection.execute("ROLLBACK")
+        except sqlite3.DatabaseError:
+            return False
+        return True
 
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
         """What a query finds."""

@@ -153,8 +153,8 @@ class SceneStore:
         )
 
     def writable(self) -> bool:
-        """Whether a file can be made and removed."""
-        return self._files.writable()
+        """Whether a file can be made and removed, and the index takes rows."""
+        return self._files.writable() and self.database.writable()
 
     def delete(self, scene_id: str) -> None:
         """Remove a scene, also one that was damaged or of which nothing is left but its place in the list. Raises

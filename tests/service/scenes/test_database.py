@@ -79,6 +79,36 @@ def test_what_is_no_such_file_is_refused(tmp_path: Path) -> None:
     assert caught.value.cure is not None
 
 
+def damage(path: Path) -> None:
+    """All but the first page is something else."""
+    with sqlite3.connect(path) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    connection.close()
+    with path.open("r+b") as file:
+        file.seek(4096)
+        file.write(b"\xff" * (path.stat().st_size - 4096))
+
+
+def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "index.sqlite"
+    Database(path)
+    damage(path)
+    with pytest.raises(GapmesError, match=r"index\.sqlite cannot be used: ") as caught:
+        Database(path)
+    assert "move the file away" in str(caught.value.cure)
+
+
+def test_a_file_that_is_damaged_meanwhile_is_not_writable(tmp_path: Path) -> None:
+    """Also where what this process has read of it is as it was."""
+    path = tmp_path / "index.sqlite"
+    database = Database(path)
+    database.rows("SELECT * FROM scenes")
+    assert database.writable()
+    assert database.rows("SELECT * FROM scenes") == []
+    damage(path)
+    assert not database.writable()
+
+
 def test_a_failed_transaction_leaves_nothing(tmp_path: Path) -> None:
     database = Database(tmp_path / "index.sqlite")
 

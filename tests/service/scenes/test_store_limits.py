@@ -307,6 +307,13 @@ def test_a_store_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monk
     assert listed(store) == {IDS[0]}
 
 
+def test_a_store_whose_index_takes_nothing_cannot_be_written(tmp_path: Path) -> None:
+    store = filled(tmp_path, 1)
+    with store.database.write() as connection:
+        connection.execute("DROP TABLE waits")
+    assert not store.writable()
+
+
 def test_a_delete_does_not_wait_for_a_reader(tmp_path: Path) -> None:
     store = filled(tmp_path, 1)
     handle = os.open(tmp_path / IDS[0] / "scene.ply", os.O_RDONLY)
