@@ -83,6 +83,7 @@ def create_app(settings: Settings | None = None, bars: AbstractContextManager[Li
         app.add_middleware(KeyNeeded, key=key)
     origins = [origin.strip() for origin in settings.cors_origins.split(",") if origin.strip()]
     app.add_middleware(KnownPages, origins=origins)
+    app.add_middleware(problems.FaultsAnswered)
     if origins:  # asked before the key: a browser's question brings none
         app.add_middleware(
             CORSMiddleware, allow_origins=origins, allow_methods=["*"], allow_headers=["*"], expose_headers=EXPOSED

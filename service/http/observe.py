@@ -15,6 +15,7 @@ from ..metrics import REJECTED, REQUESTS, SECONDS
 from ..process.logs import REQUEST_ID
 
 HEADER = "X-Request-ID"
+JOB = "job"  # under which a request's state has the id of the job that it asked for or waits for
 QUIET = ("/healthz", "/readyz", "/metrics")  # asked for every few seconds: counted, not logged
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
 _ID = re.compile(r"[\w.:-]{1,64}", re.ASCII)
@@ -64,13 +65,10 @@ class Observed:
             REQUESTS.labels(method, route, status).inc()
             SECONDS.labels(route).observe(seconds)
             if scope["path"] not in QUIET:
-                _log.info(
-                    "%s %s %d",
-                    method,
-                    shown(scope["path"]),
-                    status,
-                    extra={"seconds": round(seconds, 4), "bytes": sent, "route": route},
-                )
+                told = {"seconds": round(seconds, 4), "bytes": sent, "route": route}
+                if JOB in scope["state"]:
+                    told["job"] = scope["state"][JOB]
+                _log.info("%s %s %d", method, shown(scope["path"]), status, extra=told)
             REQUEST_ID.reset(token)
 
 

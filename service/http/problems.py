@@ -13,6 +13,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.routing import Match
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ..errors import GapmesError
 from ..problem_document import problem, public
@@ -118,9 +119,33 @@ async def _gone(_: Request, __: ClientDisconnect) -> Response:
     return response(problem(400, "client_disconnected", "the request ended before its body was complete"))
 
 
+class FaultsAnswered:
+    """ASGI middleware: a fault is answered within what adds headers to every answer, so that a page which may call can
+    read it. Amid an answer it goes on, to whom the framework has for that."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        begun = False
+
+        async def watched(message: Message) -> None:
+            nonlocal begun
+            begun = True
+            await send(message)
+
+        try:
+            await self._app(scope, receive, watched)
+        except Exception as error:
+            if begun or scope["type"] != "http":
+                raise
+            answer = await _unexpected(Request(scope), error)
+            await answer(scope, receive, send)
+
+
 async def _unexpected(request: Request, error: Exception) -> Response:
     """A fault of ours: the log gets the traceback, the caller no internals."""
-    request_id = getattr(request.state, "request_id", None)  # this is further out than what knows it otherwise
+    request_id = getattr(request.state, "request_id", None)  # this may be further out than what knows it otherwise
     path = shown(request.scope["path"])
     _log.error("%s %s failed", request.method, path, exc_info=error, extra={"request_id": request_id})
     headers = {"Connection": "close"}  # of its body something may be left, which nobody reads

@@ -16,6 +16,7 @@ from .bundle import zip_bundle
 from .form import FORM
 from .jobs import accepted_job, wanted_async, why_not
 from .limits import RELEASE
+from .observe import JOB
 from .responses import JSON, PLY, ZIP, accepted, json_response, server_timing
 from .runtime import Runtime, runtime_of
 from .scenes import with_links
@@ -63,6 +64,7 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
             if kept or not await anyio.to_thread.run_sync(_there, runtime.store, scene_id, scene):
                 submit = partial(runtime.desk.submit, work, scene_id, kept=kept)
                 job, new = await anyio.to_thread.run_sync(submit)
+                request.scope["state"][JOB] = job.id
                 del submit
             del work  # and with it the photographs: they are on disk now
             request.scope[RELEASE]()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from .. import metrics
 from ..errors import ModelChanged, StorageFull
 from ..process.allocator import trim
+from ..process.logs import REQUEST_ID
 from ..progress import Listener, Stage, Stages
 from ..scenes.store import SceneStore
 from .leases import Lease
@@ -152,7 +153,7 @@ class Desk:
             return there, False
         self.table.check_room()
         job_id = uuid.uuid4().hex
-        self._spool.put(job_id, work)
+        self._spool.put(job_id, work, REQUEST_ID.get())
         job = None
         try:
             job = self.table.submit(job_id, scene_id, waits)

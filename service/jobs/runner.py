@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from ..errors import DeadlineExceeded, GapmesError, JobCancelled
 from ..problem_document import problem, public
+from ..process.logs import REQUEST_ID
 from ..process.priority import give_way
 from ..progress import Listener, Stage
 from .leases import Lease
@@ -98,11 +99,13 @@ class Runner:
                         self._wake.wait(POLL_S)
                 continue
             self._running.add(job.id)
+            token = REQUEST_ID.set(self._spool.request_id(job.id))  # of all that is logged of it
             try:
                 self._run(job)
             except Exception:  # the thread must go on, whatever happened to one job
                 _log.exception("job %s was left", job.id)
             finally:
+                REQUEST_ID.reset(token)
                 self._running.discard(job.id)
 
     def _next(self) -> Job | None:

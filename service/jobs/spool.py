@@ -13,6 +13,7 @@ from ..process.disk import full_is_refused
 from .work import Work
 
 _DOCUMENT = "work.json"
+_REQUEST = "request"
 _TEMPORARY = ".incoming-"
 SUBMITTING_S = 3600.0  # far longer than writing the photographs and queueing the job take
 
@@ -25,8 +26,8 @@ class Spool:
         root.mkdir(parents=True, exist_ok=True)
         self._root = root
 
-    def put(self, job_id: str, work: Work) -> None:
-        """Write a job's inputs. Raises `StorageFull`."""
+    def put(self, job_id: str, work: Work, request_id: str | None = None) -> None:
+        """Write a job's inputs, and the id of the request that brought them. Raises `StorageFull`."""
         incoming = self._root / f"{_TEMPORARY}{job_id}"
         with full_is_refused("the photographs"):
             try:
@@ -34,6 +35,7 @@ class Spool:
                 for index, image in enumerate(work.images):
                     (incoming / str(index)).write_bytes(image)
                 (incoming / _DOCUMENT).write_text(json.dumps(work.document()), encoding="utf-8")
+                (incoming / _REQUEST).write_text(request_id or "", encoding="utf-8")
                 incoming.rename(self._root / job_id)
             finally:
                 shutil.rmtree(incoming, ignore_errors=True)
@@ -43,6 +45,13 @@ class Spool:
         folder = self._root / job_id
         document = json.loads((folder / _DOCUMENT).read_bytes())
         return Work.of_document(document, [(folder / str(i)).read_bytes() for i in range(len(document["cameras"]))])
+
+    def request_id(self, job_id: str) -> str | None:
+        """Of the request that brought a job's inputs, where that is known."""
+        try:
+            return (self._root / job_id / _REQUEST).read_text(encoding="utf-8") or None
+        except (OSError, ValueError):  # an earlier release wrote none
+            return None
 
     def drop(self, job_id: str) -> None:
         """Remove what there is of it."""

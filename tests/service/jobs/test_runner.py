@@ -18,6 +18,7 @@ from gapmes.service.errors import InputError, StorageFull
 from gapmes.service.jobs.spool import Spool
 from gapmes.service.jobs.work import Work
 from gapmes.service.mending.fade_passes import DEFAULT_PASSES
+from gapmes.service.process.logs import REQUEST_ID
 from gapmes.service.progress import Stage, Stages
 
 
@@ -36,6 +37,18 @@ def test_work_comes_back_from_disk_to_the_bit(tmp_path: Path) -> None:
     spool.drop("1")
     with pytest.raises(FileNotFoundError):
         spool.get("1")
+
+
+def test_what_is_logged_of_a_job_has_the_id_of_its_request(place: Place) -> None:
+    """Also in another process, where only the disk tells it."""
+    heard: list[str | None] = []
+    runner = place.runner(lambda *_: heard.append(REQUEST_ID.get()))
+    for job_id, request_id in (("1", "mine"), ("2", None)):
+        place.spool.put(job_id, work(), request_id)
+        place.table.submit(job_id, A)
+        runner.notify()
+        place.ended(job_id)
+    assert heard == ["mine", None]
 
 
 def test_work_of_a_release_with_one_model_is_for_the_default_one() -> None:
