@@ -137,7 +137,9 @@ class Settings(BaseSettings):
         description="key that requests must bring as `Authorization: Bearer`, of printable ASCII; empty means that none"
         " is needed",
     )
-    api_key_file: Path | None = Field(None, description="file with that key, such as a mounted secret, in its place")
+    api_key_file: Path | None = Field(
+        None, description="file with that key, such as a mounted secret, in its place; read once, at the start"
+    )
     cors_origins: str = Field(
         "", description="origins, comma separated, whose pages may call the service; empty means none, `*` all"
     )

@@ -80,7 +80,7 @@ def serve(
     settings = checked_settings(**options)
     strange = strange_variables(os.environ)
     found = Models(settings)  # looks at the files; said before the work
-    settings.key()
+    key = settings.key()
     if os.environ.get("TMPDIR"):  # where large uploads lie for a moment; an empty volume has no such folder yet
         Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
     if prepare:
@@ -92,6 +92,8 @@ def serve(
     configure(settings.log, quiet=settings.quiet)
     _tell(strange)
     os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in options.items()}  # what the workers read
+    if settings.api_key_file is not None:  # which may hold another one, or be gone, when one comes in place of another
+        os.environ |= {"GAPMES_API_KEY": key or "", "GAPMES_API_KEY_FILE": ""}
     served: dict[str, Any] = {
         "factory": True,
         "host": settings.host,
