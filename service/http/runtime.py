@@ -147,12 +147,12 @@ class Runtime:
     async def _tidy(self) -> None:
         """Evict what nobody reads and forget what ended, now and then."""
         while True:
-            await asyncio.sleep(TIDY_S)
             for tidy in (self.store.evict_old, self.desk.tidy):  # each, whatever becomes of the other
                 try:
                     await anyio.to_thread.run_sync(tidy)
                 except Exception:
                     _log.exception("the store cannot be tidied")
+            await asyncio.sleep(TIDY_S)
 
     async def _end_in_time(self) -> None:
         """Requests have their share of the patience, once the process was told to end."""

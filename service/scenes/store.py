@@ -7,7 +7,7 @@ import logging
 import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,8 @@ class SceneStore:
     ) -> None:
         """Make `root` if needed, list what it holds, and remove what a crash left there unless somebody writes.
 
-        Beyond `max_bytes` the scenes go that were read longest ago; those that nobody has read for `max_days` go too.
+        Beyond `max_bytes` the scenes go that were read longest ago; those that nobody has read for `max_days` go too,
+        when `evict_old` is called.
         Raises `GapmesError` where the folder cannot be made or written, or its index belongs to a later version.
         """
         self.root = Path(root)
@@ -169,14 +170,20 @@ class SceneStore:
         self._cache.drop(scene_id)
 
     def evict_old(self) -> int:
-        """Remove what nobody has read for `max_days` and nobody is reading now; returns how many. Last uses that lie
-        ahead are set right first."""
+        """Remove what nobody has read for `max_days`, and what is beyond `max_bytes`, but for what is being read now;
+        returns how many. Last uses that lie ahead are set right first."""
         self._index.used_by_now()
-        if self.max_days is None:
+        if self.max_days is None and self.max_bytes is None:
             return 0
-        before = max(0, time.time_ns() - int(self.max_days * DAY_NS))
         with self._alone():
-            return sum(self._evict(row) for row in self._index.longest_unused(before))
+            before, _ = self.totals()
+            if self.max_days is not None:
+                old = max(0, time.time_ns() - int(self.max_days * DAY_NS))
+                for row in self._index.longest_unused(old):
+                    self._evict(row)
+            with suppress(StorageFull):
+                self._make_room(0)
+            return before - self.totals()[0]
 
     @contextmanager
     def _alone(self) -> Iterator[None]:

@@ -9,7 +9,24 @@ import pytest
 
 from gapmes.service.http import runtime as runtime_module
 from gapmes.service.http.runtime import Runtime
+from gapmes.service.scenes.store import SceneStore
 from gapmes.service.settings import Settings
+
+
+def test_what_is_beyond_a_limit_goes_at_the_start(settings: Settings, tmp_path: Path) -> None:
+    store = SceneStore(tmp_path)
+    for number in range(3):
+        store.put(f"{number:032x}", b"x" * 1000, {})
+    runtime = Runtime(settings.model_copy(update={"store": tmp_path, "store_bytes": 2500}))
+
+    async def until_gone() -> None:
+        task = asyncio.create_task(runtime._tidy())
+        while store.totals()[0] == 3:
+            await asyncio.sleep(0.001)
+        task.cancel()
+
+    asyncio.run(asyncio.wait_for(until_gone(), 30))  # the next round is later
+    assert store.totals()[0] == 2
 
 
 @pytest.mark.parametrize("broken", ["store", "desk"])

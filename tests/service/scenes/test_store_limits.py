@@ -138,6 +138,17 @@ def test_what_nobody_reads_for_days_goes(tmp_path: Path) -> None:
     assert filled(tmp_path, 3).evict_old() == 0  # without a limit
 
 
+def test_a_limit_that_was_lowered_holds_before_anything_is_stored(tmp_path: Path) -> None:
+    store = filled(tmp_path, 4)
+    for age, scene_id in enumerate(IDS[:4]):
+        aged(store, scene_id, 10 - age)
+    with store.reading(IDS[0]), store.reading(IDS[1]):  # which makes them the youngest
+        lowered = SceneStore(tmp_path, max_bytes=ONE)
+        assert lowered.evict_old() == 2
+        assert listed(store) == set(IDS[:2])
+    assert lowered.evict_old() == 1
+
+
 @pytest.mark.parametrize("read", [SceneStore.document, lambda store, scene_id: store.input(scene_id, 0)])
 def test_who_reads_anything_of_a_scene_reads_it(tmp_path: Path, read: Callable[[SceneStore, str], object]) -> None:
     store = SceneStore(tmp_path, max_days=1.0)
