@@ -20,9 +20,9 @@ from .images import EncodedPhoto, FittedView, PackedView, Photo, fit_view, match
 from .masks import check_kept
 from .undistort import match_lens, undistorted
 
-# what is taken for a photograph
-Bytes = bytes | bytearray | memoryview
+Bytes = bytes | bytearray | memoryview  # of a file
 Picture = NDArray[np.uint8] | Photo | EncodedPhoto | Image.Image | str | PathLike[str] | Bytes
+"""What is taken for a photograph."""
 
 
 @dataclass(frozen=True, eq=False)
