@@ -69,8 +69,12 @@ class Models:
 
     def using(self, name: str) -> AbstractContextManager[Reconstructor]:
         """The model, loaded where it is not, for as long as the block lasts; waits while the budget is taken by models
-        that are in use. Raises `ModelError` where it cannot be loaded."""
-        return self._pool.using(self.get(name).name)
+        that are in use. Raises `ModelError` where it cannot be loaded, before another goes for it where its files tell
+        that."""
+        model = self.get(name)
+        if not self._pool.loaded(model.name):
+            _require_unchanged(model.file)
+        return self._pool.using(model.name)
 
     def summary(self, name: str) -> dict[str, Any]:
         """A model as the service tells of it."""
@@ -103,19 +107,26 @@ class Models:
         from .reconstruct import Reconstructor
 
         file = self._known[name].file
-        found = sha256_of(file.path)
-        if found != file.info.file_sha256:  # its scenes would have the name of what it was
-            raise ModelError(
-                f"{file.path} has the sha256 {found}, it had {file.info.file_sha256} when the service started",
-                field="model",
-                cure="restart the service",
-            )
+        _require_unchanged(file)  # it may have waited for its turn
         return Reconstructor(
             file.path,
             threads=self._settings.threads,
             prepare=self._prepare,
             engine=self._settings.engine,
         )
+
+
+def _require_unchanged(file: ModelFile) -> None:
+    """Raises `ModelError` where it is not what it was: its scenes would have the name of that."""
+    found = sha256_of(file.path)
+    if found != file.info.file_sha256:
+        raise ModelError(
+            f"{file.path} has the sha256 {found}, it had {file.info.file_sha256} when the service started",
+            field="model",
+            cure="restart the service",
+        )
+    if file.weights is not None:
+        file.weights.check()
 
 
 def _looked_at(name: str, path: Path) -> ModelFile:

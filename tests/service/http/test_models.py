@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -229,6 +229,21 @@ def test_a_file_that_was_replaced_meanwhile_is_told_apart(settings: Settings, tm
 
 
 @pytest.mark.skipif(find_spec("openvino") is None, reason="pip install 'gapmes[openvino]'")
+@pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(b"something else")])
+def test_a_model_that_cannot_be_loaded_takes_no_other_along(
+    settings: Settings, tmp_path: Path, damage: Callable[[Path], object]
+) -> None:
+    path = write_standin(tmp_path / "base.onnx", METADATA | {"preset": "base"})
+    budget = 3 * model_file(path).bytes // 2  # one of the two
+    models = Models(settings.model_copy(update={"models": f"base={path}", "model_bytes": budget}))
+    with models.using("default"):
+        pass
+    damage(path)
+    with pytest.raises(ModelError), models.using("base"):
+        pass
+    assert models.loaded("default")
+
+
 def test_another_engine_is_another_scene(several: TestClient, settings: Settings, tmp_path: Path) -> None:
     ids = {post(several).json()["id"]}
     for engine in (f"openvino-{precision}" for precision in precisions()):
