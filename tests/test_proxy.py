@@ -8,7 +8,9 @@ import re
 from pathlib import Path
 
 from gapmes.service.errors import GapmesError
-from gapmes.service.problem_document import of_error
+from gapmes.service.http.problems import FRAMEWORK_CODES
+from gapmes.service.http.render import RenderQuery
+from gapmes.service.problem_document import of_error, problem
 
 ROOT = Path(__file__).parent.parent
 CONF = (ROOT / "docker" / "nginx.conf").read_text()
@@ -20,14 +22,20 @@ def errors(kind: type[GapmesError] = GapmesError) -> dict[str, type[GapmesError]
 
 def test_its_refusals_are_problem_documents_of_the_service() -> None:
     answers = re.findall(
-        r"location (@\w+) \{[^}]*?default_type ([\w/+]+);[^}]*?return (\d+) '(\{.*?\})';", CONF, re.DOTALL
+        r"location (?:= )?(@\w+|/[\w-]+) \{[^}]*?default_type ([\w/+]+);[^}]*?return (\d+) '(\{[^']*\})';",
+        CONF,
+        re.DOTALL,
     )
-    assert sorted(name for name, *_ in answers) == sorted(set(re.findall(r"error_page [\d ]+ = (@\w+);", CONF)))
-    assert len(answers) == 2
+    assert sorted(name for name, *_ in answers) == sorted(set(re.findall(r"error_page [\d ]+ = ([@/][\w-]+);", CONF)))
+    assert len(answers) == 4
     for _, media_type, status, body in answers:
         document = json.loads(body)
-        expected = of_error(errors()[document["code"]](document["detail"], cure=document["cure"]))
-        assert document == expected
+        told = {"detail": document["detail"], "cure": document["cure"]}
+        if (own := errors().get(document["code"])) is not None:
+            assert document == of_error(own(told["detail"], cure=told["cure"]))
+        else:  # one of the framework's
+            code = FRAMEWORK_CODES.get(document["status"], f"http_{document['status']}")
+            assert document == problem(document["status"], code, **told)
         assert int(status) == document["status"]
         assert media_type == "application/problem+json"
 
@@ -40,6 +48,14 @@ def test_it_takes_what_the_service_takes() -> None:
     most = Settings.model_fields["max_upload_bytes"].default
     assert most < megabytes * 2**20 < 1.05 * most
     assert f"more than {megabytes} MiB" in CONF
+
+
+def test_it_passes_on_what_a_query_may_hold() -> None:
+    """Every letter of a camera as three."""
+    (kilobytes,) = map(int, re.findall(r"large_client_header_buffers \d+ (\d+)k;", CONF))
+    query = RenderQuery.model_json_schema()["properties"]["camera"]["anyOf"][0]
+    assert 3 * query["maxLength"] < kilobytes * 2**10
+    assert f"more than {kilobytes} KiB" in CONF
 
 
 def test_what_the_replicas_and_the_proxy_read_is_documented_with_its_default() -> None:
