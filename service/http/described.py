@@ -17,6 +17,7 @@ ANSWERED = {
     "Retry-After": "with 503: seconds",
     "Server-Timing": "stages of the work with their milliseconds",
     "WWW-Authenticate": "with 401: that the service needs a key",
+    "X-Accel-Buffering": "`no`: a proxy passes each event on as it comes",
     "X-Gapmes-Depth-Max": "of `channel=depth`: the largest depth of the picture, in the cameras' units",
     "X-Gapmes-Depth-Min": "of `channel=depth`: the smallest depth of the picture",
     "X-Gapmes-Depth-Offset": "of `channel=depth`: what is added to level x scale",
@@ -40,6 +41,7 @@ OF_ROUTE = {
     "/render": ["X-Gapmes-Scene", "X-Gapmes-Stats", *_DEPTH],
     "/scenes/{scene_id}.{extension}": ["Content-Disposition", "X-Gapmes-Notes"],
     "/reconstruct": ["Content-Disposition"],
+    "/jobs/{job_id}/events": ["X-Accel-Buffering"],
 }
 FILES = "/scenes/{scene_id}.{extension}"  # whose making is not timed
 

@@ -12,10 +12,12 @@ from typing import Annotated, Any
 import anyio
 from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
+from pydantic import BeforeValidator
 
 from ..errors import JobCancelled
 from ..jobs.rows import Event, Job
 from ..problem_document import of_error
+from .parameters import whole
 from .responses import head_alone, json_response
 from .runtime import Runtime, runtime_of
 from .schemas import Job as JobSchema
@@ -55,7 +57,9 @@ async def job_events(
     job_id: str,
     runtime: Held,
     last_event_id: Annotated[str | None, Header(description="number of the last event that was received")] = None,
-    after: Annotated[int, Query(ge=0, le=2**31, description="the same, where headers cannot be set")] = 0,
+    after: Annotated[
+        int, Query(ge=0, le=2**31, description="the same, where headers cannot be set"), BeforeValidator(whole)
+    ] = 0,
 ) -> Response:
     """Server-sent events: `state` and `stage`, numbered, from the beginning or behind the last one received; comments
     as signs of life; the stream ends with the job."""

@@ -28,6 +28,13 @@ async def given_once(request: Request) -> None:
         raise RequestValidationError(errors)
 
 
+def whole(value: Any) -> Any:
+    """Before a whole number that stands by itself is read: Python reads +0 and 0_0 as 0, too."""
+    if isinstance(value, str) and not (value.isascii() and value.isdigit()):
+        raise PydanticCustomError("plain_number", "Input should be a whole number in decimal digits")
+    return value
+
+
 class Parameters(BaseModel):
     """What a slip of the pen would change without a word is noticed."""
 

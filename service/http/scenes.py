@@ -9,14 +9,14 @@ from urllib.parse import urlencode
 
 import anyio.to_thread
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from ..cameras.view_checks import MAX_VIEWS
 from ..errors import FormatUnknown, InputError
 from ..formats.registry import FORMATS, MEDIA_TYPE, NAMES
 from ..scenes.scene_files import is_id
 from .files import ASKED_AGAIN, Made, SceneFile, converted_file, etag_of, etag_of_converted, matches, not_modified
-from .parameters import Parameters
+from .parameters import Parameters, whole
 from .responses import json_response
 from .runtime import Runtime, runtime_of
 from .schemas import SceneDocument, SceneList
@@ -97,7 +97,9 @@ async def scene_file(
     response_class=Response,
     responses={200: {"description": "what the network saw of a photograph", "content": {"image/png": {}}}},
 )
-def scene_input(scene_id: str, index: Annotated[int, Path(ge=0, le=MAX_VIEWS - 1)], runtime: Held) -> Response:
+def scene_input(
+    scene_id: str, index: Annotated[int, Path(ge=0, le=MAX_VIEWS - 1), BeforeValidator(whole)], runtime: Held
+) -> Response:
     """A photograph as the network saw it: cropped and resized, with its mask as transparency."""
     headers = {"Cache-Control": "private, max-age=3600"}
     return Response(runtime.store.input(scene_id, index), media_type="image/png", headers=headers)

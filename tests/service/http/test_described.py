@@ -45,6 +45,7 @@ def test_headers_of_answers_are_told(client: TestClient, paths: dict[str, Any]) 
         ("/render", client.get(f"/render?{query}&channel=depth")),
         ("/render", client.head(f"/render?{query}")),
         ("/scenes/{scene_id}/preview", client.get(f"{link}/preview?frames=2")),
+        ("/jobs/{job_id}/events", client.get(f"{job.headers['location']}/events")),
         ("/scenes/{scene_id}", client.delete(link)),
         ("/scenes/{scene_id}", client.get(link)),
         ("/check", client.post("/check")),

@@ -17,6 +17,15 @@ def test_a_parameter_is_given_once(client: TestClient, path: str, field: str) ->
     assert "2 times, need it once" in body["detail"]
 
 
+@pytest.mark.parametrize("number", ["1_0", "0_0", "%2B0", "%D9%A0", ""])
+def test_a_whole_number_is_decimal_digits(client: TestClient, number: str) -> None:
+    """Python reads more as one."""
+    job = f"/jobs/{'0' * 32}/events?after={number}"
+    assert_problem(client.get(job), 422, "parameter_invalid", "after")
+    if number:
+        assert_problem(client.get(f"/scenes/{'0' * 32}/inputs/{number}"), 422, "parameter_invalid", "index")
+
+
 @pytest.mark.parametrize("route", ["/reconstruct", "/check", "/scenes"])
 def test_options_of_a_form_are_not_in_the_query(client: TestClient, route: str) -> None:
     """Where they would be passed over."""
