@@ -23,22 +23,50 @@ export function checkedId(text, what) {
 }
 
 /** What `reading` gives; `Refused` where the line breaks meanwhile, or what came is not what a service sends. */
-async function whole(reading, detail, cure) {
+async function read(reading) {
   try {
     return await reading();
   } catch (error) {
     if (!(error instanceof TypeError || error instanceof SyntaxError)) throw error;
-    throw new Refused({ title: "Unreachable", detail, cure });
+    throw new Refused({ title: "Unreachable", detail: "the answer of the service broke off", cure: "try it again" });
   }
 }
 
-const read = (reading) => whole(reading, "the answer of the service broke off", "try it again");
+/** Whether the beginning of a file can be read; a slice of one that is gone is empty, which can. */
+async function readable(file) {
+  const reader = file.stream().getReader();
+  try {
+    await reader.read();
+    return true;
+  } catch {
+    return false;
+  } finally {
+    reader.cancel().catch(() => undefined);
+  }
+}
+
+/** Why nothing answered: where a file of what was sent can no longer be read, browsers tell just that too. */
+async function silence(body) {
+  for (const file of body instanceof FormData ? body.values() : []) {
+    if (file instanceof File && !(await readable(file))) {
+      const detail = `${file.name} can no longer be read: it was changed, moved or deleted since it was chosen`;
+      return { title: "File unreadable", detail, cure: "choose it again" };
+    }
+  }
+  return { title: "Unreachable", detail: "the service does not answer", cure: "is it running?" };
+}
 
 /** A response that is well; otherwise `Refused`. */
 export async function ask(path, { method = "GET", headers = {}, body, signal } = {}) {
   const key = sessionStorage.getItem(KEY);
   const sent = { method, body, signal, headers: key ? { ...headers, "X-API-Key": key } : headers };
-  const response = await whole(() => fetch(path, sent), "the service does not answer", "is it running?");
+  let response;
+  try {
+    response = await fetch(path, sent);
+  } catch (error) {
+    if (!(error instanceof TypeError)) throw error;
+    throw new Refused(await silence(body));
+  }
   if (response.ok) return response;
   let problem;
   try {
