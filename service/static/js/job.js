@@ -13,8 +13,8 @@ const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
 const pathOf = (id) => `/jobs/${encodeURIComponent(id)}`;
 
-/** Whether a job is followed: the page follows one at a time. */
-export const following = () => current !== null;
+/** The job that is followed, one at a time; null when none is. */
+export const following = () => current;
 
 /** The job ended without a scene, or is unknown: there is nothing to come back to. */
 export class Ended extends Refused {}

@@ -1,14 +1,16 @@
 // The page's beginning: what the address asks for, and who tells whom.
 
+import { addressOf, instead, named, step } from "./address.js";
 import { askJson, checkedId, Refused, setKey } from "./api.js";
 import { showAbout } from "./about.js";
-import { $, tell } from "./dom.js";
+import { $, button, tell } from "./dom.js";
 import { following } from "./job.js";
-import { attend, prepareMaking, prepareModels } from "./making.js";
+import { attend, busy, checkAgain, prepareMaking, prepareModels } from "./making.js";
 import { markChosen, prepareShelf, refreshShelf, remove } from "./shelf.js";
 import { prepareStage, showScene } from "./stage.js";
 
 let scene = null;
+let offered = null; // the id of a scene that is ready while another one is on show
 let turn = 0; // of openings: a late answer to an earlier one is passed over
 
 const failed = (error) => {
@@ -16,7 +18,7 @@ const failed = (error) => {
   tell($("view-problem"), error);
 };
 
-/** Show a scene; its `address` becomes a step to come back from, takes the place of the last one, or (null) is not told. Throws `Refused`. */
+/** Show a scene; its `address`, with the job that runs, becomes a step to come back from, takes the place of the last one, or (null) is not told. Throws `Refused`. */
 async function open(id, { address = "push" } = {}) {
   const mine = (turn += 1);
   let found = null;
@@ -28,10 +30,9 @@ async function open(id, { address = "push" } = {}) {
   }
   if (mine !== turn) return;
   scene = found;
-  const own = `/?scene=${id}`;
-  const here = location.search === `?scene=${id}` || location.search.startsWith("?job="); // nobody goes back to a job
-  if (address === "push" && !here) history.pushState(null, "", own);
-  else if (address !== null) history.replaceState(null, "", own);
+  const own = addressOf(id, following());
+  if (address === "push" && location.search !== own) step(own);
+  else if (address !== null) instead(own);
   show();
 }
 
@@ -39,20 +40,35 @@ function show() {
   showScene(scene);
   showAbout($("about"), scene);
   markChosen(scene?.id ?? null);
+  if (scene?.id === offered) offer(null);
 }
 
-async function made(id) {
+/** A scene is made or loaded: it is shown, or offered where another one is on show that the user chose meanwhile. Gives where the eye goes. */
+async function made(id, address) {
   await refreshShelf().catch(failed);
-  await open(id).catch(failed);
+  if (address === "offer" && scene !== null && scene.id !== id) return offer(id);
+  await open(id, { address: address === "replace" ? address : "push" }).catch(failed);
   $("stage").scrollIntoView({ block: "nearest" });
+  return $("stage");
+}
+
+function offer(id) {
+  offered = id;
+  const way = button("Show it", async () => {
+    await open(id).catch(failed);
+    $("stage").focus();
+  });
+  $("offer").replaceChildren(...(id === null ? [] : ["The new scene is ready. ", way]));
+  return way;
 }
 
 async function removed(id) {
   const first = await refreshShelf().catch(failed);
+  if (id === offered) offer(null);
   if (scene?.id !== id) return markChosen(scene?.id ?? null);
   if (first) return open(first, { address: "replace" }).catch(failed);
   scene = null;
-  history.replaceState(null, "", "/");
+  instead(addressOf(null, following()));
   if (document.activeElement === $("remove")) $("files").focus(); // the button goes
   return show();
 }
@@ -75,22 +91,19 @@ async function awaitReady() {
 
 /** What the address asks for: a job to follow, a scene to show, or the newest. */
 async function begin() {
-  const asked = new URLSearchParams(location.search);
+  const [job, asked] = [named("job"), named("scene")];
   tell($("view-problem"), null);
   try {
     const newest = await refreshShelf();
-    if (asked.has("job")) {
-      await standIn(newest);
-      if (!following()) attend(asked.get("job")); // the page does not wait for it
-    } else if (asked.has("scene")) {
-      try {
-        await open(asked.get("scene"), { address: "replace" });
-      } catch (error) {
-        await standIn(newest);
-        throw error;
-      }
-    } else if (newest) await open(newest, { address: "replace" });
+    let fault = null;
+    if (asked !== null) {
+      await open(asked, { address: null }).catch((error) => { fault = error; });
+      if (fault) await standIn(newest);
+    } else if (job !== null) await standIn(newest);
+    else if (newest) await open(newest, { address: "replace" });
     else show();
+    if (job !== null && !busy()) attend(job); // the page does not wait for it
+    if (fault) throw fault;
   } catch (error) {
     failed(error);
   }
@@ -107,6 +120,7 @@ async function standIn(newest) {
 async function unlocked() {
   await prepareModels().catch(failed);
   await begin();
+  checkAgain();
 }
 
 $("share").addEventListener("click", async () => {

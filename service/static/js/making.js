@@ -1,9 +1,10 @@
 // A new scene: what the service understood of the files that are chosen, and their way to it as a job or as they are.
 
-import { askBlob, askJson, Refused } from "./api.js";
-import { add, all, cameras, fillChooser, gaussians, images, isCameras, prepareChosen, takeAllOut, takeOut, zips } from "./chosen.js";
+import { addressOf, forgetJob, nameJob } from "./address.js";
+import { ask, askBlob, askJson, Refused } from "./api.js";
+import { add, all, cameras, fillChooser, gaussians, images, isCameras, prepareChosen, strays, takeAllOut, takeOut, zips } from "./chosen.js";
 import { $, counted, discard, make, tell } from "./dom.js";
-import { Ended, follow } from "./job.js";
+import { Ended, follow, following } from "./job.js";
 import { fill, prepareOptions, tellSet, unset } from "./options.js";
 import { impossible, missing, MOST } from "./refusals.js";
 import { understood } from "./understood.js";
@@ -12,10 +13,12 @@ const OF_PHOTOGRAPHS = ["near", "far", "detail", "trust_poses", "context"]; // o
 const OF_GAUSSIANS = ["near", "far", "opacity", "scales", "rotation", "axes", "drop_invalid"];
 
 let asked = new AbortController(); // of the newest check or loading: a late answer to an earlier one is passed over
+let sent = null;       // of the photographs that are on their way
 let refused = null;    // a file of Gaussians that was not loaded, and gives way to what comes next
 let ready = false;     // what is chosen may be sent
 let running = false;   // a job is sent or followed
-let opened = () => {}; // called with a scene's id
+let held = false;      // the focus is on Cancel, or was when that was hidden
+let opened = () => {}; // called with a scene's id and what becomes of the address; gives where the eye goes then
 
 export function prepareMaking(open) {
   opened = open;
@@ -30,8 +33,14 @@ export function prepareMaking(open) {
   }
   document.addEventListener("dragleave", (event) => event.relatedTarget === null && $("drop").classList.remove("over"));
   document.addEventListener("drop", dropped);
-  $("clear").addEventListener("click", clear);
+  $("clear").addEventListener("click", () => {
+    clear();
+    $("files").focus();
+  });
   $("sample").addEventListener("click", sample);
+  $("cancel").addEventListener("click", () => following() === null && (sent ?? asked).abort());
+  $("cancel").addEventListener("focus", () => { held = true; });
+  $("cancel").addEventListener("blur", () => { held = $("cancel").hidden; });
   $("upload").addEventListener("submit", (event) => {
     event.preventDefault();
     if (ready && !running) (gaussians().length ? check : send)();
@@ -93,11 +102,13 @@ function askHowMany(of) {
 function anew() {
   asked.abort();
   asked = new AbortController();
+  progress(null);
   return asked.signal;
 }
 
 function clear() {
   anew();
+  sent?.abort();
   refused = null;
   takeAllOut();
   unset();
@@ -148,9 +159,21 @@ async function check() {
   }
 }
 
+/** The service is there, or has its key: what it did not look at before is asked for again. */
+export const checkAgain = () => all().length && (refused || !ready) && !running && check();
+
 function say(...nodes) {
   discard($("understood"));
   $("understood").append(...nodes);
+}
+
+/** What is on its way, which can be cancelled; null when nothing is. What is made has the place first. */
+function progress(words) {
+  if (busy()) return;
+  for (const id of ["progress", "cancel"]) $(id).hidden = words === null;
+  $("bar").removeAttribute("value");
+  $("stages").replaceChildren();
+  $("stage-name").textContent = words ?? "";
 }
 
 async function sample() {
@@ -170,21 +193,25 @@ async function sample() {
 
 /** A file of Gaussians goes into the store as it is, with cameras where there are any; one that is refused stays. */
 async function load(file, signal) {
-  say(make("p", {}, `Loading ${file.name} …`));
+  const here = location.search;
   const data = fill(new FormData(), OF_GAUSSIANS);
   data.append("file", file, file.name);
   for (const beside of [...cameras(), ...zips()]) data.append("cameras", beside, beside.name);
+  progress(`Loading ${file.name} …`);
   try {
     const scene = await askJson("/scenes", { method: "POST", body: data, signal });
     if (signal !== asked.signal) return false;
+    const wasHeld = held;
     clear();
-    await opened(scene.id);
+    const place = await opened(scene.id, location.search === here ? "push" : "offer");
+    if (wasHeld) passFocus(place);
   } catch (error) {
     if (signal !== asked.signal) return false;
     refused = file;
-    say();
-    tell($("problem"), curedByOption(error));
+    if (!signal.aborted) tell($("problem"), curedByOption(error));
     state({ ready: true });
+    progress(null);
+    if (held) passFocus($("go"));
   }
   return false;
 }
@@ -197,29 +224,59 @@ function curedByOption(error) {
 }
 
 async function send() {
+  const here = location.search;
+  const headers = { Prefer: "respond-async" };
+  let job = null;
   tell($("problem"), null);
+  progress(`Sending ${counted(all().length - strays().length, "file")} …`);
+  sent = new AbortController();
+  if ([$("go"), $("sample")].includes(document.activeElement)) $("cancel").focus(); // they cannot be pressed then
   state({ running: true });
   try {
-    const job = await askJson("/reconstruct", { method: "POST", body: form(), headers: { Prefer: "respond-async" } });
-    history.pushState(null, "", `/?job=${job.id}`);
-    await attend(job.id);
+    const answer = await ask("/reconstruct", { method: "POST", body: form(), headers, signal: sent.signal });
+    job = answer.headers.get("Location").split("/").pop();
   } catch (error) {
-    tell($("problem"), error);
+    if (!sent.signal.aborted) tell($("problem"), error);
+    ended();
   } finally {
-    state({ running: false });
+    sent = null;
   }
+  if (job === null) return;
+  nameJob(job, here);
+  await attend(job);
 }
 
-/** Wait for a job and open its scene; the address names the job until it has ended. */
+/** Nothing runs any more. */
+function ended() {
+  for (const id of ["progress", "cancel"]) $(id).hidden = true;
+  state({ running: false });
+  if (held) passFocus($(ready ? "go" : "files"));
+}
+
+/** Cancel had the focus, and is gone. */
+function passFocus(target) {
+  held = false;
+  target.focus({ preventScroll: true });
+}
+
+/** Whether photographs are on their way or a job is followed: one at a time. */
+export const busy = () => sent !== null || following() !== null;
+
+/** Wait for a job and open its scene, or offer it beside another one that was chosen meanwhile. */
 export async function attend(id) {
   state({ running: true });
   try {
-    await opened(await follow(id));
+    const scene = await follow(id);
+    const wasHeld = held;
+    const waits = location.search === addressOf(null, id);
+    const place = await opened(scene, waits ? "replace" : "offer");
+    if (!waits) forgetJob(id);
+    if (wasHeld) passFocus(place);
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    if (error instanceof Ended && location.search === `?job=${id}`) history.replaceState(null, "", "/");
+    if (error instanceof Ended) forgetJob(id);
     tell($("problem"), error);
   } finally {
-    state({ running: false });
+    ended();
   }
 }
