@@ -2,12 +2,12 @@
 
 import { ask, askPicture, Refused } from "./api.js";
 import { $, button, tell } from "./dom.js";
+import { prepareFrame, showFrame } from "./frame.js";
 import { Orbit } from "./orbit.js";
 import { turnBy } from "./turning.js";
 
 const SMALL = 128;         // px, longer side while it moves
 const SETTLE_MS = 150;     // after the last movement the full picture is drawn
-const PATIENCE_MS = 30000; // for the first picture of the frame
 const LABELS = {
   server: "The scene. Drag, or press the arrow keys, to orbit; plus and minus to come nearer and to go back",
   webgl: "The scene, in an interactive frame",
@@ -20,7 +20,6 @@ let wanted = null;  // the newest picture that was asked for meanwhile
 let complained = false; // whether the problem on show is one of drawing
 let settle = 0;     // the wait for the full picture; 0 when there is none
 let mode = "server";
-let frameWait = 0;
 
 /** Whether this browser has WebGL 2, and whether a processor would have to play the graphics card. */
 function graphics() {
@@ -58,41 +57,17 @@ function setMode(next) {
   for (const name of ["webgl", "server"]) $(`mode-${name}`).setAttribute("aria-pressed", String(name === mode));
   for (const id of ["channel", "nearer", "farther"]) $(id).disabled = mode === "webgl";
   $("stage").setAttribute("aria-label", LABELS[mode]);
-  showFrame();
+  frameScene();
   look(false);
 }
 
-function showFrame() {
-  clearTimeout(frameWait);
-  const frame = $("frame");
-  const address = scene && mode === "webgl" ? `/viewer?scene=${encodeURIComponent(scene.id)}` : "about:blank";
-  if (frame.dataset.address !== address) {
-    frame.dataset.address = address;
-    frame.dataset.drawn = "";
-    frame.contentWindow.location.replace(address); // `src` would add a step to the page's history
-  }
-  const waits = address !== "about:blank" && frame.dataset.drawn === "";
-  frame.hidden = address === "about:blank" || waits;
-  if (waits) frameWait = setTimeout(() => giveUp("it drew nothing in time"), PATIENCE_MS);
-}
+const frameScene = () => showFrame(scene && mode === "webgl" ? scene.id : null);
 
 function giveUp(reason) {
   if (mode !== "webgl") return;
   note(reason);
   setMode("server");
 }
-
-window.addEventListener("message", (event) => {
-  if (event.origin !== location.origin || event.source !== $("frame").contentWindow) return;
-  if (event.data.viewer === "drawn" && mode === "webgl") {
-    clearTimeout(frameWait);
-    $("frame").dataset.drawn = "yes";
-    $("frame").hidden = false;
-    note("");
-  } else if (event.data.viewer === "failed") {
-    giveUp(event.data.reason);
-  }
-});
 
 function pictureOf(small) {
   const channel = $("channel").value;
@@ -160,6 +135,7 @@ function look(small) {
 /** Show a scene document, or nothing. */
 export function showScene(document_) {
   scene = document_;
+  document.title = scene ? `${scene.id.slice(0, 8)} · gapmes` : "gapmes";
   orbit = scene && new Orbit(scene.view_cameras, scene.near, scene.far);
   clearTimeout(settle);
   settle = 0;
@@ -177,7 +153,7 @@ export function showScene(document_) {
       else look(false);
     })));
   }
-  showFrame();
+  frameScene();
   look(false);
 }
 
@@ -194,6 +170,7 @@ function move(right, up, factor) {
   return true;
 }
 
+prepareFrame({ drawn: () => note(""), failed: giveUp });
 turnBy($("stage"), move);
 $("nearer").addEventListener("click", () => move(0, 0, 1.2));
 $("farther").addEventListener("click", () => move(0, 0, 1 / 1.2));

@@ -1,10 +1,13 @@
-// The frame that holds the WebGL viewer: it fetches the scene, with the key where there is one, and tells the page when it drew.
+// The frame that holds the WebGL viewer: it fetches the scene, with the key where there is one, and tells the page how
+// much of it has come and when it drew.
 
 import { createViewer } from "/static/viewer/index.js";
 import { ask, askJson } from "./api.js";
 
-const tellPage = (message) => parent.postMessage(message, location.origin);
-const id = encodeURIComponent(new URLSearchParams(location.search).get("scene") ?? "");
+const SIGN_MS = 200; // between two signs of a file that comes
+
+const scene = new URLSearchParams(location.search).get("scene") ?? "";
+const tellPage = (message) => parent.postMessage({ ...message, scene }, location.origin);
 
 let drawn = false;
 
@@ -18,16 +21,35 @@ window.firstFrame = () => {
 };
 window.addEventListener("error", (event) => failed(event.message));
 window.addEventListener("unhandledrejection", (event) => failed(String(event.reason?.message ?? event.reason)));
+for (const name of ["dragenter", "dragover"]) document.addEventListener(name, () => tellPage({ viewer: "carried" }));
 document.addEventListener("webglcontextlost", () => tellPage({ viewer: "failed", reason: "the graphics card gave up" }), true);
 
+/** The same response, of which the page hears how much has come. */
+function counted(response) {
+  const all = Number(response.headers.get("Content-Length"));
+  let came = 0;
+  let last = -SIGN_MS;
+  const counting = new TransformStream({
+    transform(piece, controller) {
+      came += piece.byteLength;
+      controller.enqueue(piece);
+      if (performance.now() - last < SIGN_MS && came !== all) return;
+      last = performance.now();
+      tellPage({ viewer: "came", came, all });
+    },
+  });
+  return new Response(response.body.pipeThrough(counting), response);
+}
+
 try {
+  const id = encodeURIComponent(scene);
   const contentUrl = `/scenes/${id}/viewer.ply`;
   const [settings, contents] = await Promise.all([askJson(`/scenes/${id}/viewer.json`), ask(contentUrl)]);
   await createViewer({
     container: document.body,
     settings,
     contentUrl,
-    contents: Promise.resolve(contents),
+    contents: Promise.resolve(counted(contents)),
     renderer: "webgl",
     noanim: true,
     ui: false,
