@@ -8,6 +8,7 @@ const PAUSE_MS = 1500;
 const PASSING = [0, 502, 503, 504]; // nobody answers, or a proxy whose service starts again
 
 let current = null;
+let ending = false; // it was asked to
 
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
@@ -26,7 +27,8 @@ export async function follow(id) {
   $("cancel").hidden = false;
   $("stages").replaceChildren();
   $("bar").removeAttribute("value");
-  $("stage-name").textContent = "waiting for its turn";
+  end(false);
+  say("waiting for its turn");
   try {
     const job = await watched(id);
     if (job.state === "done") return job.links.scene.split("/").pop();
@@ -34,44 +36,76 @@ export async function follow(id) {
   } finally {
     current = null;
     $("progress").hidden = true;
+    const held = ending || document.activeElement === $("cancel");
     $("cancel").hidden = true;
+    if (held && [null, document.body, $("cancel")].includes(document.activeElement)) $("files").focus();
   }
 }
 
-/** The job once it is over. */
+/** The job once it is over: by its events or, where none come, by asking for it every now and then. */
 async function watched(id) {
   let last = "0";
+  let refused = null;
   for (let tries = 0; tries < RETRIES; tries += 1) {
-    try {
+    await passing(async () => {
       for await (const { id: number, event, data } of events(`${pathOf(id)}/events?after=${last}`)) {
         last = number;
-        tries = 0;
         if (event === "stage") stage(data);
       }
-      const job = await askJson(pathOf(id));
-      if (job.state === "done" || job.problem) return job;
-    } catch (error) {
-      if (error instanceof Refused && !PASSING.includes(error.status)) throw new Ended(error.problem, error.status);
-      if (!(error instanceof Refused || error instanceof TypeError)) throw error; // a line that breaks is a TypeError
-    }
-    $("stage-name").textContent = "the line broke; asking again";
+    });
+    let job = null;
+    refused = await passing(async () => { job = await askJson(pathOf(id)); });
+    if (job?.state === "done" || job?.problem) return job;
+    if (job) tries = 0;
+    if (job?.stage) stage(job.stage);
+    if (refused) say(`${refused.message}; asking again`);
     await pause(PAUSE_MS);
   }
-  throw new Refused({ title: "Unreachable", detail: "the service does not answer", cure: "reload the page: the job goes on" });
+  throw refused;
+}
+
+/** Do something; gives the refusal where it may pass, null where there was none. */
+async function passing(act) {
+  try {
+    await act();
+  } catch (error) {
+    if (error instanceof TypeError) return new Refused({ title: "Unreachable", detail: "the line broke" }); // within a stream
+    if (!(error instanceof Refused)) throw error;
+    if (!PASSING.includes(error.status)) throw new Ended(error.problem, error.status);
+    return new Refused({ ...error.problem, cure: "reload the page: the job goes on" }, error.status);
+  }
+  return null;
 }
 
 function stage({ stage: name, done, total, seconds }) {
   $("bar").max = total;
   $("bar").value = done;
-  $("stage-name").textContent = total > 1 ? `${name}, ${done} of ${total}` : name;
-  if (seconds) $("stages").append(make("li", {}, `${name} ${seconds.toFixed(2)} s`));
+  say(total > 1 ? `${name}, ${done} of ${total}` : name);
+  if (!seconds) return;
+  const line = make("li", { "data-stage": name }, `${name} ${seconds.toFixed(2)} s`);
+  const told = [...$("stages").children].find((one) => one.dataset.stage === name); // a job may begin anew
+  if (told) told.replaceWith(line);
+  else $("stages").append(line);
+}
+
+/** What the job does now; that it is to end stays. */
+function say(text) {
+  $("stage-name").textContent = ending ? "ending after this stage" : text;
+}
+
+function end(now) {
+  ending = now;
+  $("cancel").disabled = ending;
 }
 
 $("cancel").addEventListener("click", async () => {
   if (current === null) return;
+  end(true);
+  say("");
   try {
     await ask(pathOf(current), { method: "DELETE" });
   } catch (error) {
+    end(false);
     tell($("problem"), error);
   }
 });

@@ -1,0 +1,68 @@
+"""A job as the page follows it: where no stream of its events is to be had, and when it is to end."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+from browser_tab import Tab
+from page_service import choose_two, made
+
+BUSY = {"title": "Service busy", "status": 503, "code": "service_busy", "detail": "2 requests are following jobs"}
+
+
+def refused(route: Any) -> None:
+    route.fulfill(status=503, json=BUSY, content_type="application/problem+json")
+
+
+def test_without_a_stream_the_job_itself_is_asked(tab: Tab, tmp_path: Path, held_network: threading.Event) -> None:
+    """All streams are taken: the stages are those that the job tells, however long that lasts."""
+    page = tab.open()
+    asked: list[str] = []
+    page.on("response", lambda response: asked.append(response.url) if "/jobs/" in response.url else None)
+    page.route("**/events?*", refused)
+    page.clock.install()
+    choose_two(page, tmp_path, seed=150)
+    before = page.url
+    page.click("#go")
+    page.wait_for_selector("#progress:not([hidden])")
+    while len([url for url in asked if "/events" in url]) < 25:  # more than it tries where nobody answers
+        page.clock.run_for(1600)
+        page.wait_for_timeout(20)
+    assert "network" in page.inner_text("#stage-name")
+    assert page.inner_text("#problem") == ""
+    page.clock.resume()
+    held_network.set()
+    made(page, before)
+
+
+def test_where_the_job_is_refused_too_its_words_are_shown(
+    tab: Tab, tmp_path: Path, held_network: threading.Event
+) -> None:
+    page = tab.open()
+    page.route("**/jobs/**", refused)
+    choose_two(page, tmp_path, seed=160)
+    before = page.url
+    page.click("#go")
+    page.wait_for_selector("#stage-name:has-text('2 requests are following jobs; asking again')")
+    page.unroute("**/jobs/**")
+    held_network.set()
+    made(page, before)
+
+
+def test_a_cancelled_job_is_ending_until_it_has_ended(tab: Tab, tmp_path: Path, held_network: threading.Event) -> None:
+    page = tab.open()
+    choose_two(page, tmp_path, seed=170)
+    page.click("#go")
+    page.wait_for_selector("#stage-name:has-text('network')")
+    page.focus("#cancel")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#stage-name:has-text('ending after this stage')")
+    assert page.is_disabled("#cancel")
+    held_network.set()
+    page.wait_for_selector("#problem:has-text('cancelled')")
+    assert page.is_hidden("#cancel")
+    assert page.evaluate("document.activeElement.id") == "files"
+    page.click("#go")
+    page.wait_for_selector("#cancel:not([disabled])")
