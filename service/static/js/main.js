@@ -6,16 +6,16 @@ import { showAbout } from "./about.js";
 import { $, button, tell } from "./dom.js";
 import { following } from "./job.js";
 import { attend, busy, checkAgain, prepareMaking, prepareModels } from "./making.js";
-import { markChosen, prepareShelf, refreshShelf, remove } from "./shelf.js";
+import { first, markChosen, prepareShelf, refreshShelf, remove } from "./shelf.js";
 import { prepareStage, showScene } from "./stage.js";
 
 let scene = null;
 let offered = null; // the id of a scene that is ready while another one is on show
 let turn = 0; // of openings: a late answer to an earlier one is passed over
 
-const failed = (error) => {
+const failed = (error, place) => {
   if (!(error instanceof Refused)) throw error;
-  tell($("view-problem"), error);
+  tell(place ?? $("view-problem"), error);
 };
 
 /** Show a scene; its `address`, with the job that runs, becomes a step to come back from, takes the place of the last one, or (null) is not told. Throws `Refused`. */
@@ -63,10 +63,9 @@ function offer(id) {
 }
 
 async function removed(id) {
-  const first = await refreshShelf().catch(failed);
   if (id === offered) offer(null);
-  if (scene?.id !== id) return markChosen(scene?.id ?? null);
-  if (first) return open(first, { address: "replace" }).catch(failed);
+  if (scene?.id !== id) return;
+  if (first()) return open(first(), { address: "replace" }).catch(failed);
   scene = null;
   instead(addressOf(null, following()));
   if (document.activeElement === $("remove")) $("files").focus(); // the button goes
@@ -94,7 +93,7 @@ async function begin() {
   const [job, asked] = [named("job"), named("scene")];
   tell($("view-problem"), null);
   try {
-    const newest = await refreshShelf();
+    const newest = first() ?? (await refreshShelf()); // the list stays as it is at a step of the history
     let fault = null;
     if (asked !== null) {
       await open(asked, { address: null }).catch((error) => { fault = error; });
@@ -133,7 +132,7 @@ $("share").addEventListener("click", async () => {
   }
   setTimeout(() => { $("share").textContent = "Copy link"; }, 2000);
 });
-$("remove").addEventListener("click", () => scene && remove(scene.id));
+$("remove").addEventListener("click", () => scene && remove(scene.id, $("view-problem")));
 $("key-form").addEventListener("submit", (event) => {
   event.preventDefault();
   const key = $("key").value;
@@ -160,7 +159,7 @@ $("to-making").addEventListener("click", (event) => {
 window.addEventListener("popstate", begin);
 
 prepareMaking(made);
-prepareShelf({ open: (id) => open(id).catch(failed), removed, failed });
+prepareShelf({ open, removed, failed });
 await awaitReady();
 await prepareStage();
 await unlocked();

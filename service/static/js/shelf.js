@@ -1,68 +1,120 @@
 // The list of stored scenes, newest first, with a small picture of each.
 
 import { ask, askJson, showPicture } from "./api.js";
-import { $, button, count, discard, make } from "./dom.js";
+import { $, button, count, discard, make, tell } from "./dom.js";
 
 const PAGE = 12;
+const MOST = 1000; // that the service lists at once
 let next = null;
 let turn = 0; // of lists: a late page of an earlier one is passed over
 let chosen = null;
 let act = {};
 
-/** `open(id)` and `removed(id)` are called for what is chosen and deleted. */
+const problem = make("div", { id: "shelf-problem", class: "problem", role: "alert" });
+
+/** `open(id)`, which throws what it is refused by, and `removed(id)` are called for what is chosen and deleted. */
 export function prepareShelf(acts) {
   act = acts;
-  $("more").addEventListener("click", async () => {
-    $("more").disabled = true;
-    await list(next).catch(act.failed);
-    $("more").disabled = false;
-  });
+  $("scenes").before(problem);
+  $("more").addEventListener("click", older);
 }
 
-export const markChosen = (id) => {
+const rows = () => [...$("scenes").children];
+
+const rowOf = (id) => rows().find((row) => row.dataset.id === id);
+
+/** The id of the first scene of the list, or null. */
+export const first = () => rows()[0]?.dataset.id ?? null;
+
+export function markChosen(id) {
   chosen = id;
-  for (const item of $("scenes").children) item.classList.toggle("chosen", item.dataset.id === id);
-};
-
-/** The newest scenes anew; returns the id of the first, or null. */
-export async function refreshShelf() {
-  turn += 1;
-  return list(null);
+  rows().forEach(mark);
 }
 
-async function list(after) {
-  const mine = turn;
-  const query = new URLSearchParams({ limit: String(PAGE), ...(after ? { after } : {}) });
-  const page = await askJson(`/scenes?${query}`);
+function mark(row) {
+  const shown = row.dataset.id === chosen;
+  row.classList.toggle("chosen", shown);
+  if (shown) row.querySelector("button").setAttribute("aria-current", "true");
+  else row.querySelector("button").removeAttribute("aria-current");
+}
+
+/** The newest scenes anew, as many as are listed; returns the id of the first, or null. */
+export async function refreshShelf() {
+  const mine = (turn += 1);
+  const page = await list(Math.min(MOST, Math.max(PAGE, rows().length)), null);
   if (mine !== turn) return page.scenes[0]?.id ?? null;
-  const held = document.activeElement?.closest("#scenes li");
-  const place = held && { id: held.dataset.id, row: [...$("scenes").children].indexOf(held), quiet: document.activeElement.matches(".quiet") };
-  if (!after) discard($("scenes"));
   next = page.next;
   $("more").hidden = next === null;
-  $("scenes").append(...page.scenes.map(item));
-  if (place && !after) refocus(place);
-  return page.scenes[0]?.id ?? null;
+  const there = new Set(page.scenes.map(({ id }) => id));
+  for (const row of rows()) if (!there.has(row.dataset.id)) drop(row);
+  page.scenes.forEach((scene, place) => {
+    const row = rowOf(scene.id) ?? item(scene);
+    const now = $("scenes").children[place] ?? null;
+    if (now !== row) $("scenes").insertBefore(row, now);
+  });
+  return first();
 }
 
-/** The focus goes back to where it was in the list: to the same scene, or to the one that has its row now. */
-function refocus({ id, row, quiet }) {
-  const items = [...$("scenes").children];
-  const item = items.find((one) => one.dataset.id === id) ?? items[Math.min(row, items.length - 1)];
-  (item?.querySelector(quiet ? ".quiet" : "button") ?? $("files")).focus();
+const list = (limit, after) => askJson(`/scenes?${new URLSearchParams({ limit: String(limit), ...(after ? { after } : {}) })}`);
+
+/** The next page behind those that are listed, to which the focus goes. */
+async function older() {
+  $("more").disabled = true;
+  const mine = turn;
+  try {
+    const page = await list(PAGE, next);
+    if (mine !== turn) return;
+    tell(problem, null);
+    next = page.next;
+    const fresh = page.scenes.filter(({ id }) => !rowOf(id)).map(item);
+    $("scenes").append(...fresh);
+    if ([null, document.body, $("more")].includes(document.activeElement)) fresh[0]?.querySelector("button").focus();
+    $("more").hidden = next === null;
+  } catch (error) {
+    act.failed(error, problem);
+  } finally {
+    $("more").disabled = false;
+  }
+}
+
+/** Take a row away; the focus goes to the one that has its place then, or where none is left to the chooser. */
+function drop(row) {
+  const place = rows().indexOf(row);
+  const held = row.contains(document.activeElement) && document.activeElement;
+  discard(row);
+  row.remove();
+  if (held) (rows()[Math.min(place, rows().length - 1)]?.querySelector(held.matches(".quiet") ? ".quiet" : "button") ?? $("files")).focus();
+}
+
+/** A scene is gone: its row goes, and where that was the last one of more, the next come. */
+async function gone(id) {
+  const row = rowOf(id);
+  if (row) drop(row);
+  if (!first() && next !== null) await refreshShelf();
+}
+
+async function choose(id) {
+  tell(problem, null);
+  try {
+    await act.open(id);
+    $("stage").scrollIntoView({ block: "nearest" });
+  } catch (error) {
+    act.failed(error, problem);
+    if (error.status === 404) await gone(id).catch((other) => act.failed(other, problem));
+  }
 }
 
 function item(scene) {
   const picture = make("img", { alt: "", width: 72, height: 72 });
   const open = make("button", { type: "button", "aria-label": `Show scene ${scene.id.slice(0, 8)} of ${scene.created}` }, picture);
-  open.addEventListener("click", () => act.open(scene.id));
+  open.addEventListener("click", () => choose(scene.id));
   const what = scene.file ? `from a .${scene.file}, ` : `${scene.views} views, `;
   const node = make("li", { "data-id": scene.id }, open, make("div", {},
     make("p", {}, `${what}${count(scene.gaussians ?? 0)} Gaussians`),
     make("p", { class: "small" }, make("time", { datetime: scene.created }, new Date(scene.created).toLocaleString())),
-    make("p", { class: "small" }, make("code", {}, scene.id.slice(0, 8)), " ", button("Delete", () => remove(scene.id), { class: "quiet", "aria-label": `Delete scene ${scene.id.slice(0, 8)}` })),
+    make("p", { class: "small" }, make("code", {}, scene.id.slice(0, 8)), " ", button("Delete", () => remove(scene.id, problem), { class: "quiet", "aria-label": `Delete scene ${scene.id.slice(0, 8)}` })),
   ));
-  node.classList.toggle("chosen", scene.id === chosen);
+  mark(node);
   const seen = new IntersectionObserver((entries) => {
     if (!entries.some((entry) => entry.isIntersecting)) return;
     seen.disconnect();
@@ -72,13 +124,17 @@ function item(scene) {
   return node;
 }
 
-/** Delete a scene, once it was asked whether. */
-export async function remove(id) {
+/** Delete a scene, once it was asked whether; what is refused is told at `place`. */
+export async function remove(id, place) {
   if (!confirm(`Delete scene ${id.slice(0, 8)}? Its files are gone then.`)) return;
+  tell(place, null);
   try {
-    await ask(`/scenes/${encodeURIComponent(id)}`, { method: "DELETE" });
+    await ask(`/scenes/${encodeURIComponent(id)}`, { method: "DELETE" }).catch((error) => {
+      if (error.status !== 404) throw error; // else somebody was faster
+    });
+    await gone(id);
   } catch (error) {
-    if (error.status !== 404) return void act.failed(error);
+    return act.failed(error, place);
   }
   act.removed(id);
 }

@@ -1,0 +1,118 @@
+"""The list of scenes: it stays as long as it was, and tells which is on show and what went wrong in it."""
+
+from __future__ import annotations
+
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import httpx
+from browser_tab import PHONE, Tab
+from page_service import choose, cloud, stored_cloud
+
+from gapmes.service.formats.registry import FORMATS
+
+SEEDS = count(200)
+FOCUSED = "document.activeElement.closest('li')?.dataset.id"
+
+
+def stored(address: str, need: int) -> None:
+    """At least so many scenes are in the store."""
+    for _ in range(len(httpx.get(f"{address}/scenes").json()["scenes"]), need):
+        stored_cloud(address, next(SEEDS))
+
+
+def whole_list(tab: Tab) -> Any:
+    """The page with fourteen scenes or more listed, which are more than one page."""
+    stored(tab.address, 14)
+    page = tab.open()
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.wait_for_selector("#scenes li >> nth=11")
+    page.click("#more")
+    page.wait_for_selector("#scenes li >> nth=13")
+    return page
+
+
+def test_older_scenes_stay_listed(tab: Tab, tmp_path: Path) -> None:
+    """At steps of the history, when one is deleted, and when another one comes."""
+    page = whole_list(tab)
+    rows = page.locator("#scenes li")
+    ids = rows.evaluate_all("all => all.map(row => row.dataset.id)")
+    assert page.evaluate(FOCUSED) == ids[12]  # the first of those that came
+    lists: list[str] = []
+    page.on("request", lambda request: "/scenes?" in request.url and lists.append(request.url))
+    for place in (13, 12):
+        rows.nth(place).locator("button").first.click()
+        page.wait_for_url(f"**/?scene={ids[place]}")
+    page.go_back()
+    page.wait_for_selector(f"li.chosen[data-id='{ids[13]}']")
+    rows.nth(12).locator(".quiet").click()
+    page.wait_for_selector(f"li[data-id='{ids[12]}']", state="detached")
+    assert rows.evaluate_all("all => all.map(row => row.dataset.id)") == [*ids[:12], *ids[13:]]
+    assert lists == []
+    kept = rows.nth(0).element_handle()
+    file = tmp_path / "cloud.splat"
+    file.write_bytes(FORMATS["splat"].write(cloud(199)).data)
+    choose(page, [file])
+    page.wait_for_selector(f"#scenes li:not([data-id='{ids[0]}']) >> nth=0")
+    page.wait_for_function("id => document.querySelector('#scenes li').dataset.id !== id", arg=ids[0])
+    assert rows.count() == len(ids) - 1
+    assert page.evaluate("row => row.isConnected", kept)  # with its picture
+    page.wait_for_selector("#more")
+
+
+def test_the_scene_on_show_is_told(tab: Tab) -> None:
+    page = whole_list(tab)
+    for place in (0, 13):
+        row = page.locator("#scenes li").nth(place)
+        row.locator("button").first.click()
+        scene = row.get_attribute("data-id")
+        page.wait_for_url(f"**/?scene={scene}")
+        page.wait_for_selector(f"li.chosen[data-id='{scene}']")
+        current = page.locator("#scenes [aria-current=true]")
+        assert current.count() == 1
+        assert current.evaluate("button => button.closest('li').dataset.id") == scene
+        assert scene[:8] in page.title()
+
+
+def test_a_scene_that_was_deleted_elsewhere_leaves_the_list(tab: Tab) -> None:
+    page = whole_list(tab)
+    row = page.locator("#scenes li").nth(13)
+    gone = row.get_attribute("data-id")
+    assert httpx.delete(f"{tab.address}/scenes/{gone}").status_code == 204
+    row.locator("button").first.click()
+    page.wait_for_selector(f"li[data-id='{gone}']", state="detached")
+    problem = page.locator("#shelf-problem")
+    assert f"no scene '{gone}'" in problem.inner_text()
+    place, window = problem.bounding_box(), page.viewport_size
+    assert 0 <= place["y"] < window["height"] - place["height"]  # where the list is looked at
+    page.locator("#scenes li").nth(0).locator("button").first.click()
+    page.wait_for_selector("#shelf-problem:empty", state="attached")
+
+
+def test_deleting_all_that_is_listed_brings_the_next(tab: Tab) -> None:
+    stored(tab.address, 13)
+    page = tab.open()
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.wait_for_selector("#scenes li >> nth=11")
+    rows = page.locator("#scenes li")
+    for left in range(11, -1, -1):
+        gone = rows.nth(0).get_attribute("data-id")
+        rows.nth(0).locator(".quiet").click()
+        page.wait_for_selector(f"li[data-id='{gone}']", state="detached")
+        if left:
+            assert rows.count() == left
+    page.wait_for_selector("#scenes li")
+    page.wait_for_url(f"**/?scene={rows.nth(0).get_attribute('data-id')}")
+
+
+def test_on_a_phone_a_scene_that_is_chosen_comes_into_view(browser: Any, address: str) -> None:
+    stored(address, 12)
+    tab = Tab(browser, address, viewport=PHONE, has_touch=True, is_mobile=True)
+    page = tab.open()
+    row = page.locator("#scenes li").nth(11)
+    row.locator("button").first.tap()
+    page.wait_for_selector(f"li.chosen[data-id='{row.get_attribute('data-id')}']")
+    page.wait_for_function("document.getElementById('stage').getBoundingClientRect().top >= 0")
+    assert page.locator("#stage").bounding_box()["y"] < PHONE["height"] / 2
+    tab.done()
