@@ -60,7 +60,7 @@ def convert(
     cameras = None if capture is None else capture.cameras(range(len(capture.table.names))).cameras
     if not source.is_file():
         raise InputError(f"{source} is not a file", field="IN", cure="give a .ply, .compressed.ply, .splat or .spz")
-    check_output_file(output)
+    check_output_file(output, as_json=as_json)
     before = source.stat().st_size  # IN may be OUT
     dialect = Dialect(opacity, scales, rotation, axes)
     with ProgressBars(quiet=quiet) as bars:

@@ -9,29 +9,59 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from ..errors import InputError
+from ..process.places import is_mounted, is_stdout, open_file, resolved, takes_bytes
 
 _DENIED = "no permission"
 _CURE = "choose another folder, or ask who owns it for permission"
 
 
-def check_output_file(path: Path) -> None:
-    """Raises `InputError` where no file can be written at `path`: it is a folder, there is none for it, or it is not
-    writable."""
+def check_output_file(path: Path, *, as_json: bool = False) -> None:
+    """Raises `InputError` where no file can be written at `path`: it is a folder, there is none for it, it is not
+    writable, or stdout, where with `as_json` the result goes."""
     if path.is_dir():
         raise InputError(f"{path} is a folder, need a file", field="output", cure="name a file in it")
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder", field="output", cure="make it first")
-    if path.exists() and not path.is_file():  # a pipe or device is written to where it is
+    if as_json and is_stdout(path):
+        raise InputError(f"{path} is where --json writes to", field="output", cure="leave --json out, or name a file")
+    if open_file(path) is not None:  # is written to by whoever has it
+        return
+    if takes_bytes(path):
         obstacle = None if os.access(path, os.W_OK) else _DENIED
     else:  # the file behind a link is replaced, in its own folder
-        obstacle = _obstacle(path.resolve().parent)
+        obstacle = _obstacle(_replaced(path).parent)
     if obstacle:
         raise InputError(f"{path} cannot be written: {obstacle}", field="output", cure=_CURE)
 
 
+def _replaced(path: Path) -> Path:
+    """The file whose place the new one takes. Raises `InputError` where links lead to none, or it is a mount."""
+    try:
+        file = resolved(path)
+    except OSError as error:
+        raise InputError(f"{path} is a link that leads to itself", field="output", cure="remove it") from error
+    if not file.parent.is_dir():
+        raise InputError(
+            f"{path} is a link to {file}, whose folder does not exist",
+            field="output",
+            cure="make it, or remove the link",
+        )
+    if is_mounted(file):
+        raise InputError(
+            f"{path} is a mount of its own, and no new file can take its place", field="output", cure="mount its folder"
+        )
+    return file
+
+
 def check_output_folder(path: Path) -> None:
     """Raises `InputError` where `path` is no folder and none can be made, or where it is not writable."""
-    there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    there = next(folder for folder in (path, *path.absolute().parents) if folder.exists() or folder.is_symlink())
+    if not there.exists():
+        raise InputError(
+            f"{there} is a link to {there.readlink()}, which is no folder",
+            field="output",
+            cure="make it, or remove the link",
+        )
     if not there.is_dir():
         raise InputError(f"{there} is not a folder", field="output", cure="name a folder")
     if obstacle := _obstacle(there):

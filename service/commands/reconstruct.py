@@ -77,7 +77,7 @@ def reconstruct(
     from .output_file import check_output_file, named
 
     target = format_of_path(output, field="output")
-    check_output_file(output)
+    check_output_file(output, as_json=as_json)
     checked_others(leave_one_out)
     checked_passes(fade)
     chosen = checked_engine(engine)

@@ -134,7 +134,7 @@ def render(
             cure="name a folder; a film ends in .mp4, .webp or .gif; --sheet puts all views into one picture",
         )
     if plan is not None or sheet:
-        check_output_file(output)
+        check_output_file(output, as_json=as_json)
     else:
         check_output_folder(output)
     options = {"background": parse_background(background), "threads": threads}

@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 
 from ..errors import StorageFull
 from .ending import unfinished
+from .places import open_taking, resolved, takes_bytes
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -30,16 +31,16 @@ def write_file(path: Path, data: bytes) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """A path beside `path` for the block to write: what is there takes the place of `path`, or goes if the block fails.
 
-    Who may read and write `path` may do so after it. Of a link it is the file behind it that is replaced. A pipe or
-    device stays what it is: once the file is whole it is written to.
+    Who may read and write `path` may do so after it. Of a link it is the file behind it that is replaced. A pipe, a
+    device and a stream that is open stay what they are: once the file is whole they are written to.
     """
-    if _takes_bytes(path):
+    if takes_bytes(path):
         with TemporaryDirectory(prefix="gapmes-") as folder, unfinished(Path(folder)):
             yield Path(folder) / "part"
-            with (Path(folder) / "part").open("rb") as made, path.open("wb") as taken:
+            with (Path(folder) / "part").open("rb") as made, open_taking(path) as taken:
                 shutil.copyfileobj(made, taken)
         return
-    path = path.resolve()
+    path = resolved(path)
     if not path.parent.is_dir():
         number = errno.ENOTDIR if path.parent.exists() else errno.ENOENT
         raise OSError(number, os.strerror(number), str(path))  # which becomes the class of its number
@@ -62,17 +63,13 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Write a file, new or in the place of another, which stays whole until then; a pipe or device is written to."""
-    if _takes_bytes(path):
-        path.write_bytes(data)
+    """Write a file, new or in the place of another, which stays whole until then; what `takes_bytes` is written to."""
+    if takes_bytes(path):
+        with open_taking(path) as taken:
+            taken.write(data)
         return
     with replacing(path) as part:
         write_file(part, data)
-
-
-def _takes_bytes(path: Path) -> bool:
-    """Whether it is a pipe or device, and no file whose place another could take."""
-    return path.exists() and not path.is_file()
 
 
 def sync(path: Path) -> None:
