@@ -16,9 +16,9 @@ import onnx
 from gapmes.model.architectures import licence
 from gapmes.model.pretrained.fit import Fit
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.commands.output_file import check_output_file, check_output_folder, named
+from gapmes.service.commands.output_file import check_output_file, check_output_folder
 from gapmes.service.errors import InputError
-from gapmes.service.process.disk import replacing
+from gapmes.service.process.disk import named, replacing
 from gapmes.service.process.ending import unfinished
 from gapmes.service.progress import Listener, Stage, Stages, silent
 

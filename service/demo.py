@@ -6,8 +6,8 @@ import io
 import json
 import shutil
 import tempfile
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,9 @@ from PIL import Image
 
 from .local_server import checked, local_client, local_server, wait_until_ready
 from .pictures.contact_sheet import Cell, Row, contact_sheet
+from .pictures.picture import encode_image
 from .pictures.picture_error import psnr
+from .process.disk import named, replace_file
 from .process.terminal import ProgressBars
 from .progress import Stage, Stages
 from .settings import checked_settings
@@ -41,6 +43,7 @@ class DemoResult:
 def run_demo(output: Path, bars: ProgressBars, *, keep: bool = False) -> DemoResult:
     """Write scene.ply, view_<i>.png and comparison.png into `output`; the service is left running only with `keep`,
     then on the port of the settings if that is free."""
+    port = checked_settings().port if keep else 0  # refused before anything is made
     output.mkdir(parents=True, exist_ok=True)
     log = output / "server.log"
     stages = Stages(bars)
@@ -48,29 +51,40 @@ def run_demo(output: Path, bars: ProgressBars, *, keep: bool = False) -> DemoRes
         sample = sample_folder()
         cameras = json.loads((sample / "cameras.json").read_text(encoding="utf-8"))
         context, targets = cameras["suggested"]["context2"], cameras["suggested"]["target2"]
-        store = Path(
-            tempfile.mkdtemp(prefix="scenes-", dir=output)
-        )  # empty, so that every run measures the work itself
-        if not keep:
-            stack.callback(shutil.rmtree, store, ignore_errors=True)
-        address, process = stack.enter_context(
-            local_server(log, store=store, keep=keep, port=checked_settings().port if keep else 0)
-        )
+        store = stack.enter_context(_store(output, keep))
+        address, process = stack.enter_context(local_server(log, store=store, keep=keep, port=port))
         bars.say(f"service: {address}/ (log in {log})")
         client = stack.enter_context(local_client(address, REQUEST_TIMEOUT_S))
         wait_until_ready(client, process, log, stages)
         scene = _reconstruct(client, sample, cameras, context, stages, bars)
         with stages.stage("fetch .ply"):
             ply = output / "scene.ply"
-            ply.write_bytes(checked(client.get(scene["links"]["ply"])).content)
+            _write(ply, checked(client.get(scene["links"]["ply"])).content)
         renders = _render(client, scene["id"], cameras, targets, output, stages)
         with stages.stage("compare"):
             truths = [_pixels((sample / cameras["views"][index]["image"]).read_bytes()) for index in targets]
             inputs = [_pixels((sample / cameras["views"][index]["image"]).read_bytes()) for index in context]
             scores = [psnr(_pixels(path.read_bytes()), truth) for path, truth in zip(renders, truths, strict=True)]
             comparison = output / "comparison.png"
-            _sheet(context, inputs, targets, truths, renders, scores).save(comparison)
+            _write(comparison, encode_image(_sheet(context, inputs, targets, truths, renders, scores), "png"))
     return DemoResult(scene["id"], address, process.pid, tuple(scores), (ply, *renders, comparison))
+
+
+@contextmanager
+def _store(output: Path, keep: bool) -> Iterator[Path]:
+    """An empty folder for scenes, so that every run measures the work itself; it stays with `keep` and no failure."""
+    store, done = Path(tempfile.mkdtemp(prefix="scenes-", dir=output)), False
+    try:
+        yield store
+        done = True
+    finally:
+        if not (keep and done):
+            shutil.rmtree(store, ignore_errors=True)
+
+
+def _write(path: Path, data: bytes) -> None:
+    with named(path):
+        replace_file(path, data)
 
 
 def _reconstruct(
@@ -102,7 +116,7 @@ def _render(
             camera = json.dumps(cameras["views"][index])
             picture = checked(client.get("/render", params={"scene": scene_id, "camera": camera})).content
             paths.append(output / f"view_{number}.png")
-            paths[-1].write_bytes(picture)
+            _write(paths[-1], picture)
             step(len(paths))
     return paths
 

@@ -10,16 +10,19 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import httpx
 
 from .errors import GapmesError, ModelError
+from .process.disk import full_is_refused
 from .progress import Stages
 
 READY_TIMEOUT_S = 300.0  # the first start compiles every kernel, which a slow core needs a minute or two for
 POLL_S = 0.2
 STOP_TIMEOUT_S = 10.0
+ROOM = 1 << 16  # bytes, without which the service could not say what is wrong
 KEYS = ("GAPMES_API_KEY", "GAPMES_API_KEY_FILE")
 LOADING = ("start", "import", "model", "kernels")  # the stages that /readyz names, in order
 
@@ -29,9 +32,11 @@ def local_server(
     log: Path, *, store: Path, keep: bool = False, port: int = 0
 ) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """Yield (address, process) of `gapmes serve` on `port` if that is free, else on a free one; stopped at the end
-    unless `keep` and no failure. It needs no key, whatever the environment says."""
+    unless `keep` and no failure, without `keep` also if this process is killed. It needs no key, whatever the
+    environment says."""
     port = _free_port(port)
     command = [sys.executable, "-m", "gapmes.service.cli", "serve", "--host", "127.0.0.1", "--port", str(port)]
+    command += [] if keep else ["--parent", str(os.getpid())]
     with log.open("wb") as output:
         process = subprocess.Popen(
             [*command, "--store", str(store)],
@@ -63,12 +68,13 @@ def local_client(address: str, timeout_s: float) -> httpx.Client:
 def wait_until_ready(
     client: httpx.Client, process: subprocess.Popen[bytes], log: Path, stages: Stages
 ) -> dict[str, Any]:
-    """Poll /readyz and return what it says; raises `ModelError` when the service fails, ends or takes too long."""
+    """Poll /readyz and return what it says; raises `ModelError` when the service fails, `StorageFull` or
+    `GapmesError` when it ends or takes too long."""
     deadline = time.monotonic() + READY_TIMEOUT_S
     with stages.stage("start service", len(LOADING)) as step:
         while time.monotonic() < deadline:
             if process.poll() is not None:
-                raise ModelError(f"the service ended with code {process.returncode}", cure=f"see {log}")
+                raise _ended(process.returncode, log)
             try:
                 answer = client.get("/readyz")
             except httpx.TransportError:
@@ -81,21 +87,40 @@ def wait_until_ready(
                 raise ModelError(body["detail"], cure=f"see {log}")
             step(LOADING.index(body["stage"]) if body.get("stage") in LOADING else 0)
             time.sleep(POLL_S)
-    raise ModelError(f"the service is not ready after {READY_TIMEOUT_S:.0f} s", cure=f"see {log}")
+    raise GapmesError(f"the service is not ready after {READY_TIMEOUT_S:.0f} s", cure=f"see {log}")
 
 
 def checked(answer: httpx.Response) -> httpx.Response:
-    """The answer, or its problem document raised as an error."""
+    """The answer, or its problem document raised as the error that it is of."""
     if answer.is_success:
         return answer
     problem = answer.json()
     asked = f"{answer.request.method} {answer.request.url.path}"
-    raise GapmesError(
+    raise _kind(problem["code"])(
         f"{asked} -> {answer.status_code} {problem['code']}: {problem['detail']}",
         field=problem.get("field"),
         index=problem.get("index"),
         cure=problem.get("cure"),
     )
+
+
+def _ended(code: int, log: Path) -> GapmesError:
+    """What the service said last. Raises `StorageFull` where it could not say a thing because the disk is full."""
+    said = [line for line in log.read_text(encoding="utf-8", errors="replace").split("\n") if line.strip()]
+    if not said:
+        with full_is_refused(f"what the service writes into {log.parent}"), TemporaryFile(dir=log.parent) as probe:
+            probe.write(bytes(ROOM))
+            probe.flush()
+    last = f": {said[-1].strip().removeprefix('error: ')}" if said else ""
+    return GapmesError(f"the service ended with code {code}{last}", cure=f"see {log}")
+
+
+def _kind(code: str) -> type[GapmesError]:
+    """The class of this code, `GapmesError` where there is none."""
+    kinds = [GapmesError]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+    return next((kind for kind in kinds if kind.code == code), GapmesError)
 
 
 def _free_port(wanted: int) -> int:

@@ -50,9 +50,9 @@ def convert(
     from ..formats.cost import picture_psnr
     from ..formats.dialect import STANDARD, Dialect
     from ..formats.registry import format_named, format_of_path, inspect_gaussians
-    from ..process.disk import replace_file
+    from ..process.disk import named, replace_file
     from ..progress import Stages
-    from .output_file import check_output_file, named
+    from .output_file import check_output_file
 
     cure = "end it in one of them, or give --to"
     target = format_of_path(output, field="OUT", cure=cure) if to is None else format_named(to, field="to")

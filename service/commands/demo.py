@@ -6,10 +6,11 @@ import os
 import signal
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from ..process.ending import SIGNALS
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
 
@@ -25,7 +26,9 @@ def demo(
     """Start the service, reconstruct the sample scene, render novel views and compare them with the truth."""
     from ..demo import run_demo
 
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # unwinds, so that the service is stopped then as well
+    for number in SIGNALS:
+        if signal.getsignal(number) != signal.SIG_IGN:  # as it is under nohup
+            signal.signal(number, _unwound)
     keep = keep or os.environ.get("KEEP", "") not in ("", "0")
     with ProgressBars(quiet=quiet) as bars:
         result = run_demo(output, bars, keep=keep)
@@ -46,3 +49,10 @@ def demo(
             "files": [str(path) for path in result.files],
         }
         write_result(document)
+
+
+def _unwound(number: int, _: Any) -> None:
+    """Ends the process in order, so that the service is stopped as well; a terminal that closes may say so twice."""
+    for each in SIGNALS:
+        signal.signal(each, signal.SIG_IGN)
+    sys.exit(128 + number)

@@ -1,10 +1,8 @@
-"""The file that a command writes: looked at before the work, and named where the system refuses it after all."""
+"""The file or folder that a command writes to, looked at before the work."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -77,14 +75,3 @@ def _obstacle(folder: Path) -> str | None:
     except OSError as error:
         return error.strerror or str(error)
     return None
-
-
-@contextmanager
-def named(path: Path) -> Iterator[None]:
-    """What the system refuses within the block is said of `path`, and not of a file beside it or of none."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno is None:
-            raise
-        raise OSError(error.errno, error.strerror, str(path)) from error

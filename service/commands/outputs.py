@@ -13,12 +13,11 @@ from ..pictures.effort import Effort, draw
 from ..pictures.film import FILM_FORMATS, FilmFormat, FilmShape, check_film, most_frames, write_film
 from ..pictures.picture import MAX_SIDE, Channel, Format, encode, encode_image
 from ..problem_document import plain
-from ..process.disk import replace_file
+from ..process.disk import named, replace_file
 from ..progress import Stages
 from ..viewpoints.camera_path import PathName, loop
 from ..viewpoints.framing import even, within
 from ..viewpoints.scene_views import SceneViews
-from .output_file import named
 
 if TYPE_CHECKING:
     from ..cameras.camera import Camera

@@ -71,10 +71,10 @@ def reconstruct(
     from ..leaving_out.budget import Budget, parse_max_error
     from ..photographs.image_files import image_size
     from ..photographs.images import EncodedPhoto
-    from ..process.disk import replace_file
+    from ..process.disk import named, replace_file
     from ..progress import Stages
     from ..reconstruct import Reconstructor
-    from .output_file import check_output_file, named
+    from .output_file import check_output_file
 
     target = format_of_path(output, field="output")
     check_output_file(output, as_json=as_json)

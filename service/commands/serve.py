@@ -54,6 +54,7 @@ def serve(
     prepare: Annotated[
         bool, typer.Option("--prepare", help="start nothing: optimise the models for this machine, for later starts")
     ] = False,
+    parent: Annotated[int | None, typer.Option(hidden=True, help="process that this one does not outlive")] = None,
     quiet: Annotated[
         bool,
         typer.Option("-q", "--quiet", help="log warnings and errors alone, and draw no bars [default: GAPMES_QUIET]"),
@@ -69,10 +70,13 @@ def serve(
     from ..process import watched_process
     from ..process.logs import configure
     from ..process.peers import FOLDER, OURS
+    from ..process.with_parent import end_with_parent
     from ..scenes.store import SceneStore
     from ..settings import checked_settings, strange_variables
     from .listening import check_address
 
+    if parent is not None:
+        end_with_parent(parent)
     options = given(
         host=host, port=port, model=model, models=models, engine=engine, store=store, threads=threads, workers=workers,
         quiet=quiet or None,

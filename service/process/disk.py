@@ -72,6 +72,17 @@ def replace_file(path: Path, data: bytes) -> None:
         write_file(part, data)
 
 
+@contextmanager
+def named(path: Path) -> Iterator[None]:
+    """What the system refuses within the block is said of `path`, and not of a file beside it or of none."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
 def sync(path: Path) -> None:
     """Make a file, or what was renamed into a folder, survive a power cut."""
     handle = os.open(path, os.O_RDONLY)

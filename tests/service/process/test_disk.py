@@ -5,15 +5,13 @@ from __future__ import annotations
 import errno
 import json
 import os
-import resource
 import signal
 import stat
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,28 +19,11 @@ import pytest
 from capture_scenes import arc, write_cameras_json
 from cli_runs import run
 from clouds import cloud
+from full_disk import LIMIT, contents, full_disk
 
 from gapmes.service import write_gaussians, write_ply
 from gapmes.service.pictures.film import FilmShape, write_film
 from gapmes.service.process.disk import replace_file, replacing, write_file
-
-LIMIT = 500  # bytes; below every file that is written here
-
-
-@contextmanager
-def full_disk() -> Iterator[None]:
-    """The system itself refuses every write beyond `LIMIT` bytes of a file."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """Every file below a folder, hidden ones too."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def write_gif(path: Path) -> None:

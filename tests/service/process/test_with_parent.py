@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
-from pathlib import Path
+
+from living import alive, wait_for
 
 CHILD = """
 import sys, time
@@ -24,20 +24,6 @@ time.sleep(600)
 """
 
 
-def alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return not _finished(pid)
-
-
-def _finished(pid: int) -> bool:
-    """Ended, and nobody has asked how: where nobody looks after orphans they stay so."""
-    stat = Path(f"/proc/{pid}/stat")
-    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] == "Z"
-
-
 def test_it_ends_when_its_parent_is_killed() -> None:
     with subprocess.Popen([sys.executable, "-c", PARENT, CHILD], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
@@ -47,10 +33,7 @@ def test_it_ends_when_its_parent_is_killed() -> None:
             assert alive(child)  # as long as the parent is
         finally:
             parent.kill()
-    until = time.monotonic() + 120
-    while alive(child):
-        assert time.monotonic() < until
-        time.sleep(0.1)
+    wait_for(lambda: not alive(child))
 
 
 def test_it_ends_where_its_parent_has_ended_before() -> None:
