@@ -36,12 +36,13 @@ def depth_levels(
     dtype = np.uint16 if top > 255 else np.uint8
     if not there.any():
         return np.zeros(depth.shape, dtype), DepthCode(0.0, 0.0, scale or 0.0, 0.0)
-    depth = depth.astype(np.float64)
-    low, high = float(depth[there].min()), float(depth[there].max())
+    levels = np.zeros(depth.shape, dtype)
+    found = depth[there].astype(np.float64)
+    low, high = float(found.min()), float(found.max())
     if scale is None:
         scale = (high - low) / (top - 1)
-        levels = 1 + (top - 1) * (depth - low) / max(high - low, np.finfo(np.float64).tiny)
-        return np.where(there, np.rint(levels), 0).astype(dtype), DepthCode(low, high, scale, low - scale)
+        levels[there] = np.rint(1 + (top - 1) * (found - low) / max(high - low, np.finfo(np.float64).tiny))
+        return levels, DepthCode(low, high, scale, low - scale)
     if high > (top + 0.5) * scale:
         raise InputError(
             f"depth {high:.6g} is level {high / scale:.0f} at {scale:g} per level, the highest is {top}",
@@ -55,8 +56,8 @@ def depth_levels(
             field="depth_scale",
             cure=f"ask for less than {_two_digits(2 * low, np.floor):g}",
         )
-    levels = np.minimum(np.rint(depth / scale), top)
-    return np.where(there, levels, 0).astype(dtype), DepthCode(low, high, scale, 0.0)
+    levels[there] = np.minimum(np.rint(found / scale), top)
+    return levels, DepthCode(low, high, scale, 0.0)
 
 
 def png_text(code: DepthCode) -> PngInfo:

@@ -68,6 +68,17 @@ def test_a_picture_of_nothing_is_all_level_0() -> None:
         assert (numbers["min"], numbers["max"]) == (0, 0)
 
 
+@pytest.mark.parametrize("scale", [None, 0.001])
+def test_a_picture_in_which_one_pixel_is_covered_has_one_level(scale: float | None) -> None:
+    """Where nothing is there the depth is 0, far from all others; a warning is an error here."""
+    there = np.zeros((4, 5), np.float32)
+    there[1, 2] = 1
+    picture = encode(drawn(np.where(there > 0, np.float32(3), np.float32(0)), there), "depth", depth_scale=scale)
+    levels, found, _ = read_back(picture.data)
+    assert (levels > 0).sum() == 1
+    assert found[1, 2] == pytest.approx(3)
+
+
 def test_other_channels_have_no_such_text() -> None:
     for channel in ("rgb", "alpha"):
         with Image.open(io.BytesIO(encode(drawn(depths(1, 2)), channel).data)) as image:
