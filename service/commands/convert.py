@@ -28,8 +28,10 @@ AROUND = ("0", "orbit:-30", "orbit:30")  # views of the default framing
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help=".ply, .compressed.ply, .splat or .spz")],
-    output: Annotated[Path, typer.Argument(metavar="OUT", help="the file to write, of a format by its extension")],
+    source: Annotated[Path, typer.Argument(metavar="IN", readable=False, help=".ply, .compressed.ply, .splat or .spz")],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", readable=False, help="the file to write, of a format by its extension")
+    ],
     to: Annotated[str | None, typer.Option(help="its format, where the extension does not tell")] = None,
     source_format: SourceFormatOption = None,
     opacity: OpacityOption = "auto",
@@ -52,21 +54,25 @@ def convert(
     from ..formats.registry import format_named, format_of_path, inspect_gaussians
     from ..process.disk import named, replace_file
     from ..progress import Stages
+    from .input_file import check_input_file
     from .output_file import check_output_file
 
     cure = "end it in one of them, or give --to"
     target = format_of_path(output, field="OUT", cure=cure) if to is None else format_named(to, field="to")
     capture = None if measure in ("around", "off") else open_capture(Path(measure))
     cameras = None if capture is None else capture.cameras(range(len(capture.table.names))).cameras
-    if not source.is_file():
-        raise InputError(f"{source} is not a file", field="IN", cure="give a .ply, .compressed.ply, .splat or .spz")
+    check_input_file(source, field="IN")
     check_output_file(output, as_json=as_json)
-    before = source.stat().st_size  # IN may be OUT
     dialect = Dialect(opacity, scales, rotation, axes)
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("read"):
-            reading, found = inspect_gaussians(source, format=source_format, dialect=dialect, drop_invalid=drop_invalid)
+            data = source.read_bytes()  # once: a pipe has nothing more
+            before = len(data)
+            reading, found = inspect_gaussians(
+                data, format=source_format, name=str(source), dialect=dialect, drop_invalid=drop_invalid
+            )
+            del data
         gaussians = reading.gaussians
         with stages.stage("convert"):
             encoded = target.write(gaussians)

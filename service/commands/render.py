@@ -29,12 +29,15 @@ if TYPE_CHECKING:
 
 
 def render(
-    ply: Annotated[Path, typer.Argument(metavar="SCENE", help=".ply, .compressed.ply, .splat or .spz")],
-    cameras: Annotated[Path, typer.Option(help="a camera file, or the folder or .zip of a capture")],
+    ply: Annotated[Path, typer.Argument(metavar="SCENE", readable=False, help=".ply, .compressed.ply, .splat or .spz")],
+    cameras: Annotated[Path, typer.Option(readable=False, help="a camera file, or the folder or .zip of a capture")],
     output: Annotated[
         Path,
         typer.Option(
-            "-o", "--output", help="folder for pictures, made where it is missing; or file of a film or sheet"
+            "-o",
+            "--output",
+            readable=False,
+            help="folder for pictures, made where it is missing; or file of a film or sheet",
         ),
     ],
     views: Annotated[str | None, typer.Option(help="such as 5,6,7 or 5.5 between two [default: all]")] = None,
@@ -85,6 +88,7 @@ def render(
     from ..viewpoints.framing import frame, parse_size, square
     from ..viewpoints.scene_views import SceneViews
     from ..viewpoints.seen_depths import seen_depths
+    from .input_file import check_input_file
     from .output_file import check_output_file, check_output_folder
     from .outputs import (
         SHEET_FORMATS,
@@ -138,8 +142,7 @@ def render(
     else:
         check_output_folder(output)
     options = {"background": parse_background(background), "threads": threads}
-    if not ply.is_file():
-        raise InputError(f"{ply} is not a file", field="SCENE", cure="give a .ply, .compressed.ply, .splat or .spz")
+    check_input_file(ply, field="SCENE")
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("read"):

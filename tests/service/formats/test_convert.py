@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -157,6 +159,28 @@ def test_in_may_be_out(ply: Path, capfd: pytest.CaptureFixture[str]) -> None:
     document = converted(capfd, ply, ply, "--measure", "off")
     assert document["from"]["bytes"] == before
     assert document["to"]["bytes"] == ply.stat().st_size < before
+
+
+def test_in_may_be_a_pipe(ply: Path, cameras: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """It is read once, and known by its bytes; other formats than these need a name."""
+    pipe = ply.with_name("pipe")
+    os.mkfifo(pipe)
+
+    def piped(*arguments: object) -> dict:
+        writer = threading.Thread(target=lambda: pipe.write_bytes(ply.read_bytes()), daemon=True)
+        writer.start()
+        assert run(*arguments, "--threads", 1, "--json") == 0
+        writer.join(120)
+        return json.loads(capfd.readouterr().out)
+
+    converted(capfd, ply, ply.with_name("from_file.ply"), "--measure", "off")
+    document = piped("convert", pipe, ply.with_name("out.ply"), "--measure", "off")
+    assert document["from"] == {"file": str(pipe), "format": "ply", "bytes": ply.stat().st_size, "rows": 3000}
+    assert ply.with_name("out.ply").read_bytes() == ply.with_name("from_file.ply").read_bytes()
+    assert piped("render", pipe, "--cameras", cameras, "-o", ply.parent / "v")["gaussians"] == 3000
+    for nothing in ("/dev/null", ply.parent):
+        assert run("convert", nothing, ply.with_name("out.ply")) == 1
+        assert f"IN: {nothing} is not a file" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
