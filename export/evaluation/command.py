@@ -22,7 +22,11 @@ FLOOR_MISSED = 1
 def evaluate(
     scenes: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="SCENE_DIR...", help="folders with images/ and cameras.json that has `suggested` views"),
+        typer.Argument(
+            metavar="SCENE_DIR...",
+            readable=False,
+            help="folders with images/ and cameras.json that has `suggested` views",
+        ),
     ] = None,
     generated: Annotated[int | None, typer.Option(min=0, help="number of generated scenes")] = None,
     seed: Annotated[
@@ -31,16 +35,17 @@ def evaluate(
     inputs: Annotated[list[int] | None, typer.Option(min=2, max=3, help="2 or 3; repeat for both")] = None,
     size: Annotated[list[str] | None, typer.Option(help="side in px, or HEIGHTxWIDTH; repeat for several")] = None,
     model: Annotated[
-        list[Path] | None, typer.Option(help=".onnx or .safetensors; repeat to compare [default: the packaged one]")
+        list[Path] | None,
+        typer.Option(readable=False, help=".onnx or .safetensors; repeat to compare [default: the packaged one]"),
     ] = None,
     engine: Annotated[
         list[str] | None, typer.Option(help=f"{', '.join(ENGINES)}; repeat to compare [default: {DEFAULT_ENGINE}]")
     ] = None,
     twice: Annotated[bool, typer.Option("--twice", help="draw at twice the size as well, and compare")] = False,
     fade: Annotated[int, typer.Option(help="passes of fading, as of reconstruct; 0: none")] = DEFAULT_PASSES,
-    out: Annotated[Path, typer.Option("-o", "--out", help="folder for report and pictures")] = Path("evaluation"),
+    out: Annotated[Path, typer.Option("-o", "--out", readable=False, help="folder of the report")] = Path("evaluation"),
     lpips: Annotated[
-        Path | None, typer.Option(help="LPIPS weights, .safetensors [default: beside the checkout]")
+        Path | None, typer.Option(readable=False, help="LPIPS weights, .safetensors [default: beside the checkout]")
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="exit code 1 when a floor is missed")] = False,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,

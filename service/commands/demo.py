@@ -16,7 +16,7 @@ from ..process.terminal import ProgressBars, Quiet
 
 
 def demo(
-    output: Annotated[Path, typer.Option("-o", "--output", help="folder for the results")] = Path("demo"),
+    output: Annotated[Path, typer.Option("-o", "--output", readable=False, help="folder for results")] = Path("demo"),
     keep: Annotated[
         bool, typer.Option("--keep", help="leave the service running [also: KEEP=1 in the environment]")
     ] = False,

@@ -22,12 +22,14 @@ def reconstruct(
         Path,
         typer.Argument(
             metavar="CAPTURE",
+            readable=False,
             help="folder, .zip or camera file with its photographs: cameras.json, transforms.json, COLMAP, LLFF,"
             " RealEstate10K",
         ),
     ],
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="file to write: .ply, .compressed.ply, .splat or .spz")
+        Path,
+        typer.Option("-o", "--output", readable=False, help="file to write: .ply, .compressed.ply, .splat or .spz"),
     ],
     views: Annotated[
         str | None, typer.Option(help="2 to 6 views by index or name, such as 1,5 [default: all, of more than 6 some]")
@@ -56,7 +58,7 @@ def reconstruct(
     detail: Annotated[
         int, typer.Option(help="1, or 2: four Gaussians per pixel, with the colours of the photographs' own pixels")
     ] = 1,
-    model: Annotated[Path | None, typer.Option(help="ONNX model [default: the packaged one]")] = None,
+    model: Annotated[Path | None, typer.Option(readable=False, help="ONNX model [default: the packaged one]")] = None,
     engine: Annotated[str, typer.Option(help=f"what computes the network: {', '.join(ENGINES)}")] = DEFAULT_ENGINE,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,

@@ -226,6 +226,43 @@ def test_who_may_not_write_is_told_as_whom_that_was(
     assert capfd.readouterr().err == f"error: /data/tmp: Permission denied ({cure})\n"
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("convert", "file", "file"),
+        ("reconstruct", "file", "-o", "file"),
+        ("reconstruct", "missing", "-o", "missing", "--model", "file"),
+        ("render", "file", "--cameras", "file", "-o", "file"),
+        ("demo", "-o", "file", "--keep"),
+        ("evaluate", "file", "--model", "file", "-o", "file", "--lpips", "file"),
+    ],
+    ids=" ".join,
+)
+def test_files_are_looked_at_by_the_commands_and_not_as_usage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+) -> None:
+    """What may not be read is refused as the system says, and what may be written alone is no wrong usage."""
+    (tmp_path / "file").touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("GAPMES_PORT", "none, so that no service starts")
+    monkeypatch.setattr(os, "access", lambda _, mode, **__: mode != os.R_OK)
+    assert run(*arguments, "--json") == 1
+    assert_refusal(capfd, "error: ")
+
+
+def test_a_file_that_may_not_be_read_is_refused_as_the_system_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def refused(path: Path) -> bytes:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    (tmp_path / "in.ply").touch()
+    monkeypatch.setattr(os, "access", lambda _, mode, **__: mode != os.R_OK)
+    monkeypatch.setattr(Path, "read_bytes", refused)
+    assert run("convert", tmp_path / "in.ply", tmp_path / "in.ply", "--json") == 1
+    assert assert_refusal(capfd, "in.ply: Permission denied (is there room, ")["code"] == "storage_error"
+
+
 def test_the_version(capfd: pytest.CaptureFixture[str]) -> None:
     assert run("--version") == 0
     assert re.fullmatch(r"gapmes \d+\.\d+\.\d+\n", capfd.readouterr().out)
