@@ -30,6 +30,7 @@ SCALES = tuple(f"scale_{axis}" for axis in AXES)
 GROUPS = (AXES, SCALES, COLOURS)
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 ROTATION_LEVELS, COLOUR_LEVELS = 1023, 255
+COLOUR_TOLERANCE = 1 / 255  # up to which half a step of a chunk's colours is the format's usual rounding
 LOG_LIMIT = 20.0  # of scales: what readers of the format clamp to
 BAND_STEP, BAND_LOW = 1 / 32, -4.0
 BAND_EDGE = -BAND_LOW - 0.75 * BAND_STEP  # halfway between the ends, which the first and last byte mean, and the next
@@ -127,8 +128,22 @@ def compressed_ply_bytes(gaussians: Gaussians) -> Encoded:
         ),
         *clamped_note("higher harmonics", outside, higher.size, BAND_LOW, -BAND_LOW),
         *position_note(gaussians, float(np.abs(ordered.means - decoded).max(initial=0.0))),
+        *_colour_note(bounds, place),
     ]
     return Encoded("\n".join(header).encode("ascii") + bounds.tobytes() + tables, tuple(notes))
+
+
+def _colour_note(bounds: NDArray, place: NDArray[np.int64]) -> list[str]:
+    """A sentence where one colour that lies far outside makes the steps of its whole chunk coarse."""
+    ends = [np.stack([bounds[f"{end}_{name}"].astype(np.float64) for name in COLOURS]) for end in ("min", "max")]
+    moved = (ends[1] - ends[0]).max(axis=0) / (2 * COLOUR_LEVELS)
+    coarse = (moved > COLOUR_TOLERANCE)[place]
+    if not coarse.any():
+        return []
+    return [
+        f"{int(coarse.sum())} of {len(place)} colours move by up to {moved.max():.3g}, where 1 is white: in their "
+        f"chunks of {CHUNK} there are some far outside 0 to 1"
+    ]
 
 
 def _shares(bounds: NDArray, group: tuple[str, ...], place: NDArray[np.int64], values: F64) -> F64:

@@ -182,6 +182,21 @@ def test_what_a_format_cannot_hold_is_said() -> None:
         assert not FORMATS[name].write(moderate(100, 0, 0)).notes or name == "splat"
 
 
+def test_a_colour_far_outside_is_said_to_coarsen_those_of_its_chunk() -> None:
+    """In the largest of three channels; by as much as they move, and not where half a step is 1/255 or less."""
+    source = moderate(300, 0, 0)
+    first = source[morton_order(source.means)]
+    first.harmonics[7, 0, 1] = 300.0
+    encoded = FORMATS["compressed.ply"].write(first)
+    [note] = encoded.notes
+    assert note.startswith("256 of 300 colours move by up to 0.16")
+    moved = C0 * np.abs(read_gaussians(encoded.data).harmonics - first.harmonics)
+    assert 0.15 < moved.max() < 0.17
+    for colour, noted in ((1.0 / C0, False), (2.5 / C0, True)):
+        first.harmonics[7, 0, 1] = first.harmonics[:256, 0, 1].min() + colour
+        assert bool(FORMATS["compressed.ply"].write(first).notes) == noted
+
+
 @pytest.mark.parametrize("name", COARSE)
 def test_positions_far_from_the_origin_are_said_to_move(name: str) -> None:
     base = gaussians(200, 5, 0)
