@@ -1,4 +1,4 @@
-"""What a command leaves behind that a signal ends: nothing that is half written.
+"""What a command leaves behind that a signal ends: nothing that is half written, and a terminal as it was.
 
 The signals raise no exception, which would come at any place: within a lock of the library that nobody opens then, so
 that the command would never end.
@@ -9,13 +9,14 @@ from __future__ import annotations
 import shutil
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 SIGNALS = (signal.SIGTERM, signal.SIGHUP)
 _unfinished: set[Path] = set()
+_last: list[Callable[[], None]] = []
 
 
 @contextmanager
@@ -29,10 +30,20 @@ def unfinished(path: Path) -> Iterator[None]:
 
 
 @contextmanager
+def done_at_the_end(action: Callable[[], None]) -> Iterator[None]:
+    """Within the block `action` is called if the process is ended by a signal; it must take no lock."""
+    _last.append(action)
+    try:
+        yield
+    finally:
+        _last.remove(action)
+
+
+@contextmanager
 def ended_in_order() -> Iterator[None]:
-    """Within the block the first of SIGNALS removes what is unfinished, then ends the process as it always would. Who
-    has one ignored, such as nohup, keeps that. Outside the main thread, which alone hears of signals, nothing changes.
-    """
+    """Within the block the first of SIGNALS removes what is unfinished, does what is to be done at the end, then ends
+    the process as it always would. Who has one ignored, such as nohup, keeps that. Outside the main thread, which alone
+    hears of signals, nothing changes."""
     main = threading.current_thread() is threading.main_thread()
     taken = [number for number in SIGNALS if main and signal.getsignal(number) == signal.SIG_DFL]
     for number in taken:
@@ -51,5 +62,8 @@ def _end(number: int, _: Any) -> None:
                 shutil.rmtree(path)
             else:
                 path.unlink()
+    for action in reversed(_last):
+        with suppress(OSError):
+            action()
     signal.signal(number, signal.SIG_DFL)
     signal.raise_signal(number)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Annotated
 
@@ -11,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.text import Text
 
 from ..progress import Stage
+from .ending import done_at_the_end
 from .streams import visible
 
 QUIET_HELP = "write nothing to stderr but errors"
@@ -49,8 +52,11 @@ class ProgressBars:
             disable=not self._live,
         )
         self._tasks: dict[str, TaskID] = {}
+        self._drawn = ExitStack()
 
     def __enter__(self) -> ProgressBars:
+        if self._live:
+            self._drawn.enter_context(done_at_the_end(self._show_cursor))
         self._progress.start()
         return self
 
@@ -58,6 +64,11 @@ class ProgressBars:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._progress.stop()
+        self._drawn.close()
+
+    def _show_cursor(self) -> None:
+        """Behind the bars, which hide it, and past the console, whose lock may be held."""
+        os.write(self.console.file.fileno(), b"\x1b[?25h\n")
 
     def __call__(self, event: Stage) -> None:
         """Show one event; a stage that has ended shows its seconds."""

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import re
+import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -14,8 +18,20 @@ from ply_cases import binary_file, columns, gaussians
 from rich.console import Console
 
 from gapmes.service.formats.ply import ply_bytes
+from gapmes.service.process.ending import SIGNALS
 from gapmes.service.process.terminal import ProgressBars
 from gapmes.service.progress import Stages
+
+# Draws bars, says so on stdout, and waits within them.
+DRAWING = """
+import os, time
+from gapmes.service.process.ending import ended_in_order
+from gapmes.service.process.terminal import ProgressBars
+with ended_in_order(), ProgressBars() as bars:
+    os.write(1, b"drawn\\n")  # what is printed would appear above the bars
+    for _ in range(12_000):
+        time.sleep(0.05)
+"""
 
 
 def test_text_of_strangers_is_shown_and_not_obeyed(capfd: pytest.CaptureFixture[str]) -> None:
@@ -49,3 +65,24 @@ def test_progress_is_drawn_on_a_terminal_and_written_elsewhere(capfd: pytest.Cap
         assert out == ""
         assert re.search(r"network.* \d\.\d\d s", err)
         assert ("4/4" in err) == terminal
+
+
+@pytest.mark.parametrize("ending", SIGNALS)
+def test_a_signal_leaves_the_terminal_its_cursor(monkeypatch: pytest.MonkeyPatch, ending: signal.Signals) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    before = signal.signal(ending, signal.SIG_DFL)  # under nohup it would be ignored, there and here
+    ours, theirs = pty.openpty()
+    with subprocess.Popen([sys.executable, "-c", DRAWING], stdout=subprocess.PIPE, stderr=theirs) as process:
+        signal.signal(ending, before)
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"drawn\n"
+        process.send_signal(ending)
+        assert process.wait(120) == -ending
+    os.write(theirs, b"end")
+    shown = b""
+    while not shown.endswith(b"end"):
+        shown += os.read(ours, 65536)
+    os.close(theirs)
+    os.close(ours)
+    assert b"\x1b[?25l" in shown
+    assert shown.endswith(b"\x1b[?25h\r\nend")
