@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -261,6 +262,26 @@ def test_a_file_that_may_not_be_read_is_refused_as_the_system_says(
     monkeypatch.setattr(Path, "read_bytes", refused)
     assert run("convert", tmp_path / "in.ply", tmp_path / "in.ply", "--json") == 1
     assert assert_refusal(capfd, "in.ply: Permission denied (is there room, ")["code"] == "storage_error"
+
+
+INTERRUPTED = """
+import sys
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == "gapmes.service.commands.convert":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt())
+from {} import {}
+{}()
+"""
+
+
+def test_an_interrupt_while_the_commands_are_imported_is_no_traceback() -> None:
+    scripts = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]["scripts"]
+    module, _, function = scripts["gapmes"].partition(":")
+    code = INTERRUPTED.format(module, function, function)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
 def test_the_version(capfd: pytest.CaptureFixture[str]) -> None:
