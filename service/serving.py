@@ -9,6 +9,7 @@ import shutil
 import signal
 import sys
 import threading
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from fastapi import FastAPI
@@ -16,6 +17,7 @@ from fastapi import FastAPI
 from .app import create_app
 from .process.allocator import give_back_freed
 from .process.logs import configure
+from .process.own_folder import in_use
 from .process.peers import FOLDER, OURS
 from .process.streams import open_missing
 from .process.terminal import ProgressBars
@@ -40,10 +42,16 @@ def _end_with_the_watcher() -> None:
     if watcher is None:
         return
 
+    shared = Path(os.environ.get(FOLDER, ""))
+    ours = shared.name.startswith(OURS)
+
     def wait() -> None:
-        watcher.join()
-        shared = Path(os.environ.get(FOLDER, ""))
-        if shared.name.startswith(OURS):
+        with ExitStack() as held:
+            if ours:
+                with suppress(OSError):  # somebody has removed it
+                    held.enter_context(in_use(shared))
+            watcher.join()
+        if ours:
             shutil.rmtree(shared, ignore_errors=True)
         os.kill(os.getpid(), signal.SIGTERM)
 

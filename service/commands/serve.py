@@ -8,7 +8,6 @@ import math
 import os
 import signal
 import sys
-import tempfile
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from ..models import Models
     from ..settings import Settings
 
-SHARED_MEMORY = "/dev/shm"
+SHARED_MEMORY = Path("/dev/shm")
 ANSWER_S = 60.0  # in which a process must answer the one that watches it, and after SIGHUP its successor be loaded
 _log = logging.getLogger("gapmes")
 
@@ -69,6 +68,7 @@ def serve(
     from ..models import Models
     from ..process import watched_process
     from ..process.logs import configure
+    from ..process.own_folder import own_folder
     from ..process.peers import FOLDER, OURS
     from ..process.with_parent import end_with_parent
     from ..scenes.store import SceneStore
@@ -117,8 +117,8 @@ def serve(
         uvicorn.run("gapmes.service.serving:app", **served)
         return
     memory = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None  # a full disk would end who writes there
-    with tempfile.TemporaryDirectory(prefix=OURS, dir=memory) as folder:
-        os.environ[FOLDER] = folder
+    with own_folder(OURS, memory) as folder:
+        os.environ[FOLDER] = str(folder)
         watched_process.install()
         served |= {"workers": settings.workers, "timeout_worker_healthcheck": round(ANSWER_S)}
         uvicorn.run("gapmes.service.serving:app", **served)

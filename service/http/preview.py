@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
-from pathlib import Path
 from typing import Annotated, Any
 
 import anyio.to_thread
@@ -20,6 +18,7 @@ from ..pictures.contact_sheet import CELL, Cell, contact_sheet, rows_of
 from ..pictures.film import MEDIA_TYPES, FilmFormat, FilmShape, check_film, write_film
 from ..pictures.picture import Format, encode_image, parse_background
 from ..process.disk import full_is_refused
+from ..process.own_folder import own_folder
 from ..viewpoints.camera_path import PathName, loop
 from ..viewpoints.framing import even, frame, within
 from ..viewpoints.scene_views import SceneViews
@@ -38,6 +37,7 @@ Colour = tuple[float, float, float]
 
 SIDE = 256  # px, the longer side of a film that nobody asked to be larger
 MAX_FRAMES = 120
+FILMS = "gapmes-film-"  # how the name of a folder begins in which one is written
 
 
 class _SceneQuery(Parameters):
@@ -93,8 +93,8 @@ async def preview(request: Request, scene_id: str, query: Annotated[PreviewQuery
         views, shape, cameras, background, etag = await anyio.to_thread.run_sync(asked, held)
 
         def work(sitting: Sitting) -> bytes:
-            with tempfile.TemporaryDirectory(prefix="gapmes-") as folder, full_is_refused("the film"):
-                path = Path(folder) / f"film.{shape.format}"
+            with own_folder(FILMS) as folder, full_is_refused("the film"):
+                path = folder / f"film.{shape.format}"
                 write_film(path, shape, map(sitting.pixels, cameras))
                 return path.read_bytes()
 

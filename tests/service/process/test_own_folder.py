@@ -1,0 +1,61 @@
+"""Folders for a while: what a kill has left goes, what somebody uses stays."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gapmes.service.process.own_folder import YOUNG_S, in_use, own_folder
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from gapmes.service.process.own_folder import own_folder
+with own_folder("gapmes-x-", Path(sys.argv[1])) as folder:
+    (folder / "half").write_text("a film")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def aged(folder: Path) -> None:
+    then = folder.stat().st_mtime - 2 * YOUNG_S
+    os.utime(folder, (then, then))
+
+
+@pytest.fixture
+def left(tmp_path: Path) -> Path:
+    """Of a process that was killed."""
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
+    [folder] = tmp_path.iterdir()
+    assert (folder / "half").is_file()
+    return folder
+
+
+def test_it_goes_with_the_block(tmp_path: Path) -> None:
+    with own_folder("gapmes-x-", tmp_path) as folder:
+        assert list(tmp_path.iterdir()) == [folder]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_kill_has_left_goes_when_the_next_is_made(tmp_path: Path, left: Path) -> None:
+    (tmp_path / "gapmes-other").mkdir()
+    aged(tmp_path / "gapmes-other")
+    with own_folder("gapmes-x-", tmp_path):
+        assert left.exists()  # somebody may be about to lock it
+    aged(left)
+    with own_folder("gapmes-x-", tmp_path) as folder:
+        assert set(tmp_path.iterdir()) == {folder, tmp_path / "gapmes-other"}
+
+
+def test_what_is_in_use_stays(tmp_path: Path, left: Path) -> None:
+    """By who made it, and by a worker whose watcher was killed."""
+    with own_folder("gapmes-x-", tmp_path) as first:
+        for folder in (first, left):
+            aged(folder)
+        with in_use(left), own_folder("gapmes-x-", tmp_path):
+            assert first.exists()
+            assert left.exists()
