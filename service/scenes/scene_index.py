@@ -14,6 +14,7 @@ from ..errors import StorageFull
 from .database import Database
 
 TOUCH_NS = 60 * 10**9  # last use is known to a minute, so that reading a scene seldom writes
+HANDOVER_S = 2.0  # from the end of a job to when all who wait have looked, which they do every fifth of a second
 UNSET_NS = 1_735_689_600 * 10**9  # 2025: a clock that is before it has not been set yet, and makes no other stamp wrong
 
 
@@ -86,6 +87,15 @@ class SceneIndex:
         """By last use, oldest first; with `before_ns` those alone whose last use is older."""
         where, values = ("", []) if before_ns is None else ("WHERE used_ns < ?", [before_ns])
         return self._rows(f"SELECT * FROM scenes {where} ORDER BY used_ns, id", values)
+
+    def awaited(self) -> set[str]:
+        """Scenes of jobs that are not over, or have been for a moment: who asked for one may not have seen it yet."""
+        now = time.time()
+        rows = self._database.rows(
+            "SELECT scene_id FROM jobs WHERE state IN ('queued', 'running') OR ended BETWEEN ? AND ?",
+            [now - HANDOVER_S, now + HANDOVER_S],
+        )
+        return {row["scene_id"] for row in rows}
 
     def totals(self) -> tuple[int, int]:
         """How many scenes, and their bytes."""

@@ -198,7 +198,10 @@ class SceneStore:
         if more > self.max_bytes:
             message = f"the scene has {more} bytes, more than the store's limit of {self.max_bytes}"
             raise StorageFull(message, field="store", cure=cure)
-        unused = iter(self._index.longest_unused() if self.totals()[1] + more > self.max_bytes else ())
+        if self.totals()[1] + more <= self.max_bytes:
+            return
+        awaited = self._index.awaited()
+        unused = (row for row in self._index.longest_unused() if row.id not in awaited)
         while (held := self.totals()[1]) + more > self.max_bytes:
             row = next(unused, None)
             if row is None:

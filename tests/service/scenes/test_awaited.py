@@ -1,0 +1,34 @@
+"""A scene that a job has just made is there until who asked for it has seen that it is."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from gapmes.service.errors import StorageFull
+from gapmes.service.jobs.table import JobTable
+from gapmes.service.scenes.scene_index import HANDOVER_S
+from gapmes.service.scenes.store import SceneStore
+
+ASKED, OTHER = "a" * 32, "b" * 32
+
+
+def test_the_scene_of_a_job_is_not_evicted_before_anybody_could_see_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = SceneStore(tmp_path, max_bytes=150)
+    table = JobTable(store.database, most=5, keep_s=100.0)
+    table.submit("1", ASKED, "web")
+    table.claim("me")
+    store.put(ASKED, b"x" * 100, {})
+    for end in (lambda: None, lambda: table.end("1", "me", "done")):
+        end()
+        with pytest.raises(StorageFull):
+            store.put(OTHER, b"x" * 100, {})
+        assert store.exists(ASKED)
+    later = time.time() + HANDOVER_S + 1
+    monkeypatch.setattr(time, "time", lambda: later)
+    store.put(OTHER, b"x" * 100, {})
+    assert not store.exists(ASKED)
