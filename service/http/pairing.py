@@ -13,6 +13,8 @@ from ..errors import InputError, ViewCountError
 from ..photographs.image_files import image_size
 from ..plain_number import counted
 
+_ESCAPED = {"%22": '"', "%0D": "\r", "%0A": "\n"}  # how browsers write what cannot stand in the head of a part
+
 
 @dataclass(frozen=True)
 class NamedImage:
@@ -54,7 +56,7 @@ def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sort
     names the first image without a camera of its own where others have one, and `InputError` for an image that order
     would give to another camera than the one that names it.
     """
-    found = [places_of(image, cameras) for image in images]
+    found = [places_of(image, cameras) or places_of(_undone(image), cameras) for image in images]
     chosen = tuple(places[0] for places in found if len(places) == 1)
     if all(cameras) and len(set(chosen)) == len(images):
         return Match(chosen, "name")
@@ -69,6 +71,13 @@ def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sort
         warnings = ({"code": "names_differ", "message": message},)
     by = "sorted name" if by_sorted_name else "order"
     return Match(tuple(camera_of[place] for place in range(len(images))), by, warnings)
+
+
+def _undone(name: str) -> str:
+    """A posted name as its file has it, where a browser sent it; another one may have these letters of its own."""
+    for written, meant in _ESCAPED.items():
+        name = name.replace(written, meant)
+    return name
 
 
 def _miscounted(images: Sequence[str], cameras: Sequence[str | None], found: Sequence[Sequence[int]]) -> ViewCountError:

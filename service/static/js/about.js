@@ -1,14 +1,10 @@
 // Beside the view: inputs next to their pictures, what was left out and what it cost, how far to trust it, files, timings.
 
-import { bring, showPicture } from "./api.js";
+import { bring } from "./api.js";
 import { $, count, digits, discard, make, percent, tell } from "./dom.js";
+import { inputs } from "./inputs.js";
 import { plan } from "./plan.js";
-import { legend, routingPicture, TASKS } from "./routing.js";
-
-const row = (...cells) => make("tr", {}, ...cells.map((cell) => make("td", {}, cell)));
-const head = (...cells) => make("thead", {}, make("tr", {}, ...cells.map((cell) => make("th", { scope: "col" }, cell))));
-const wide = (table) => make("div", { class: "wide" }, table);
-const decibels = (entry) => (entry?.psnr === null || entry?.psnr === undefined ? "–" : `${entry.psnr.toFixed(1)} dB`);
+import { decibels, head, row, wide } from "./table.js";
 
 /** A part that is filled when it is first opened. */
 function part(title, fill, open = false) {
@@ -46,43 +42,6 @@ function files(scene) {
   links.forEach((one, index) => list.append(index ? " · " : "", one));
   list.append(make("br"), `${count(scene.gaussians.count)} Gaussians, harmonics of degree ${scene.gaussians.sh_degree}`);
   return list;
-}
-
-async function inputs(body, scene) {
-  const table = make("table", { class: "inputs" }, head("photograph", "drawn again", "depth", "experts", "tasks"));
-  body.append(wide(table));
-  const maps = scene.routing?.maps;
-  for (const [index, camera] of scene.view_cameras.entries()) {
-    const found = scene.check?.input_views?.[index];
-    const size = { width: camera.width, height: camera.height, loading: "lazy" };
-    const photograph = make("img", { ...size, alt: `Photograph ${index}` });
-    const again = make("img", { ...size, alt: `Photograph ${index}, drawn again` });
-    const depth = make("img", { ...size, alt: `Depth from view ${index}` });
-    const [experts, tasks] = [make("span"), make("span")];
-    const figure = (picture, text) => make("figure", {}, picture, make("figcaption", {}, text));
-    if (!body.isConnected) return; // another scene is on show
-    table.append(row(
-      scene.links.inputs ? figure(photograph, `input ${index}`) : "–",
-      figure(again, found ? decibels(found) : ""),
-      figure(depth, "near is dark"),
-      experts,
-      tasks,
-    ));
-    try {
-      if (scene.links.inputs) await showPicture(photograph, scene.links.inputs[index]);
-      await showPicture(again, scene.links.views[index]);
-      await showPicture(depth, `${scene.links.views[index]}&channel=depth`);
-    } catch (error) {
-      experts.append(error.message);
-      continue;
-    }
-    await photograph.decode().catch(() => undefined);
-    for (const [place, kind] of [[experts, "experts"], [tasks, "tasks"]]) {
-      if (maps?.[kind]) place.append(figure(routingPicture(maps[kind][index], camera, photograph, `${kind} of the patches of view ${index}`), kind));
-    }
-  }
-  if (maps?.experts) body.append(make("p", {}, "Experts: "), legend(maps.experts));
-  if (maps?.tasks) body.append(make("p", {}, "Tasks: "), legend(maps.tasks, TASKS));
 }
 
 function leftOut(body, scene) {

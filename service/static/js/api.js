@@ -68,12 +68,8 @@ export async function ask(path, { method = "GET", headers = {}, body, signal } =
     throw new Refused(await silence(body));
   }
   if (response.ok) return response;
-  let problem;
-  try {
-    problem = await response.json();
-  } catch {
-    problem = { title: "Error", detail: `the service answered ${response.status}` };
-  }
+  let problem = await response.json().catch(() => null);
+  if (typeof problem?.title !== "string") problem = { title: "Error", detail: `the service answered ${response.status}` }; // not its own words
   if (response.status === 401) document.dispatchEvent(new Event("key-needed"));
   throw new Refused(problem, response.status);
 }

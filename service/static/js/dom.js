@@ -1,5 +1,7 @@
 // Small helpers around the document: find, make, tell.
 
+import { cureOf } from "./cures.js";
+
 export const $ = (id) => document.getElementById(id);
 
 /** An element with attributes and children; texts become text nodes, so that nothing is ever read as HTML. */
@@ -31,16 +33,6 @@ export function tell(target, said) {
   const cure = cureOf(problem);
   if (cure) target.append(make("br"), `What helps: ${cure}`);
 }
-
-// What helps whoever looks at the page, where the service's own words are for those who write requests.
-const CURES = {
-  unauthorized: "type the key at the top of the page",
-  scene_not_found: "choose another one from the list",
-  upload_too_large: "send smaller photographs, or fewer",
-};
-const OF_REQUESTS = /`|\b(GET|POST) \/|Bearer/;
-
-const cureOf = ({ code, cure }) => (cure && OF_REQUESTS.test(cure) ? CURES[code] : cure);
 
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442", "#999999"];
 

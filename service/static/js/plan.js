@@ -4,6 +4,9 @@ import { colourOf, digits, make } from "./dom.js";
 import { add, column, cross, dot, minus, unit, vertical } from "./vectors.js";
 
 const SIZE = 240;
+const LETTER = 12; // px, the height of a number, which is less than as wide for each of its digits
+const BESIDE = [[6, 12], [6, -4], [-6, 12], [-6, -4], [6, 24], [6, -16], [-6, 24], [-6, -16]]; // where a number may stand, from its camera
+
 /** Two axes across the mean up direction: right, and ahead of the first camera. */
 function ground(cameras) {
   const up = vertical(cameras);
@@ -38,6 +41,7 @@ export function plan(cameras, near, far) {
   const path = (list) => list.map((point) => pixel(point).map((value) => value.toFixed(1)).join(",")).join(" ");
   const label = `Plan from above of ${cameras.length} cameras and what they see between depths ${digits(near)} and ${digits(far)}`;
   const svg = make("svg:svg", { viewBox: `0 0 ${SIZE} ${SIZE}`, role: "img", "aria-label": label, class: "plan" });
+  const numbers = []; // where they stand
   shapes.forEach((shape, index) => {
     const colour = colourOf(index);
     const [x, y] = pixel(shape.centre);
@@ -45,8 +49,17 @@ export function plan(cameras, near, far) {
       make("svg:polygon", { points: path(shape.corners), fill: colour, "fill-opacity": 0.15, stroke: colour }),
       make("svg:polyline", { points: path([shape.corners[0], shape.centre, shape.corners[3]]), fill: "none", stroke: colour }),
       make("svg:circle", { cx: x, cy: y, r: 4, fill: colour }),
-      make("svg:text", { x: x + 6, y: y + 12, fill: colour, "font-size": 12 }, String(index)),
     );
+    numbers.push(free(x, y, String(index), numbers));
   });
+  numbers.forEach(({ left, base, text }) => svg.append(make("svg:text", { x: left, y: base, fill: "currentColor", "font-size": LETTER }, text)));
   return svg;
+}
+
+/** A place beside a camera where no other number stands; the first where there is none. */
+function free(x, y, text, others) {
+  const wide = 0.65 * LETTER * text.length;
+  const places = BESIDE.map(([right, down]) => ({ left: right > 0 ? x + right : x + right - wide, base: y + down, wide, text }));
+  const taken = (one) => others.some((other) => Math.abs(one.base - other.base) < LETTER && one.left < other.left + other.wide && other.left < one.left + one.wide);
+  return places.find((one) => !taken(one)) ?? places[0];
 }

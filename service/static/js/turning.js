@@ -35,6 +35,7 @@ export function turnBy(stage, move) {
     });
   }
   stage.addEventListener("wheel", (event) => {
+    if (event.ctrlKey) return; // the browser's, which enlarges the page, also by a pinch on a trackpad
     if (move(0, 0, Math.exp(-event.deltaY * PER_NOTCH))) event.preventDefault();
   }, { passive: false });
   stage.addEventListener("keydown", (event) => {

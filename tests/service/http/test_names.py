@@ -35,6 +35,15 @@ def test_cameras_are_matched_by_name(client: TestClient) -> None:
     assert body["images"] == ["C.png", "b.png"]
 
 
+def test_what_browsers_write_for_quotes_and_line_ends_in_a_name_is_read_so(client: TestClient) -> None:
+    cameras = named('12".png', "a\r\n.png", "b%22.png")
+    body = post(client, cameras=cameras, names=["a%0D%0A.png", "12%22.png"]).json()
+    assert centres(body) == pytest.approx([0.2, 0.0])
+    assert body["paired_by"] == "name"
+    body = post(client, cameras=cameras, names=["12%22.png", "b%22.png"]).json()  # a file may be named so, too
+    assert centres(body) == pytest.approx([0.0, 0.4])
+
+
 def test_cameras_of_other_names_are_matched_by_order_and_it_is_said(client: TestClient) -> None:
     body = post(client, cameras=named("a.png", "b.png"), names=["x.png", "y.png"]).json()
     assert centres(body) == [0.0, 0.2]

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import stored_cloud, write_scene
+from page_service import opened, settled, stored_cloud, write_scene
 
 FOCUS = "document.activeElement.id || document.activeElement.tagName"
 
@@ -44,6 +44,19 @@ def test_only_the_first_button_turns(tab: Tab) -> None:
         page.mouse.up(button=button)
         page.wait_for_timeout(500)
         assert ("turned" in page.inner_text("#caption")) == turned, button
+
+
+def test_the_wheel_with_ctrl_stays_the_browsers(tab: Tab, scene: str) -> None:
+    """It enlarges the page, as a pinch on a trackpad does; alone it comes nearer."""
+    page = opened(tab, scene)
+    wheel = """([ctrlKey]) => document.getElementById("stage").dispatchEvent(
+      new WheelEvent("wheel", { deltaY: -100, ctrlKey, bubbles: true, cancelable: true }))"""
+    assert page.evaluate(wheel, [True])  # nobody took it
+    settled(page)
+    assert "turned" not in page.inner_text("#caption")
+    assert not page.evaluate(wheel, [False])
+    settled(page)
+    assert "turned" in page.inner_text("#caption")
 
 
 def test_how_many_are_used_can_be_chosen_by_keys(tab: Tab, tmp_path: Path) -> None:

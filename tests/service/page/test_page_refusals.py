@@ -192,7 +192,7 @@ def test_an_answer_that_breaks_off_is_told_and_the_page_goes_on(tab: Any, *, cut
         tab.open(f"/?scene={second}")
         page.route(f"**/scenes/{first}", breaking)
         page.click(f"li[data-id='{first}'] button >> nth=0")
-        page.wait_for_selector("#view-problem:has-text('broke off')")
+        page.wait_for_selector("#shelf-problem:has-text('broke off')")
         page.unroute(f"**/scenes/{first}")
         page.click(f"li[data-id='{first}'] button >> nth=0")
         page.wait_for_url(lambda url: url.endswith(first))

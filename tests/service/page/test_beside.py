@@ -1,0 +1,80 @@
+"""What stands beside the view: pictures of the inputs as they are seen, and the plan of the cameras."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import Any
+
+import httpx
+import pytest
+from browser_tab import Tab
+from http_requests import camera_object
+from page_service import cloud, opened, settled
+
+from gapmes.service.formats.registry import FORMATS
+
+COUNT = 40
+NUMBERS = """() => [...document.querySelectorAll(".plan text")].map(text => {
+  const { x, y, width, height } = text.getBBox();
+  return [x, y, width, height];
+})"""
+
+
+@pytest.fixture(scope="module")
+def many(address: str) -> str:
+    """A loaded scene with many cameras of 800 px."""
+    cameras = camera_object(COUNT, width=800, height=600)
+    answer = httpx.post(
+        f"{address}/scenes",
+        files={
+            "file": ("cloud.splat", FORMATS["splat"].write(cloud(50)).data),
+            "cameras": ("cameras.json", json.dumps(cameras).encode()),
+        },
+        timeout=120,
+    )
+    assert answer.status_code == 201, answer.text
+    return answer.json()["id"]
+
+
+def test_of_many_inputs_those_that_are_seen_are_drawn(tab: Tab, many: str) -> None:
+    """As wide as they are shown, in the columns that there is something for; the last ones once they are reached."""
+    asked: list[str] = []
+    tab.page.on("request", lambda request: "/render?" in request.url and asked.append(request.url))
+    page = opened(tab, many)
+    page.wait_for_selector(".inputs img[src^='blob:'] >> nth=1")
+    settled(page)
+    page.wait_for_timeout(3000)  # for what it should not ask for
+    of_rows = [url for url in asked if "height=72" not in url and "channel=rgb" not in url]
+    assert 2 <= len(of_rows) < COUNT
+    shown = page.locator(".inputs img").first.bounding_box()["width"]
+    assert {re.findall(r"&width=(\d+)", url)[0] for url in of_rows} == {str(math.ceil(shown))}
+    assert page.locator(".inputs th").all_inner_texts() == ["drawn again", "depth"]
+    first, last = page.locator(".inputs img").first, page.locator(".inputs img").last
+    assert first.get_attribute("alt") == "View 0"
+    assert last.get_attribute("src") is None
+    last.scroll_into_view_if_needed()
+    page.wait_for_function(
+        "() => [...document.querySelectorAll('.inputs img')].at(-1).src.startsWith('blob:')",
+    )
+
+
+def test_numbers_of_a_plan_can_be_read(tab: Tab, many: str, scene: str) -> None:
+    """In the colour of all text, and where cameras stand close together, beside each other."""
+    page = opened(tab, scene)
+    page.click("summary:has-text('Cameras and timings')")
+    page.wait_for_selector(".plan text >> nth=1")
+    colour = "e => getComputedStyle(e).fill"
+    assert page.locator(".plan text").first.evaluate(colour) == page.evaluate("getComputedStyle(document.body).color")
+    document = httpx.get(f"{tab.address}/scenes/{scene}").json()
+    view = document["view_cameras"][0]
+    document["view_cameras"] = [view, view, view]
+    page.route(f"**/scenes/{scene}", lambda route: route.fulfill(json=document))
+    page.reload()
+    page.click("summary:has-text('Cameras and timings')")
+    page.wait_for_selector(".plan text >> nth=2")
+    boxes: list[Any] = page.evaluate(NUMBERS)
+    for place, (x, y, width, height) in enumerate(boxes):
+        for left, top, wide, _ in boxes[place + 1 :]:
+            assert abs(top - y) >= 0.75 * height or x + width <= left or left + wide <= x

@@ -1,0 +1,76 @@
+"""What helps, in the words of the page: never in those for requests, options or settings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser_tab import Tab
+from http_requests import camera_object, photograph
+from page_service import write_scene
+
+from gapmes.service.errors import DeadlineExceeded, ModelNotReady, OverlapError, UploadTooLarge, ViewCountError
+from gapmes.service.formats.reading import DROP_CURE, FormatError
+from gapmes.service.problem_document import of_error
+
+APART = camera_object(2)
+APART["views"][1]["c2w"][0][3] = 100.0
+
+
+@pytest.mark.parametrize(
+    ("name", "cameras", "helps"),
+    [
+        ("cameras.json", {}, "is it the right file? Cameras come as cameras.json, transforms.json"),
+        ("cameras.json", [], "is it the right file? Cameras come as cameras.json, transforms.json"),
+        ("package.json", {"name": "page", "version": "1.0.0"}, "is it the right file? Cameras come as cameras.json"),
+        ("transforms.json", {"frames": [{}, {}]}, "is it the right file? Cameras come as cameras.json"),
+        ("readme.txt", "# Read me", "is it the right file? Cameras come as cameras.json"),
+        ("cameras.json", APART, 'as they are, tick "Only warn where …" under Options'),
+    ],
+)
+def test_of_a_wrong_camera_file(tab: Tab, tmp_path: Path, name: str, cameras: Any, helps: str) -> None:
+    page = tab.open()
+    files = write_scene(tmp_path, [photograph(0), photograph(1)], cameras)
+    files[-1] = files[-1].rename(tmp_path / name)
+    page.set_input_files("#files", files)
+    page.wait_for_selector("#problem strong")
+    told = page.inner_text("#problem")
+    assert helps in told.partition("What helps: ")[2]
+    assert "GET /" not in told
+    assert "trust_poses" not in told
+
+
+@pytest.mark.parametrize(
+    ("error", "helps"),
+    [
+        (UploadTooLarge("9 bytes", cure="send smaller photographs. Or raise GAPMES_MAX_UPLOAD_BYTES"), "smaller photo"),
+        (UploadTooLarge("9 bytes", cure="choose fewer with `select` or `context`"), "send smaller photographs, or"),
+        (DeadlineExceeded("9 s", cure="use fewer views, or raise GAPMES_RECONSTRUCT_SECONDS"), "use fewer views"),
+        (ModelNotReady("stage 'network'", cure="poll /readyz until it answers 200"), "the top of the page names"),
+        (ViewCountError("1 image", field="images", cure="send a `capture`"), "choose 2 to 6 photographs"),
+        (FormatError("2 rows are invalid", field="ply", cure=DROP_CURE), "write the file anew"),
+        (OverlapError("0 %", field="cameras", cure="near?; if they are right, set trust_poses"), "near?; if they are"),
+    ],
+)
+def test_of_what_else_is_refused(tab: Tab, tmp_path: Path, error: Any, helps: str) -> None:
+    document = of_error(error)
+    page = tab.open()
+    page.route("**/check", lambda route: route.fulfill(status=document["status"], body=json.dumps(document)))
+    page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
+    page.wait_for_selector("#problem strong")
+    told = page.inner_text("#problem").partition("What helps: ")[2]
+    assert helps in told
+    for theirs in ("GAPMES_", "`", "--", "trust_poses", "drop_invalid", "/readyz"):
+        assert theirs not in told
+
+
+@pytest.mark.parametrize("answer", [{"message": "no upstream"}, [], None, "broken", {"title": 3}])
+def test_an_answer_that_is_no_problem_document_is_told_by_its_status(tab: Tab, tmp_path: Path, answer: Any) -> None:
+    """Such as that of a proxy."""
+    page = tab.open()
+    page.route("**/check", lambda route: route.fulfill(status=502, json=answer))
+    page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
+    page.wait_for_selector("#problem:has-text('the service answered 502')")
+    assert "undefined" not in page.inner_text("#problem")
