@@ -45,6 +45,13 @@ def test_a_file_keeps_to_the_house_rules(path: Path) -> None:
     assert len(path.read_text().splitlines()) <= LONGEST
 
 
+def test_every_file_of_tests_has_a_name_of_its_own() -> None:
+    """They are imported by their names alone."""
+    names = [path.name for path in (ROOT / "tests").rglob("*.py") if path.name not in ("conftest.py", "__init__.py")]
+    assert len(names) > 200
+    assert sorted(names) == sorted(set(names))
+
+
 def folder_of(dotted: str) -> str:
     """The folder of `gapmes.service` that a module lies in; a module that lies in none stands for itself."""
     return dotted.split(".")[2]

@@ -36,9 +36,8 @@ export async function follow(id) {
   } finally {
     current = null;
     $("progress").hidden = true;
-    const held = ending || document.activeElement === $("cancel");
     $("cancel").hidden = true;
-    if (held && [null, document.body, $("cancel")].includes(document.activeElement)) $("files").focus();
+    $("cancel").removeAttribute("aria-disabled");
   }
 }
 
@@ -95,11 +94,11 @@ function say(text) {
 
 function end(now) {
   ending = now;
-  $("cancel").disabled = ending;
+  $("cancel").setAttribute("aria-disabled", ending); // it keeps the focus, which goes on from it
 }
 
 $("cancel").addEventListener("click", async () => {
-  if (current === null) return;
+  if (current === null || ending) return;
   end(true);
   say("");
   try {

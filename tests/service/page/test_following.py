@@ -59,10 +59,10 @@ def test_a_cancelled_job_is_ending_until_it_has_ended(tab: Tab, tmp_path: Path, 
     page.focus("#cancel")
     page.keyboard.press("Enter")
     page.wait_for_selector("#stage-name:has-text('ending after this stage')")
-    assert page.is_disabled("#cancel")
+    assert page.get_attribute("#cancel", "aria-disabled") == "true"
     held_network.set()
     page.wait_for_selector("#problem:has-text('cancelled')")
     assert page.is_hidden("#cancel")
-    assert page.evaluate("document.activeElement.id") == "files"
+    assert page.evaluate("document.activeElement.id") == "go"
     page.click("#go")
-    page.wait_for_selector("#cancel:not([disabled])")
+    page.wait_for_selector("#cancel[aria-disabled=false]")

@@ -33,8 +33,8 @@ def in_frame(page: Any, scene: str, tell: str) -> None:
 def begun(page: Any, scene: str) -> None:
     """WebGL is chosen, and its frame is there."""
     page.click("#mode-webgl")
-    page.wait_for_function(f"document.getElementById('frame').contentWindow.location.href.includes('{scene}')")
-    page.wait_for_function("document.getElementById('frame').contentDocument.readyState === 'complete'")
+    page.wait_for_function(f"() => document.getElementById('frame').contentWindow.location.href.includes('{scene}')")
+    page.wait_for_function("() => document.getElementById('frame').contentDocument.readyState === 'complete'")
 
 
 @pytest.fixture

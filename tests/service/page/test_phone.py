@@ -42,7 +42,7 @@ def test_a_phone_has_a_short_way_to_a_new_scene(phone: Tab, scene: str) -> None:
     page = opened(phone, scene)
     before = page.url
     page.tap("#to-making")
-    page.wait_for_function("document.getElementById('files').getBoundingClientRect().top < innerHeight")
+    page.wait_for_function("() => document.getElementById('files').getBoundingClientRect().top < innerHeight")
     assert page.evaluate("document.activeElement.id") == "files"
     assert page.url == before
 

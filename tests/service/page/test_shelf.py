@@ -113,6 +113,6 @@ def test_on_a_phone_a_scene_that_is_chosen_comes_into_view(browser: Any, address
     row = page.locator("#scenes li").nth(11)
     row.locator("button").first.tap()
     page.wait_for_selector(f"li.chosen[data-id='{row.get_attribute('data-id')}']")
-    page.wait_for_function("document.getElementById('stage').getBoundingClientRect().top >= 0")
+    page.wait_for_function("() => document.getElementById('stage').getBoundingClientRect().top >= 0")
     assert page.locator("#stage").bounding_box()["y"] < PHONE["height"] / 2
     tab.done()
