@@ -7,13 +7,16 @@ import { decibels, head, row, wide } from "./table.js";
 
 const KINDS = ["experts", "tasks"];
 const LEAST = 256;    // px: views of this size, that of a network, are shown pixel for pixel beside their photographs
+const NARROWEST = 7;  // rem, a column
 const AHEAD = "100%"; // of the window's height, rows that may soon be seen
 
 /** Fill `body` with a row for each view, of the columns that there is something for. */
 export function inputs(body, scene) {
   const maps = scene.routing?.maps ?? {};
   const kinds = KINDS.filter((kind) => maps[kind]);
-  const table = make("table", { class: "inputs" }, head(...(scene.links.inputs ? ["photograph"] : []), "drawn again", "depth", ...kinds));
+  const columns = [...(scene.links.inputs ? ["photograph"] : []), "drawn again", "depth", ...kinds];
+  const table = make("table", { class: "inputs" }, head(...columns));
+  table.style.minWidth = `${NARROWEST * columns.length}rem`;
   let line = Promise.resolve(); // one row after the other, so that the large view waits for one picture at most
   const fillings = new Map();
   const seen = new IntersectionObserver((entries) => {

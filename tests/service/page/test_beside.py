@@ -55,9 +55,7 @@ def test_of_many_inputs_those_that_are_seen_are_drawn(tab: Tab, many: str) -> No
     assert first.get_attribute("alt") == "View 0"
     assert last.get_attribute("src") is None
     last.scroll_into_view_if_needed()
-    page.wait_for_function(
-        "() => [...document.querySelectorAll('.inputs img')].at(-1).src.startsWith('blob:')",
-    )
+    page.wait_for_selector(".inputs tr:last-child img[src^='blob:']")
 
 
 def test_numbers_of_a_plan_can_be_read(tab: Tab, many: str, scene: str) -> None:

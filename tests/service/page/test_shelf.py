@@ -15,6 +15,10 @@ from gapmes.service.formats.registry import FORMATS
 SEEDS = count(200)
 FOCUSED = "document.activeElement.closest('li')?.dataset.id"
 
+SEEN = """() => new Promise(done => new IntersectionObserver((entries) => {
+  if (entries.at(-1).isIntersecting) done();
+}, { threshold: 0.99 }).observe(document.getElementById("stage")))"""
+
 
 def stored(address: str, need: int) -> None:
     """At least so many scenes are in the store."""
@@ -54,8 +58,7 @@ def test_older_scenes_stay_listed(tab: Tab, tmp_path: Path) -> None:
     file = tmp_path / "cloud.splat"
     file.write_bytes(FORMATS["splat"].write(cloud(199)).data)
     choose(page, [file])
-    page.wait_for_selector(f"#scenes li:not([data-id='{ids[0]}']) >> nth=0")
-    page.wait_for_function("id => document.querySelector('#scenes li').dataset.id !== id", arg=ids[0])
+    page.wait_for_selector(f"#scenes li:first-child:not([data-id='{ids[0]}'])")
     assert rows.count() == len(ids) - 1
     assert page.evaluate("row => row.isConnected", kept)  # with its picture
     page.wait_for_selector("#more")
@@ -113,6 +116,6 @@ def test_on_a_phone_a_scene_that_is_chosen_comes_into_view(browser: Any, address
     row = page.locator("#scenes li").nth(11)
     row.locator("button").first.tap()
     page.wait_for_selector(f"li.chosen[data-id='{row.get_attribute('data-id')}']")
-    page.wait_for_function("() => document.getElementById('stage').getBoundingClientRect().top >= 0")
+    page.evaluate(SEEN)
     assert page.locator("#stage").bounding_box()["y"] < PHONE["height"] / 2
     tab.done()
