@@ -34,6 +34,7 @@ def quarter_turns(cameras: Sequence[Camera], *, square: bool) -> list[int]:
     first. Pictures that are not `square` keep their shape, which leaves half a turn.
     """
     steps = range(4) if square else (0, UPSIDE_DOWN)
+    cameras = [replace(camera) for camera in cameras]  # each an object of its own, also where one is given twice
     turns: dict[int, int] = {0: 0}
     place = {id(camera): index for index, camera in enumerate(cameras)}
     ways = [(place[id(one)], place[id(other)]) for one, other in shortest_ways(cameras)]

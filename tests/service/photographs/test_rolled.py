@@ -67,6 +67,11 @@ def test_after_its_turns_each_stands_as_the_others(rolls: list[int], seed: int) 
         assert up > 0.5
 
 
+def test_one_camera_given_twice_stands_as_itself() -> None:
+    one = looking(np.eye(3))
+    assert quarter_turns([one, one, rolled(one, 180)], square=True) == [0, 0, 2]
+
+
 def test_of_two_the_first_stays() -> None:
     one = looking(np.eye(3))
     assert quarter_turns([one, rolled(one, 180)], square=True) == [0, 2]
