@@ -82,12 +82,11 @@ def exposures(views: Sequence[FittedView], depths: DepthRange) -> Exposures | No
     for one, other in sorted(combinations(part, 2), key=lambda pair: float(apart[pair])):
         if part[one] == part[other]:
             continue
-        compared = _ratios([coarse[one], coarse[other]], [colours[one], colours[other]], depths)
-        if compared is None:
+        ratios = _ratios([coarse[one], coarse[other]], [colours[one], colours[other]], depths)
+        if ratios is None:
             continue
-        ratios, clipped = compared
-        median, more = np.median(ratios, axis=0), (ratios > 0).sum(axis=0)
-        size, share = np.abs(median), np.maximum(more, len(ratios) - more) / (len(ratios) + clipped)
+        median, more = np.median(ratios, axis=0), (ratios > 0).mean(axis=0)
+        size, share = np.abs(median), np.maximum(more, 1 - more)
         differ |= any(bool(((size > least) & (share > agreed)).any()) for least, agreed in BEYOND_DOUBT)
         joined = [view for view in range(len(views)) if part[view] == part[other]]
         logs[joined] += logs[one] - median - logs[other]
@@ -101,10 +100,10 @@ def exposures(views: Sequence[FittedView], depths: DepthRange) -> Exposures | No
     return Exposures(np.exp(-logs), parts)
 
 
-def _ratios(pair: Sequence[CoarseView], colours: Sequence[F64], depths: DepthRange) -> tuple[F64, int] | None:
-    """(M, 3) log(first / second) of what matches and is neither too dark nor too bright in either, and how much more is
-    too bright in both, which speaks for one exposure; None where the first is little."""
-    found, clipped = [], 0
+def _ratios(pair: Sequence[CoarseView], colours: Sequence[F64], depths: DepthRange) -> F64 | None:
+    """(M, 3) log(first / second) of what matches and is neither too dark nor too bright in either; None where that is
+    little."""
+    found = []
     for index, match in enumerate(matches(pair, depths)):
         view, other = pair[index], pair[match.other]
         pixels, depth = pixel_grid(match.depth.shape)[match.good], match.depth.ravel()[match.good]
@@ -112,10 +111,8 @@ def _ratios(pair: Sequence[CoarseView], colours: Sequence[F64], depths: DepthRan
         own, theirs = colours[index].reshape(-1, 3)[match.good], bilinear(colours[match.other], *(there - 0.5).T)
         usable = (np.minimum(own, theirs) > DARK).all(axis=1) & (np.maximum(own, theirs) < BRIGHT).all(axis=1)
         found.append((1 - 2 * index) * np.log(own[usable] / theirs[usable]))
-        clipped += int((np.minimum(own, theirs) >= BRIGHT).any(axis=1).sum())
     ratios = np.concatenate(found)
-    few = MIN_MATCHED * sum(view.kept.sum() for view in pair)  # which are by chance
-    return (ratios, clipped) if len(ratios) > few else None
+    return ratios if len(ratios) > MIN_MATCHED * sum(view.kept.sum() for view in pair) else None  # few are by chance
 
 
 def _block_colours(view: FittedView) -> F64:

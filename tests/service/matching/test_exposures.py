@@ -195,10 +195,3 @@ def test_a_scene_of_two_exposures_is_the_scene_of_one() -> None:
     assert "exposures_differ" in {notice["code"] for notice in two.document["warnings"]}
     assert "exposures_differ" not in {notice["code"] for notice in one.document["warnings"]}
     assert errors[1] > errors[0] - 0.3  # measured 0.0; 4.9 without
-
-
-def test_pictures_that_are_overexposed_alike_have_one_exposure() -> None:
-    """Twice the light in both: half of what matches is clipped in both, and what is left must not speak for it all."""
-    photos, _, depths = sample()
-    views = fitted(tuple(exposed(photo, (2.0,) * 3) for photo in photos[:2]))
-    assert exposures(views, depths) is None
