@@ -33,7 +33,10 @@ def real_number(value: object) -> float | None:
 
 def shown(value: object) -> str:
     """For a message: a number as people write it, anything else as Python does, so that 2 and "2" are told apart."""
-    return str(value) if isinstance(_scalar(value), Real) else f"{value!r:.50}"
+    try:
+        return str(value) if isinstance(_scalar(value), Real) else f"{value!r:.50}"
+    except ValueError:  # Python writes no whole number of so many digits
+        return "a number of more digits than can be written"
 
 
 def listed(values: Iterable[T], field: str) -> list[T]:

@@ -15,7 +15,7 @@ from .cameras.camera import Camera
 from .cameras.depth_range import DepthRange, depth_range
 from .cameras.foretold import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
 from .cameras.pose_notices import pose_notices
-from .cameras.view_checks import DEPTH_PLANES, MIN_VIEWS, Notice, check_count, check_views
+from .cameras.view_checks import DEPTH_PLANES, MIN_VIEWS, Notice, check_count, check_views, range_notices
 from .cameras.world_frame import WorldFrame
 from .document import scene_document
 from .errors import CameraError, InputError, ViewCountError
@@ -108,7 +108,8 @@ class Reconstructor:
 
         One in a file is decoded in its turn and dropped once it is fitted: one at a time is in memory; one with a
         lens is resampled to its camera, which is the pinhole that `pinhole_window` names.
-        `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them.
+        `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them, and
+        narrowed by the photographs where they are far too wide.
         Photographs of different exposure are brought to one (`exposures.py`), and the scene's `inputs` with them;
         rolled ones are turned for the network (`rolled.py`), and nowhere else.
         `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
@@ -139,7 +140,7 @@ class Reconstructor:
             cameras = _as_cameras(cameras, numbers, len(images))
             depths = depth_range(cameras, near, far)
             planes = info.depth_planes or DEPTH_PLANES
-            warnings += check_views(cameras, depths, trust_poses=trust_poses, numbers=numbers, planes=planes)
+            warnings += check_views(cameras, depths, trust_poses=trust_poses, numbers=numbers)
             warnings += pose_notices(cameras, depths.near, numbers)
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
             finest = FINEST if fade or detail > 1 else 1
@@ -147,7 +148,7 @@ class Reconstructor:
             warnings += given.notices
             warnings += check_photos(given.seen, depths, trust_poses=trust_poses, numbers=numbers)
             asked, depths = depths, narrowed(depths, given.seen, planes)
-            warnings += coarse_notices(asked, depths, given.seen, planes)
+            warnings += range_notices(depths, planes) + coarse_notices(asked, depths, given.seen, planes)
             given, told = equalised(given, depths, numbers)
             warnings += told
             turns = quarter_turns(cameras, square=info.height == info.width)

@@ -41,7 +41,7 @@ class DepthRange:
 
     near: float
     far: float
-    source: Literal["given", "estimated"]
+    source: Literal["given", "narrowed", "estimated"]  # narrowed: a given one, by the photographs
 
 
 def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float | None = None) -> DepthRange:

@@ -37,22 +37,44 @@ def check_views(
     *,
     trust_poses: bool = False,
     numbers: Sequence[int] | None = None,
-    planes: int = DEPTH_PLANES,
 ) -> list[Notice]:
     """Refuse sets of cameras that cannot give a scene; return warnings about those that hardly can.
 
     Raises `ViewCountError`, `IntrinsicsError`, `BaselineError` (same view twice, no parallax, or a distance beyond
     float32) or `OverlapError`, which says what the poses look like if another reading of them would overlap. Views
     that do not overlap within an estimated depth range are refused only if they overlap at no other depth either; with
-    `trust_poses` none are. `numbers` are what the caller calls the views, where these were chosen from more, `planes`
-    the network's depths.
+    `trust_poses` none are. `numbers` are what the caller calls the views, where these were chosen from more.
     """
     check_count(len(cameras))
     numbers = range(len(cameras)) if numbers is None else numbers
     for number, camera in zip(numbers, cameras, strict=True):
         _check_principal_point(camera, number)
     _check_baselines(cameras, depths, numbers)
-    return [*_range_notices(depths, planes), *_check_overlap(cameras, depths, trust_poses, numbers)]
+    return _check_overlap(cameras, depths, trust_poses, numbers)
+
+
+def range_notices(depths: DepthRange, planes: int = DEPTH_PLANES) -> list[Notice]:
+    """The warning about a range in which the network's `planes` stand far apart in depth.
+
+    Half a step h = (1 / near - 1 / far) / (2 (planes - 1)) of inverse depth makes z nearer by z h / (1 + z h).
+    """
+    ratio = depths.far / depths.near
+    if ratio <= WIDE_RANGE:
+        return []
+    step = (1 / depths.near - 1 / depths.far) / (2 * (planes - 1))
+    table = {
+        f"{z:.4g}": f"{100 * z * step / (1 + z * step):.2g} %"
+        for z in depths.near * np.array([1.0, 10.0, 100.0, 1000.0])
+    }
+    return [
+        {
+            "code": "depth_range_wide",
+            "field": "near",
+            "message": f"far / near = {ratio:.3g}: depth steps are coarse beyond {10 * depths.near:.3g}; "
+            f"half a step with {planes} planes, by depth: "
+            + ", ".join(f"{depth}: {share}" for depth, share in table.items()),
+        }
+    ]
 
 
 def check_count(count: int) -> None:
@@ -118,27 +140,6 @@ def _check_baselines(cameras: Sequence[Camera], depths: DepthRange, numbers: Seq
             cure="move the camera between the photographs; are positions and near in the same unit?"
             + apart_when_inverted(cameras),
         )
-
-
-def _range_notices(depths: DepthRange, planes: int) -> list[Notice]:
-    """Half a step h = (1 / near - 1 / far) / (2 (planes - 1)) of inverse depth makes z nearer by z h / (1 + z h)."""
-    ratio = depths.far / depths.near
-    if ratio <= WIDE_RANGE:
-        return []
-    step = (1 / depths.near - 1 / depths.far) / (2 * (planes - 1))
-    table = {
-        f"{z:.4g}": f"{100 * z * step / (1 + z * step):.2g} %"
-        for z in depths.near * np.array([1.0, 10.0, 100.0, 1000.0])
-    }
-    return [
-        {
-            "code": "depth_range_wide",
-            "field": "near",
-            "message": f"far / near = {ratio:.3g}: depth steps are coarse beyond {10 * depths.near:.3g}; "
-            f"half a step with {planes} planes, by depth: "
-            + ", ".join(f"{depth}: {share}" for depth, share in table.items()),
-        }
-    ]
 
 
 def _check_overlap(

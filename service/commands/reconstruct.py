@@ -37,7 +37,9 @@ def reconstruct(
     context: Annotated[
         int | None, typer.Option(help="how many views to choose, 2 to 6 [default: 3 where there are more than 6]")
     ] = None,
-    near: Annotated[float | None, typer.Option(help="nearest depth, in the cameras' units")] = None,
+    near: Annotated[
+        float | None, typer.Option(help="nearest depth, in the cameras' units; narrowed where it is far too near")
+    ] = None,
     far: Annotated[float | None, typer.Option(help="farthest depth, in the cameras' units")] = None,
     trust_poses: Annotated[bool, typer.Option(help="only warn where photographs or overlap oppose the poses")] = False,
     max_error: Annotated[

@@ -13,7 +13,7 @@ from PIL import Image
 from ..cameras.camera_file import camera_document
 from ..cameras.depth_range import depth_range
 from ..cameras.pose_notices import pose_notices
-from ..cameras.view_checks import DEPTH_PLANES, check_views
+from ..cameras.view_checks import DEPTH_PLANES, check_views, range_notices
 from ..network.model_info import ModelInfo
 from ..photographs.fitting import fit_notices
 from ..photographs.images import Photo, decode_image, match_photo
@@ -54,8 +54,8 @@ def _understood(upload: Upload, settings: Settings, info: ModelInfo) -> dict[str
     numbers = upload.selection["views"]
     depths = depth_range(work.cameras, work.near, work.far)
     warnings = list(pairing.warnings)
-    planes = info.depth_planes or DEPTH_PLANES
-    warnings += check_views(work.cameras, depths, trust_poses=work.trust_poses, numbers=numbers, planes=planes)
+    warnings += range_notices(depths, info.depth_planes or DEPTH_PLANES)
+    warnings += check_views(work.cameras, depths, trust_poses=work.trust_poses, numbers=numbers)
     warnings += pose_notices(work.cameras, depths.near, numbers)
     images = []
     for number, image, view in zip(numbers, pairing.images, pairing.views, strict=True):

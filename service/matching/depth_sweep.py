@@ -17,7 +17,7 @@ from .window_match import contrast
 
 F64 = NDArray[np.float64]
 
-COARSE_PX = 7.0  # from 8 on narrowing gave 0.3 to 1.6 dB on four of five scenes, at 14 on all of them
+COARSE_PX = 7.0  # at 8 narrowing gave 0.3 to 1.7 dB on four of five scenes, at 14 on all of them
 CLOSER = 0.8  # as close or closer, or a given range stays: right ones of wide pairs lose as much as they gain
 PLANES = 64  # at least
 GOOD_MATCH = 0.7  # correlation
@@ -39,8 +39,10 @@ class Matches:
 
 
 def narrowed(depths: DepthRange, views: Sequence[FittedView], planes: int = DEPTH_PLANES) -> DepthRange:
-    """A range narrowed to 0.6 z_3 .. 1.5 z_97; one without enough matches as it is, and so is a given one in which the
-    network's `planes` stand up to COARSE_PX of parallax apart, or would be hardly closer.
+    """A range narrowed to 0.6 z_3 .. 1.5 z_97; one without enough matches as it is.
+
+    So is a given one in which the network's `planes` stand up to COARSE_PX of parallax apart, or would be hardly
+    closer. Else its near end is drawn in, and its far end only where they would still stand farther apart.
 
     z_p are the depths below which p per cent of the matched pixels lie, weighted by contrast; a pixel is matched if its
     best plane correlates by 0.7 with the nearest other view, and that view's best plane leads back to within 1.5 px.
@@ -56,10 +58,12 @@ def narrowed(depths: DepthRange, views: Sequence[FittedView], planes: int = DEPT
     reached = np.cumsum(weights[order]) / weights.sum()
     first, last = (found[order][np.searchsorted(reached, p)] for p in (PERCENTILE, 1.0 - PERCENTILE))
     near, far = max(depths.near, BEFORE * float(first)), min(depths.far, BEYOND * float(last))
-    closer = DepthRange(near, far, depths.source)
-    if depths.source == "given" and planes_apart_px(closer, views, planes) > CLOSER * apart:
-        return depths
-    return closer
+    if depths.source == "estimated":
+        return DepthRange(near, far, "estimated")
+    closer = DepthRange(near, depths.far, "narrowed")
+    if planes_apart_px(closer, views, planes) > COARSE_PX:
+        closer = DepthRange(near, far, "narrowed")
+    return closer if planes_apart_px(closer, views, planes) <= CLOSER * apart else depths
 
 
 def planes_apart_px(depths: DepthRange, views: Sequence[FittedView], planes: int) -> float:
@@ -68,18 +72,14 @@ def planes_apart_px(depths: DepthRange, views: Sequence[FittedView], planes: int
 
 
 def coarse_notices(given: DepthRange, found: DepthRange, views: Sequence[FittedView], planes: int) -> list[Notice]:
-    """The warning about a given range that was narrowed to `found`; or that was not though planes stand far apart."""
-    apart = planes_apart_px(given, views, planes)
-    if given.source == "estimated" or (found == given and apart <= 2 * COARSE_PX):
+    """The warning about a given range that was narrowed to `found`."""
+    if found.source != "narrowed":
         return []
     message = (
         f"between the given near = {given.near:.4g} and far = {given.far:.4g} the network's {planes} depths stand "
-        f"{apart:.3g} px of parallax apart, need some {COARSE_PX:g}"
+        f"{planes_apart_px(given, views, planes):.3g} px of parallax apart, need some {COARSE_PX:g}: the scene is "
+        f"looked for from {found.near:.4g} to {found.far:.4g}, where the photographs match"
     )
-    if found == given:
-        message += "; the photographs do not match well enough to narrow the range"
-    else:
-        message += f": the scene is looked for from {found.near:.4g} to {found.far:.4g}, where the photographs match"
     cure = "give near and far closer about the scene, near above all, or neither"
     return [{"code": "depth_range_coarse", "field": "near", "message": f"{message} ({cure})"}]
 

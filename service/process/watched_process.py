@@ -8,7 +8,6 @@ import pickle
 import signal
 import time
 from contextlib import suppress
-from functools import partial
 from socket import socket
 from typing import Any
 
@@ -80,13 +79,19 @@ class Watcher(multiprocess.Multiprocess):
     def __init__(self, config: Config, sockets: list[socket]) -> None:
         super().__init__(config, sockets)
         self.should_exit: Any = Told()
-        multiprocess.Process = partial(WatchedProcess, told=self.should_exit)  # type: ignore[assignment,misc]
+        self._made: list[multiprocess.Process] = []  # and not ended; of which the library lists one once it is ready
+        multiprocess.Process = self._make  # type: ignore[assignment,misc]
         for number in TO_END:
             signal.signal(number, self._end)
 
+    def _make(self, config: Config, sockets: list[socket]) -> WatchedProcess:
+        process = WatchedProcess(config, sockets, self.should_exit)
+        self._made = [*(one for one in self._made if one.exitcode is None), process]
+        return process
+
     def _end(self, *_: object) -> None:
         self.should_exit.set()
-        for process in self.processes:
+        for process in {id(one): one for one in (*self.processes, *self._made)}.values():
             with suppress(ProcessLookupError):
                 if process.pid is not None and process.exitcode is None:
                     os.kill(process.pid, signal.SIGTERM)

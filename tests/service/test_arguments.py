@@ -144,3 +144,8 @@ def test_a_reconstruction_names_what_is_no_number_or_sequence(
     with pytest.raises(InputError) as caught:
         reconstructor.reconstruct(**given)
     assert (caught.value.field, caught.value.index, caught.value.message) == (field, index, said)
+
+
+def test_a_number_of_more_digits_than_python_writes_is_refused_too() -> None:
+    with pytest.raises(InputError, match="is a number of more digits than can be written, need a whole number from 0"):
+        Budget(certify=10**5000)

@@ -8,7 +8,7 @@ from gapmes.service.cameras.depth_range import DepthRange, depth_range
 from gapmes.service.cameras.pose import rigid_inverse
 from gapmes.service.cameras.pose_readings import other_readings
 from gapmes.service.cameras.rotations import about_axis
-from gapmes.service.cameras.view_checks import check_count, check_views
+from gapmes.service.cameras.view_checks import check_count, check_views, range_notices
 from gapmes.service.errors import BaselineError, IntrinsicsError, OverlapError, ViewCountError
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -188,12 +188,12 @@ def test_little_overlap_is_a_warning():
 
 @pytest.mark.case("P3")
 def test_a_wide_depth_range_is_a_warning_with_its_steps():
-    notices = check_views(ring((0, 0.1)), given(near=0.01, far=1e4))
+    notices = range_notices(given(near=0.01, far=1e4))
     assert [notice["code"] for notice in notices] == ["depth_range_wide"]
     assert "64 planes, by depth: 0.01: 0.79 %, 0.1: 7.4 %" in notices[0]["message"]  # z h / (1 + z h), h = 100 / 126
-    (notice,) = check_views(ring((0, 0.1)), given(near=0.01, far=1e4), planes=128)
+    (notice,) = range_notices(given(near=0.01, far=1e4), 128)
     assert "128 planes, by depth: 0.01: 0.39 %, 0.1: 3.8 %" in notice["message"]
-    assert check_views(ring((0, 0.1)), given(near=1.0, far=1000.0)) == []
+    assert range_notices(given(near=1.0, far=1000.0)) == []
 
 
 @pytest.mark.case("E18")

@@ -118,25 +118,42 @@ def test_a_neighbour_has_parallax(apart):
     assert nearest_neighbours([first, first.posed(pose), second])[:2] == [2, 2]
 
 
-@pytest.mark.parametrize(("near", "told"), [(2.0, False), (0.3, True)])
-def test_a_given_range_is_narrowed_where_the_planes_would_stand_far_apart(near, told):
+LEAST_NEAR, MOST_FAR = 0.6 * 3.0, 1.5 * 5.2  # where both ends are drawn in
+
+
+@pytest.mark.parametrize(
+    ("near", "planes", "told", "far"), [(2.0, 16, False, 30.0), (0.3, 12, True, 30.0), (0.3, 6, True, None)]
+)
+def test_a_given_range_is_narrowed_where_the_planes_would_stand_far_apart(near, planes, told, far):
+    """Its far end, where much may lie that has little contrast, only if the near one is not enough."""
     scene = PlaneScene.make(np.random.default_rng(3), size=(256, 192))
     views = [fit_view(Photo(i), c, 192, 256) for i, c in zip(scene.images, scene.cameras, strict=True)]
     given = DepthRange(near, 30.0, "given")
-    assert (planes_apart_px(given, views, 16) > COARSE_PX) == told
-    result = narrowed(given, views, 16)
-    notices = coarse_notices(given, result, views, 16)
-    assert result.source == "given"
-    assert (result != given) == told == bool(notices)
+    apart = planes_apart_px(given, views, planes)
+    assert (apart > COARSE_PX) == told
+    result = narrowed(given, views, planes)
+    notices = coarse_notices(given, result, views, planes)
+    assert (result.source == "narrowed") == (result != given) == told == bool(notices)
+    if far is None:
+        assert 1.5 * 3.5 < result.far < MOST_FAR
+    else:
+        assert result.far == far
     if told:
-        assert 0.6 * 3.0 < result.near < 0.6 * 4.6
-        assert 1.5 * 3.5 < result.far < 1.5 * 5.2
+        assert LEAST_NEAR < result.near < 0.6 * 4.6
         (notice,) = notices
         assert (notice["code"], notice["field"]) == ("depth_range_coarse", "near")
-        apart = planes_apart_px(given, views, 16)
-        words = f"given near = 0.3 and far = 30 the network's 16 depths stand {apart:.3g} px"
+        words = f"given near = 0.3 and far = 30 the network's {planes} depths stand {apart:.3g} px"
         assert words in notice["message"]
         assert f"from {result.near:.4g} to {result.far:.4g}" in notice["message"]
+
+
+def test_a_right_range_of_cameras_far_apart_stays_without_a_word():
+    scene = PlaneScene.make(np.random.default_rng(3), size=(256, 192))
+    views = [fit_view(Photo(i), c, 192, 256) for i, c in zip(scene.images, scene.cameras, strict=True)]
+    given = DepthRange(0.6 * 3.4, 1.5 * 4.7, "given")
+    assert planes_apart_px(given, views, 3) > COARSE_PX
+    assert narrowed(given, views, 3) == given
+    assert coarse_notices(given, given, views, 3) == []
 
 
 def test_planes_stand_as_far_apart_as_a_point_moves():
@@ -150,11 +167,11 @@ def test_planes_stand_as_far_apart_as_a_point_moves():
     assert planes_apart_px(DepthRange(2.0, 30.0, "given"), views, 64) == pytest.approx(expected)
 
 
-def test_a_coarse_range_stays_where_nothing_matches_and_says_so():
+def test_a_coarse_range_stays_where_nothing_matches():
     scene = PlaneScene.make(np.random.default_rng(3), size=(256, 192))
     noise = [np.random.default_rng(k).integers(0, 256, image.shape, np.uint8) for k, image in enumerate(scene.images)]
     views = [fit_view(Photo(i), c, 192, 256) for i, c in zip(noise, scene.cameras, strict=True)]
     given = DepthRange(0.1, 30.0, "given")
+    assert planes_apart_px(given, views, 16) > COARSE_PX
     assert narrowed(given, views, 16) == given
-    (notice,) = coarse_notices(given, given, views, 16)
-    assert "do not match well enough to narrow the range" in notice["message"]
+    assert coarse_notices(given, given, views, 16) == []

@@ -32,9 +32,9 @@ def in_frame(page: Any, scene: str, tell: str) -> None:
 
 def begun(page: Any, scene: str) -> None:
     """WebGL is chosen, and its frame is there."""
-    page.click("#mode-webgl")
-    page.wait_for_function(f"() => document.getElementById('frame').contentWindow.location.href.includes('{scene}')")
-    page.wait_for_function("() => document.getElementById('frame').contentDocument.readyState === 'complete'")
+    with page.expect_event("framenavigated", lambda frame: f"/viewer?scene={scene}" in frame.url) as there:
+        page.click("#mode-webgl")
+    there.value.wait_for_load_state()
 
 
 @pytest.fixture

@@ -162,7 +162,7 @@ def test_the_focus_goes_with_the_work(tab: Tab, tmp_path: Path, held_network: th
     assert page.evaluate(FOCUS) == "go"
     page.keyboard.press("Enter")
     made(page, before)
-    page.wait_for_function("() => document.activeElement.id === 'stage'")
+    page.wait_for_selector("#stage:focus")
     page.focus("#clear")
     page.keyboard.press("Enter")
     assert page.evaluate(FOCUS) == "files"

@@ -42,8 +42,8 @@ def test_a_phone_has_a_short_way_to_a_new_scene(phone: Tab, scene: str) -> None:
     page = opened(phone, scene)
     before = page.url
     page.tap("#to-making")
-    page.wait_for_function("() => document.getElementById('files').getBoundingClientRect().top < innerHeight")
-    assert page.evaluate("document.activeElement.id") == "files"
+    page.wait_for_selector("#files:focus")
+    assert page.evaluate("document.getElementById('files').getBoundingClientRect().top < innerHeight")
     assert page.url == before
 
 

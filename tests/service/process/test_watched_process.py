@@ -96,3 +96,28 @@ def test_a_signal_to_end_is_heard_while_workers_are_replaced(watcher: Watcher, m
     assert watcher.processes == workers
     assert [worker.done for worker in workers] == [[], []]
     assert killed == [(worker.pid, signal.SIGTERM) for worker in workers]
+
+
+def test_a_worker_that_takes_another_ones_place_hears_it_before_that_one_has_ended(
+    watcher: Watcher, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The library lists it only when the one before has ended, which may take that one's whole time."""
+    killed: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "kill", lambda *told: killed.append(told))
+    fresh: Any = Worker()
+    watcher._made.append(fresh)
+    watcher._end(signal.SIGTERM, None)
+    assert (fresh.pid, signal.SIGTERM) in killed
+
+
+def test_workers_are_known_from_the_beginning_until_they_have_ended(watcher: Watcher) -> None:
+    worker: Any = multiprocess.Process(CONFIG, [])
+    worker.start()
+    assert watcher._made == [worker]
+    worker.kill()
+    worker.join()
+    other: Any = multiprocess.Process(CONFIG, [])
+    other.start()
+    assert watcher._made == [other]
+    other.kill()
+    other.join()
