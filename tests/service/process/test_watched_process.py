@@ -17,15 +17,21 @@ from gapmes.service.process.watched_process import Told, WatchedProcess, Watcher
 CONFIG = uvicorn.Config("gapmes.service.serving:app", factory=True, workers=2)
 
 
-def test_the_end_of_a_worker_that_has_not_answered_is_heard_of() -> None:
-    """Not when the time to answer is over, which is long: until then nobody would hear a signal."""
-    worker = WatchedProcess(CONFIG, [])
+def asked_while_stopped(worker: WatchedProcess) -> tuple[list[bool], threading.Thread]:
+    """A worker that cannot answer, and the thread that asks it for so long, with what it will have heard."""
     worker.start()
     assert worker.pid is not None
     os.kill(worker.pid, signal.SIGSTOP)
     heard: list[bool] = []
     asked = threading.Thread(target=lambda: heard.append(worker.ping(600)), daemon=True)
     asked.start()
+    return heard, asked
+
+
+def test_the_end_of_a_worker_that_has_not_answered_is_heard_of() -> None:
+    """Not when the time to answer is over, which is long: until then nobody would hear a signal."""
+    worker = WatchedProcess(CONFIG, [])
+    heard, asked = asked_while_stopped(worker)
     os.kill(worker.pid, signal.SIGKILL)
     asked.join(120)
     worker.join()
@@ -36,12 +42,7 @@ def test_the_end_of_a_worker_that_has_not_answered_is_heard_of() -> None:
 def test_a_worker_that_does_not_answer_keeps_nobody_from_ending() -> None:
     told = Told()
     worker = WatchedProcess(CONFIG, [], told)
-    worker.start()
-    assert worker.pid is not None
-    os.kill(worker.pid, signal.SIGSTOP)
-    heard: list[bool] = []
-    asked = threading.Thread(target=lambda: heard.append(worker.ping(600)), daemon=True)
-    asked.start()
+    heard, asked = asked_while_stopped(worker)
     told.set()
     asked.join(120)
     assert heard == [True]
