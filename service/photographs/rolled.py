@@ -1,6 +1,6 @@
 """Photographs that were taken with the camera rolled: turned by quarter turns until all of a scene stand alike.
 
-The network was trained on cameras that stand alike, and what one quarter turn between two of them costs is 1 to 5 dB.
+The network was trained on cameras that stand alike, and one rolled by quarters beside others costs it up to 5.4 dB.
 A turn moves pixels and changes none, and the camera turns with its photograph: the same rays have the same colours.
 """
 
