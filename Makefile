@@ -1,14 +1,21 @@
-# Commands from a bare checkout: `make demo` (runtime only, no torch), `make test` (everything) and `make evaluate`
-# (quality on held-out views, minutes; further options by ARGS, for example ARGS=--check). `make report` measures error
-# against run time of every setting, and stability (ARGS=--quick). `make bench-splat` compares the
-# splatter with a plain renderer (ARGS=--quick), `make compare-viewer` its pictures with those of a viewer (needs npm and
-# Chromium). `make load` asks a service for pictures while it reconstructs (ARGS="--minutes 10"). `make image` builds the
-# container image, `make image-check` builds one and uses it as production would, `make lock` pins anew what goes into it.
-# `make lowest` runs the tests with the lowest versions that pyproject.toml allows (ARGS=tests/service for a part of them); it
-# needs Python 3.11 (PYTHON=python3.11), as many of those versions are older than what came after it.
-# All keep their environment in .venv (`lowest` one of its own in .venv-lowest) and reuse it until pyproject.toml, setup.py or
-# the viewer's lock change. pip's own settings apply, for example PIP_EXTRA_INDEX_URL for an index that has the CPU build of
-# torch.
+# Targets, from a bare checkout:
+#
+#   make demo            run the sample scene through the service (runtime only, no torch)
+#   make test            run ruff, mypy and all tests
+#   make lowest          run the tests with the lowest versions that pyproject.toml allows (ARGS=tests/service for a part).
+#                        Needs Python 3.11 (PYTHON=python3.11): many of these versions are older than later releases of Python.
+#   make evaluate        measure quality on held-out views, which takes minutes (ARGS=--check, for example)
+#   make report          measure error against run time of every setting, and stability (ARGS=--quick)
+#   make bench-splat     compare the splatter with a plain renderer (ARGS=--quick)
+#   make compare-viewer  compare the splatter's pictures with those of a viewer (needs npm and Chromium)
+#   make load            request pictures from a service while it reconstructs (ARGS="--minutes 10")
+#   make image           build the container image
+#   make image-check     build an image and use it as production would
+#   make lock            update the pinned packages of the image
+#
+# All targets keep their environment in .venv (lowest: in .venv-lowest) and reuse it until pyproject.toml, setup.py or the
+# viewer's lock file changes. pip's own settings apply: PIP_EXTRA_INDEX_URL, for example, can name an index that has the CPU
+# build of torch.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -21,7 +28,7 @@ demo: .venv/.runtime
 test: .venv/.dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 lowest: .venv/.dev
 	$(BIN)/python -m pip install --quiet uv

@@ -1,1 +1,1 @@
-"""Speed measured side by side in one run, and what settings cost; not part of the package and not of the tests."""
+"""Benchmarks of speed, side by side in one run, and of the cost of settings; neither part of the package nor tests."""

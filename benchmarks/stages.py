@@ -1,8 +1,8 @@
-"""Processor seconds of every stage from encoded photographs to a written .ply, with mending and without.
+"""Measure processor seconds of every stage from encoded photographs to a written .ply, with mending and without.
 
-`python -m benchmarks.stages [CAPTURE] [--views 1,5] [--engine NAME] [--rounds 5]`: one thread, medians over rounds in
-which both settings take turns after one that is not counted, in one process: loading the model and the kernels is not
-among them.
+`python -m benchmarks.stages [CAPTURE] [--views 1,5] [--engine NAME] [--rounds 5]` runs on one thread, in one process.
+Both settings take turns in every round. Figures are medians over the rounds after a first one that is not counted.
+Loading the model and the kernels is not included.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from gapmes.service.shipped import sample_folder
 
 
 class Clock:
-    """Hears the stages and counts what the process computes in each."""
+    """Listens to the stages and sums the processor time of each."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
@@ -42,7 +42,7 @@ class Clock:
 
 
 def one_run(service: Reconstructor, capture: Path, views: str, passes: int) -> dict[str, float]:
-    """Seconds by stage; `write .ply` is what the file takes, `all` everything from opening the capture on."""
+    """Seconds by stage; `write .ply` is the time of writing the file, `all` that of everything, opening included."""
     start, clock = time.process_time(), Clock()
     found = open_capture(capture).choose(checked_wish(Wish(views, None, field="views")))
     read = [found.read(place) for place in range(len(found.indices))]

@@ -1,28 +1,29 @@
-# Sourced by docker/check: an engine where there is none. Sets DOCKER_HOST, DOCKER_CONFIG, PATH and BASE; `skip` ends the check.
+# Sourced by docker/check: starts a container engine where none runs. Sets DOCKER_HOST, DOCKER_CONFIG, PATH and BASE; `skip`
+# ends the check.
 #
-# Without a registry to pull from, Debian's packages give both the engine (unpacked, not installed) and a stand-in base image:
-# a minimal Debian with its own Python 3.11. That tests the Dockerfile and the service; the official base image it does not.
+# No registry is needed: Debian's packages provide the engine (unpacked, not installed) and a stand-in for the base image, a
+# minimal Debian with its own Python 3.11. This tests the Dockerfile and the service, but not the official base image.
 
 own_engine() {
-  [ "$(id -u)" = 0 ] || skip "no engine answers, and starting one needs root"
-  command -v apt-get >/dev/null || skip "no engine answers, and this is no Debian to take one from"
+  [ "$(id -u)" = 0 ] || skip "no container engine answers, and only root can start one"
+  command -v apt-get >/dev/null || skip "no container engine answers, and without apt-get none can be installed"
   local sources
   eval "$(apt-config shell PARTS Dir::Etc::sourceparts/d)"
-  sources=$(ls "${PARTS}"debian.sources 2>/dev/null) || skip "no list of Debian's sources"
-  mount -t tmpfs -o size=8g none "$W/ram" || skip "no memory file system may be mounted"
-  quiet apt-get update || skip "Debian's packages cannot be had"
-  quiet apt-get install -y --no-install-recommends mmdebstrap runc iptables || skip "Debian's packages cannot be had"
-  unpack_engine "$sources" || skip "the engine's packages cannot be had"
+  sources=$(ls "${PARTS}"debian.sources 2>/dev/null) || skip "there is no debian.sources"
+  mount -t tmpfs -o size=8g none "$W/ram" || skip "no tmpfs can be mounted"
+  quiet apt-get update || skip "Debian's packages cannot be downloaded"
+  quiet apt-get install -y --no-install-recommends mmdebstrap runc iptables || skip "Debian's packages cannot be downloaded"
+  unpack_engine "$sources" || skip "the engine's packages cannot be downloaded"
   export PATH="$W/bin:$W/engine/usr/bin:$W/engine/usr/sbin:$PATH" DOCKER_HOST="unix://$W/docker.sock" DOCKER_CONFIG="$W/config"
   setsid dockerd -H "$DOCKER_HOST" --data-root "$W/ram/data" --exec-root "$W/exec" --pidfile "$W/dockerd.pid" \
     --storage-driver=overlay2 --iptables=false --ip6tables=false --ip-forward=false >"$W/dockerd.log" 2>&1 &
   for _ in $(seq 60); do docker info >/dev/null 2>&1 && break; sleep 0.5; done
-  docker info >/dev/null 2>&1 || skip "the engine does not start: $(tail -1 "$W/dockerd.log")"
-  base_image "$sources" || skip "the base image cannot be made"
+  docker info >/dev/null 2>&1 || skip "the engine did not start: $(tail -1 "$W/dockerd.log")"
+  base_image "$sources" || skip "the base image cannot be built"
   node_image
 }
 
-# The engine of the next release needs nothing newer than this one's C library, but for runc, which is taken from here.
+# The engine of Debian's next release runs with this release's C library, except for runc, which comes from this release.
 unpack_engine() {
   local options=(-qq -o "Dir::Etc::sourcelist=$W/apt/next.sources" -o Dir::Etc::sourceparts=-
     -o "Dir::State::lists=$W/apt/lists" -o "Dir::Cache::archives=$W/apt/archives")
@@ -59,7 +60,7 @@ HOOK
   rm "$W/ram/base.tar"
 }
 
-# This machine's own node and npm on that base; without them the image is built without the viewer.
+# Put this machine's own node and npm on the base image. Without npm the image is built without the viewer.
 node_image() {
   local npm
   if npm=$(npm root -g 2>/dev/null)/npm && [ -d "$npm" ] && mkdir -p "$W/node/usr/bin" "$W/node/usr/lib/node_modules"; then
@@ -69,7 +70,7 @@ node_image() {
     printf 'FROM %s\nCOPY usr /usr\n' "$BASE" >"$W/node/Dockerfile"
     quiet docker build -q -t gapmes-check/node:local "$W/node" && NODE=(--build-arg NODE_IMAGE=gapmes-check/node:local) && return
   fi
-  say "the image is built without the viewer: there is no npm here"
+  say "the image is built without the viewer: npm is not installed"
   NODE=(--build-arg NODE_IMAGE="$BASE" --build-arg VIEWER=skip)
   WITH_VIEWER=no
 }

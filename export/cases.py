@@ -1,4 +1,4 @@
-"""The list of verification cases: inputs, view counts and gate settings that an exported file must survive."""
+"""The verification cases: inputs, view counts and gate settings on which an exported file is compared with torch."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from .samples import FLAT, UNDETERMINED, all_patches, hostile_scenes, random_sce
 
 @dataclass(frozen=True)
 class Case:
-    """One run of both runtimes."""
+    """The inputs and gate setting of one comparison of both runtimes."""
 
     name: str
     gates: GateSetting
     inputs: SceneInputs
-    flat: bool = False  # images of one colour, where normalisation amplifies what quantisation lost
-    undetermined: bool = False  # images without a depth that fits, where matching amplifies rounding
+    flat: bool = False  # images of one colour, where normalisation amplifies quantisation errors
+    undetermined: bool = False  # no depth matches, so that matching amplifies rounding errors
 
     @property
     def views(self) -> int:
@@ -35,9 +35,10 @@ class Case:
 
 
 def verification_cases(height: int, width: int, *, quick: bool = False) -> Iterator[Case]:
-    """Random scenes and the sample at every view count, hostile scenes and gate settings at two; grouped by gates.
+    """Random scenes and the sample at every view count, degenerate scenes and gate settings at two counts each;
+    grouped by gate setting.
 
-    `quick` keeps one view count of each kind; it is for tests of the verifier itself.
+    `quick` uses two view counts for the former and one for the latter.
     """
     counts = (MIN_VIEWS, 3) if quick else tuple(range(MIN_VIEWS, MAX_VIEWS + 1))
     for views in counts:
@@ -54,7 +55,7 @@ def verification_cases(height: int, width: int, *, quick: bool = False) -> Itera
 
 
 def sample_scene(views: int, height: int, width: int) -> SceneInputs:
-    """The scene that the package carries: its first `views` images, cameras relative to camera 0, its own units."""
+    """The first `views` views of the packaged sample scene; poses relative to camera 0, in the scene's own units."""
     folder = load_scene_folder(sample_folder())
     cameras, images = [], []
     for index in range(views):

@@ -41,7 +41,8 @@ def export(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Path of the .onnx file to write.")] = None,
     architecture: Annotated[str, typer.Option(help=f"One of {', '.join(ARCHITECTURES)}.")] = "gapmes",
     preset: Annotated[
-        str | None, typer.Option(help=f"Of gapmes: one of {', '.join(PRESETS)} [default: tiny, or the checkpoint's].")
+        str | None,
+        typer.Option(help=f"Preset of gapmes: one of {', '.join(PRESETS)} [default: tiny, or the checkpoint's]."),
     ] = None,
     checkpoint: Annotated[
         Path | None,
@@ -52,7 +53,7 @@ def export(
     size: Annotated[
         str | None,
         typer.Option(
-            help="HEIGHTxWIDTH in pixels, or one side; 32 or more, multiples of 16, of 32 for some of DepthSplat"
+            help="HEIGHTxWIDTH in pixels, or one side; at least 32, multiples of 16, of 32 for some DepthSplat networks"
             " [default: 256x256]."
         ),
     ] = None,
@@ -63,30 +64,34 @@ def export(
     ] = False,
     compatibility: Annotated[
         str | None,
-        typer.Option(help="Of depthsplat: none, authors (as in their code), or switches by name [default: none]."),
+        typer.Option(help="For depthsplat: none, authors (as in their code), or switches by name [default: none]."),
     ] = None,
     scale_max: Annotated[
         float | None,
         typer.Option(
-            help="Of depthsplat: largest Gaussian, in its units [default: the published weights' own, else 3]."
+            help="For depthsplat: largest Gaussian, in its units [default: the published weights' own, else 3]."
         ),
     ] = None,
-    quick: Annotated[bool, typer.Option(help="Verify at two view counts instead of five; a short --report.")] = False,
+    quick: Annotated[bool, typer.Option(help="Verify at two view counts instead of five; shorten --report.")] = False,
     report: Annotated[
-        Path | None, typer.Option(help="Export nothing: measure error against run time of every setting into a folder.")
+        Path | None,
+        typer.Option(
+            help="Export nothing: write a report of error against run time of every setting into this folder."
+        ),
     ] = None,
     stability: Annotated[
-        Path | None, typer.Option(help="Export nothing: write the table of stiff and extreme cases into a folder.")
+        Path | None, typer.Option(help="Export nothing: write the table of stiff and extreme cases into this folder.")
     ] = None,
     scene: Annotated[
-        list[Path] | None, typer.Option(help="A folder for --report, beside the sample scene; repeat for several.")
+        list[Path] | None,
+        typer.Option(help="Scene folder for --report, in addition to the sample scene; repeat for several."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Export, verify against torch in a process of its own, and write OUT with its report beside it.
+    """Export, verify against torch in a separate process, and write OUT with its report beside it.
 
-    With --json a refusal and a rejection are printed too, as {"error": {"detail": ...}}.
+    With --json refusals and rejections are printed as well, as {"error": {"detail": ...}}.
 
     Exit status: 0 accepted; 1 refused (checkpoint, size, disk); 2 wrong usage; 3 beyond tolerance, in which case the
     file is kept as NAME.rejected.onnx and OUT is left as it was.

@@ -1,4 +1,4 @@
-"""Numbers of one comparison: how far one runtime's outputs are from the reference's."""
+"""Error statistics of one runtime's outputs against a reference."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-# Rounding stays below this share of an output's range; what is above it was tipped over an edge of the definition.
+# Rounding errors are below this share of an output's range; larger ones cross a discontinuity of the definition.
 JUMP = 2e-4
 
 
@@ -25,10 +25,10 @@ class Deviation:
 
 
 def deviation(value: NDArray, reference: NDArray, mask: NDArray[np.bool_] | None = None) -> Deviation:
-    """Errors over the rows that `mask` (of the leading axes) keeps; what is not finite, or not there, is an infinite
-    error.
+    """Error statistics over the elements that `mask`, of the leading axes, keeps; infinite where a value is not finite
+    or nothing is kept.
 
-    Raises `ValueError` when the shapes differ: a graph that baked in a view count must not pass by broadcasting.
+    Raises `ValueError` when the shapes differ: a graph with a fixed view count must not pass by broadcasting.
     """
     if value.shape != reference.shape:
         raise ValueError(f"shape is {value.shape}, need {reference.shape}")
@@ -50,10 +50,11 @@ def deviation(value: NDArray, reference: NDArray, mask: NDArray[np.bool_] | None
 
 
 def image_units(outputs: Mapping[str, NDArray], near: float) -> dict[str, NDArray]:
-    """The outputs in the units in which a picture sees them: errors near the camera count, far ones are small.
+    """The outputs in units proportional to their effect in a picture, in which far geometry has small errors.
 
     Depth becomes near / z, means m become near * m / |m|^2 (direction and inverse distance), scales become angular
-    sizes s / |m|. In world units the farthest point would set the scale, and the foreground would pass unchecked.
+    sizes s / |m|. In world units the farthest point would determine the scale, and errors of the foreground would not
+    be noticed.
     """
     changed = dict(outputs)
     distance = np.linalg.norm(outputs["means"].astype(np.float64), axis=-1, keepdims=True)
@@ -67,7 +68,7 @@ def image_units(outputs: Mapping[str, NDArray], near: float) -> dict[str, NDArra
 def comparable(
     values: Mapping[str, NDArray], reference: Mapping[str, NDArray], near: float
 ) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
-    """Both results in image units, the quaternions of the first with the signs of the second's."""
+    """Both results in image units, the first's quaternions with signs aligned to the second's."""
     ours, theirs = image_units(values, near), image_units(reference, near)
     ours["rotations_wxyz"] = quaternions_aligned(ours["rotations_wxyz"], theirs["rotations_wxyz"])
     return ours, theirs
@@ -76,7 +77,7 @@ def comparable(
 def jumped_rows(
     values: Mapping[str, NDArray], reference: Mapping[str, NDArray], names: Iterable[str]
 ) -> NDArray[np.bool_]:
-    """(G,) rows of which a number in one of the outputs `names` is off by more than `JUMP`, or not finite."""
+    """(G,) mask of rows with an error above `JUMP`, or a value that is not finite, in any of the outputs `names`."""
     rows = []
     for name in names:
         theirs = reference[name].astype(np.float64)
@@ -88,6 +89,6 @@ def jumped_rows(
 
 
 def quaternions_aligned(value: NDArray, reference: NDArray) -> NDArray:
-    """`value` with each quaternion's sign turned to the reference's: q and -q are the same rotation."""
+    """`value` (..., 4) with the sign of each quaternion aligned to `reference`: q and -q are the same rotation."""
     sign = np.sign((value * reference).sum(-1, keepdims=True))
     return value * np.where(sign == 0, 1, sign)

@@ -1,4 +1,4 @@
-"""How far every output is from torch's, and where that is too far: whether rounding in float32 explains it."""
+"""Errors of every output against torch, and whether errors beyond a limit are explained by float32 rounding."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .graph import evaluated
 from .routes import flipped_patches, untouched
 
 Outputs = Mapping[str, NDArray]
-LEFT = 0.5  # of the elements of every kind: what a smaller part says, it does not say of all
+LEFT = 0.5  # least share of elements of each kind that must be left for a meaningful comparison
 UNKNOWN = Deviation(np.inf, np.inf, np.inf, 1.0, np.inf, finite=False)
 
 
@@ -31,18 +31,18 @@ class BesideFloat64:
 
 
 def untouched_elements(flipped: NDArray[np.bool_], reference: Outputs) -> dict[str, NDArray[np.bool_]]:
-    """Which elements of each kind of output no flipped patch reaches (`routes.untouched`)."""
+    """Masks of the elements of each kind of output that no flipped patch affects (`routes.untouched`)."""
     height, width = reference["depth"].shape[-2:]
     return untouched(flipped, height, width, len(reference["means"]))
 
 
 def share_left(flipped: NDArray[np.bool_], reference: Outputs) -> float:
-    """The least share of untouched elements, over their kinds: below `LEFT` a comparison of them says too little."""
+    """The smallest share of untouched elements over all kinds; below `LEFT` a comparison is not meaningful."""
     return float(min(mask.mean() for mask in untouched_elements(flipped, reference).values()))
 
 
 def deviations(values: Outputs, reference: Outputs, flipped: NDArray[np.bool_], case: Case) -> dict[str, Deviation]:
-    """Of every output but the indices, in the units of a picture, outside what `flipped` (V, P) patches reach."""
+    """Errors of every output but the indices, in image units, excluding elements that `flipped` (V, P) affects."""
     ours, theirs = comparable(values, reference, float(case.inputs.near_far[0]))
     masks = untouched_elements(flipped, reference)
     kinds = dict.fromkeys(GAUSSIAN_OUTPUTS, "gaussian") | dict.fromkeys(IMAGE_OUTPUTS, "pixel")
@@ -54,9 +54,9 @@ def deviations(values: Outputs, reference: Outputs, flipped: NDArray[np.bool_], 
 
 
 def beside_float64(values: Outputs, reference: Outputs, network: Network, case: Case) -> dict[str, BesideFloat64]:
-    """Both results of float32 against torch in float64, outside what a patch reaches that took another route in
-    either; infinitely far where float64 is not finite, or where less than LEFT is left to compare. The network is in
-    float32 again afterwards."""
+    """Errors of both float32 results against torch in float64, excluding elements affected by a patch that took another
+    route in either; infinite where float64 is not finite or a share of less than LEFT remains. The network is returned
+    to float32."""
     try:
         exact = evaluated(network, case.inputs, torch.float64)
     finally:

@@ -1,7 +1,7 @@
-"""Constants folded and duplicates removed after tracing.
+"""Constant folding and deduplication after tracing.
 
-The exporter would also try some forty patterns of rewriting on every node, which took more than half of the time of an
-export and changed no result: onnxruntime has its own fusions, and runs either graph in the same time.
+The exporter's own optimiser also tries some forty rewrite patterns on every node, which took more than half of the time
+of an export without any gain: onnxruntime has its own fusions, and runs either graph in the same time.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import onnx_ir as ir
 from onnx_ir.passes import common
 from onnxscript.optimizer import fold_constants
 
-LARGEST = 2**20  # elements of constants that are kept once where they are equal
+LARGEST = 2**20  # most elements of constants that are deduplicated
 
 
 def folded(model: ir.Model) -> ir.Model:
@@ -32,7 +32,7 @@ def folded(model: ir.Model) -> ir.Model:
 
 
 def _skip_idle_transposes(graph: ir.Graph) -> None:
-    """Those that turn nothing, which scattering is traced with: each would copy what it scatters into."""
+    """Bypass identity transposes, which tracing adds to scatter operations; each would copy its input."""
     for node in graph:
         order = node.attributes.get("perm")
         if node.op_type == "Transpose" and order is not None and sorted(order.as_ints()) == list(order.as_ints()):

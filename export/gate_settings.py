@@ -1,4 +1,4 @@
-"""Gates set to extremes, alike in torch and in an exported graph: all logits tied, one expert for all, two for all."""
+"""Extreme gate settings for torch and an exported graph alike: all logits tied, one expert for all, two for all."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DECISIVE = 200.0
 
 
 def gate_values(network: Network, setting: GateSetting) -> dict[str, torch.Tensor]:
-    """State-dict entries of the gates under a setting; weights zero, so that the bias alone decides."""
+    """The state-dict entries of the gates under a setting. Except as trained, weights are 0 and the biases decide."""
     state = {
         name: value
         for name, value in network.state_dict().items()
@@ -33,7 +33,7 @@ def gate_values(network: Network, setting: GateSetting) -> dict[str, torch.Tenso
     if bias is not None and setting != "all tied":
         bias[-1] = DECISIVE
         if setting == "two experts":
-            bias[1] = DECISIVE
+            bias[1 if len(bias) > 2 else 0] = DECISIVE
     return values
 
 
@@ -48,7 +48,7 @@ def with_gates(model: onnx.ModelProto, values: dict[str, torch.Tensor]) -> onnx.
             continue
         array = value.numpy()
         if list(array.shape) != list(initializer.dims):
-            array = array.T  # as the quantiser stores it
+            array = array.T  # the quantiser stores it transposed
         initializer.CopyFrom(numpy_helper.from_array(np.ascontiguousarray(array), initializer.name))
     if pending:
         raise ValueError(f"the graph has no constants named {sorted(pending)}; were the gates quantised or folded?")

@@ -1,4 +1,4 @@
-"""The network as one scene of V views with plain tensors in and out: what the exporter sees."""
+"""The network for one scene of V views with plain tensors in and out, as it is exported."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SceneInputs:
 
 
 class SceneGraph(nn.Module):
-    """Outputs in the order of `output_names`."""
+    """Wraps a network for one scene; returns the outputs in the order of `output_names`."""
 
     def __init__(self, network: Network) -> None:
         super().__init__()
@@ -41,7 +41,7 @@ class SceneGraph(nn.Module):
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """Those of the contract that this network has."""
+        """The contract's outputs that this network has."""
         gates = self.network.gates
         experts = EXPERT_OUTPUTS if gates is not None and gates.expert_gate is not None else ()
         tasks = TASK_OUTPUTS if gates is not None and gates.task_gate is not None else ()
@@ -72,7 +72,7 @@ class SceneGraph(nn.Module):
 
 
 def evaluated(network: Network, inputs: SceneInputs, dtype: torch.dtype) -> dict[str, NDArray[np.generic]]:
-    """Every output by its name, computed in `dtype` throughout; the network stays in it."""
+    """Every output by name, computed in `dtype` throughout. The network is converted to `dtype` and stays so."""
     graph, usual = SceneGraph(network.to(dtype)).eval(), torch.get_default_dtype()
     given = [value.to(dtype) if value.is_floating_point() else value for value in inputs.tensors()]
     torch.set_default_dtype(dtype)
@@ -85,9 +85,9 @@ def evaluated(network: Network, inputs: SceneInputs, dtype: torch.dtype) -> dict
 
 @contextmanager
 def folded_position_embeddings(network: Network, height: int, width: int) -> Iterator[None]:
-    """While exporting a fixed size, each ViT's position embedding is the constant for that size.
+    """Replace each ViT's position embedding by its constant for this size within the context.
 
-    The library would interpolate it bicubically in the graph, where backends differ.
+    Otherwise the graph would hold the library's bicubic interpolation, which backends compute differently.
     """
     replaced = []
     try:

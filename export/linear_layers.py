@@ -1,8 +1,8 @@
-"""Linear layers as they are deployed: the scale that follows one folded in, and lengths that a cache dislikes avoided.
+"""Linear layers for deployment: LayerScales are folded in, and widths that cause cache conflicts are padded.
 
-Both change nothing but rounding. Rows of 4 KB, or a multiple, share the lines of the first cache, so that reading a few
-columns of many such rows evicts what is read next: a ViT-B's feed-forward takes 66 ms for 650 tokens with its 3072
-hidden channels and 59 ms with 16 more that are zero.
+Both change rounding alone. Rows whose length is a multiple of 4 KB map to the same L1 cache sets, so that reading a few
+columns of many such rows evicts lines that are needed next: a ViT-B's feed-forward takes 66 ms for 650 tokens with its
+3072 hidden channels and 59 ms with 16 more that are zero.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ ZEROS = 16  # hidden channels that a layer of such a length gets
 
 @contextmanager
 def deployed_linear_layers(network: nn.Module) -> Iterator[None]:
-    """While exporting: the LayerScales of ViTs belong to the layers before them, and the hidden channels of a
-    feed-forward are never a multiple of `SLOW_LENGTH`."""
+    """Within the context, LayerScales of ViTs are folded into the preceding layers, and the hidden width of a
+    feed-forward layer is padded where it is a multiple of `SLOW_LENGTH`."""
     replaced: list[tuple[nn.Module, str, nn.Module]] = []
 
     def replace(owner: nn.Module, new: dict[str, nn.Module]) -> None:
@@ -52,12 +52,12 @@ def deployed_linear_layers(network: nn.Module) -> Iterator[None]:
 
 
 def scaled(layer: nn.Linear, scale: Tensor) -> nn.Linear:
-    """The layer whose outputs are those of `layer` times `scale` (out)."""
+    """A layer with the outputs of `layer` times `scale` (out,)."""
     return _linear(layer.weight * scale.unsqueeze(1), None if layer.bias is None else layer.bias * scale)
 
 
 def lengthened(first: nn.Linear, last: nn.Linear) -> tuple[nn.Linear, nn.Linear]:
-    """Two layers around an activation that is 0 at 0, with `ZEROS` hidden channels more where their number is slow."""
+    """Both layers around an activation with f(0) = 0, padded by `ZEROS` hidden channels where their number is slow."""
     if first.out_features % SLOW_LENGTH:
         return first, last
     pad = nn.functional.pad

@@ -1,4 +1,4 @@
-"""`gapmes-export --report` and `--stability`: what is measured instead of exported."""
+"""`gapmes-export --report` and `--stability`: measurements instead of an export."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FAILED = 3
 def write_tables(
     report: Path | None, stability: Path | None, scenes: Sequence[Path], quick: bool, *, as_json: bool, quiet: bool
 ) -> None:
-    """Run what has a folder; `as_json` prints what was found in numbers to stdout.
+    """Run the measurements that have a folder; `as_json` prints a summary to stdout.
 
     Exit status 1 for a folder that cannot be made, one that is no scene, and where a process of the report fails; 3
     where a case is beyond its tolerance.
@@ -45,7 +45,7 @@ def write_tables(
 def _measured(
     report: Path | None, stability: Path | None, scenes: Sequence[Path], quick: bool, quiet: bool
 ) -> tuple[dict[str, Any], int]:
-    """What was found, in numbers, and how many cases are beyond tolerance."""
+    """A summary of the measurements, and the number of cases beyond tolerance."""
     from gapmes.model.training.lpips import default_weights
     from gapmes.service.shipped import sample_folder
 

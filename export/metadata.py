@@ -1,4 +1,4 @@
-"""What a file says about itself: the `gapmes.*` metadata."""
+"""The `gapmes.*` metadata of an exported file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NEAR_FAR_RULE = "z-depth range in the units of the poses; candidates are uniform
 def contract_metadata(
     network: Network, *, height: int, width: int, weights_sha256: str, licence: str, precision: str
 ) -> dict[str, str]:
-    """Everything but the tolerance, which verification adds."""
+    """All metadata but the tolerance, which verification adds; keys without the prefix."""
     return {
         "format": FORMAT,
         "preset": network.config.preset,
@@ -38,7 +38,7 @@ def contract_metadata(
 
 
 def add_metadata(model: onnx.ModelProto, values: Mapping[str, str]) -> None:
-    """Set `gapmes.*` metadata, sorted; what is there stays unless replaced, other keys go."""
+    """Set `gapmes.*` metadata in place, sorted; existing ones stay unless replaced, other keys are removed."""
     kept = {p.key: p.value for p in model.metadata_props if p.key.startswith("gapmes.")}
     kept.update({f"gapmes.{key}": value for key, value in values.items()})
     del model.metadata_props[:]

@@ -1,4 +1,4 @@
-"""Writing a model whole or not at all: large weights go into a file beside the graph, which every process can map."""
+"""Atomic writing of a model; large weights go into an external file, which all processes can map."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from onnx.external_data_helper import set_external_data
 
 from .metadata import add_metadata
 
-EXTERNAL_BYTES = 64 * 2**20  # of weights, from which on they go into a file of their own
+EXTERNAL_BYTES = 64 * 2**20  # total size from which on weights are stored externally
 LEAST_BYTES = 1024  # smaller tensors stay in the graph, where shape inference can read them
 ALIGNMENT = 4096  # bytes: whole pages, so that a tensor can be mapped by itself
 DIGEST = "external_sha256"  # of the file of weights, among the metadata
@@ -19,11 +19,11 @@ DIGITS = 12  # of it in that file's name
 
 
 def write_model(model: onnx.ModelProto, path: Path) -> None:
-    """Serialise deterministically; `model` itself is left as it is.
+    """Serialise `model` deterministically to `path`; `model` itself is not changed.
 
-    From `EXTERNAL_BYTES` of weights on they are in NAME.onnx.<first of their sha256>.data beside it. The graph names
-    that file and is replaced last, so that at any moment the graph that is there finds its own weights; those of the
-    graph before go then.
+    From `EXTERNAL_BYTES` on, weights are stored in NAME.onnx.<first digits of their sha256>.data beside it. The graph
+    is replaced last, so that at any moment the existing graph finds its own weights; then those of the previous graph
+    are deleted.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     changed = onnx.ModelProto()
@@ -48,14 +48,14 @@ def write_model(model: onnx.ModelProto, path: Path) -> None:
 
 
 def data_files(path: Path) -> list[Path]:
-    """The weights that belong to a model file, if it has any outside; those of a neighbour do not."""
+    """The external weights of the model file at `path`, not those of other models in the folder."""
     name = re.compile(rf"{re.escape(path.name)}\.[0-9a-f]{{{DIGITS}}}\.data")
     beside = path.parent.iterdir() if path.parent.is_dir() else ()
     return sorted(file for file in beside if name.fullmatch(file.name))
 
 
 def remove_model(path: Path) -> None:
-    """The graph and its weights, as far as they are there."""
+    """Delete the graph and its external weights, as far as they exist."""
     path.unlink(missing_ok=True)
     for data in data_files(path):
         data.unlink()
@@ -86,7 +86,7 @@ def _moved_outside(model: onnx.ModelProto, path: Path) -> Path:
 
 
 def _forget_digest(model: onnx.ModelProto) -> None:
-    """Of weights that a model was loaded with: they are in it now."""
+    """Remove the sha256 of external weights, which are inside the model once it is loaded."""
     kept = [entry for entry in model.metadata_props if entry.key != f"gapmes.{DIGEST}"]
     del model.metadata_props[:]
     model.metadata_props.extend(kept)

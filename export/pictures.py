@@ -1,4 +1,4 @@
-"""What two results look like: both are drawn, and the pictures compared."""
+"""Comparison of two results by their rendered pictures."""
 
 from __future__ import annotations
 
@@ -17,29 +17,30 @@ from gapmes.service.viewpoints.scene_views import NEAR_PLANE_SHARE
 
 from .cases import Case
 from .compare import comparable, jumped_rows
+from .graph import SceneInputs
 
 
 @dataclass(frozen=True)
 class PictureAgreement:
-    """How far the pictures of two results agree, at a pose half-way between the first two views."""
+    """Agreement of the pictures of two results, from half-way between the first two views."""
 
-    psnr: float  # dB, everything drawn as it is
-    without_jumps: float  # dB, with the reference's Gaussians in place of those that jumped
-    jumped: float  # share of those, among the Gaussians that no changed route reaches
+    psnr: float  # dB, of all Gaussians
+    without_jumps: float  # dB, with jumped Gaussians replaced by the reference's
+    jumped: float  # share of jumped Gaussians among those that no changed route affects
 
 
 def picture_agreement(
     values: Mapping[str, NDArray], reference: Mapping[str, NDArray], untouched: NDArray[np.bool_], case: Case
 ) -> PictureAgreement:
-    """Draw the Gaussians of both results, and of the first once more without jumps (`compare.jumped_rows`).
+    """Render both results, and the first once more without jumps (`compare.jumped_rows`).
 
-    `untouched` (G,) marks the Gaussians that no changed route reaches (`routes.untouched`): among them alone jumps are
-    counted and replaced. All values have to be finite.
+    `untouched` (G,) masks the Gaussians that no changed route affects (`routes.untouched`): jumps are counted and
+    replaced among these alone. All values must be finite.
     """
     near = float(case.inputs.near_far[0])
     jumped = jumped_rows(*comparable(values, reference, near), GAUSSIAN_OUTPUTS) & untouched
     smooth = {name: _replaced(values[name], reference[name], jumped) for name in GAUSSIAN_OUTPUTS}
-    camera = between(case)
+    camera = halfway_camera(case.inputs)
     truth = _drawn(reference, camera, near)
     whole, rest = (psnr(_drawn(result, camera, near), truth) for result in (values, smooth))
     return PictureAgreement(whole, rest, float(jumped.sum() / max(1, untouched.sum())))
@@ -56,10 +57,10 @@ def _drawn(result: Mapping[str, NDArray], camera: Camera, near: float) -> NDArra
     return np.clip(render(gaussians, camera, near=NEAR_PLANE_SHARE * near).rgb, 0, 1)
 
 
-def between(case: Case) -> Camera:
-    """The first camera moved half-way towards the second."""
-    height, width = case.inputs.images.shape[-2:]
-    k = case.inputs.intrinsics[0].double().numpy()
-    pose = case.inputs.world_from_cam[0].double().numpy().copy()
-    pose[:3, 3] = case.inputs.world_from_cam[:2, :3, 3].double().mean(0).numpy()
+def halfway_camera(inputs: SceneInputs) -> Camera:
+    """The first camera, moved half-way towards the second."""
+    height, width = inputs.images.shape[-2:]
+    k = inputs.intrinsics[0].double().numpy()
+    pose = inputs.world_from_cam[0].double().numpy().copy()
+    pose[:3, 3] = inputs.world_from_cam[:2, :3, 3].double().mean(0).numpy()
     return Camera.make(width, height, k[0, 0] * width, k[1, 1] * height, k[0, 2] * width, k[1, 2] * height, pose)

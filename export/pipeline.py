@@ -1,9 +1,10 @@
-"""Checkpoint to verified file: build, quantise if asked, verify in a process of its own, accept or reject."""
+"""From a checkpoint to a verified file: export, quantise on request, verify in a separate process, accept or reject."""
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -39,7 +40,7 @@ class VerificationBroken(RuntimeError):
 
 
 class ExportRejected(Exception):
-    """The file is beyond tolerance: it is kept under another name, with the report that says why."""
+    """The file is beyond tolerance; it is kept under another name, with its report."""
 
     def __init__(self, rejected: Path, report_path: Path, report: Report) -> None:
         self.rejected, self.report_path, self.report = rejected, report_path, report
@@ -53,13 +54,13 @@ class ExportRejected(Exception):
 
 @dataclass(frozen=True)
 class Exported:
-    """What an accepted export left on disk."""
+    """The files of an accepted export."""
 
     model: Path
     report_path: Path
     report: Report
-    fit: Fit | None  # what became of every tensor of a checkpoint that is not ours
-    fit_path: Path | None  # the same, in full, as a file
+    fit: Fit | None  # how every tensor of a foreign checkpoint was used
+    fit_path: Path | None  # the same as a file
     timings: dict[str, float]
 
 
@@ -74,15 +75,14 @@ def export_checkpoint(
     quick: bool = False,
     listener: Listener = silent,
 ) -> Exported:
-    """Export, verify and write `out` with its report beside it (`NAME.report.json`), and what became of each tensor of
-    a checkpoint that is not ours (`NAME.checkpoint.json`). While it is verified it is in a folder of its own. Of a link
-    it is the file behind it that is replaced, and what belongs beside the file is beside that one.
+    """Export, verify and write `out` with its report (`NAME.report.json`) and, for a foreign checkpoint, how each of
+    its tensors was used (`NAME.checkpoint.json`). A symbolic link is followed: its target is replaced, and the other
+    files are written beside the target.
 
-    Raises `ExportRejected` when a check fails: the file is then `NAME.rejected.onnx`, its report beside it, and `out`
-    is left as it was; before any work `InputError` where `out` or its report cannot be written, and where `out` is the
-    checkpoint; `CheckpointError` and `ValueError`
-    for a wrong checkpoint or size; `VerificationBroken` when there is no verdict. The last, as an interrupt, leaves
-    nothing behind.
+    Raises `ExportRejected` when a check fails: the file is then kept as `NAME.rejected.onnx` with its report, and `out`
+    is not changed. Raises `InputError`, before any work, where `out` or its report cannot be written or `out` is the
+    checkpoint; `CheckpointError` and `ValueError` for a wrong checkpoint or size; `VerificationBroken` when there is no
+    verdict. The last, like an interrupt, leaves no files.
     """
     _check_place(out, checkpoint)
     if out.is_symlink():
@@ -117,7 +117,7 @@ def export_checkpoint(
 
 
 def _check_place(out: Path, checkpoint: Path) -> None:
-    """Raises `InputError` where there can be no file at `out`, or no report; folders that are missing will be made."""
+    """Raises `InputError` where `out` or a file beside it cannot be written; missing folders are no error."""
     check_output_folder(out.parent)
     if out.is_dir():
         check_output_file(out)
@@ -135,7 +135,7 @@ def _check_place(out: Path, checkpoint: Path) -> None:
 def _verified(
     model: onnx.ModelProto, out: Path, checkpoint: Path, quick: bool, on_case: Callable[[int, int], None]
 ) -> Report:
-    """The verdict on a file in a folder of its own, which goes whatever comes of it."""
+    """Verify the model as a file in a temporary folder, which is always removed."""
     out.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f".{out.stem}-", dir=out.parent) as folder, unfinished(Path(folder)):
         candidate = Path(folder) / out.name
@@ -145,7 +145,7 @@ def _verified(
 
 
 def _kept(model: onnx.ModelProto, path: Path, report: Report) -> tuple[Path, Report]:
-    """Write the model and its report beside it: under this name its sum is another one."""
+    """Write the model and its report; the report gets the sha256 of the final file, whose weights have another name."""
     report_path = _report_path(path)
     with named(path):
         write_model(model, path)
@@ -184,7 +184,7 @@ def _verify_elsewhere(
     command = [sys.executable, "-m", "gapmes.export.verify", str(model)]
     command += ["--checkpoint", str(checkpoint), "--report", str(report), *(["--quick"] if quick else [])]
     command += ["--parent", str(os.getpid())]
-    # a file for its warnings: a pipe that nobody empties would stop it when full
+    # stderr goes to a file: a pipe that is not read would block the process when full
     with (
         TemporaryFile("w+") as errors,
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
@@ -194,9 +194,19 @@ def _verify_elsewhere(
                 on_case(done, json.loads(line)["total"])
             code = process.wait()
         except BaseException:
-            process.kill()  # of an interrupt it need not have heard
+            process.kill()  # it need not have received the interrupt
             raise
         if code not in (0, FAILED):
             errors.seek(0)
-            raise VerificationBroken(f"the verification process ended with {code}: {errors.read().strip()[-2000:]}")
+            raise VerificationBroken(_no_verdict(code, errors.read()))
     return Report.read(report)
+
+
+def _no_verdict(code: int, told: str) -> str:
+    """Why the verification process ended without a verdict: the last line of a traceback, or the signal."""
+    if code < 0:
+        cure = "; lack of memory may be why: take a smaller --size or --quick" if code == -signal.SIGKILL else ""
+        name = next((known.name for known in signal.Signals if known == -code), f"signal {-code}")
+        return f"the verification process was ended by {name}{cure}"
+    last = next((line.strip() for line in reversed(told.splitlines()) if line.strip()), "it does not say why")
+    return f"the verification process ended with {code}: {last}"

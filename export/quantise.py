@@ -1,7 +1,7 @@
-"""int8: the linear layers of the transformers in 8 bits; gates, convolutions and what decides the matching in float32.
+"""int8 quantisation of the transformers' linear layers; gates, convolutions and what decides matching stay float32.
 
-Weights are quantised per output channel at export, activations per tensor at run time. The gates themselves lose
-nothing, but what they read comes from quantised layers: some routes change, and the report counts them.
+Weights are quantised per output channel at export, activations per tensor at run time. The gates are exact, but their
+inputs come from quantised layers: some routes change, and the report counts them.
 """
 
 from __future__ import annotations
@@ -26,18 +26,20 @@ _CROSS_VIEW_BLOCK = re.compile(r"trunk\.cross_view\.(\d+)\.")
 
 
 def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
-    """The int8 variant of a float32 graph; raises `ValueError` when nothing could be quantised or a gate would be."""
+    """The int8 variant of a float32 graph. Raises `ValueError` when nothing was quantised, or a float32 part was."""
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder, "fp32.onnx"), Path(folder, "int8.onnx")
         bare = onnx.ModelProto()
         bare.CopyFrom(model)
         del bare.graph.value_info[:]  # the quantiser turns Gemm into MatMul, after which recorded shapes are stale
         onnx.save(bare, source)
-        logging.disable(logging.WARNING)  # it advises a preparation that the exporter has done already
+        before = logging.root.manager.disable
+        # it advises a preparation that the exporter has done already
+        logging.disable(max(before, logging.WARNING))
         try:
             _quantise(source, target, _float32_nodes(model))
         finally:
-            logging.disable(logging.NOTSET)
+            logging.disable(before)
         result = onnx.load(target)
     integer = [node for node in result.graph.node if node.op_type == "MatMulInteger"]
     if not integer:
@@ -65,7 +67,8 @@ def _quantise(source: Path, target: Path, float32_nodes: list[str]) -> None:
 
 
 def _float32_nodes(model: onnx.ModelProto) -> list[str]:
-    """Also products that no layer does, such as those with constants that are means: their modules hold others."""
+    """Names of the nodes that stay float32: those of the float32 parts, and matrix products outside of linear layers,
+    such as window means, which belong to modules that contain others."""
     modules = {n.name.rpartition("/")[0] for n in model.graph.node}
     parts = _float32_parts(model)
     holders = {module[:at] for module in modules for at, letter in enumerate(module) if letter == "."}
@@ -74,11 +77,11 @@ def _float32_nodes(model: onnx.ModelProto) -> list[str]:
         for n in model.graph.node
         if n.name.rpartition("/")[0] in holders or any(part in name for part in parts for name in (n.name, *n.input))
     ]
-    return names + [f"{name}_MatMul" for name in names]  # the names that the quantiser gives to what were Gemm nodes
+    return names + [f"{name}_MatMul" for name in names]  # the quantiser renames Gemm nodes so
 
 
 def _float32_parts(model: onnx.ModelProto) -> tuple[str, ...]:
-    """Substrings of the names of nodes and constants that keep float32, by the blocks that this graph has."""
+    """Substrings of the names of nodes and constants that stay float32, for the blocks of this graph."""
     blocks = {int(found[1]) for i in model.graph.initializer if (found := _CROSS_VIEW_BLOCK.search(i.name))}
     last = [f"trunk.cross_view.{max(blocks)}.{part}" for part in _ATTENTION] if blocks else []
     return (*_FLOAT32_PARTS, *last)

@@ -16,15 +16,15 @@ from .routes import RouteAgreement
 
 @dataclass(frozen=True)
 class CaseResult:
-    """One case: how far every output was off, how routes agreed, and what failed (nothing, when it passed)."""
+    """The result of one case: errors of the outputs, agreement of routes, and failures, none if it passed."""
 
     name: str
     gates: str
     views: int
     outputs: dict[str, Deviation] = field(default_factory=dict)
-    beside_float64: dict[str, BesideFloat64] = field(default_factory=dict)  # of outputs beyond a limit of float32
+    beside_float64: dict[str, BesideFloat64] = field(default_factory=dict)  # for outputs beyond a limit
     routes: RouteAgreement | None = None
-    picture: PictureAgreement | None = None  # of what is drawn from both results, where that was done
+    picture: PictureAgreement | None = None  # of the rendered results, where they were compared
     failures: list[str] = field(default_factory=list)
 
 
@@ -42,7 +42,7 @@ class Report:
         return bool(self.cases) and not any(case.failures for case in self.cases)
 
     def worst(self) -> dict[str, dict[str, float]]:
-        """Per output the largest maximum, p99 and mean over all cases: what goes into the file's metadata."""
+        """Per output the largest maximum, p99, mean and share of jumps over all cases, for the file's metadata."""
         result: dict[str, dict[str, float]] = {}
         for case in self.cases:
             for name, value in case.outputs.items():
@@ -54,7 +54,7 @@ class Report:
         return result
 
     def to_json(self) -> str:
-        """What is not finite is null: JSON has no word for it."""
+        """The report as JSON, with null for numbers that are not finite."""
         body = {"passed": self.passed, "worst": self.worst(), **asdict(self)}
         return json.dumps(_finite(body), indent=2, sort_keys=True, allow_nan=False) + "\n"
 
@@ -84,7 +84,7 @@ class Report:
 
 
 def _finite(value: Any) -> Any:
-    """The same with null for every number that is not finite."""
+    """`value` with None for every number that is not finite."""
     if isinstance(value, dict):
         return {key: _finite(entry) for key, entry in value.items()}
     if isinstance(value, list):
@@ -93,5 +93,5 @@ def _finite(value: Any) -> Any:
 
 
 def _read(value: dict[str, Any]) -> dict[str, Any]:
-    """A part of a report whose numbers are lacking where they were not finite."""
+    """Inverse of `_finite` for one object: infinity for None."""
     return {name: math.inf if number is None else number for name, number in value.items()}

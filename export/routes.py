@@ -1,4 +1,4 @@
-"""Do both runtimes route alike: which patches differ, which were undecided, and which outputs that touches."""
+"""Agreement of routes between two runtimes: patches that differ, undecided ones, and the outputs they affect."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class RouteAgreement:
-    """Patches whose experts or leading task differ, split by whether the logits decide."""
+    """Counts of patches whose experts or leading task differ; unambiguous where the logits are clearly apart."""
 
     patches: int
     flipped: int
@@ -27,14 +27,15 @@ class RouteAgreement:
 
 
 def ambiguous(logits: NDArray, deciding: int) -> Bools:
-    """(M,) patches where one of the first `deciding` gaps of sorted logits is within rounding of the largest one."""
+    """(M,) mask of patches where one of the first `deciding` gaps between sorted logits (M, c) is at most AMBIGUOUS_GAP
+    of the largest magnitude."""
     ordered = -np.sort(-logits, axis=-1)
     gaps = (ordered[:, :-1] - ordered[:, 1:])[:, :deciding].min(axis=-1, initial=np.inf)
     return gaps <= AMBIGUOUS_GAP * np.abs(logits).max(-1)
 
 
 def flipped_patches(values: Mapping[str, NDArray], reference: Mapping[str, NDArray], kept: Bools) -> Bools:
-    """(V, P) kept patches that took other experts, or another leading task."""
+    """(V, P) mask of kept patches with other experts or another leading task."""
     differs = np.zeros(kept.shape, dtype=np.bool_)
     if "expert_index" in reference:
         differs |= (values["expert_index"] != reference["expert_index"]).any(-1)
@@ -49,10 +50,10 @@ def agreement(flipped: Bools, undecided: Bools, kept: Bools) -> RouteAgreement:
 
 
 def untouched(flipped: Bools, height: int, width: int, gaussians: int) -> dict[str, Bools]:
-    """Which elements of each kind of output a flipped patch does not reach: "patch", "pixel", "gaussian".
+    """Masks of the elements that no flipped patch affects, by kind of output: "patch", "pixel", "gaussian".
 
-    A patch reaches its own pixels, through 3x3 convolutions the ones around it, and the cells of the backing layer that
-    lie behind either: one patch further on every side covers all of it.
+    A patch affects its own pixels, those around it through 3x3 convolutions, and the cells of the backing layer behind
+    them: a margin of one patch on every side covers all of these.
     """
     views = len(flipped)
     grid = flipped.reshape(views, height // PIXELS_PER_PATCH, width // PIXELS_PER_PATCH)

@@ -1,4 +1,4 @@
-"""Where the patches of photographs went: `python -m gapmes.export.routing_picture SCENE_DIR --out FILE.png`.
+"""A picture of the routes of patches: `python -m gapmes.export.routing_picture SCENE_DIR --out FILE.png`.
 
 Per photograph: the experts of each patch in order, its strongest task, and every task's weight as a map over it.
 """
@@ -25,12 +25,13 @@ from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.commands.output_file import check_output_file
 from gapmes.service.commands.selection import view_indices
 from gapmes.service.errors import GapmesError, InputError, ModelError
-from gapmes.service.network.engine import Arrays, Engine
 from gapmes.service.photographs.images import EncodedPhoto
 from gapmes.service.process.terminal import ProgressBars
 from gapmes.service.progress import Listener, silent
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.shipped import sample_folder
+
+from .recording_engine import RecordingEngine
 
 F32 = NDArray[np.float32]
 
@@ -54,13 +55,13 @@ _LEGEND: dict[str, Any] = {
 
 @dataclass(frozen=True, eq=False)
 class Routed:
-    """V photographs on the network's grid and the routes of their P patches, row by row; None for a gate it lacks.
+    """V photographs on the network's grid and the routes of their P patches, row-major; None for a missing gate.
 
-    A patch that was left out has weights 0.
+    Masked patches have weights 0.
     """
 
     photos: F32  # (V, 3, H, W) in [0, 1]
-    views: tuple[int, ...]  # places in the camera file
+    views: tuple[int, ...]  # indices in the camera file
     patch: int  # px
     experts: int
     expert_index: NDArray[np.int64] | None  # (V, P, k), best first
@@ -68,26 +69,10 @@ class Routed:
     task_weight: F32 | None  # (V, P, 4)
 
 
-class RecordingEngine(Engine):
-    """An engine that keeps what its last run saw and returned."""
-
-    def run(
-        self,
-        images: F32,
-        intrinsics: F32,
-        world_from_cam: F32,
-        near_far: F32,
-        patch_mask: NDArray[np.bool_],
-    ) -> Arrays:
-        self.images = images
-        self.last = super().run(images, intrinsics, world_from_cam, near_far, patch_mask)
-        return self.last
-
-
 def route(folder: Path, views: list[str], model: Path | None = None, listener: Listener = silent) -> Routed:
-    """Reconstruct a scene from some of its views and keep the routes.
+    """Reconstruct a scene from some of its views and return the routes.
 
-    Raises `GapmesError`: what the service refuses, and `ModelError` for a network that routes nothing.
+    Raises `GapmesError` as the service does, and `ModelError` for a network without gates.
     """
     scene = load_scene_folder(folder, lambda count: view_indices(",".join(views), count))
     engine = RecordingEngine(model)
@@ -110,7 +95,7 @@ def route(folder: Path, views: list[str], model: Path | None = None, listener: L
 
 
 def tinted(photo: F32, colours: NDArray[np.float64], patch: int) -> NDArray[np.float64]:
-    """(H, W, 3): the photograph (3, H, W) in grey under its patches' colours (P, 3); nan leaves a patch as it is."""
+    """(H, W, 3): the photograph (3, H, W) in grey, tinted by patch colours (P, 3); a patch of NaN is not changed."""
     height, width = photo.shape[1:]
     blocks = colours.reshape(height // patch, width // patch, 3).repeat(patch, axis=0).repeat(patch, axis=1)
     grey = np.tensordot([0.299, 0.587, 0.114], photo, axes=1)[..., None]
@@ -118,7 +103,7 @@ def tinted(photo: F32, colours: NDArray[np.float64], patch: int) -> NDArray[np.f
 
 
 def chosen_colours(choice: NDArray[np.int64], kept: NDArray[np.bool_], colours: list[str]) -> NDArray[np.float64]:
-    """(P, 3) the colour of each patch's choice (P,), nan where it is not kept (P,)."""
+    """(P, 3) the colour of each patch's choice (P,), NaN where the mask `kept` (P,) is False."""
     table = np.array([to_rgb(colour) for colour in colours])
     return np.where(kept[:, None], table[choice], np.nan)
 
@@ -129,7 +114,7 @@ def shares(choice: NDArray[np.int64], kept: NDArray[np.bool_], count: int) -> ND
 
 
 def expert_colours(count: int) -> list[str]:
-    """One colour per expert; beyond eight they come from the colour circle."""
+    """One colour per expert; more than eight are sampled from the hue circle."""
     if count <= len(EXPERT_COLOURS):
         return list(EXPERT_COLOURS[:count])
     return [to_hex(colormaps["hsv"](i / count)) for i in range(count)]
@@ -154,7 +139,7 @@ def view_rows(routed: Routed, view: int) -> list[list[Panel]]:
         for place in range(index.shape[1]):
             colours = chosen_colours(index[:, place], kept, expert_colours(routed.experts))
             mean = float(weight[kept, place].mean()) if kept.any() else 0.0
-            title = f"{ORDINALS[place]} expert, weight {mean:.2f}"
+            title = f"{_ordinal(place)} expert, weight {mean:.2f}"
             choices.append(Panel(title, tinted(photo, colours, patch)))
     if routed.task_weight is not None:
         weight = routed.task_weight[view]
@@ -191,6 +176,11 @@ def draw_routing(routed: Routed) -> Figure:
     return figure
 
 
+def _ordinal(place: int) -> str:
+    """The ordinal of a choice counted from 0, in words up to the eighth."""
+    return ORDINALS[place] if place < len(ORDINALS) else f"{place + 1}th"
+
+
 def _expert_legend(axes: Axes, routed: Routed) -> None:
     axes.set_axis_off()
     if routed.expert_index is None or routed.expert_weight is None:
@@ -202,7 +192,7 @@ def _expert_legend(axes: Axes, routed: Routed) -> None:
         Patch(color=colour, label=f"expert {e}: " + ", ".join(f"{100 * share[e]:.0f} %" for share in places))
         for e, colour in enumerate(expert_colours(routed.experts))
     ]
-    title = f"experts: share of patches, {', '.join(ORDINALS[: len(places)])}"
+    title = f"experts: share of patches, {', '.join(map(_ordinal, range(len(places))))}"
     axes.legend(handles=handles, title=title, **_LEGEND, ncols=1 + (len(handles) > 4))
 
 

@@ -1,4 +1,4 @@
-"""Scenes to verify with: random, and hostile ones that provoke ties, empty experts and flat matching."""
+"""Scenes for verification: random ones, and degenerate ones with ties, idle experts and ambiguous matching."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from gapmes.model.config import PIXELS_PER_PATCH
 from .graph import SceneInputs
 
 FLAT = ("black", "white", "grey")  # names of the hostile scenes whose images have one colour
-# Names of those where no plane fits: noise matches nowhere, and under the far range the whole scene lies between two.
+# Names of those where no plane matches: noise, and a far range whose planes all miss the scene.
 UNDETERMINED = ("noise", "far range")
 
 
 def rotation_y(angle: float) -> torch.Tensor:
-    """(3, 3) turn about the camera's y axis."""
+    """(3, 3) rotation about the y axis by `angle` in radians."""
     c, s = math.cos(angle), math.sin(angle)
     return torch.tensor([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
@@ -39,7 +39,7 @@ def random_scene(views: int, height: int, width: int, *, seed: int) -> SceneInpu
 
 
 def hostile_scenes(views: int, height: int, width: int) -> dict[str, SceneInputs]:
-    """Inputs where something is degenerate; every output must stay finite and equal between the two runtimes."""
+    """Degenerate inputs by name, for which outputs must be finite and agree between the two runtimes."""
     base = random_scene(views, height, width, seed=views)
     generator = torch.Generator().manual_seed(100 + views)
 
@@ -64,5 +64,6 @@ def hostile_scenes(views: int, height: int, width: int) -> dict[str, SceneInputs
 
 
 def all_patches(views: int, height: int, width: int) -> torch.Tensor:
+    """(V, P) a patch mask that keeps everything."""
     count = (height // PIXELS_PER_PATCH) * (width // PIXELS_PER_PATCH)
     return torch.ones(views, count, dtype=torch.bool)

@@ -1,4 +1,4 @@
-"""The size of a network's pictures: `256` for a square, `256x336` for height and width, in px."""
+"""The input size of a network in px: `256` for a square, `256x336` for height and width."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Size(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Size:
-        """Raises `InputError` for what is neither a side nor HEIGHTxWIDTH, below `LEAST` and above `MOST`."""
+        """Parse SIDE or HEIGHTxWIDTH. Raises `InputError` for other text and for sides outside `LEAST` to `MOST`."""
         found = re.fullmatch(r"(\d+)(?:x(\d+))?", text, re.ASCII)
         if not found:
             raise InputError(f"{text!r} is no size", field="size", cure="give a side, 256, or HEIGHTxWIDTH, 256x336")
@@ -35,14 +35,14 @@ class Size(NamedTuple):
         return size
 
     def misfit(self, step: int) -> str | None:
-        """What is wrong with it for a network whose sides are multiples of `step` px, or nothing."""
+        """Why the size does not suit a network whose sides are multiples of `step` px; None where it does."""
         for name, side in zip(self._fields, self, strict=True):
             if side < LEAST or side % step:
                 return f"{name} is {side} px, need a multiple of {step} of at least {LEAST}"
         return None
 
     def order(self) -> tuple[int, int, int]:
-        """More pixels come later."""
+        """Sort key: number of pixels, then height and width."""
         return (self.height * self.width, *self)
 
     @property

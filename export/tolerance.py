@@ -1,17 +1,17 @@
-"""How far an exported file may be from torch, with the reason for every number.
+"""Tolerances for the errors of an exported file against torch, with the reason for every number.
 
 Errors are in units of the output's largest magnitude in the torch run, in the units of a picture
-(`compare.image_units`) and outside what a changed route reaches. Two budgets are kept apart. The 99th percentile and
-the mean bound the smooth part, which is rounding or quantisation. The share of jumps bounds what rounding tips over an
-edge of the definition: a sample that falls exactly on an image border counts as seen or not. The largest error is
-reported and not limited, since a jump has no size limit of its own. For the same reason there are two pictures: one of
-everything, and one with torch's Gaussians in place of those that jumped, which has to agree more closely.
+(`compare.image_units`), and elements affected by a changed route are excluded. Two kinds of error are limited apart.
+The 99th percentile and the mean bound the smooth part, which is rounding or quantisation. The share of jumps bounds
+elements where rounding crosses a discontinuity of the definition: a sample exactly on an image border is inside or not.
+The largest error is reported and not limited, since a jump has no bound. For the same reason two pictures are compared:
+one of everything, and one with torch's Gaussians in place of those that jumped, under a stricter limit.
 
-Where planes tie, as many do where none fits, a rounding of 1e-7 in a score decides between them
-(`model/evidence.py`), then which of its neighbours' depths a pixel takes (`model/behind.py`). There torch in float32 is
-as far from the truth as the exported file, and being near to it means little. So what is beyond a limit in float32 is
-judged by torch in float64: the exported file may be `rounding_factor` times as far from that as torch in float32 is, up
-to a ceiling.
+Where planes tie, as many do where none matches, a rounding error of 1e-7 in a score decides between them
+(`model/evidence.py`), and then which of its neighbours' depths a pixel takes (`model/behind.py`). There torch in
+float32 is as inaccurate as the exported file, and agreement with it means little. Errors beyond a limit are therefore
+judged against torch in float64: the exported file may have `rounding_factor` times the error of torch in float32, up to
+a ceiling.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Tolerance:
     rounding_ceilings: Ceilings = field(default_factory=lambda: CEILINGS)  # and no farther than this
 
     def of_rounding(self, what: str, torch: float) -> float:
-        """How far from float64 the exported file may be where torch in float32 is so far from it."""
+        """The largest error `what` against float64 that is allowed where that of torch in float32 is `torch`."""
         return min((self.rounding_factor or 0.0) * torch, self.rounding_ceilings[what])
 
     def of_output(self, name: str) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""The network of a checkpoint as a file shall compute it: which one, experts per patch, whether nothing is skipped."""
+"""Variants of a checkpoint's network for export: architecture, experts per patch, dense or sparse computation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gapmes.model.depthsplat.network import DepthSplat
 
 @dataclass(frozen=True)
 class Variant:
-    """What is asked for beside the checkpoint's own configuration."""
+    """Settings of an export beside the checkpoint's own configuration."""
 
     top_k: int | None = None  # experts per patch, of those it was trained with
     keep_all: bool = False  # every expert on every patch, every pair of views on every plane
@@ -23,7 +23,7 @@ class Variant:
 
     @staticmethod
     def of(config: NetworkConfig) -> Variant:
-        """What a file's configuration says that it computes; `keep_all` changes no result."""
+        """The variant that an exported file's configuration describes, without `keep_all`, which changes no result."""
         if isinstance(config, DepthSplatConfig):
             return Variant(architecture="depthsplat", compatibility=config.compatibility, scale_max=config.scale_max)
         return Variant(None if config.without_experts else config.top_k)

@@ -1,7 +1,8 @@
 """Verify an exported file against torch; run as a process of its own, since onnxruntime keeps its memory.
 
 `python -m gapmes.export.verify MODEL --checkpoint FILE --report FILE` prints one JSON event per case and exits with 0
-when every case passed, 3 when one did not. With `--parent` it ends when that process does.
+when every case passed, 3 when one did not, 1 where a file cannot be used, such as another checkpoint than the model's.
+With `--parent` it ends when that process does.
 """
 
 from __future__ import annotations
@@ -21,14 +22,17 @@ import torch
 
 from gapmes.model.architectures import Network, config_from_json
 from gapmes.model.config import ModelConfig
+from gapmes.model.overflow import overflow
 from gapmes.model.weights_file import file_sha256
+from gapmes.service.errors import ModelError
 from gapmes.service.network.contract import INPUTS, REQUIRED_OUTPUTS
+from gapmes.service.network.model_file import ModelFile, model_file
 from gapmes.service.process.with_parent import end_with_parent
 
 from .cases import Case, verification_cases
 from .deviations import LEFT, BesideFloat64, beside_float64, deviations, share_left, untouched_elements
 from .gate_settings import GateSetting, gate_values, with_gates
-from .graph import evaluated
+from .graph import SceneGraph, evaluated
 from .pictures import PictureAgreement, picture_agreement
 from .report import CaseResult, Report
 from .routes import agreement, ambiguous, flipped_patches
@@ -45,7 +49,7 @@ def verify(
     tolerance: Tolerance,
     on_case: Callable[[CaseResult], None] = lambda _: None,
 ) -> list[CaseResult]:
-    """Run every case through both runtimes, one graph at a time."""
+    """Run every case in both runtimes, in order; `cases` must be grouped by gate setting, one session for each."""
     results = []
     gated = network.gates is not None
     trained = gate_values(network, "as trained") if gated else {}
@@ -61,7 +65,7 @@ def verify(
 
 
 def _session(model: onnx.ModelProto, network: Network, gates: GateSetting) -> onnxruntime.InferenceSession:
-    """A session of the graph under a gate setting; sets the torch network's gates alike."""
+    """A session of the graph under a gate setting, which is applied to the torch network too."""
     if gates != "as trained":
         values = gate_values(network, gates)
         model = with_gates(model, values)
@@ -73,19 +77,26 @@ def _session(model: onnx.ModelProto, network: Network, gates: GateSetting) -> on
 
 
 def _run(case: Case, session: onnxruntime.InferenceSession, network: Network, tolerance: Tolerance) -> CaseResult:
-    """One case. Routes may differ as trained alone: gates that were set give both runtimes the same constants, and ties
-    go to the lowest index in both."""
+    """Compare one case. Routes may differ only with trained gates: under a gate setting both runtimes have equal
+    logits, and ties go to the lowest index in both."""
     if case.flat:
         tolerance = tolerance.for_flat_images()
     elif case.undetermined:
         tolerance = tolerance.for_undetermined_matching()
+    result = CaseResult(case.name, case.gates, case.views)
     logits = _GateLogits(network)
-    with logits:
-        reference = evaluated(network, case.inputs, torch.float32)
+    try:
+        with logits:
+            reference = evaluated(network, case.inputs, torch.float32)
+    except (IndexError, RuntimeError):
+        if told := _torch_overflow(network, case):
+            return replace(result, failures=told)
+        raise
+    if not all(np.isfinite(value).all() for value in reference.values()):
+        return replace(result, failures=_torch_overflow(network, case) or ["torch: numbers that are not finite"])
     names = tuple(reference)
     feed = {name: value.numpy() for name, value in zip(INPUTS, case.inputs.tensors(), strict=True)}
     values = dict(zip(names, session.run(list(names), feed), strict=True))
-    result = CaseResult(case.name, case.gates, case.views)
     wrong = [
         f"{n}: shape is {values[n].shape}, need {reference[n].shape}"
         for n in names
@@ -137,8 +148,15 @@ def _run(case: Case, session: onnxruntime.InferenceSession, network: Network, to
     return replace(result, failures=failures)
 
 
+def _torch_overflow(network: Network, case: Case) -> list[str]:
+    """A failure that names the layer where torch itself overflows, if it does."""
+    graph = SceneGraph(network).eval()
+    found = overflow(network, lambda: graph(*case.inputs.tensors()))
+    return [f"torch: {found}"] if found else []
+
+
 def picture_failures(found: PictureAgreement, tolerance: Tolerance) -> list[str]:
-    """What is beyond the limits of the whole picture, of the one without jumps, and of the share that jumped."""
+    """Failures of the whole picture, of the one without jumps, and of the share of jumped Gaussians."""
     failures = []
     for what, psnr, least in (
         ("picture", found.psnr, tolerance.picture_psnr),
@@ -152,7 +170,7 @@ def picture_failures(found: PictureAgreement, tolerance: Tolerance) -> list[str]
 
 
 class _GateLogits:
-    """Records both gates' logits of one torch run."""
+    """A context that records the logits of both gates in a torch run."""
 
     def __init__(self, network: Network) -> None:
         gates = network.gates
@@ -171,14 +189,32 @@ class _GateLogits:
             hook.remove()
 
     def undecided(self, network: Network) -> np.ndarray:
-        """(M,) patches whose logits leave the route to rounding."""
+        """(M,) mask of patches whose route rounding may decide."""
         assert isinstance(network.config, ModelConfig)  # the only one with gates
         deciding = {"expert": network.config.top_k, "task": 1}
         return np.any([ambiguous(logits, deciding[name]) for name, logits in self.found.items()], axis=0)
 
 
+def _what_it_must_be(file: ModelFile, checkpoint: Path) -> tuple[Tolerance, Network]:
+    """The tolerance and the torch network for a file. Raises `ValueError` for another checkpoint than its own and for
+    unusable metadata, `ModelError` for external weights of another graph, and `OSError`."""
+    if file.info.precision not in TOLERANCES:
+        raise ValueError(f"{file.path}: gapmes.precision is {file.info.precision!r}, need {' or '.join(TOLERANCES)}")
+    if file.weights is not None:
+        file.weights.check()
+    if (found := file_sha256(checkpoint)) != file.info.weights_sha256:
+        raise ValueError(
+            f"{checkpoint} has the sha256 {found}, {file.path} was made from {file.info.weights_sha256}: give that file"
+        )
+    try:
+        variant = Variant.of(config_from_json(json.dumps(file.info.config)))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{file.path} has a gapmes.config that this version cannot build: {error!r}") from error
+    return TOLERANCES[file.info.precision], load_variant(checkpoint, variant).network
+
+
 def versions() -> dict[str, str]:
-    """Versions that a figure depends on."""
+    """Versions of the packages that results depend on."""
     return {
         "torch": torch.__version__,
         "onnx": onnx.__version__,
@@ -197,20 +233,22 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.parent is not None:
         end_with_parent(options.parent)
-    model = onnx.load(options.model)
-    metadata = {p.key: p.value for p in model.metadata_props}
-    precision = metadata["gapmes.precision"]
-    height, width = int(metadata["gapmes.height"]), int(metadata["gapmes.width"])
-    network = load_variant(options.checkpoint, Variant.of(config_from_json(metadata["gapmes.config"]))).network
-    cases = list(verification_cases(height, width, quick=options.quick))
+    try:
+        file = model_file(options.model)
+        tolerance, network = _what_it_must_be(file, options.checkpoint)
+        model = onnx.load(options.model)
+    except (ModelError, ValueError, OSError) as error:
+        sys.stderr.write(f"refused: {error}\n")
+        return 1
+    cases = list(verification_cases(file.info.height, file.info.width, quick=options.quick))
 
     def tell(result: CaseResult) -> None:
         event = {"total": len(cases), "case": result.name, "views": result.views, "failures": result.failures}
         sys.stdout.write(json.dumps(event) + "\n")
         sys.stdout.flush()
 
-    results = verify(model, network, cases, TOLERANCES[precision], tell)
-    report = Report(file_sha256(options.model), precision, versions(), results)
+    results = verify(model, network, cases, tolerance, tell)
+    report = Report(file.info.file_sha256, file.info.precision, versions(), results)
     report.write(options.report)
     return 0 if report.passed else FAILED
 

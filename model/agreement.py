@@ -1,7 +1,7 @@
-"""The second look at half resolution: finer matching, and whether the other views' depths agree with this one's.
+"""Cross-view depth consistency at half resolution: cues of whether the other views' depths agree with this one's.
 
-A surface point that a source view looks straight through (its own depth there is farther) is wrong or floats; one that
-lies behind the source's surface is merely hidden. The refinement and the heads see that as numbers.
+A surface point in front of the depth that a source view has there is wrong (a floater); one behind it is merely
+occluded. The refinement reads this as feature channels.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ SOFTNESS = 0.2  # of tanh: width of the passage from confirmed to not
 def agreement_cues(inverse: Tensor, colours: Tensor, views: Views) -> Tensor:
     """(B*V, CUES, h, w) of normalised inverse depths (B*V, 1, h, w) and colours (B*V, 3, h, w); no gradient flows.
 
-    Over the other views that have the point in frame: the mean signed difference to their depth (positive where they
-    look through the point), the strongest look through it, the mean absolute difference of colour; and their share.
+    Over the other views that have the point in frame: the mean signed difference to their depth (positive where the
+    point is in front of it), the largest positive one, the mean absolute difference of colour; and their share.
     """
     inverse, colours = inverse.detach(), colours.detach()
     n, _, h, w = inverse.shape
@@ -56,8 +56,8 @@ def agreement_cues(inverse: Tensor, colours: Tensor, views: Views) -> Tensor:
 def confirmation(cues: Tensor) -> Tensor:
     """(n, 1, h, w) of `agreement_cues` (n, CUES, h, w): 1 where the views that have the point in frame agree, else 0.
 
-    The passage is a ramp: a threshold would turn rounding into whole windows of other depths, and what is not confirmed
-    must weigh exactly nothing, since far depths outweigh near ones without limit.
+    The transition is a ramp: a threshold would amplify rounding to whole windows of other depths. Unconfirmed points
+    have a weight of exactly 0, since far depths outweigh near ones without limit.
     """
     limit = math.tanh(SHARPNESS * CONFIRMED)
     return (0.5 + (limit - cues[:, :1].abs()) / SOFTNESS).clamp(0, 1) * (cues[:, 3:] > 0).to(cues.dtype)

@@ -35,9 +35,9 @@ def backing_layer(images: Tensor, inverse: Tensor, views: Views, keep: Tensor, c
     images, inverse = images.detach(), inverse.detach()
     height, width = images.shape[-2:]
     cell_far = -F.max_pool2d(-inverse, CELL)
+    weight = torch.exp(-(inverse - F.interpolate(cell_far, size=(height, width))) * FAR_PREFERENCE)  # 1 at its farthest
+    colour = F.avg_pool2d(images * weight, CELL) / F.avg_pool2d(weight, CELL)
     far = -F.max_pool2d(-replicate_pad(cell_far, 1), 3, stride=1)
-    weight = torch.exp(-(inverse - F.interpolate(far, size=(height, width))) * FAR_PREFERENCE)
-    colour = F.avg_pool2d(images * weight, CELL) / F.avg_pool2d(weight, CELL).clamp(min=1e-6)
     colour, far = replicate_pad(colour, MARGIN), replicate_pad(far, MARGIN).clamp(min=0)
     kept = replicate_pad((F.avg_pool2d(keep, CELL) >= 0.5).to(images.dtype), MARGIN)
     depth = 1 / (views.inverse_depth(far) * PUSH_BACK)

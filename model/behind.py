@@ -13,11 +13,11 @@ FAR_PREFERENCE = 25.0  # weight e^-25 per unit of normalised inverse depth
 
 
 def filled_from_behind(inverse: Tensor, confirmed: Tensor) -> Tensor:
-    """(n, 1, h, w) of normalised inverse depth in 0..1: the less confirmed (0..1), the more of the far confirmed
-    depths nearby.
+    """Normalised inverse depth (n, 1, h, w) in 0..1, with unconfirmed values replaced by far confirmed ones nearby.
 
-    What is hidden in another view lies behind its neighbours. Smaller windows come first, larger ones take what they
-    leave; where even the largest has nothing confirmed, the depth stays. Continuous in both arguments.
+    `confirmed` (n, 1, h, w) in 0..1 is the weight of the original value. Surfaces that are occluded in another view lie
+    behind their neighbours. Small windows are used first, larger ones where these hold too few confirmed pixels; where
+    the largest holds none, the value stays. Continuous in both arguments.
     """
     weight = confirmed * torch.exp(-FAR_PREFERENCE * inverse)
     left, filled = torch.ones_like(inverse), torch.zeros_like(inverse)

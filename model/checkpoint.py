@@ -13,11 +13,12 @@ from torch import Tensor
 
 from .config import PRESETS, ModelConfig
 from .network import GaPMeS
+from .overflow import refuse_overflow
 from .pretrained.files import read_tensors
 from .pretrained.recognise import looks_like
 from .saved_tensors import save_tensors
 from .tensor_checks import refuse_non_finite, refuse_other_kinds
-from .weights_file import CheckpointError
+from .weights_file import CheckpointError, why_no_file
 
 WEIGHTS_LICENCE = "MIT"
 SHIPPED = Path(__file__).parent / "weights"
@@ -44,10 +45,9 @@ def save_checkpoint(path: Path, model: GaPMeS, *, extra: dict[str, str] | None =
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """What a checkpoint says of itself; raises `CheckpointError`, which tells what another file looks like."""
+    """The metadata of a checkpoint. Raises `CheckpointError` for another file, naming what it seems to be."""
     if not path.is_file():
-        wrong = "is a folder, give the .safetensors file in it" if path.is_dir() else "no such file"
-        raise CheckpointError(f"{path}: {wrong}")
+        raise CheckpointError(why_no_file(path))
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
@@ -59,7 +59,7 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def _likely(path: Path) -> str:
-    """What else a file may be, or why it is none, as the end of a sentence; nothing where it cannot be told."""
+    """What a file that is no checkpoint seems to be, as the end of a sentence; empty if unknown."""
     try:
         tensors = read_tensors(path).tensors
     except CheckpointError as error:
@@ -70,7 +70,7 @@ def _likely(path: Path) -> str:
 
 
 def _preset_of(tensors: Mapping[str, Tensor]) -> str:
-    """The preset whose tensors have just these names and shapes, or nothing."""
+    """The preset with exactly these tensor names and shapes, or an empty string."""
     shapes = {name: value.shape for name, value in tensors.items()}
     for name, config in PRESETS.items():
         with torch.device("meta"):
@@ -98,8 +98,8 @@ def read_config(path: Path) -> ModelConfig:
 def load_checkpoint(path: Path) -> GaPMeS:
     """Build the network that the file describes and load every tensor strictly, in float32 and evaluation mode.
 
-    Raises `CheckpointError` that names what is missing, unexpected or misshapen, is not in floating point, or has
-    numbers that are not finite.
+    Raises `CheckpointError` that names what is missing, unexpected or misshapen, is not in floating point, has
+    numbers that are not finite, or computes some.
     """
     config = read_config(path)
     expected, tensors = _tensors_of(path, config), load_file(path)
@@ -124,11 +124,13 @@ def load_checkpoint(path: Path) -> GaPMeS:
     kept = ("gapmes.licence", "gapmes.backbones")
     model.provenance = {key: value for key, value in read_metadata(path).items() if key in kept}
     model.load_state_dict(weights)
-    return model.eval()
+    refuse_overflow(path, model.eval())
+    return model
 
 
 def _tensors_of(path: Path, config: ModelConfig) -> Mapping[str, Tensor]:
-    """By name, of the network that the file at `path` describes, on no device: whatever its sizes, without memory."""
+    """The state dict of the network of `config` on the meta device, which takes no memory. Raises `CheckpointError`
+    for a configuration that no network has."""
     try:
         with torch.device("meta"):
             return GaPMeS(config).state_dict()

@@ -9,14 +9,15 @@ from typing import Any
 PIXELS_PER_CELL = 4  # the paper's s = 4: the aligned grid has a quarter of the input resolution
 CELLS_PER_PATCH = 4  # a routed patch is 4 x 4 cells, that is 16 x 16 pixels
 PIXELS_PER_PATCH = PIXELS_PER_CELL * CELLS_PER_PATCH
-MOST = 4096  # of anything that is counted; networks of this kind have a third of it
-MOST_BLOCKS = 128  # of what is built one by one
+MOST = 4096  # upper limit of all counts; networks of this kind have a third of it
+MOST_BLOCKS = 128  # upper limit of the counts in ONE_BY_ONE, which are built module by module
 ONE_BY_ONE = ("layers", "cross_view_blocks", "experts")
 COLDEST, HOTTEST = 1e-3, 1e3  # of the gates: logits in float32 are divided by it
 MAX_DEGREE = 3  # of spherical harmonics
 NAMES = ("tiny", "small", "base")
 TRUNKS = ("light", "full")
-MAY_BE_NONE = ("eighth_channels", "cross_view_blocks", "sh_degree", "top_k")  # top_k without experts
+# Lower limits of counts; 1 for all others. Without experts top_k may be 0; one plane has no spacing.
+LEAST = {"eighth_channels": 0, "cross_view_blocks": 0, "sh_degree": 0, "top_k": 0, "depth_planes": 2}
 
 
 @dataclass(frozen=True)
@@ -108,9 +109,9 @@ def _object(name: str, value: Any) -> dict[str, Any]:
 
 
 def _check_kinds(config: VitConfig | ModelConfig) -> None:
-    """Switches true or false; all counts whole numbers, those without which there is no network at least 1."""
+    """Raises `ValueError` unless switches are booleans and counts are whole numbers within their limits."""
     for field in fields(config):
-        value, least = getattr(config, field.name), 0 if field.name in MAY_BE_NONE else 1
+        value, least = getattr(config, field.name), LEAST.get(field.name, 1)
         if field.type == "bool" and type(value) is not bool:
             raise ValueError(f"{field.name} is {value!r}, need true or false")
         most = MOST_BLOCKS if field.name in ONE_BY_ONE else MOST

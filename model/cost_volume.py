@@ -12,8 +12,8 @@ from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, ri
 from .layers import replicate_pad
 from .warp import Warp
 
-# The correlation map of one pair is (h*w)^2 numbers: 67 MB at 64 x 64. Rows of the reference are taken in this many
-# pieces, one after the other, which divides the peak memory and changes no number.
+# The correlation map of one pair has (h*w)^2 entries: 67 MB at 64 x 64. It is computed in this many pieces of rows of
+# the reference, which divides the peak memory and changes no result.
 SWEEP_PIECES = 8
 
 
@@ -47,8 +47,8 @@ class Views:
 
     @torch.no_grad()
     def warp(self, height: int, width: int) -> Warp:
-        """Pixels of height x width, rays (m, 1, height * width), in all m = B*V*(V-1) ordered pairs of views; made once
-        for each size. No gradient flows to the cameras."""
+        """The warp of a height x width grid, rays (m, 1, height * width), between all m = B*V*(V-1) ordered pairs of
+        views; cached by size. No gradient flows to the cameras."""
         if (height, width) not in self._warps:
             others = self.count - 1
             reference_pose = repeat_for_pairs(self.world_from_cam, others).reshape(-1, 4, 4)
@@ -133,12 +133,12 @@ def local_matching(features: list[Tensor], candidates: Tensor, views: Views) -> 
     seen = mask.reshape(-1, others, count, h * w).sum(1)
     widths = [feature.shape[1] for feature in features]
     channels = sum(widths)
-    # all feature maps at once: finding a sample's place costs more than reading it
+    # all feature maps at once: computing sample positions costs more than reading samples
     per_view = torch.cat(features, dim=1).reshape(-1, views.count, channels, h, w)
     source = other_views(per_view).reshape(-1, channels, h, w)
     reference = repeat_for_pairs(per_view, others).reshape(-1, channels, 1, h * w)
     each: list[list[Tensor]] = [[] for _ in features]
-    # one candidate after the other: all of them at once are K times as many numbers as the feature maps have
+    # candidate by candidate: all at once would take K times the memory of the feature maps
     for at in grid.split(1, dim=1):
         products = reference * F.grid_sample(source, at, mode="bilinear", padding_mode="zeros", align_corners=False)
         for scores, part in zip(each, products.split(widths, dim=1), strict=True):

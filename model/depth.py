@@ -1,4 +1,4 @@
-"""Depth from matching: fixed evidence, filled from behind, two learned refinements among candidates, upsampling."""
+"""Depth from matching: fixed evidence, occlusion filling, two learned refinements over candidates, upsampling."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ class DepthEstimate:
 
 
 class DepthFromMatching(nn.Module):
-    """Fixed evidence gives the first depth; learned features, ZNCC and evidence vote in its refinements.
+    """Fixed evidence gives the initial depth; learned features, ZNCC and evidence score the refinements' candidates.
 
-    In a training step that is `withheld` there is no evidence: the network's own coarse depth comes first, and the
-    learned features and ZNCC vote everywhere, also where the views do not confirm it.
+    In a training step that is `withheld` there is no evidence: the network's own coarse depth is the initial one, and
+    the scores of learned features and ZNCC count everywhere, also where the views do not confirm the depth.
     """
 
     def __init__(self, config: ModelConfig, mono_channels: int) -> None:
@@ -119,7 +119,7 @@ class DepthFromMatching(nn.Module):
                 dim=1,
             )
         )
-        # what is hidden in the other views matches nothing in them: there only the network speaks
+        # where a surface is occluded in the other views, matching scores are meaningless: only the network's count
         refined = _moved(filled, candidates, self.refine_logits(guide) + (votes if alone else votes * sure))
 
         candidates = self._around(refined, self.second_candidates, SECOND_REACH)
@@ -131,13 +131,13 @@ class DepthFromMatching(nn.Module):
 
     @torch.no_grad()
     def _evidence(self, colours: Tensor, views: Views, *, nothing: bool) -> Tensor:
-        """(n, D, h, w) `matching_evidence` of pictures (n, 3, h, w), or as much of nothing."""
+        """(n, D, h, w) `matching_evidence` of pictures (n, 3, h, w); zeros if `nothing`."""
         if nothing:
             return colours.new_zeros(colours.shape[0], self.planes, *colours.shape[-2:])
         return matching_evidence(colours, views, self.planes, sparse=self.sparse)
 
     def _first_depth(self, evidence: Tensor, bins: Tensor) -> Tensor:
-        """(n, 1, h, w) inverse depth, as a share of the range, that evidence (n, D, h, w) is for."""
+        """(n, 1, h, w) normalised inverse depth: the soft argmax of evidence (n, D, h, w) over the `bins` (D,)."""
         return softmax_mean(evidence * self.evidence_sharpness[1], bins)
 
     def _around(self, centre: Tensor, count: int, reach: float) -> Tensor:
@@ -148,7 +148,7 @@ class DepthFromMatching(nn.Module):
     def _match(
         self, matched: list[Tensor], evidence: Tensor, candidates: Tensor, views: Views, stage: int
     ) -> tuple[Tensor, Tensor]:
-        """Scores (n, 4 K, h, w) for a network to read, and the votes (n, K, h, w) that they cast themselves."""
+        """Matching scores (n, 4 K, h, w) as network input, and their weighted sum (n, K, h, w) as logits."""
         (learned, zncc), seen = local_matching(matched, candidates, views)
         fixed = at_candidates(evidence, candidates)
         votes = learned * self.learned_sharpness[stage] + zncc * self.zncc_sharpness[stage]
@@ -166,6 +166,5 @@ class DepthFromMatching(nn.Module):
 
 
 def _moved(centre: Tensor, candidates: Tensor, logits: Tensor) -> Tensor:
-    """The centre (n, 1, h, w) moved to the candidates' mean; clamped candidates coincide, so each votes for where it
-    really lies."""
+    """The centre (n, 1, h, w) moved to the softmax mean of the candidates, whose clamped values are averaged."""
     return centre + (softmax_of_channels(logits) * (candidates - centre.detach())).sum(1, keepdim=True)

@@ -1,7 +1,7 @@
 """Matching that needs no training: normalised correlation and colour on planes at half resolution, edge-aware.
 
-The cost volume of classical stereo: small windows are compared on every plane, and a guided filter gathers the costs
-within what looks like one surface. It does not know what resolution the network was trained at.
+The cost volume of classical stereo: small windows are compared on every plane, and a guided filter aggregates scores
+within regions of similar colour. It is independent of the resolution that the network was trained at.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from .windows import mean_with_repeated_border
 
 WINDOW_RADIUS = 2  # px at half resolution: correlation in windows of 5 x 5
 GUIDE_RADIUS, GUIDE_EPSILON = 4, 1e-3  # px and variance of grey: weaker edges are smoothed across
-COLOUR_LIMIT = 0.15  # absolute difference from which two colours are as different as can be
-FLAT = 1e-3  # geometric mean of two variances: below it windows count as ever less correlated
-UNSEEN = 0.6  # of 0 (different) .. 1 (equal): less than a match, more than a clear mismatch
+COLOUR_LIMIT = 0.15  # truncation of the absolute colour difference
+FLAT = 1e-3  # floor of the geometric mean of two variances: it damps the correlation of flat windows
+UNSEEN = 0.6  # score, 0 to 1, outside of the source: less than a match, more than a clear mismatch
 
 
 def matching_evidence(images: Tensor, views: Views, planes: int, *, sparse: bool = True) -> Tensor:
-    """(B*V, D, h, w) in about 0..1, how well each plane uniform in inverse depth matches the other views.
+    """(B*V, D, h, w) scores of about 0..1 for the match with the other views on planes uniform in inverse depth.
 
     images (B*V, 3, h, w) in [0, 1], without gradient. Half of it is zero-mean normalised cross-correlation of all three
     channels, half the truncated difference of colours; mean over the other views, then filtered by the view's own grey
     picture (guided filter: He et al. 2010; on cost volumes: Hosni et al. 2011).
-    Pairs of views that have no sample of a group of planes in common are not compared on it, which changes no bit;
-    `sparse` False compares them all.
+    Pairs of views without a common sample on a group of planes are skipped there, which does not change a bit of the
+    result; with `sparse` False none are skipped.
     """
     n, _, h, w = images.shape
     others = views.count - 1
@@ -37,7 +37,7 @@ def matching_evidence(images: Tensor, views: Views, planes: int, *, sparse: bool
     inverse = views.inverse_depth(bins)[:, :, 0, 0].reshape(-1, views.count, planes)
     inverse = repeat_for_pairs(inverse, others).reshape(-1, planes, 1)
     per_view = images.reshape(-1, views.count, 3, h, w)
-    # variances are differences of mean squares: about the scene's mean, and scores about 0.5, less of them cancels
+    # variances are differences of mean squares: centring on the scene's mean, and scores on 0.5, reduces cancellation
     per_view = per_view - per_view.mean((1, 2, 3, 4), keepdim=True)
     own = _with_statistics(per_view.reshape(n, 3, h, w)).reshape(-1, views.count, 6, h, w)
     reference = repeat_for_pairs(own, others).reshape(-1, 6, h, w)
@@ -76,8 +76,8 @@ def _variance(grey: Tensor, mean: Tensor) -> Tensor:
 
 
 def _compared(reference: Tensor, source: Tensor, grid: Tensor) -> Tensor:
-    """(m, D, h, w) of pictures `_with_statistics` (m, 6, h, w) and where each plane's pixels lie in the other's
-    (m, 3, h, w), grid (m, D*h, w, 2)."""
+    """(m, D, h, w) similarity of references `_with_statistics` (m, 6, h, w) and sources (m, 3, h, w) sampled at the
+    positions `grid` (m, D*h, w, 2) of each plane."""
     h, w = reference.shape[-2:]
     colours = sample_with_repeated_border(source, grid)
     return _similarity(reference, colours.reshape(colours.shape[0], 3, grid.shape[1] // h, h, w))
@@ -104,7 +104,7 @@ class _Guide:
         self.variance = mean_with_repeated_border(picture.square(), GUIDE_RADIUS) - self.mean.square() + GUIDE_EPSILON
 
     def filter(self, scores: Tensor) -> Tensor:
-        """(n, D, h, w) -> the same: within a window, a line of the picture's grey."""
+        """(n, D, h, w) -> the same shape: within windows a linear function of the picture's grey."""
         mean = mean_with_repeated_border(scores, GUIDE_RADIUS)
         slope = (mean_with_repeated_border(self.picture * scores, GUIDE_RADIUS) - self.mean * mean) / self.variance
         level = mean - slope * self.mean
@@ -113,7 +113,7 @@ class _Guide:
 
 
 def at_candidates(evidence: Tensor, candidates: Tensor) -> Tensor:
-    """(n, K, h, w): evidence (n, D, h, w) read between its planes at normalised inverse depths (n, K, h, w)."""
+    """(n, K, h, w): evidence (n, D, h, w) interpolated linearly at normalised inverse depths (n, K, h, w)."""
     planes = evidence.shape[1]
     position = (candidates * (planes - 1)).clamp(0, planes - 1)
     below = position.floor().clamp(max=planes - 2)

@@ -10,7 +10,7 @@ from .routing import Routing
 
 
 class Expert(nn.Module):
-    """Three 3x3 convolutions on one patch, zero padding, so that a patch alone gives what it gives in a batch."""
+    """Three 3x3 convolutions within a patch, zero-padded, so that a patch's result does not depend on its batch."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -28,12 +28,12 @@ class Expert(nn.Module):
 
 
 class ExpertGroup(nn.Module):
-    """N_e experts shared by the streams; each expert is one gather and one batch, all choices one gather back."""
+    """N_e experts shared by the streams: one gather and one batch per expert, and one gather of all results."""
 
     def __init__(self, experts: int, channels: int) -> None:
         super().__init__()
         self.channels = channels
-        self.sparse = True  # False runs every expert on every patch: the same up to rounding, to see what it costs
+        self.sparse = True  # False: every expert on every patch, which gives the same up to rounding
         self.experts = nn.ModuleList([Expert(channels) for _ in range(experts)])
 
     def forward(self, patches: Tensor, routing: Routing) -> Tensor:
@@ -57,7 +57,7 @@ class ExpertGroup(nn.Module):
         return (weight.unsqueeze(1) @ taken).reshape(patches.shape)
 
     def dense(self, patches: Tensor, routing: Routing) -> Tensor:
-        """The same sum with every expert run on every patch: the readable twin that tests compare against."""
+        """The same sum with every expert run on every patch: the reference for tests."""
         weights = dense_weights(routing, len(self.experts))
         p = CELLS_PER_PATCH
         streams = patches.reshape(-1, self.channels, p, p)

@@ -1,4 +1,4 @@
-"""Patches of the pictures that a caller leaves out, as factors 1 or 0."""
+"""Masks of patches as factors 1 or 0."""
 
 from __future__ import annotations
 

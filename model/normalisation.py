@@ -1,8 +1,8 @@
-"""Group and instance normalisation that a picture of one colour does not break in onnxruntime.
+"""Group and instance normalisation that stays accurate in onnxruntime for pictures of one colour.
 
-onnxruntime adds up a whole plane in one float32 number. Where a plane is nearly constant, what that loses is divided by
-the root of a variance that is nearly nothing: 1.2e-4 of the result at 128 x 128 px, where torch is off by 3e-7 and sums
-axis by axis by 1.5e-6. An exported graph therefore takes its means axis by axis.
+onnxruntime accumulates a whole plane in one float32 sum. Where a plane is nearly constant, its rounding error is
+divided by the root of a tiny variance: the relative error is 1.2e-4 at 128 x 128 px, where that of torch is 3e-7 and
+that of sums axis by axis 1.5e-6. An exported graph therefore computes means axis by axis.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What one pass of any network of the contract yields."""
+"""The prediction of any network of the contract."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tensors written as safetensors, whole or not at all: equal contents give equal bytes, so that a sha256 names them."""
+"""Atomic, deterministic writing of safetensors: equal contents give equal bytes, and so an equal sha256."""
 
 from __future__ import annotations
 

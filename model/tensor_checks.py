@@ -1,4 +1,4 @@
-"""What no weights may be: numbers of another kind than floating point, and numbers that are not finite."""
+"""Checks of weights: floating point, and finite."""
 
 from __future__ import annotations
 

@@ -29,6 +29,8 @@ class CrossViewBlock(nn.Module):
 
     def __init__(self, channels: int, heads: int = 4) -> None:
         super().__init__()
+        if channels % heads:
+            raise ValueError(f"eighth_channels is {channels}, need a multiple of {heads}: attention has so many heads")
         self.heads = heads
         self.position = nn.Conv2d(channels, channels, 3, padding=1, groups=channels)
         self.norm_self = nn.LayerNorm(channels)

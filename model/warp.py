@@ -1,4 +1,4 @@
-"""Where pixels of one view fall in another at any depth: what does not depend on the depth is computed once."""
+"""Projection of pixels of one view into another at any depth; the depth-independent part is computed once."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-FRONT = 1e-4  # as shares of its depth in one view, what a point must lie before another at least to be seen there
+FRONT = 1e-4  # least z-depth in the source view, relative to that in the reference view
 OUTSIDE = 4.0  # of every image of two pixels or more; backends disagree on samples that are huge or not finite
 
 
@@ -60,7 +60,8 @@ class Warp:
         return Warp((x, y, z), self.shifts, self.centres)
 
     def _before(self, inverse_depth: Tensor) -> tuple[Tensor, Tensor]:
-        """How far before the source camera, over the depth before the reference, 1 where it is not; and where it is."""
+        """The ratio of z-depths in the source and the reference, 1 behind the source camera, and a mask of those in
+        front."""
         z = self.rays[2] + self.shifts[2] * inverse_depth
         front = z > FRONT
         return torch.where(front, z, 1.0), front

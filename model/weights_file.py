@@ -1,4 +1,4 @@
-"""What all readers of weights share: their error, how it lists names, and a file's sha256."""
+"""Shared by all readers of weights: their error, its lists of names, and a file's sha256."""
 
 from __future__ import annotations
 
@@ -11,6 +11,13 @@ SHOWN = 5  # names in a message
 
 class CheckpointError(ValueError):
     """A file that holds no weights, that is not a checkpoint of ours, or that does not fit what it is loaded into."""
+
+
+def why_no_file(path: Path) -> str:
+    """What stands where a file of weights should, for a message."""
+    if path.is_dir():
+        return f"{path}: is a folder, give the .safetensors file in it"
+    return f"{path}: {'is a device or a pipe, need a file' if path.exists() else 'no such file'}"
 
 
 def file_sha256(path: Path) -> str:

@@ -70,3 +70,8 @@ def __getattr__(name: str) -> object:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f".{_HOME[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    """With the public names that no one has used yet, which a notebook completes."""
+    return sorted({*globals(), *__all__})

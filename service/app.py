@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from contextlib import AbstractContextManager, asynccontextmanager
+from contextlib import AbstractContextManager, asynccontextmanager, nullcontext
 from importlib.metadata import version
 from typing import Any
 
@@ -47,18 +47,23 @@ EXPOSED += [f"X-Gapmes-{name}" for name in ("Scene", "Stats", "Notes", "Problem"
 EXPOSED += [f"X-Gapmes-Depth-{name}" for name in ("Min", "Max", "Scale", "Offset")]
 
 
-def create_app(settings: Settings | None = None, bars: AbstractContextManager[Listener] | None = None) -> FastAPI:
+def create_app(
+    settings: Settings | None = None,
+    bars: AbstractContextManager[Listener] | None = None,
+    held: AbstractContextManager[object] | None = None,
+) -> FastAPI:
     """Build the application; the model is loaded and the kernels warmed when the server starts it, see /readyz.
 
-    `bars` is entered for as long as that takes, and told about it.
+    `bars` is entered for as long as that takes, and told about it; `held` is left when the last request has ended.
     """
     settings = settings or Settings()
     runtime = Runtime(settings, bars)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        async with runtime.running():
-            yield
+        with held or nullcontext():
+            async with runtime.running():
+                yield
 
     app = FastAPI(
         title="gapmes",

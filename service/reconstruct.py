@@ -15,28 +15,25 @@ from .cameras.camera import Camera
 from .cameras.depth_range import DepthRange, depth_range
 from .cameras.foretold import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
 from .cameras.pose_notices import pose_notices
-from .cameras.view_checks import DEPTH_PLANES, MIN_VIEWS, Notice, check_count, check_views, range_notices
+from .cameras.view_checks import MIN_VIEWS, Notice, check_count, check_views
 from .cameras.world_frame import WorldFrame
 from .document import scene_document
 from .errors import CameraError, InputError, ViewCountError
 from .formats.ply_write import Positions, stored_positions
 from .gaussians import Gaussians
+from .inputs import prepared_inputs
 from .kernels import is_warm, warm_up
 from .leaving_out.budget import Budget, checked_budget
 from .leaving_out.left_out import leave_out, table
-from .matching.depth_sweep import coarse_notices, narrowed
-from .matching.exposures import equalised
-from .matching.photo_checks import check_photos
 from .mending.after_network import MOVED, at_finer_depths, at_mended_depths, mended, placed
 from .mending.detail import finer
 from .mending.detail_level import DETAILS, checked_detail
 from .mending.fade_passes import DEFAULT_PASSES, checked_passes
 from .network.backends.choice import DEFAULT_ENGINE, EngineName
 from .network.engine import Arrays, Engine
-from .photographs.fitting import Picture, fitted_photos
+from .photographs.fitting import Picture
 from .photographs.images import FittedView, PackedView
 from .photographs.masks import FADED, patch_mask
-from .photographs.rolled import quarter_turns, turned_photos
 from .process.allocator import freed_blocks_reused
 from .process.compiler_pages import leave_compiler
 from .progress import Listener, Stages, silent
@@ -103,29 +100,27 @@ class Reconstructor:
         numbers: Sequence[int] | None = None,
         listener: Listener = silent,
     ) -> Scene:
-        """2..6 photographs, uint8 (H, W, 3 or 4), path, a file's bytes, PIL image, `Photo` or `EncodedPhoto`, with one
-        camera each -> `Scene`.
+        """Reconstruct a `Scene` from 2 to 6 photographs with one camera each.
 
-        One in a file is decoded in its turn and dropped once it is fitted: one at a time is in memory; one with a
-        lens is resampled to its camera, which is the pinhole that `pinhole_window` names.
-        `near` and `far` are z-depths in the cameras' units, estimated from cameras and photographs without them, and
-        narrowed by the photographs where they are far too wide.
-        Photographs of different exposure are brought to one (`exposures.py`), and the scene's `inputs` with them;
-        rolled ones are turned for the network (`rolled.py`), and nowhere else.
-        `trust_poses` turns the refusal of poses that the photographs contradict, and of views that do not overlap, into
-        a warning. `budget` says what may be left out of the scene and for which views that is proved; `Budget()`
-        does without one. With three photographs or
-        more each is also compared with its picture from a reconstruction of the `leave_one_out` others
-        that are nearest to it (2 or more; all others where there are fewer; 0: not done) and have parallax among
-        themselves; where none have, a warning says so. `fade` is how
-        often opacities are lowered and colours corrected where the photographs contradict them (`fading.py`), after
-        depths have moved to where the photographs match best and a backdrop stands behind them (`mending.py`); with 0
-        all stays as the network gave it. With `detail` 2 four Gaussians take the place of each pixel's one, in the
-        colours of photographs of twice the network's size (`detail.py`): a scene for larger pictures.
-        `numbers` are what errors and warnings call the views, one for each, where these were chosen from more; else
-        they are counted from 0.
-        `listener` hears the stages cameras, images, network, kernels (the first time), refine, detail, gaussians,
-        fade, leave out, check, leave one out.
+        `images`: uint8 arrays (H, W, 3) or (H, W, 4) with a mask as alpha, paths, bytes of files, PIL images, `Photo`
+        or `EncodedPhoto`. Files are decoded one at a time and dropped once fitted; a photograph with a lens is
+        undistorted to its camera, the pinhole of `pinhole_window`. Exposures are equalised (`exposures.py`), also in
+        the scene's `inputs`; rolled photographs are turned for the network alone (`rolled.py`).
+
+        `near`, `far`: z-depths in the cameras' units; by default estimated from the cameras and narrowed to where the
+        photographs match. A given range is only narrowed where it is far too wide.
+        `trust_poses`: only warn where the photographs contradict the poses, or views do not overlap.
+        `budget`: what may be left out of the scene, and for which views the error is bounded; None is `Budget()`.
+        `leave_one_out`: of three photographs or more, each is compared with its render from a reconstruction of this
+        many others, 2 or more, the nearest with parallax among themselves (a warning where none have); 0: not done.
+        `fade`: passes that fit opacities and colours to the photographs (`fading.py`), after depths were refined and a
+        backdrop was added (`after_network.py`); with 0 all of this is skipped, and the scene is the network's own.
+        `detail`: 1, or 2 for four Gaussians per pixel, in the colours of photographs of twice the network's size
+        (`detail.py`).
+        `numbers`: what errors and warnings call the views, one each; by default 0, 1, 2...
+        `listener`: hears the stages cameras, images, network, kernels (the first time), refine, detail, gaussians,
+        fade, leave out, check and leave one out.
+
         Raises `InputError` and `ModelError`.
         """
         stages = Stages(listener)
@@ -139,21 +134,16 @@ class Reconstructor:
             numbers = range(len(images)) if numbers is None else whole_numbers(numbers, "numbers")
             cameras = _as_cameras(cameras, numbers, len(images))
             depths = depth_range(cameras, near, far)
-            planes = info.depth_planes or DEPTH_PLANES
             warnings += check_views(cameras, depths, trust_poses=trust_poses, numbers=numbers)
             warnings += pose_notices(cameras, depths.near, numbers)
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
             finest = FINEST if fade or detail > 1 else 1
-            given = fitted_photos(images, cameras, numbers, info, detail, finer=finest, done=done)
-            warnings += given.notices
-            warnings += check_photos(given.seen, depths, trust_poses=trust_poses, numbers=numbers)
-            asked, depths = depths, narrowed(depths, given.seen, planes)
-            warnings += range_notices(depths, planes) + coarse_notices(asked, depths, given.seen, planes)
-            given, told = equalised(given, depths, numbers)
-            warnings += told
-            turns = quarter_turns(cameras, square=info.height == info.width)
-            photos, given = given, turned_photos(given, turns)
-            seen, views, fine = given.seen, given.shown, given.fine
+            inputs = prepared_inputs(
+                images, cameras, numbers, depths, info, detail=detail, finer=finest, trust_poses=trust_poses, done=done
+            )
+            warnings += inputs.warnings
+            depths, photos = inputs.depths, inputs.photos
+            seen, views, fine = inputs.turned.seen, inputs.turned.shown, inputs.turned.fine
         masks = patch_mask(seen, info.patch)
         if not is_warm():
             leave_compiler()  # it comes with the import of the loops
@@ -194,9 +184,9 @@ class Reconstructor:
             }
         if leave_one_out and len(views) > MIN_VIEWS:
             with stages.stage("leave one out", len(views)) as done:
-                near, every = depths.near, range(len(views))
-                chosen = [nearest_others(cameras, index, leave_one_out, near) for index in every]
-                warnings += [not_foretold(cameras, i, near, numbers[i]) for i in every if not chosen[i]]
+                every = range(len(views))
+                chosen = [nearest_others(cameras, index, leave_one_out, depths.near) for index in every]
+                warnings += [not_foretold(cameras, i, depths.near, numbers[i]) for i in every if not chosen[i]]
                 check["leave_one_out"] = self._foretold(seen, fine, depths, scene, chosen, fade, done)
         document = scene_document(
             info=info,
@@ -205,7 +195,7 @@ class Reconstructor:
             cameras=cameras,
             detail=detail,
             views=photos.shown,
-            turns=turns,
+            turns=inputs.turns,
             depths=depths,
             outputs=outputs,
             gaussians=lean,

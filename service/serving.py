@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import shutil
 import signal
 import sys
 import threading
@@ -17,7 +16,7 @@ from fastapi import FastAPI
 from .app import create_app
 from .process.allocator import give_back_freed
 from .process.logs import configure
-from .process.own_folder import in_use
+from .process.own_folder import drop_unused, in_use
 from .process.peers import FOLDER, OURS
 from .process.streams import open_missing
 from .process.terminal import ProgressBars
@@ -27,32 +26,36 @@ from .settings import Settings
 def app() -> FastAPI:
     """What the server is told to load."""
     open_missing()
+    shared = _what_workers_share()
     _end_with_the_watcher()
     give_back_freed()
     settings = Settings()
     configure(settings.log, quiet=settings.quiet)
     shown = sys.stderr.isatty() and settings.workers == 1 and settings.log == "text" and not settings.quiet
-    return create_app(settings, ProgressBars() if shown else None)
+    return create_app(settings, ProgressBars() if shown else None, shared)
 
 
 def _end_with_the_watcher() -> None:
     """One of several workers ends in order when the process that started it is gone, killed perhaps: otherwise it would
-    hold the port, and nobody would replace it. Nor would anybody tidy up what the workers share."""
+    hold the port, and nobody would replace it."""
     watcher = multiprocessing.parent_process()
     if watcher is None:
         return
 
-    shared = Path(os.environ.get(FOLDER, ""))
-    ours = shared.name.startswith(OURS)
-
     def wait() -> None:
-        with ExitStack() as held:
-            if ours:
-                with suppress(OSError):  # somebody has removed it
-                    held.enter_context(in_use(shared))
-            watcher.join()
-        if ours:
-            shutil.rmtree(shared, ignore_errors=True)
+        watcher.join()
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=wait, name="watcher", daemon=True).start()
+
+
+def _what_workers_share() -> ExitStack:
+    """The folder of their numbers is in use until this is left; the last who leaves it removes it, where the process
+    that watches them cannot: what they still answer is counted there."""
+    held = ExitStack()
+    folder = Path(os.environ.get(FOLDER, ""))
+    if folder.name.startswith(OURS):
+        held.callback(drop_unused, folder)
+        with suppress(OSError):  # somebody has removed it
+            held.enter_context(in_use(folder))
+    return held

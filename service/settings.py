@@ -144,7 +144,9 @@ class Settings(BaseSettings):
         "", description="origins, comma separated, whose pages may call the service; empty means none, `*` all"
     )
     log: Literal["text", "json"] = Field("text", description="form of the log on stderr, a line per event")
-    quiet: bool = Field(False, description="log warnings and errors alone, and draw no bars when the service starts")
+    quiet: bool = Field(
+        False, description="log only warnings and errors, and show no progress bars when the service starts"
+    )
     store_bytes: int | None = Field(
         None,
         ge=1,

@@ -1,4 +1,4 @@
-"""Settings for the whole suite: continuous integration draws the same property-test examples in every run, and several
+"""Settings for the whole suite: continuous integration draws the same property-test examples in every run, and the
 processes share the processors."""
 
 from __future__ import annotations

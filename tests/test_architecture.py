@@ -1,4 +1,4 @@
-"""The house rules that a machine can check: dependencies point one way, every file says what it holds."""
+"""The house rules that a machine can check: dependencies point one way, and every file says what it holds."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_file_keeps_to_the_house_rules(path: Path) -> None:
 
 
 def test_every_file_of_tests_has_a_name_of_its_own() -> None:
-    """They are imported by their names alone."""
+    """They are imported by name alone."""
     names = [path.name for path in (ROOT / "tests").rglob("*.py") if path.name not in ("conftest.py", "__init__.py")]
     assert len(names) > 200
     assert sorted(names) == sorted(set(names))

@@ -1,4 +1,4 @@
-"""What `python -m benchmarks.load.faults` takes for a whole scene, and what for half of one."""
+"""Which scenes `python -m benchmarks.load.faults` takes as complete, and which as partial."""
 
 from __future__ import annotations
 

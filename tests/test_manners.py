@@ -1,5 +1,5 @@
-"""The manners of every command: results as JSON on stdout, a quiet mode that says nothing but errors, and standard
-streams that may be closed or full."""
+"""Common behaviour of all commands: results as JSON on stdout, a quiet mode with errors only, and closed or full
+standard streams."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def commands() -> dict[str, Command]:
 
 
 def lacking(name: str, options: set[str]) -> list[str]:
-    """What this command has neither, nor is excused from."""
+    """The required options that this command lacks without being excused."""
     return [one for one in sorted(QUIET | JSON) if one not in options and (name, one) not in EXCUSED]
 
 
@@ -107,7 +107,7 @@ def ply(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def redirected(where: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """A command of `gapmes` with its streams as a shell leads them."""
+    """A command of `gapmes` with its streams redirected as by a shell."""
     words = ["sh", "-c", f'exec "$0" "$@" {where}', *COMMAND, *map(str, arguments)]
     environment = os.environ | {"PYTHONUNBUFFERED": ""}
     return subprocess.run(words, capture_output=True, text=True, env=environment, check=False)

@@ -1,4 +1,4 @@
-"""What the proxy before several replicas refuses itself reads as what the service refuses, and its settings are
+"""The refusals of the proxy in front of several replicas have the form of the service's own, and its settings are
 documented."""
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def test_it_takes_what_the_service_takes() -> None:
 
 
 def test_it_passes_on_what_a_query_may_hold() -> None:
-    """Every letter of a camera as three."""
+    """Every character of a camera counts as three."""
     (kilobytes,) = map(int, re.findall(r"large_client_header_buffers \d+ (\d+)k;", CONF))
     query = RenderQuery.model_json_schema()["properties"]["camera"]["anyOf"][0]
     assert 3 * query["maxLength"] < kilobytes * 2**10

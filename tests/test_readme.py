@@ -1,4 +1,4 @@
-"""The README's first screen: its curl lines are run against a real service, its commands exist."""
+"""The README's first screen: its curl lines run against a real service, and its commands exist."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What runs from a shell: when an environment is made anew, what counts as no network, what is said of a skip."""
+"""Shell scripts: when an environment is rebuilt, which failures count as no network, and how skipping is reported."""
 
 from __future__ import annotations
 
@@ -131,4 +131,4 @@ def test_a_run_without_the_viewer_says_so(tmp_path: Path, there: bool) -> None:
     assert done.returncode == 0, done
     first, *said, last = done.stdout.splitlines()
     assert (first, last) == ("tests pass", "the image holds")
-    assert [line.partition(":")[0] for line in said] == ([] if there else ["=== no WebGL viewer to be had"])
+    assert [line.partition(":")[0] for line in said] == ([] if there else ["=== the WebGL viewer is missing"])

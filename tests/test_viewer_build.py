@@ -1,4 +1,4 @@
-"""The build's part that brings the WebGL viewer: when it asks npm, what it keeps, and what happens without npm."""
+"""The build step that installs the WebGL viewer: when it runs npm, what it keeps, and what happens without npm."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ class Build:
         self.lock("sha512-first")
 
     def lock(self, integrity: str) -> None:
-        """The version that the checkout asks for."""
+        """The version that the checkout requires."""
         packages = {self.module.PACKAGE: {"integrity": integrity}}
         (self._locked / "package-lock.json").write_text(json.dumps({"packages": packages}))
         (self._locked / "package.json").write_text("{}")
 
     def npm(self, *, fails: bool = False) -> None:
-        """From now on there is one."""
+        """Puts an npm on the path from now on."""
         path = self._bin / "npm"
         path.write_text(NPM.format(python=sys.executable, log=str(self._log), fails=fails))
         path.chmod(0o755)
@@ -64,7 +64,7 @@ class Build:
 
     @property
     def asked(self) -> list[str]:
-        """The command lines that npm got."""
+        """The command lines that npm was run with."""
         return self._log.read_text().splitlines() if self._log.exists() else []
 
     def files(self) -> dict[str, str]:
@@ -113,7 +113,7 @@ def test_another_version_takes_the_place_of_the_one_that_is_there(build: Build) 
 
 
 def test_files_without_a_mark_are_brought_anew(build: Build) -> None:
-    """As a copy that was interrupted leaves them."""
+    """As after an interrupted copy."""
     build.npm()
     build.run()
     (build.target / "integrity.txt").unlink()

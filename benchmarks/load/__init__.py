@@ -1,1 +1,1 @@
-"""A service of one's own under load: how quick it stays, and what it loses when its processes are killed."""
+"""A service under load: how fast it stays, and what it loses when its processes are killed."""

@@ -1,7 +1,7 @@
-"""Processes killed at random under load: `python -m benchmarks.load.faults [--seconds 60] [--workers 2]`.
+"""Kill processes at random under load: `python -m benchmarks.load.faults [--seconds 60] [--workers 2]`.
 
-Clients ask for scenes and jobs while a worker is killed now and then. Afterwards every scene that a client was told of
-must be there, whole and as it was told, and every job that was accepted must have ended. Exit code 1 where one is not.
+Clients request scenes and jobs while a worker is killed from time to time. Afterwards every scene that a client was
+given must exist, complete and unchanged, and every accepted job must have ended. Exits with code 1 if one does not.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from .service import Service, running
 
 
 class Promises:
-    """What clients were told."""
+    """The answers that clients were given."""
 
     def __init__(self) -> None:
         self.scenes: dict[str, str] = {}  # location: sha256 of the .ply
         self.jobs: list[str] = []
-        self.broken = 0  # connections that ended without an answer
+        self.broken = 0  # connections that were closed without an answer
         self.refused = Counter[str]()  # by the code of the problem
 
     def ask(self, service: Service, seed: int, until: float) -> None:
-        """Alternate between a scene that is waited for and a job that is not."""
+        """Alternate between a scene, which is waited for, and a job, which is not."""
         asker, turn = Asker(service.address, seed), 0
         while time.monotonic() < until:
             turn += 1
@@ -59,7 +59,7 @@ class Promises:
 
 
 def kill_now_and_then(service: Service, until: float, seed: int) -> int:
-    """One worker at a time, after 1 to 6 seconds each; returns how many."""
+    """Kill one worker at a time, after 1 to 6 seconds each; returns how many were killed."""
     chance, killed = random.Random(seed), 0
     while True:
         time.sleep(chance.uniform(1, 6))
@@ -70,7 +70,7 @@ def kill_now_and_then(service: Service, until: float, seed: int) -> int:
 
 
 def kept(service: Service, promises: Promises) -> list[str]:
-    """What was promised and is not so."""
+    """The promises that were not kept."""
     wrong = []
     with httpx.Client(base_url=service.address, timeout=60) as client:
         for location, digest in promises.scenes.items():

@@ -1,4 +1,4 @@
-"""The requests of the load: scenes of the sample's photographs, no two the same, and pictures of them."""
+"""The requests of the load: scenes from the sample's photographs, no two of them equal, and pictures of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TIMEOUT_S = 120.0
 
 
 class Asker:
-    """One client; no two of its scenes are the same request."""
+    """One client; no two of its requests for scenes are equal."""
 
     def __init__(self, address: str, seed: int) -> None:
         self._random = random.Random(seed)
@@ -22,18 +22,18 @@ class Asker:
         self.client = httpx.Client(base_url=address, timeout=TIMEOUT_S)
 
     def scene(self, **headers: str) -> httpx.Response:
-        """Ask for a scene from two photographs of the sample."""
+        """Request a scene from two photographs of the sample."""
         chosen = self._random.sample(range(len(self._cameras["views"])), 2)
         names = [self._cameras["views"][index]["image"] for index in sorted(chosen)]
         parts: list[tuple[str, Any]] = [
             ("images", (Path(n).name, (SAMPLE / n).read_bytes(), "image/png")) for n in names
         ]
         parts.append(("cameras", ("cameras.json", json.dumps(self._cameras).encode(), "application/json")))
-        far = self._cameras["far"] * (1 + 1e-6 * self._random.random())  # another scene, as far as the store knows
+        far = self._cameras["far"] * (1 + 1e-6 * self._random.random())  # a different scene for the store
         parts.append(("far", (None, repr(far))))
         return self.client.post("/reconstruct", files=parts, headers=headers)
 
     def picture(self, scenes: list[str]) -> httpx.Response:
-        """A picture of one of these scenes, from between its views."""
+        """Request a picture of one of these scenes, from between its views."""
         view = f"{self._random.random():.4f}"
         return self.client.get("/render", params={"scene": self._random.choice(scenes), "view": view})

@@ -1,7 +1,7 @@
-"""Pictures while scenes are reconstructed: `python -m benchmarks.load.run [--minutes 1] [--workers 1]`, or `make load`.
+"""`make load`, or `python -m benchmarks.load.run [--minutes 1] [--workers 1]`: pictures while scenes are reconstructed.
 
-Prints pictures per second with the middle, the 95th and the 99th percentile of their times, first alone and then while
-one client after the other asks for scenes; what was refused; and the memory of the service, so that growth would show.
+Prints pictures per second with the median, the 95th and the 99th percentile of their times, first alone and then while
+clients request scenes one after the other; the refusals; and the memory of the service, in which growth would show.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .service import Service, running
 
 
 class Load:
-    """What several clients were answered; times are kept by kind."""
+    """The answers to several clients, with times by kind."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[float]] = {"picture": [], "scene": []}
@@ -35,7 +35,7 @@ class Load:
                 self.refused[f"{kind}: {answer.json().get('code')}"] += 1
 
     def clients(self, service: Service, scenes: list[str], pictures: int, reconstructions: int, seconds: float) -> None:
-        """So many clients of each kind at once, for so long."""
+        """Run so many clients of each kind at once, for so many seconds."""
         until = time.monotonic() + seconds
 
         def ask(kind: str, seed: int) -> None:
@@ -48,7 +48,7 @@ class Load:
                     time.sleep(0.2)
 
         kinds = ["picture"] * pictures + ["scene"] * reconstructions
-        self._rounds += 1  # other requests in every round: a scene that is stored costs nothing
+        self._rounds += 1  # other requests in every round: a stored scene costs nothing
         seeds = (1000 * self._rounds + number for number in range(len(kinds)))
         threads = [threading.Thread(target=ask, args=(kind, seed)) for kind, seed in zip(kinds, seeds, strict=False)]
         for thread in threads:
@@ -67,10 +67,10 @@ class Load:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=1.0, help="of the load with reconstructions")
+    parser.add_argument("--minutes", type=float, default=1.0, help="duration of the load with reconstructions")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--pictures", type=int, default=4, help="clients that ask for pictures")
-    parser.add_argument("--scenes", type=int, default=2, help="clients that ask for scenes")
+    parser.add_argument("--pictures", type=int, default=4, help="clients that request pictures")
+    parser.add_argument("--scenes", type=int, default=2, help="clients that request scenes")
     given = parser.parse_args()
     options = ["--workers", str(given.workers)]
     with tempfile.TemporaryDirectory() as folder, running(Path(folder), options) as service:
@@ -93,7 +93,7 @@ def main() -> None:
                 f"{wall:5.0f} s  resident {resident:4.0f} MB, private {private:4.0f} MB, shared once {together:.0f} MB",
                 flush=True,
             )
-        print(f"while {given.scenes} clients ask for scenes:")
+        print(f"while {given.scenes} clients request scenes:")
         for kind in ("picture", "scene"):
             print("        ", load.line(kind, wall))
         print("refused: ", dict(load.refused) or "nothing")

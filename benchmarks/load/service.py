@@ -1,4 +1,4 @@
-"""`gapmes serve` on a free loopback port with a store of its own, and what its processes hold in memory."""
+"""`gapmes serve` on a free loopback port with a store of its own, and the memory of its processes."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Service:
     store: Path
 
     def workers(self) -> list[int]:
-        """Processes that answer requests: the service's own, or the children that do it for it."""
+        """The processes that answer requests: the service's own, or its children."""
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
         found = [int(pid) for pid in children if b"spawn_main" in _read(f"/proc/{pid}/cmdline")]
         return found or [self.process.pid]
 
     def memory_mb(self) -> tuple[float, float, float]:
-        """Of all workers: resident memory and private memory added up, and with what they share counted once."""
+        """Sums over all workers: resident memory, private memory, and memory with shared pages counted once."""
         sums = {"Rss": 0.0, "Private_Dirty": 0.0, "Pss": 0.0}
         for pid in self.workers():
             for line in _read(f"/proc/{pid}/smaps_rollup").decode().splitlines():
@@ -40,7 +40,7 @@ class Service:
         return sums["Rss"], sums["Private_Dirty"], sums["Pss"]
 
     def peak_mb(self) -> float:
-        """The most that each worker has been resident with so far, added up."""
+        """The sum of each worker's peak resident memory so far."""
         lines = (line for pid in self.workers() for line in _read(f"/proc/{pid}/status").decode().splitlines())
         return sum(float(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
 
@@ -54,7 +54,7 @@ def _read(path: str) -> bytes:
 
 @contextmanager
 def running(folder: Path, options: Sequence[str] = (), seconds: float = 300.0) -> Iterator[Service]:
-    """Start it, wait until it is ready, and end it whatever happens."""
+    """Start it, wait until it is ready, and end it in any case."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -89,7 +89,7 @@ def running(folder: Path, options: Sequence[str] = (), seconds: float = 300.0) -
 
 
 def ready(address: str) -> bool:
-    """Whether /readyz says so."""
+    """Whether /readyz says that the service is ready."""
     try:
         return httpx.get(f"{address}/readyz", timeout=5).status_code == 200
     except httpx.TransportError:

@@ -1,1 +1,1 @@
-"""How long the networks take, in each runtime and precision, beside the machine's own matrix product."""
+"""Run time of the networks in each runtime and precision, relative to the machine's own matrix product."""

@@ -1,7 +1,7 @@
-"""What routing saves: experts on routed patches beside all experts on all patches, under even and skewed routing.
+"""Measure what routing saves: experts on routed patches against all experts on all patches, even and skewed routing.
 
-`python -m benchmarks.network.experts`: the expert group of each preset in onnxruntime on one thread, all settings in
-turns. A run that cost nothing beyond its arithmetic would take k / N_e of the dense one.
+`python -m benchmarks.network.experts` runs the expert group of each preset in onnxruntime on one thread, all settings
+in turns. A run without any cost beyond its arithmetic would take k / N_e of the dense one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PATCHES = 2 * 16 * 16  # two views of 256 x 256 px
 
 
 class Routed(nn.Module):
-    """The expert group with its routing as tensors."""
+    """The expert group, which takes its routing as tensors."""
 
     def __init__(self, config: ModelConfig, *, sparse: bool) -> None:
         super().__init__()
@@ -70,7 +70,7 @@ def session(config: ModelConfig, *, sparse: bool) -> ort.InferenceSession:
 
 
 def routes(config: ModelConfig, random: np.random.Generator) -> dict[str, NDArray[np.int64]]:
-    """(M, k) experts of every patch by name of the skew."""
+    """Experts of every patch (M, k), by name of the skew."""
 
     def drawn(shares: NDArray[np.float64]) -> NDArray[np.int64]:
         rows = [random.choice(config.experts, config.top_k, replace=False, p=shares) for _ in range(PATCHES)]
@@ -85,7 +85,7 @@ def routes(config: ModelConfig, random: np.random.Generator) -> dict[str, NDArra
 
 
 def measure(name: str, rounds: int) -> list[str]:
-    """Markdown rows of one preset: the median of each setting, beside what the arithmetic alone would take."""
+    """Markdown rows of one preset: the median of each setting, and the share that the arithmetic alone would take."""
     config, random = preset(name), np.random.default_rng(0)
     shape = (PATCHES, len(config.streams) * config.stream_channels, CELLS_PER_PATCH, CELLS_PER_PATCH)
     patches = random.standard_normal(shape, np.float32)

@@ -1,7 +1,7 @@
-"""MKL, which torch computes with, asks whether the processor is Intel's and takes a slower path where it is not.
+"""Make MKL, which torch computes with, take an AMD processor for Intel's: on others it takes a slower path.
 
-The answer is a function of the library that another library may replace: with that, torch on an AMD processor shows
-what its kernels can do. For comparison only, so that no ratio is claimed that is MKL's choice of path.
+A function of MKL gives the answer, and a preloaded library may replace it. Torch on an AMD processor then shows what
+its kernels can do. This is for comparison only, so that no claimed ratio comes from MKL's choice of path alone.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def amd() -> bool:
 
 
 def told_intel(folder: Path) -> dict[str, str]:
-    """Environment under which MKL takes the processor for Intel's; empty where it is, or where nothing can compile."""
+    """Environment in which MKL takes an AMD processor for Intel's; empty for others, or without Linux or compiler."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     if not amd() or compiler is None or platform.system() != "Linux":
         return {}

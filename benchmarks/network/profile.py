@@ -1,10 +1,10 @@
-"""Where a network's time goes in onnxruntime, by module and by operator, beside the machine's own peak.
+"""Profile a network in onnxruntime, by module and by operator, relative to the machine's own peak.
 
-`python -m benchmarks.network.profile MODEL.onnx …` runs each float32 network with the service's settings on one thread
-and, in turns with it, the matrix product that onnxruntime does best; wall times, medians over the rounds. GFLOP are
-what onnxruntime computes, with means over windows that are written as products and channels filled up to whole blocks:
-more than the network's own. The exporter names a node after its module; a node that onnxruntime has made itself counts
-to the module whose result it takes up.
+`python -m benchmarks.network.profile MODEL.onnx …` runs each float32 network with the service's settings on one thread.
+In turns with it runs the matrix product that onnxruntime does best. Figures are medians of wall times over the rounds.
+GFLOP are what onnxruntime computes. That is more than the network's own operations, since it writes means over windows
+as products and pads channels to whole blocks. The exporter names a node after its module. A node that onnxruntime
+itself inserts counts towards the module whose result it reads.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from .worker import matrix_product
 
 KERNEL = "_kernel_time"
 PRODUCTS = ("MatMul", "FusedMatMul", "Gemm", "FusedGemm")
-LAID_OUT = "_nchwc"  # what onnxruntime adds to the name of a result that it computes in blocks of channels
-SHOWN = 0.01  # of the whole time: what takes less is added up
+LAID_OUT = "_nchwc"  # suffix of results that onnxruntime computes in blocks of channels
+SHOWN = 0.01  # of the whole time: smaller groups are added up
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class Kernel:
 
 
 def operations(operator: str, given: list[list[int]], made: list[list[int]]) -> float:
-    """Multiply-adds of a node, counted as two; 0 for what is neither a product nor a convolution."""
+    """Multiply-adds of a node, counted as two; 0 for all but products and convolutions."""
     if operator in PRODUCTS:
-        inner = given[0][-1] * given[0][-2] // made[0][-2]  # also where the first factor is read transposed
+        inner = given[0][-1] * given[0][-2] // made[0][-2]  # also if the first factor is read transposed
         return 2.0 * math.prod(made[0]) * inner
     if operator in ("Conv", "FusedConv"):
         return 2.0 * math.prod(made[0]) * math.prod(given[1][1:])
@@ -61,7 +61,7 @@ def operations(operator: str, given: list[list[int]], made: list[list[int]]) -> 
 
 
 def kernels(events: Iterable[dict[str, Any]]) -> list[list[Kernel]]:
-    """Of every run in onnxruntime's profile."""
+    """The kernels of every run in onnxruntime's profile."""
     runs: list[list[Kernel]] = [[]]
     for event in events:
         if event.get("name") == "model_run":
@@ -99,7 +99,7 @@ def modules(exported: onnx.ModelProto, optimised: onnx.ModelProto, depth: int) -
 def profiled(
     model: Path, views: int, rounds: int, depth: int
 ) -> tuple[list[list[Kernel]], Callable[[str], str], float]:
-    """The kernels of `rounds` runs, the finder of their modules, and the peak's operations per second beside them."""
+    """The kernels of `rounds` runs, the finder of their modules, and the peak in operations per second."""
     info = model_file(model).info
     if info.precision != "fp32":
         raise ValueError(f"{model}: precision is {info.precision}, need fp32: products of integers are not counted")
@@ -126,7 +126,7 @@ def profiled(
 
 
 def table(runs: list[list[Kernel]], groups: dict[str, str], peak: float) -> list[str]:
-    """Markdown rows of groups of nodes, the greatest first: milliseconds, share of the whole, GFLOP, share of peak."""
+    """Markdown rows of groups of nodes, the largest first: milliseconds, share of the whole, GFLOP, share of peak."""
     spent: dict[str, list[float]] = defaultdict(lambda: [0.0] * len(runs))
     flop: dict[str, float] = defaultdict(float)
     for number, run in enumerate(runs):
@@ -156,7 +156,7 @@ def main() -> None:
     parser.add_argument("models", nargs="+", type=Path, metavar="MODEL.onnx")
     parser.add_argument("--views", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--depth", type=int, default=2, help="parts of a module's path that are told apart")
+    parser.add_argument("--depth", type=int, default=2, help="parts of a module's path that are distinguished")
     options = parser.parse_args()
     for model in options.models:
         runs, module, peak = profiled(model, options.views, options.rounds, options.depth)

@@ -1,8 +1,8 @@
-"""How far float32 itself is from float64: an exported file and torch, each beside torch in float64.
+"""Measure how far float32 itself is from float64: an exported file and torch, each against torch in float64.
 
-`python -m benchmarks.network.rounding MODEL.onnx=CHECKPOINT [--cases NAME …] [--views N …]`: cases as in verification,
-with trained gates. Where torch's own float32 is off by more than the file is from torch, no file can come closer to
-the truth by coming closer to torch.
+`python -m benchmarks.network.rounding MODEL.onnx=CHECKPOINT [--cases NAME …] [--views N …]` runs the cases of
+verification with trained gates. If torch's own float32 error is larger than the file's difference from torch, no file
+can come closer to the truth by coming closer to torch.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Every network in every runtime in turns on one thread: medians of CPU seconds, ratios, share of the machine's peak.
+"""Time every network in every runtime, in turns on one thread: medians of CPU seconds, ratios, share of the peak.
 
-`python -m benchmarks.network.run MODEL.onnx=CHECKPOINT …`; a model that has no checkpoint (an int8 file) is written
-MODEL.onnx alone and runs in onnxruntime only. Processes of one model and number of views are alive at a time.
+`python -m benchmarks.network.run MODEL.onnx=CHECKPOINT …`; a model without a checkpoint (an int8 file) is given as
+MODEL.onnx alone and runs in onnxruntime only. Only the processes of one model and one number of views exist at a time.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .worker import RUNTIMES
 
 @dataclass
 class Timed:
-    """One process, what it answered, and the file of what it complained of."""
+    """One process, its answers, and the file of its error messages."""
 
     name: str
     process: subprocess.Popen[str]
@@ -37,7 +37,7 @@ class Timed:
     def run(self) -> None:
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        with suppress(BrokenPipeError):  # it has ended already: the empty answer below says so
+        with suppress(BrokenPipeError):  # it has ended already: the empty answer below shows it
             self.process.stdin.write("\n")
             self.process.stdin.flush()
         line = self.process.stdout.readline()
@@ -66,7 +66,7 @@ def worker(
     ):
         try:
             yield Timed(name, process, errors)
-        except BaseException:  # another one's error too: this one may be compiling for minutes
+        except BaseException:  # also for another process's error: this one may be compiling for minutes
             process.kill()
             raise
         finally:

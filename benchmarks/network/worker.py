@@ -1,4 +1,4 @@
-"""One network in one runtime, in a process of its own: waits for a line, runs once, answers with the seconds.
+"""Run one network in one runtime, in a process of its own: wait for a line, run once, answer with the seconds.
 
 `python -m benchmarks.network.worker RUNTIME MODEL --checkpoint FILE --views V`; RUNTIME is one of `RUNTIMES`, or `peak`
 for the matrix product that onnxruntime does best: large, with constant weights that it has packed.
@@ -22,7 +22,7 @@ REPEATS_PEAK = 20
 
 
 def runner(runtime: str, model: Path, checkpoint: Path, views: int) -> tuple[Callable[[], object], float]:
-    """A function that runs once on one thread, and the operations that a run has (0 where they are not counted)."""
+    """A function that runs once on one thread, and the operations of a run (0 if they are not counted)."""
     if runtime == "peak":
         return matrix_product()
     import torch
@@ -67,7 +67,7 @@ def operations(graph: object, inputs: tuple[object, ...]) -> float:
 
 
 def matrix_product() -> tuple[Callable[[], object], float]:
-    """onnxruntime's float32 product with constant weights on one thread."""
+    """onnxruntime's float32 matrix product with constant weights on one thread."""
     import onnx
     import onnxruntime as ort
     from onnx import TensorProto, helper, numpy_helper

@@ -1,1 +1,1 @@
-"""What a scene keeps, costs and loses: by leaving Gaussians out, and by the format of its file."""
+"""Quality and cost of a scene: when Gaussians are left out, in each file format, and at each level of detail."""

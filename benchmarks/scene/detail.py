@@ -1,10 +1,10 @@
-"""What `detail` 2 gives and costs, beside 1: pictures of twice the network's size against photographs held back.
+"""Compare `detail` 2 with `detail` 1: pictures of twice the network's size against held-out photographs, and the cost.
 
-`python -m benchmarks.scene.detail [SCENE_DIR...] [--generated N] [--inputs 2] [--fade 4] [--pictures DIR]`: folders
-whose cameras.json suggests inputs and targets, and N generated scenes whose pictures have twice the network's size.
-Both scenes are drawn from the targets' cameras at twice the network's size, and those of photographs at its own too;
-the photographs are resized to that. LPIPS where its weights are found. The pictures show the middle of each scene's
-first target: the truth, `detail` 1, `detail` 2.
+`python -m benchmarks.scene.detail [SCENE_DIR...] [--generated N] [--inputs 2] [--fade 4] [--pictures DIR]` takes
+folders whose cameras.json suggests inputs and targets, and N generated scenes whose pictures have twice the network's
+size. Both scenes are drawn from the targets' cameras at twice the network's size, and scenes of photographs also at its
+own; the photographs are resized to that. LPIPS needs its weights. The pictures show the middle of each scene's first
+target: the truth, `detail` 1, `detail` 2.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Row:
     seconds: float  # of processor time, all threads
 
     def line(self, title: str) -> str:
-        """Markdown."""
+        """The row in Markdown."""
         return (
             f"| {title} | {_shown(self.twice)} | {_shown(self.once)} | {self.count:,.0f} | {self.size / 1e6:.1f} | "
             f"{self.seconds:.1f} |\n"
@@ -55,7 +55,7 @@ class Row:
 
 
 def compared(scene: Scene, targets: Targets, lpips: Lpips | None) -> Figures:
-    """Mean over the targets, all pixels of each."""
+    """Mean over the targets, over all pixels of each."""
     each = []
     for target in targets:
         picture = drawn(scene, target)
@@ -69,7 +69,7 @@ def drawn(scene: Scene, target: FittedView) -> NDArray[np.float32]:
 
 
 def save_middles(path: Path, pictures: Sequence[NDArray[np.float32]]) -> None:
-    """The middle half of each way of (3, H, W) pictures, side by side, at twice their size without any smoothing."""
+    """The middle halves (in both directions) of pictures (3, H, W), side by side, enlarged twice without smoothing."""
     middles = []
     for picture in pictures:
         height, width = (side // 4 for side in picture.shape[1:])

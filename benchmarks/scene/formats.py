@@ -1,8 +1,9 @@
-"""What each format of Gaussians costs: bytes, and pictures of what a file keeps beside those of what was written.
+"""Measure the cost of each format of Gaussians: bytes, and pictures of the file against those of the original scene.
 
-`python -m benchmarks.scene.formats [SCENE_DIR...] [--fade 4]`: each scene is reconstructed from the two views that
-the service chooses, written in every format, read again, and drawn from all cameras of its folder, shrunk to sides of
-256 px or less; without SCENE_DIR the sample scene. A table for each scene, and one for all where there are more.
+`python -m benchmarks.scene.formats [SCENE_DIR...] [--fade 4]` reconstructs each scene from the two views that the
+service chooses, writes it in every format, reads it again and draws it from all cameras of its folder, reduced to sides
+of 256 px or less. Without SCENE_DIR it takes the sample scene. It prints a table for each scene, and one for all of
+several.
 """
 
 from __future__ import annotations
@@ -37,14 +38,14 @@ HEADER = """| format | bytes | share | PSNR, dB: lowest, mean |
 
 @dataclass(frozen=True)
 class Cost:
-    """What one format costs of one scene, or of several together."""
+    """The cost of one format for one scene, or for several together."""
 
     size: int  # bytes
     psnr: list[float]  # dB, one per picture
 
 
 def costs(service: Reconstructor, folder: Path, fade: int) -> dict[str, Cost]:
-    """By the format's extension."""
+    """The cost of each format, by its extension."""
     capture = open_capture(folder)
     found = capture.choose(Wish(context=2))
     photos = [EncodedPhoto(found.read(place), lens=view.lens) for place, view in enumerate(found.file.views)]
@@ -63,7 +64,7 @@ def costs(service: Reconstructor, folder: Path, fade: int) -> dict[str, Cost]:
 
 
 def table(title: str, found: dict[str, Cost]) -> str:
-    """A line for each format, in Markdown."""
+    """A Markdown table with a row for each format."""
     lines = [f"\n{title}\n\n", HEADER]
     for name, cost in found.items():
         shown = "equal" if min(cost.psnr) == EQUAL_DB else f"{min(cost.psnr):.1f}, {np.mean(cost.psnr):.1f}"

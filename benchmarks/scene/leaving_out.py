@@ -1,9 +1,10 @@
-"""What leaving Gaussians out saves on photographs, and what it changes: the whole scene and the lean one side by side.
+"""Measure what leaving Gaussians out saves and changes on photographs: the whole scene against the reduced one.
 
-`python -m benchmarks.scene.leaving_out SCENE_DIR... [--inputs 2] [--fade 4] [--rounds 5]`: folders whose cameras.json
-suggests inputs and held-out targets. Each row: the .ply and a picture of 512 px as shares of the whole scene's, the
-bound and the largest change found in 1/255, the change of PSNR on the targets, and the time of deciding as a share of
-the reconstruction. Times are medians over rounds, of pictures with both scenes in turn, after one that is not counted.
+`python -m benchmarks.scene.leaving_out SCENE_DIR... [--inputs 2] [--fade 4] [--rounds 5]` takes folders whose
+cameras.json suggests inputs and held-out targets. Each row has the .ply and the time of a picture of 512 px as shares
+of the whole scene's, the bound and the largest change found in 1/255, the change of PSNR on the targets, and the time
+of deciding as a share of the reconstruction. Times are medians over the rounds after a first one that is not counted;
+pictures of both scenes are drawn in turns.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def reconstructed(service: Reconstructor, case: Case, budget: Budget, fade: int)
 
 
 def held_out_psnr(scene: Scene, targets: Sequence[FittedView]) -> float:
-    """Mean over the targets, colours cut to [0, 1]."""
+    """Mean over the targets, colours clipped to [0, 1]."""
     pictures = [scene.render(view.camera).rgb.transpose(2, 0, 1).clip(0, 1) for view in targets]
     return float(np.mean([psnr(drawn, view.image) for drawn, view in zip(pictures, targets, strict=True)]))
 
@@ -60,7 +61,7 @@ def picture_times(scenes: Sequence[Scene], rounds: int) -> list[float]:
 
 
 def row(service: Reconstructor, folder: Path, inputs: int, fade: int, rounds: int) -> str:
-    """One line of the table; deciding is timed in `rounds` reconstructions after one that is not counted."""
+    """One row of the table; deciding is timed in `rounds` reconstructions after one that is not counted."""
     case = photograph_case(folder, inputs, SIDE, SIDE)
     whole = reconstructed(service, case, KEEP_ALL, fade)
     runs = [reconstructed(service, case, Budget(), fade) for _ in range(rounds + 1)]

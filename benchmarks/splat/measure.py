@@ -1,4 +1,4 @@
-"""One scene of the benchmark: every renderer in turns, medians, stages, counted work and agreement."""
+"""Measure one scene: every renderer in turns, with medians, stages, operation counts and agreement."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Draw = Callable[[Camera], NDArray[np.floating]]
 
 @dataclass(frozen=True)
 class Other:
-    """A foreign renderer: what it is called, and a function that prepares a scene for it."""
+    """Another renderer: its name, and a function that prepares a scene for it."""
 
     name: str
     make: Callable[[Gaussians, int], Draw]
@@ -33,7 +33,7 @@ class Other:
 
 @dataclass(frozen=True)
 class Row:
-    """Medians of one scene."""
+    """The medians of one scene."""
 
     name: str
     count: int

@@ -43,7 +43,7 @@ def _run(steps, start):
 
 
 def peak_gflops(threads: int, repeats: int = 5) -> float:
-    """Best of `repeats`: float32 operations per second of all threads together, in thousand millions."""
+    """Best of `repeats`: float32 operations per second of all threads together, in GFLOP/s."""
     _run(np.int64(10), np.float32(0.5))
     best = 0.0
     for _ in range(repeats):

@@ -1,8 +1,8 @@
-"""What one writes first: tiles of 16 x 16, float32 covariances, one pixel after the other.
+"""A plain renderer, as one would write it first: tiles of 16 x 16, float32 covariances, one pixel after the other.
 
-For a central principal point the same image as the product but for rounding: dilation 0.3, alpha cut 1/255, clamp 0.99,
-inclusive stop at 1e-4. It shares the product's way of running threads: numba's own poll while idle, which slows
-down whoever comes next.
+For a central principal point it draws the same image as the product except for rounding: dilation 0.3, alpha cut 1/255,
+clamp 0.99, inclusive stop at 1e-4. It runs threads in the same way as the product, since numba's own threads poll while
+idle and slow down whatever runs next.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ F32 = np.float32
 
 
 class PlainRenderer:
-    """Draws one set of Gaussians; what does not depend on the camera is done once."""
+    """Draws one set of Gaussians; what does not depend on the camera is computed once."""
 
     def __init__(self, gaussians: Gaussians, threads: int) -> None:
         self.gaussians = gaussians
@@ -32,7 +32,7 @@ class PlainRenderer:
         self.means = gaussians.means.astype(F32)
 
     def __call__(self, camera: Camera) -> NDArray[np.float32]:
-        """(H, W, 3) over black."""
+        """The picture (H, W, 3) over black."""
         g = self.gaussians
         if g.sh_degree > 0:
             directions = g.means - camera.center

@@ -1,4 +1,4 @@
-"""`make bench-splat`: product and plain renderer in turns on the same scenes; medians, ratios, stages, agreement."""
+"""`make bench-splat`: product and plain renderer, in turns on the same scenes; medians, ratios, stages, agreement."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ CASES = (  # splats, SH degree, px; and what the ratio to the plain renderer mus
     ),
     (1_000_000, 0, 1024, None),
 )
-NEED_SCALING, NEED_HARMONICS = 1.7, 1.35  # one thread to two at 131,072 splats and 1024 px; SH 3 to SH 0
-NEED_FIRST, NEED_LATER = 5.0, 0.5  # s, the first call with an empty cache of compiled loops, and with a full one
+NEED_SCALING, NEED_HARMONICS = 1.7, 1.35  # one thread against two at 131,072 splats and 1024 px; SH 3 against SH 0
+NEED_FIRST, NEED_LATER = 5.0, 0.5  # s, the first call with an empty cache of compiled loops, and with a filled one
 
 
 def other_renderer(path: Path) -> Other:
     """`renderer(gaussians, threads)` of a Python file: returns a function from a camera to (H, W, 3) colours."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
-        raise SystemExit(f"{path} is no Python file")
+        raise SystemExit(f"{path} is not a Python file")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return Other(path.stem, module.renderer)
 
 
 def trained_scene(path: Path, cameras: Path | None, size: int) -> tuple[Gaussians, Camera]:
-    """A .ply and the first of its cameras, at `size` px of width; without cameras it is seen from the origin."""
+    """A .ply and the first of its cameras, at a width of `size` px; without cameras, the view from the origin."""
     gaussians = read_ply(path)
     if cameras is None:
         return gaussians, camera(size)
@@ -59,7 +59,7 @@ def trained_scene(path: Path, cameras: Path | None, size: int) -> tuple[Gaussian
 
 
 def verdicts(rows: list[tuple[Row, float | None]], threads: int) -> list[str]:
-    """What must be reached and whether it is."""
+    """The requirements, and whether each is met."""
     lines = []
 
     def say(what: str, value: float, need: float, reached: bool) -> None:
@@ -84,8 +84,8 @@ def verdicts(rows: list[tuple[Row, float | None]], threads: int) -> list[str]:
 def main() -> None:
     """Print the table; see --help."""
     parser = argparse.ArgumentParser(prog="make bench-splat", description=__doc__)
-    parser.add_argument("--repeats", type=int, default=9, help="of each renderer, in turns (9)")
-    parser.add_argument("--threads", type=int, default=available_threads(), help="of all renderers (all)")
+    parser.add_argument("--repeats", type=int, default=9, help="runs of each renderer, in turns (9)")
+    parser.add_argument("--threads", type=int, default=available_threads(), help="threads of each renderer (all)")
     parser.add_argument("--quick", action="store_true", help="only 131,072 splats")
     parser.add_argument("--ply", type=Path, action="append", default=[], help="a trained scene to draw as well")
     parser.add_argument("--cameras", type=Path, action="append", default=[], help="its camera file, in the same order")

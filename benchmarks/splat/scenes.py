@@ -8,7 +8,7 @@ from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
 
 FIELD_OF_VIEW = np.radians(60.0)
-SPACING_SHARE = 0.65  # standard deviation in units of the distance between neighbours
+SPACING_SHARE = 0.65  # standard deviation over the distance between neighbours
 PLANES = (  # centre, two half axes
     ((0.0, 0.0, 3.5), (2.4, 0.0, 0.0), (0.0, 2.4, 0.0)),
     ((0.0, 1.3, 2.3), (2.2, 0.0, 0.0), (0.0, 0.0, 1.3)),
@@ -24,7 +24,7 @@ def camera(size: int) -> Camera:
 
 
 def surface_scene(count: int, degree: int, seed: int = 0) -> Gaussians:
-    """Three planes and four balls; 4 % of the Gaussians are three to eight times larger, opacities are mixed."""
+    """Three planes and four balls; 4 % of the Gaussians are three to eight times larger, and opacities vary."""
     rng = np.random.default_rng(seed)
     shares = np.diff(np.linspace(0, count, len(PLANES) + len(BALLS) + 1).astype(int))
     points, normals = [], []
@@ -46,7 +46,7 @@ def surface_scene(count: int, degree: int, seed: int = 0) -> Gaussians:
     large = rng.random(count) < 0.04
     size[large] *= rng.uniform(3, 8, large.sum())
     scales = size[:, None] * np.exp(rng.normal(0, 0.2, (count, 3))) * [1.0, 1.0, 0.1]
-    # The rotation that takes z to the normal, then a random turn about it.
+    # The rotation that takes z to the normal, after a random rotation about z.
     half_way = np.column_stack([1 + normal[:, 2], -normal[:, 1], normal[:, 0], np.zeros(count)])
     half_way[np.abs(half_way).max(axis=1) < 1e-9] = (0.0, 1.0, 0.0, 0.0)
     half_way /= np.linalg.norm(half_way, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""The first picture of a process: with an empty cache of compiled loops, and with what that left there."""
+"""Time the first picture of a process: with an empty cache of compiled loops, and with the one that it leaves."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 
-# What is imported is not timed: reading numba's files takes as long as the disk does.
+# Imports are not timed: reading numba's files takes as long as the disk does.
 CHILD = """
 import time
 import numpy as np

@@ -1,1 +1,1 @@
-"""Our pictures beside those of an independent viewer."""
+"""Our pictures against those of an independent viewer."""

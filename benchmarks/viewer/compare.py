@@ -1,7 +1,7 @@
 """`make compare-viewer`: the same .ply from the same camera, drawn by us and by SuperSplat's viewer in Chromium.
 
-Needs Chromium, and the viewer that npm brings at installation. The viewer cuts splats elsewhere, fades them
-towards the cut and sorts by its own rule, so the pictures agree as pictures do, not to the last digit; wrong colours,
+Needs Chromium, and the viewer that npm installs with the package. The viewer truncates splats elsewhere, fades them
+towards the truncation and sorts by its own rule. The pictures therefore agree only approximately, but wrong colours,
 handedness or scales would show at once.
 """
 
@@ -35,7 +35,7 @@ from gapmes.service.splat import render
 VIEWER = STATIC / "viewer"
 NEED_DB = 35.0
 PATIENCE = 240  # s, for the first frame, drawn without a GPU
-SETTLING_MS = 8_000  # after it: the sorter works beside the drawing
+SETTLING_MS = 8_000  # after it: the sorter runs in parallel with drawing
 
 
 def settings_for(camera: Camera) -> dict[str, object]:
@@ -54,7 +54,7 @@ PAGE = """<!doctype html>
 <img src="shown" width="1" height="1" style="position: absolute; right: 0; bottom: 0">
 <script type="module">
   import { createViewer } from "./index.js";
-  // The picture is loaded, and with it the page, when the viewer has had time to sort and to draw again.
+  // The picture, and with it the page, finishes loading once the viewer has had time to sort and to draw again.
   window.firstFrame = () => setTimeout(() => fetch("settled"), %d);
   createViewer({
     container: document.getElementById("view"), settings: await (await fetch("settings.json")).json(),
@@ -71,7 +71,7 @@ class Handler(http.server.SimpleHTTPRequestHandler):
         super().__init__(*args, **options)
 
     def do_GET(self) -> None:  # the base class names it so
-        """A file, or one of the two signals."""
+        """Serves a file, or one of the two signals."""
         if self.path == "/settled":
             self.settled.set()
         elif self.path == "/shown":
@@ -81,11 +81,11 @@ class Handler(http.server.SimpleHTTPRequestHandler):
         return self.send_error(http.HTTPStatus.NOT_FOUND)
 
     def log_message(self, format: str, *args: object) -> None:  # the base class names it so
-        """Nothing."""
+        """Logs nothing."""
 
 
 def shown_by_viewer(ply: Path, camera: Camera, chromium: str) -> np.ndarray:
-    """(H, W, 3) bytes: what the viewer shows of a .ply."""
+    """(H, W, 3) bytes: the viewer's picture of a .ply."""
     settled = threading.Event()
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
@@ -113,12 +113,12 @@ def shown_by_viewer(ply: Path, camera: Camera, chromium: str) -> np.ndarray:
 
 
 def main() -> None:
-    """Draw with both, print how they agree, write the pictures side by side; see --help."""
+    """Draw with both, print how well they agree, write the pictures side by side; see --help."""
     parser = argparse.ArgumentParser(prog="make compare-viewer", description=__doc__)
-    parser.add_argument("--ply", type=Path, help="a scene (the sample scene, reconstructed now)")
+    parser.add_argument("--ply", type=Path, help="scene to draw (default: the sample scene, reconstructed)")
     parser.add_argument("--cameras", type=Path, default=sample_folder() / "cameras.json", help="a camera file")
-    parser.add_argument("--view", type=int, default=3, help="which of its cameras (3)")
-    parser.add_argument("--size", type=int, default=1024, help="px of the picture's width (1024)")
+    parser.add_argument("--view", type=int, default=3, help="index of the camera in the file (3)")
+    parser.add_argument("--size", type=int, default=1024, help="width of the picture, px (1024)")
     parser.add_argument("--chromium", default="chromium", help="the browser's command (chromium)")
     parser.add_argument("--out", type=Path, default=Path("viewer.png"), help="picture to write (viewer.png)")
     options = parser.parse_args()

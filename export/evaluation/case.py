@@ -1,4 +1,4 @@
-"""What is measured on: inputs and held-out targets of one scene, from a folder of photographs or from the generator."""
+"""Evaluation cases: inputs and held-out targets of a scene, from a folder of photographs or from the generator."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gapmes.model.training.generated_views import exact_views, generated_view
 from gapmes.model.training.scenes import SceneBatch, SceneSampler
 from gapmes.service.cameras.camera import Camera
+from gapmes.service.captures.capture import SceneFolder
 from gapmes.service.errors import ImageError
 from gapmes.service.photographs.images import FittedView, Photo, decode_image, fit_view, match_photo
 
@@ -21,11 +22,11 @@ from .suggested import suggested_views
 
 F32 = NDArray[np.float32]
 
-# Not that of the validation during training: no weights were chosen by these scenes. Steps and limits of the mending
-# were, by the first 24 to 40 of them (docs/fading-figures.md); another seed gives scenes that nothing was chosen by,
-# but for the few seeds that docs/evaluation.md names.
+# Not the seed of the validation during training: no weights were selected on these scenes. Steps and limits of the
+# mending were, on the first 24 to 40 of them (docs/fading-figures.md); with other seeds nothing was selected, except
+# for the few that docs/evaluation.md names.
 GENERATED_SEED = 700_003
-WIDE = (0.18, 0.5)  # way between the inputs in units of the scene's median depth
+WIDE = (0.18, 0.5)  # range of baselines, in units of the scene's median depth
 GENERATED_TARGETS = 2
 
 
@@ -35,63 +36,47 @@ class TrueDepth:
 
     inputs: F32  # (V, H, W)
     targets: F32  # (T, H, W)
-    far: float  # where splats of the background are put
+    far: float  # depth at which splats of the background are placed
 
     def input_surfaces(self) -> F32:
-        """(V, H, W) of `inputs`, finite."""
+        """(V, H, W) `inputs` with the background at `far`."""
         return np.where(np.isinf(self.inputs), np.float32(self.far), self.inputs)
 
 
 @dataclass(frozen=True, eq=False)
 class LargerTargets:
-    """The targets at twice the size that is measured."""
+    """The targets at twice the evaluated size."""
 
     views: tuple[FittedView, ...]
-    side_px: int  # shorter side of the smallest photograph's crop, or as drawn; views with more were enlarged
+    side_px: int  # shorter side of the smallest photograph's crop, or as rendered; larger views were upsampled
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One scene: what a reconstruction is given, and what it is compared with."""
+    """One scene: the inputs of a reconstruction and the targets that it is compared with."""
 
     name: str
     photos: tuple[Photo, ...]  # inputs at their own size
     cameras: tuple[Camera, ...]  # of `photos`
-    inputs: tuple[FittedView, ...]  # at the size that is measured
+    inputs: tuple[FittedView, ...]  # at the evaluated size
     targets: tuple[FittedView, ...]
     near: float | None
     far: float | None
     truth: TrueDepth | None = None
-    at_twice: Callable[[], LargerTargets] | None = None  # made when it is asked for
+    at_twice: Callable[[], LargerTargets] | None = None  # computed on demand
 
 
 def photograph_case(folder: Path, inputs: int, height: int, width: int, name: str | None = None) -> Case:
-    """The `suggested` views of a scene folder, centre-cropped and resized to `height` x `width` px; the folder's own
-    name unless another is given.
+    """The `suggested` views of a scene folder, centre-cropped and resampled to `height` x `width` px; `name` defaults
+    to that of the folder.
 
-    Raises `NoSuchViews`, and `InputError` for what is no scene folder, for views that are not there and for photographs
-    that cannot be decoded or have transparent pixels.
+    Raises `NoSuchViews`, and `InputError` for a folder that is no scene, missing views, and photographs that cannot be
+    decoded or have transparent pixels.
     """
     suggested = suggested_views(folder, inputs)
     scene = suggested.scene
 
-    def load(index: int) -> tuple[Photo, Camera]:
-        path = scene.image_paths[index]
-        try:
-            photo = decode_image(path.read_bytes(), index=index)
-        except ImageError as error:  # of one scene of several
-            named = f"{path}: {error.message}"
-            raise type(error)(named, field=error.field, index=index, cure=error.cure, **error.extra) from error
-        if photo.mask is not None:
-            raise ImageError(
-                f"{path} is transparent in {(~photo.mask).sum()} of {photo.mask.size} pixels, need 0: all are compared",
-                field="images",
-                index=index,
-                cure="save the scene's photographs without an alpha channel, or leave the scene out",
-            )
-        return match_photo(photo, scene.file.views[index].camera, index=index)
-
-    given, held_out = [load(i) for i in suggested.inputs], [load(i) for i in suggested.targets]
+    given, held_out = ([opaque_view(scene, i) for i in views] for views in (suggested.inputs, suggested.targets))
     return Case(
         name=name or shortest_names([folder])[0],
         photos=tuple(photo for photo, _ in given),
@@ -104,6 +89,25 @@ def photograph_case(folder: Path, inputs: int, height: int, width: int, name: st
     )
 
 
+def opaque_view(scene: SceneFolder, index: int) -> tuple[Photo, Camera]:
+    """A photograph of a scene folder at its own size, with its camera; raises `InputError` where it cannot be decoded
+    or has transparent pixels, naming the file."""
+    path = scene.image_paths[index]
+    try:
+        photo = decode_image(path.read_bytes(), index=index)
+    except ImageError as error:  # of one scene of several
+        named = f"{path}: {error.message}"
+        raise type(error)(named, field=error.field, index=index, cure=error.cure, **error.extra) from error
+    if photo.mask is not None:
+        raise ImageError(
+            f"{path} is transparent in {(~photo.mask).sum()} of {photo.mask.size} pixels, need 0: all are compared",
+            field="images",
+            index=index,
+            cure="save the scene's photographs without an alpha channel, or leave the scene out",
+        )
+    return match_photo(photo, scene.file.views[index].camera, index=index)
+
+
 def _resampled(photos: Sequence[tuple[Photo, Camera]], height: int, width: int) -> LargerTargets:
     views = tuple(fit_view(*view, height, width) for view in photos)
     scale = min(min(photo.height / height, photo.width / width) for photo, _ in photos)
@@ -111,7 +115,7 @@ def _resampled(photos: Sequence[tuple[Photo, Camera]], height: int, width: int) 
 
 
 def generated_cases(count: int, inputs: int, height: int, width: int, seed: int = GENERATED_SEED) -> Iterator[Case]:
-    """`count` wide scenes with exact depth; the inputs carry exposure errors and noise, the targets do not."""
+    """`count` scenes of wide baselines with exact depth; inputs have exposure errors and noise, targets have not."""
     for index in range(count):
         batch = _generated(seed, index, inputs, height, width)
         yield _of_batch(batch, f"generated {index:03d}", partial(_drawn_again, seed, index, batch))
@@ -123,7 +127,7 @@ def _generated(seed: int, index: int, inputs: int, height: int, width: int) -> S
 
 
 def _drawn_again(seed: int, index: int, batch: SceneBatch) -> LargerTargets:
-    """Scene `index` drawn anew at twice the size; its world lies elsewhere, which pictures do not show."""
+    """Scene `index` rendered again at twice the size; its world frame differs, which does not affect pictures."""
     height, width = (2 * side for side in batch.images.shape[-2:])
     larger = _generated(seed, index, batch.inputs, height, width).images[0]
     intrinsics, poses = batch.intrinsics[0], batch.world_from_cam[0]
@@ -132,7 +136,7 @@ def _drawn_again(seed: int, index: int, batch: SceneBatch) -> LargerTargets:
 
 
 def _of_batch(batch: SceneBatch, name: str, at_twice: Callable[[], LargerTargets]) -> Case:
-    """The only scene of a batch; inputs are rounded to 8 bits, as a file would hold them."""
+    """The case of a batch of one scene; inputs are rounded to 8 bits, as in a file."""
     v = batch.inputs
     depths = np.where(batch.background[0], np.float32(np.inf), batch.depths[0])
     views = exact_views(batch)

@@ -30,9 +30,9 @@ def evaluate(
     ] = None,
     generated: Annotated[int | None, typer.Option(min=0, help="number of generated scenes")] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="of the generated scenes [default: that of the printed figures]")
+        int | None, typer.Option(min=0, help="seed of the generated scenes [default: that of the published figures]")
     ] = None,
-    inputs: Annotated[list[int] | None, typer.Option(min=2, max=3, help="2 or 3; repeat for both")] = None,
+    inputs: Annotated[list[int] | None, typer.Option(min=2, max=3, help="input views, 2 or 3; repeat for both")] = None,
     size: Annotated[list[str] | None, typer.Option(help="side in px, or HEIGHTxWIDTH; repeat for several")] = None,
     model: Annotated[
         list[Path] | None,
@@ -41,21 +41,21 @@ def evaluate(
     engine: Annotated[
         list[str] | None, typer.Option(help=f"{', '.join(ENGINES)}; repeat to compare [default: {DEFAULT_ENGINE}]")
     ] = None,
-    twice: Annotated[bool, typer.Option("--twice", help="draw at twice the size as well, and compare")] = False,
-    fade: Annotated[int, typer.Option(help="passes of fading, as of reconstruct; 0: none")] = DEFAULT_PASSES,
+    twice: Annotated[bool, typer.Option("--twice", help="also draw at twice the size, and compare")] = False,
+    fade: Annotated[int, typer.Option(help="passes of fading, as in reconstruct; 0: none")] = DEFAULT_PASSES,
     out: Annotated[Path, typer.Option("-o", "--out", readable=False, help="folder of the report")] = Path("evaluation"),
     lpips: Annotated[
         Path | None, typer.Option(readable=False, help="LPIPS weights, .safetensors [default: beside the checkout]")
     ] = None,
-    check: Annotated[bool, typer.Option("--check", help="exit code 1 when a floor is missed")] = False,
+    check: Annotated[bool, typer.Option("--check", help="exit with code 1 if a floor is missed")] = False,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the report to stdout as JSON")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure PSNR, SSIM and LPIPS on held-out views, beside baselines that learn nothing.
 
-    Without SCENE_DIR and --generated: the scenes in a folder shared/scenes beside the checkout, where there is one,
-    at 256 and 128 px from two and three views, and generated scenes, 24 at 256 and 100 at 128 px.
+    Without SCENE_DIR and --generated it measures the scenes in a folder shared/scenes beside the checkout, if there is
+    one, at 256 and 128 px from two and three views, and generated scenes, 24 at 256 and 100 at 128 px.
     """
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:

@@ -1,4 +1,4 @@
-"""Which target pixels can be right at all: those whose surface at least one input sees."""
+"""Co-visibility: the target pixels whose surface at least one input sees."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ PREDICTED_TOLERANCE = 0.05  # two predictions are compared, each with its error
 
 
 def covisible(camera: Camera, depth: F32, cameras: Sequence[Camera], depths: Sequence[F32], tolerance: float) -> Mask:
-    """(H, W): the point at z-depth `depth` (H, W) lies in an input's picture, and not behind that input's own surface.
+    """(H, W) mask of pixels of `camera` with z-depth `depth` (H, W) that project into an input and are not occluded.
 
-    It is behind when its z-depth exceeds that of the input pixel that it falls into by more than `tolerance` of it.
-    Background has infinite depth: a direction, which an input sees where it has background itself.
+    A point is occluded when its z-depth exceeds that of the input pixel it falls into by more than the share
+    `tolerance`. Background has infinite depth: a direction, which an input sees where it shows background too.
     """
     endless = np.isinf(depth).ravel()
     rays = camera.unproject(pixel_grid(depth.shape), np.where(endless, 1.0, depth.ravel().astype(np.float64)))

@@ -1,4 +1,4 @@
-"""What a shipped network has to reach: each floor with the value that was measured, passed or missed."""
+"""Quality floors of a shipped network, each with the measured value, passed or missed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EXPERT_SHARE = 0.03  # of the top-k choices
 
 @dataclass(frozen=True)
 class Floor:
-    """One requirement; `passed` is None where nothing was measured that it speaks of."""
+    """One requirement; `passed` is None where it was not measured."""
 
     name: str
     need: str
@@ -28,7 +28,7 @@ class Floor:
 
 
 def floors(groups: Sequence[Group]) -> list[Floor]:
-    """All floors; each group speaks of its first model, and has to reach them at every size that was measured."""
+    """All floors, for the first model of each group, at every evaluated size."""
     result = []
     for kind, inputs, need in (
         ("generated", 2, GENERATED_MARGIN),
@@ -62,7 +62,7 @@ def _on_every_scene(group: Group, among: Sequence[str], which: str) -> Floor:
 
 
 def _twice(groups: Sequence[Group]) -> list[Floor]:
-    """The worst scene of all groups that were drawn at twice the size."""
+    """Floors of the worst scene of all groups that were rendered at twice the size."""
     drawn = [(g, s, twice) for g in groups for s in g.scenes if (twice := s.models[g.models[0]].twice) is not None]
     changes = [(abs(twice.change), f"{scene.scene}; {group.title}") for group, scene, twice in drawn]
     holes = [(twice.holes, f"{scene.scene}; {group.title}") for group, scene, twice in drawn]
@@ -74,7 +74,7 @@ def _twice(groups: Sequence[Group]) -> list[Floor]:
 
 
 def _worst(name: str, need: str, values: Sequence[tuple[float, str]], form: str, limit: float) -> Floor:
-    """The largest of the values, each with the place where it was measured, must be below `limit`."""
+    """The floor that the largest of the (value, where measured) pairs is below `limit`."""
     if not values:
         return Floor(name, need, "not measured", None)
     value, where = max(values)
@@ -82,7 +82,7 @@ def _worst(name: str, need: str, values: Sequence[tuple[float, str]], form: str,
 
 
 def _covered(groups: Sequence[Group]) -> Floor:
-    """Not one pixel that an input sees may be open."""
+    """The floor that no co-visible pixel is a hole."""
     entries = [
         (scene.models[g.models[0]].holes_covisible, f"{scene.scene}; {g.title}") for g in groups for scene in g.scenes
     ]
@@ -95,7 +95,7 @@ def _covered(groups: Sequence[Group]) -> Floor:
 
 
 def _experts(groups: Sequence[Group]) -> list[Floor]:
-    """The least used expert of each group; nothing to ask of a network without experts."""
+    """Floors on the share of the least used expert of each group; none for networks without experts."""
     result = []
     for group in groups:
         statistics = group.routing[group.models[0]]

@@ -1,4 +1,4 @@
-"""Names that tell paths apart: no longer than they need be, and as parts of file names."""
+"""Short distinct labels of paths, and file names made from them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
-GENERATED_STEM = re.compile(r"generated_\d+")  # of the pictures of generated scenes, which other scenes keep clear of
+GENERATED_STEM = re.compile(r"generated_\d+")  # reserved for pictures of generated scenes
 
 
 def given_twice(paths: Sequence[Path]) -> Path | None:
-    """The first path that leads where one before it does, or nothing."""
+    """The first path that resolves to the same file as an earlier one; None without duplicates."""
     seen: set[Path] = set()
     for path in paths:
         place = path.resolve()
@@ -22,8 +22,7 @@ def given_twice(paths: Sequence[Path]) -> Path | None:
 
 
 def shortest_names(paths: Sequence[Path], taken: Collection[str] = ()) -> list[str]:
-    """The last parts of each path, as many of all as tell them apart, and from the names `taken`: one where the names
-    differ.
+    """The last n components of each path, with the smallest n for which all are distinct and none is in `taken`.
 
     Raises `ValueError` where two are the same path.
     """
@@ -38,8 +37,7 @@ def shortest_names(paths: Sequence[Path], taken: Collection[str] = ()) -> list[s
 
 
 def file_stems(names: Iterable[str]) -> dict[str, str]:
-    """Each name as the start of a file's: blanks and slashes become _, and what would be the same, or a
-    `GENERATED_STEM`, is numbered."""
+    """Name -> file stem: white space and slashes become _; duplicates and a `GENERATED_STEM` get a number appended."""
     found: dict[str, str] = {}
     for name in names:
         plain = stem = re.sub(r"[\s/]", "_", name)

@@ -1,4 +1,4 @@
-"""Measure one scene: reconstruct, draw the targets, and compare model and baselines with the truth."""
+"""Evaluation of one scene: reconstruct, render the targets, compare models and baselines with the truth."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ from .sweep import filled_from_behind, plainly_swept_depths, swept_depths
 
 F32 = NDArray[np.float32]
 
-HOLE = 0.5  # a pixel with less opacity shows mostly what is behind the scene
+HOLE = 0.5  # a pixel with less opacity shows mostly the background
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The figures of a scene, and what they were taken from."""
+    """The scores of a scene, and the data that they were computed from."""
 
     score: SceneScore
     pictures: dict[str, list[F32]]  # method -> one (3, H, W) per target
@@ -59,7 +59,7 @@ class Measured:
 @dataclass(frozen=True, eq=False)
 class _Reconstruction:
     gaussians: Gaussians
-    near: float  # the depth range that was used, given or estimated; caller's units
+    near: float  # depth range used by the reconstruction; caller's units
     far: float
     routes: dict[str, NDArray]
     seconds: float
@@ -77,10 +77,10 @@ def measure(
     fade: int = DEFAULT_PASSES,
     threads: int | None = None,
 ) -> Measured:
-    """All baselines and `models` (of the size of `case`) on one scene; the targets are only compared with.
+    """Scores of all baselines and of `models`, which must have the size of `case`, on one scene.
 
-    `twice` measures at twice the size as well, where the case has it; `fade` is the reconstruction's.
-    Raises `GapmesError` that names the scene.
+    `twice` also compares at twice the size, where the case has it; `fade` is that of `reconstruct`. Raises
+    `GapmesError` that names the scene.
     """
     try:
         results = {model.label: _reconstruct(case, model, fade) for model in models}
@@ -122,7 +122,8 @@ def _reconstruct(case: Case, model: Model, fade: int) -> _Reconstruction:
 
 
 def _masks(case: Case, ours: _Reconstruction, renders: Sequence[Render], threads: int | None) -> list[Mask]:
-    """By true depth where there is one, else by the depth that we drew; the same for every method."""
+    """Co-visibility of each target, from true depth where there is one, else from rendered depth; the same for all
+    methods."""
     cameras = [view.camera for view in case.inputs]
     if case.truth is not None:
         surfaces, depths, tolerance = list(case.truth.inputs), list(case.truth.targets), TRUE_TOLERANCE
@@ -136,7 +137,7 @@ def _masks(case: Case, ours: _Reconstruction, renders: Sequence[Render], threads
 
 
 def _surface(drawn: Render) -> F32:
-    """(H, W): where nothing was drawn the surface behind its neighbours, so that a hole is not excused by itself."""
+    """(H, W) rendered depth with holes filled from behind, so that no hole excludes itself from co-visibility."""
     return filled_from_behind(drawn.depth, drawn.alpha > 0)
 
 
@@ -179,7 +180,7 @@ def _at_twice(
     score: MethodScore,
     threads: int | None,
 ) -> Twice:
-    """Drawn at twice the size and compared, beside the `pictures` of the `targets`' size, enlarged (Lanczos)."""
+    """Compare renders at twice the size, and the `pictures` at the evaluated size upsampled (Lanczos), with `truth`."""
     drawn = [ours.draw(view.camera, threads) for view in truth.views]
     truths, once = [view.image for view in truth.views], number(score.all.psnr)
     psnr = _mean_psnr([_picture(one) for one in drawn], truths)
@@ -194,11 +195,11 @@ def _mean_psnr(pictures: Sequence[F32], truths: Sequence[F32]) -> float:
 
 
 def lost_to_detail(pictures: Sequence[F32], targets: Sequence[F32], truths: Sequence[F32]) -> float:
-    """dB, never above 0: the change of PSNR from `targets` to `truths` of twice their size if `pictures` kept the
-    squared error that they have and gained only that of the targets themselves, enlarged. A mean over pictures.
+    """dB, at most 0: the change of PSNR from `targets` to `truths` of twice their size if the squared error of the
+    upsampled targets were added to that of `pictures`. A mean over pictures.
 
-    What the inputs' size cannot show costs this much however good the depths are, and more, the better the pictures
-    are; errors of the picture that happen to make up for missing detail are not thought of.
+    Detail beyond the inputs' resolution costs this much however accurate the depths are; correlation between errors of
+    the picture and missing detail is neglected.
     """
     own = [picture_error.psnr(*pair) for pair in zip(pictures, targets, strict=True)]
     best = [picture_error.psnr(enlarged(target), truth) for target, truth in zip(targets, truths, strict=True)]
@@ -206,7 +207,7 @@ def lost_to_detail(pictures: Sequence[F32], targets: Sequence[F32], truths: Sequ
 
 
 def enlarged(picture: F32) -> F32:
-    """(3, 2 H, 2 W) of (3, H, W), within [0, 1]."""
+    """(3, 2 H, 2 W) from (3, H, W) by Lanczos resampling, clipped to [0, 1]."""
     size = (2 * picture.shape[2], 2 * picture.shape[1])
     channels = [np.asarray(Pillow.fromarray(one).resize(size, Pillow.Resampling.LANCZOS)) for one in picture]
     return np.clip(np.stack(channels), 0, 1)

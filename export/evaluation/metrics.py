@@ -18,7 +18,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Figures:
-    """None where there is nothing to measure: no pixel in the mask, or no LPIPS weights."""
+    """Scores of one picture; None for an empty mask, for SSIM without a whole window and for LPIPS without weights."""
 
     psnr: float | None  # dB
     ssim: float | None
@@ -28,7 +28,7 @@ class Figures:
 def figures(picture: F32, truth: F32, mask: Mask, lpips: Lpips | None) -> Figures:
     """Compare (3, H, W) pictures in [0, 1] over the pixels of `mask` (H, W).
 
-    SSIM is over the windows centred in the mask, which at its edge see pixels beyond it.
+    SSIM is averaged over windows centred in the mask, which extend beyond it at its edge.
     """
     if not mask.any():
         return Figures(None, None, None)

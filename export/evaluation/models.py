@@ -1,4 +1,4 @@
-"""The files that are measured: exported ones as they are, checkpoints exported first; sizes and engines."""
+"""The evaluated models: exported files, and checkpoints that are exported first, by size and engine."""
 
 from __future__ import annotations
 
@@ -13,28 +13,18 @@ from gapmes.model.checkpoint import read_config, shipped_checkpoint
 from gapmes.model.weights_file import file_sha256
 from gapmes.service.errors import InputError, ModelError
 from gapmes.service.network.backends.choice import DEFAULT_ENGINE, EngineName, checked_engine, made_by
-from gapmes.service.network.engine import Arrays, Engine
+from gapmes.service.network.engine import Engine
 from gapmes.service.progress import Listener, silent
 from gapmes.service.shipped import shipped_model
 
 from ..pipeline import export_checkpoint
+from ..recording_engine import RecordingEngine
 from ..size import Size
 from .labels import given_twice, shortest_names
 from .scores import BASELINES, TRUE_DEPTH
 
 CHECKPOINT = ".safetensors"
 _BALANCES = {"experts": "mixture.gates.expert_balance", "tasks": "mixture.gates.task_balance"}
-
-
-class RecordingEngine(Engine):
-    """An engine that keeps what the network returned last: its depths and routes are not part of a scene."""
-
-    last: Arrays
-
-    def run(self, *arguments: object, **named: object) -> Arrays:
-        """As `Engine.run`."""
-        self.last = super().run(*arguments, **named)  # type: ignore[arg-type]
-        return self.last
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +34,7 @@ class Model:
     label: str
     file: str
     engine: RecordingEngine
-    lambdas: Mapping[str, float] | None  # of Eq. 11, for experts and tasks; None where no checkpoint tells
+    lambdas: Mapping[str, float] | None  # of Eq. 11, for experts and tasks; None if the checkpoint is unknown
 
     @property
     def size(self) -> Size:
@@ -62,7 +52,7 @@ def load_models(
 ) -> list[Model]:
     """Models of these `sizes`, in the order of `files`, each in all `engines`; without files the shipped one.
 
-    Of several engines the labels tell which. A checkpoint (.safetensors), and the shipped one at other sizes than its
+    With several engines the labels name them. A checkpoint (.safetensors), and the shipped one at other sizes than its
     own, is exported into `folder` and verified. Raises `ModelError` where a size has no model or a file has no size
     that is wanted, `ExportRejected`, `VerificationBroken` and `CheckpointError` of an export.
     """
@@ -88,7 +78,7 @@ def load_models(
 
 
 def checked_engines(names: Sequence[str]) -> list[EngineName]:
-    """Raises `ModelError` for a name that is none, one whose package is missing, or one given twice."""
+    """`names` as engines. Raises `ModelError` for one that is unknown, given twice or whose package is missing."""
     engines = [checked_engine(name) for name in names]
     if len(set(engines)) < len(engines):
         raise ModelError(f"{', '.join(engines)}: the same engine twice", field="engine")
@@ -109,20 +99,20 @@ def check_sizes(files: Sequence[Path], sizes: Sequence[Size]) -> None:
 
 
 def model_sizes(files: Sequence[Path]) -> list[Size]:
-    """Of the ONNX files, those with most pixels first."""
+    """The sizes of the ONNX files, largest first."""
     infos = [Engine(path, threads=1).info for path in files if path.suffix != CHECKPOINT]
     return sorted({Size(info.height, info.width) for info in infos}, key=Size.order, reverse=True)
 
 
 @dataclass(frozen=True)
 class _Runtime:
-    """What files are loaded into."""
+    """The engines and threads that files are loaded with."""
 
     engines: Sequence[EngineName]
     threads: int | None
 
     def load(self, path: Path, label: str, checkpoints: Mapping[str, Path]) -> list[Model]:
-        """The ONNX file in every engine; `checkpoints` are known ones by the sha256 of their weights."""
+        """The ONNX file in every engine; `checkpoints` maps the sha256 of known weights to their files."""
         models = []
         for name in self.engines:
             engine = RecordingEngine(path, threads=self.threads, engine=name)
@@ -176,8 +166,8 @@ def gate_lambdas(checkpoint: Path) -> dict[str, float]:
 
 
 def _labels(files: Sequence[Path]) -> list[str]:
-    """The stems of the files, or as much of their paths as tells them apart, from each other and from the baselines.
-    Raises `ModelError` for a file twice."""
+    """The stems of the files, or more of their paths where these are not distinct or coincide with a baseline. Raises
+    `ModelError` for a file given twice."""
     if (twice := given_twice(files)) is not None:
         raise ModelError(f"{twice} is given twice", field="model")
     stems, taken = [path.stem for path in files], {*BASELINES, TRUE_DEPTH}

@@ -1,4 +1,4 @@
-"""Depth maps made visible: one fixed small splat per input pixel, drawn by the service's own splatter."""
+"""Rendering of depth maps: one small isotropic splat per input pixel, by the service's own splatter."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ F32 = NDArray[np.float32]
 RADIUS = 0.45  # standard deviation in pixels of the input at the splat's depth
 OPACITY = 0.85
 DILATION = 0.1  # px^2; with RADIUS a blur of 0.55 px, and no gap between neighbours at equal size
-DOUBT = 0.15  # factor of the opacity where the depth is a guess
-SOLID = 0.5  # opacity of a pixel from which on the splats alone give its colour
+DOUBT = 0.15  # factor on the opacity of untrusted depths
+SOLID = 0.5  # opacity from which on a pixel shows the splats alone
 
 
 def pixel_gaussians(views: Sequence[FittedView], depths: F32, trusted: NDArray[np.bool_] | None = None) -> Gaussians:
-    """Round Gaussians at z-depths (V, H, W) with the pixels' colours; fainter where not `trusted` (V, H, W)."""
+    """Isotropic Gaussians at z-depths (V, H, W) with the pixels' colours; fainter where not `trusted` (V, H, W)."""
     means, scales, colours = [], [], []
     for view, depth in zip(views, depths, strict=True):
         camera, z = view.camera, depth.astype(np.float64).ravel()
@@ -46,7 +46,7 @@ def pixel_gaussians(views: Sequence[FittedView], depths: F32, trusted: NDArray[n
 
 
 def drawn_over(gaussians: Gaussians, camera: Camera, behind: F32, near: float, threads: int | None = None) -> F32:
-    """(3, H, W) in [0, 1]: the splats' own colour, undarkened, fading into `behind` (3, H, W) where they are thin."""
+    """(3, H, W) in [0, 1]: the splats' unpremultiplied colour, blended with `behind` (3, H, W) below opacity SOLID."""
     picture = render(gaussians, camera, definition=Definition(dilation=DILATION, near=near), threads=threads)
     alpha = picture.alpha
     share = np.clip(alpha / SOLID, 0, 1)

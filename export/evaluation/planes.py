@@ -1,4 +1,4 @@
-"""Baselines without a depth map: the nearest input as it is, and all inputs warped through the best single plane."""
+"""Baselines without a depth map: the nearest input unchanged, and all inputs warped through the best single plane."""
 
 from __future__ import annotations
 
@@ -30,9 +30,8 @@ def nearest_input(inputs: Sequence[FittedView], camera: Camera) -> F32:
 def consistent_plane(inputs: Sequence[FittedView], near: float, far: float) -> float:
     """The z-depth, of `PLANES` uniform in inverse depth, at which the inputs warped onto each other agree best.
 
-    The plane is parallel to the picture of the view that is compared; the measure is the mean absolute difference over
-    all ordered pairs and all pixels, with the border's colour where nothing is seen, so that little overlap is no
-    advantage. No target takes part.
+    Planes are fronto-parallel to the reference view. The cost is the mean absolute difference over all ordered pairs
+    and pixels, with border colours outside of the source, so that little overlap is no advantage. Targets are not used.
     """
     depths = torch.from_numpy(inverse_depth_steps(near, far, PLANES).astype(np.float32))
     cost = torch.zeros(PLANES)
@@ -43,7 +42,7 @@ def consistent_plane(inputs: Sequence[FittedView], near: float, far: float) -> f
 
 
 def plane_blend(inputs: Sequence[FittedView], camera: Camera, depth: float) -> F32:
-    """(3, H, W) as if all lay on the plane at z-depth `depth` of `camera`; inputs weigh by one over their distance."""
+    """(3, H, W) all inputs warped through the plane at z-depth `depth` of `camera`, weighted by inverse distance."""
     distances = _distances(inputs, camera)
     shares = distances / max(float(distances.sum()), np.finfo(np.float64).tiny)
     total, weights = torch.zeros(3, camera.height, camera.width), torch.zeros(camera.height, camera.width)

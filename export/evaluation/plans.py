@@ -1,4 +1,4 @@
-"""What an evaluation measures when little is asked for: the groups that the command's options stand for."""
+"""The groups of an evaluation, from the command's options and their defaults."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def evaluation_plans(
     files: Sequence[Path],
     seed: int | None = None,
 ) -> list[GroupPlan]:
-    """Photographs first, large sizes first. What is not given: see the constants.
+    """Photographs first, large sizes first; defaults are the constants above.
 
-    Without scenes and number of generated ones, the scenes beside the checkout and `GENERATED`. Without sizes, those of
-    the ONNX `files`, where there are any. Raises `InputError` when that leaves nothing, for a scene, a number of inputs
-    or a size given twice, and for a seed without generated scenes.
+    Without `scenes` and `generated`: the scenes beside the checkout and `GENERATED`. Without `sizes`: those of the ONNX
+    `files`, if any. Raises `InputError` when nothing is left, for a scene, number of inputs or size given twice, and
+    for a seed without generated scenes.
     """
     _check_once("inputs", inputs)
     _check_once("size", sizes)

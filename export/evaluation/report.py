@@ -1,4 +1,4 @@
-"""The report: everything that was measured as JSON, and the tables that people read as Markdown."""
+"""The report of an evaluation: all results as JSON, and tables in Markdown."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .tables import floor_table, group_section, precision_table, table
 
 @dataclass(frozen=True)
 class Report:
-    """All groups of a run, and the files that were measured."""
+    """All groups of a run, and the evaluated models."""
 
     models: Sequence[Model]
     groups: Sequence[Group]
@@ -41,7 +41,7 @@ class Report:
         }
 
     def markdown(self) -> str:
-        """Floors first, then every group: means, scenes, twice the size, routing."""
+        """Models and floors, then for every group: means, scenes, twice the size, routing."""
         lines = ["# Evaluation", "", *_models_section(self.models)]
         lines += [f"Passes of fading: {self.fade}.", ""]
         if self.lpips is None:
@@ -54,7 +54,7 @@ class Report:
         return "\n".join(map(visible, lines)).rstrip() + "\n"  # names of files may hold line ends
 
     def write(self, folder: Path) -> list[Path]:
-        """report.json and report.md in `folder`."""
+        """Write report.json and report.md into `folder`, which is made if missing; returns their paths."""
         folder.mkdir(parents=True, exist_ok=True)
         paths = [folder / "report.json", folder / "report.md"]
         paths[0].write_text(json.dumps(self.document(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -97,7 +97,7 @@ def _model_entry(model: Model) -> dict[str, Any]:
 
 
 def _group_entry(group: Group) -> dict[str, Any]:
-    """The group with its means and margins, so that nobody has to compute them again."""
+    """The scenes of a group with its means and margins."""
     scenes = [
         {**asdict(scene), "best_baseline": scene.best_baseline, "margin": {m: scene.margin(m) for m in group.models}}
         for scene in group.scenes

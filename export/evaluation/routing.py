@@ -1,4 +1,4 @@
-"""What the gates do on a test set: how often each expert is chosen, and how far the task weights vary over patches."""
+"""Routing statistics on a test set: share of each expert, mean and deviation of task weights over patches."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class RoutingStatistics:
 
 
 def routes_of(outputs: Arrays) -> Arrays:
-    """The part of the network's outputs that the statistics need, a row per patch."""
+    """The outputs that the statistics need, with one row per patch."""
     names = ("expert_index", "task_weight")
     return {name: outputs[name].reshape(-1, outputs[name].shape[-1]) for name in names if name in outputs}
 
@@ -31,7 +31,7 @@ def routes_of(outputs: Arrays) -> Arrays:
 def routing_statistics(
     routes: Sequence[Arrays], experts: int | None, lambdas: Mapping[str, float] | None
 ) -> RoutingStatistics | None:
-    """Pool the patches of several scenes; None where the network has neither gate, no shares without `experts`."""
+    """Statistics over the patches of several scenes; None for a network without gates, no shares without `experts`."""
     if not routes or not routes[0]:
         return None
     pooled = {name: np.concatenate([scene[name] for scene in routes]) for name in routes[0]}

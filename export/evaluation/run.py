@@ -1,4 +1,4 @@
-"""A whole evaluation: which groups there are, every scene of each, the report and its pictures."""
+"""A whole evaluation: every scene of all groups, the report and its pictures."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from .scores import Group
 from .sheets import scene_sheet
 from .suggested import NoSuchViews
 
-GENERATED_SHEETS = 8  # pictures: of the generated scenes the worst beside baselines, of photographs every one
+GENERATED_SHEETS = 8  # generated scenes with a picture, those of the smallest margins; photographs all have one
 
 
 @dataclass(frozen=True)
 class GroupPlan:
-    """Scenes that are measured alike: folders of photographs, or a number of generated ones."""
+    """Scenes that are evaluated alike: folders of photographs, or a number of generated ones."""
 
     inputs: int
     size: Size
-    folders: Mapping[str, Path] = field(default_factory=dict)  # by the names that the report gives them
+    folders: Mapping[str, Path] = field(default_factory=dict)  # label -> folder
     generated: int = 0
     seed: int = GENERATED_SEED  # of the generated ones
-    left_out: Mapping[str, str] = field(default_factory=dict)  # those that suggest no such views, with the reason
+    left_out: Mapping[str, str] = field(default_factory=dict)  # label -> reason, of folders without such views
 
     @property
     def kind(self) -> str:
@@ -60,9 +60,9 @@ def evaluate(
     threads: int | None = None,
     listener: Listener = silent,
 ) -> Report:
-    """Measure every plan and write report.json, report.md and the pictures into `out`.
+    """Evaluate every plan and write report.json, report.md and pictures into `out`.
 
-    A folder that suggests no views for a plan is left out, with the reason in the report. Raises `GapmesError`.
+    A folder without suggested views for a plan is left out, with the reason in the report. Raises `GapmesError`.
     """
     sizes = sorted({plan.size for plan in plans}, key=Size.order, reverse=True)
     check_output_folder(out)  # before the work, as everything here
@@ -132,8 +132,8 @@ def _group(
 
 
 def _looked_at(plan: GroupPlan) -> GroupPlan:
-    """With the folders that can be measured; raises `InputError` where one is no scene folder or has a photograph that
-    cannot be compared, or none of them can."""
+    """The plan with the folders that can be evaluated. Raises `InputError` for one that is no scene folder or has an
+    unusable photograph, and where none is left."""
     folders, left_out = {}, {}
     for name, folder in plan.folders.items():
         try:

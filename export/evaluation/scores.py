@@ -1,4 +1,4 @@
-"""The figures of one scene and of a group of scenes: every method over all and over co-visible pixels."""
+"""Scores of one scene and of a group of scenes: every method over all and over co-visible pixels."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ class Twice:
     """A render at twice the size, against the truth at that size."""
 
     psnr: float  # dB
-    change: float  # dB, against the PSNR at the size of the inputs
-    enlarged: float  # dB, the same change of the picture of the inputs' size, enlarged: the truth has finer detail
-    detail: float  # dB, the same change if the truth's finer detail were all that is lost
+    change: float  # dB, relative to the PSNR at the size of the inputs
+    enlarged: float  # dB, the same change for the picture at the inputs' size, upsampled
+    detail: float  # dB, the same change if only the truth's finer detail were lost
     holes: float  # share of pixels with opacity below 0.5
-    side_px: int  # shorter side that the truth has: of the photograph's crop, or as drawn; below twice ours: enlarged
+    side_px: int  # shorter side of the truth: the photograph's crop, or as rendered; below twice ours it was upsampled
 
 
 @dataclass(frozen=True)
 class ModelScore:
-    """What a model reached on a scene."""
+    """The scores of a model on a scene."""
 
     score: MethodScore
     holes: float  # share of all pixels with opacity below 0.5
@@ -48,7 +48,7 @@ class ModelScore:
 
 @dataclass(frozen=True)
 class SceneScore:
-    """All methods on one scene; the first model is the one that co-visibility without true depth comes from."""
+    """All methods on one scene; without true depth co-visibility comes from the first model."""
 
     scene: str
     covisible_share: float  # of the target pixels
@@ -88,7 +88,7 @@ class Group:
         return list(self.scenes[0].models)
 
     def methods(self) -> dict[str, MethodScore]:
-        """Every baseline and model: the mean over scenes."""
+        """Name -> mean over scenes, for every baseline and model."""
         names = list(self.scenes[0].baselines)
         means = {name: mean_score([scene.baselines[name] for scene in self.scenes]) for name in names}
         return means | {name: mean_score([s.models[name].score for s in self.scenes]) for name in self.models}
@@ -98,7 +98,7 @@ class Group:
         return [scene.margin(model, among) for scene in self.scenes]
 
     def margin_of_means(self, model: str) -> tuple[str, float]:
-        """The baseline that is best on average, and the dB by which the model's average is above its."""
+        """The baseline with the highest mean PSNR, and the model's mean PSNR above it, dB."""
         means = self.methods()
         best = max(BASELINES, key=lambda name: number(means[name].all.psnr))
         return best, number(means[model].all.psnr) - number(means[best].all.psnr)
@@ -109,12 +109,12 @@ def mean_score(scores: Sequence[MethodScore]) -> MethodScore:
 
 
 def mean_of(values: Sequence[float | None]) -> float:
-    """Mean of numbers of which at least one is there."""
+    """Mean of the values that are not None, of which there must be one."""
     return number(mean_or_none(values))
 
 
 def number(value: float | None) -> float:
-    """A figure over all pixels, which is never None."""
+    """`value`, a score over all pixels, which is never None."""
     if value is None:
         raise ValueError("a figure over all pixels is missing")
     return value

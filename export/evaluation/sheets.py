@@ -1,4 +1,4 @@
-"""A picture per scene: the inputs, then for each target truth, model, best baseline and absolute error."""
+"""A contact sheet per scene: the inputs, then per target truth, model, best baseline and absolute error."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from .measure import Measured
 
 F32 = NDArray[np.float32]
 
-ERROR_GAIN = 3  # absolute errors are shown three times as bright; most are too dark to see otherwise
+ERROR_GAIN = 3  # factor on absolute errors, most of which would be too dark to see
 
 
 def scene_sheet(case: Case, measured: Measured, model: str) -> Image.Image:
-    """Rows of labelled pictures; the figures are over all pixels, pixels that no input sees are blue in the error."""
+    """Rows of labelled pictures with their PSNR over all pixels; in the error, pixels that no input sees are blue."""
     best = measured.score.best_baseline
     rows = [Row(f"{case.name}: inputs", [_cell(_eight_bit(v.image), f"input {i}") for i, v in enumerate(case.inputs)])]
     for index, (target, mask) in enumerate(zip(case.targets, measured.masks, strict=True)):
@@ -37,11 +37,11 @@ def scene_sheet(case: Case, measured: Measured, model: str) -> Image.Image:
 
 
 def _cell(pixels: NDArray[np.uint8], label: str) -> Cell:
-    """Small pictures are enlarged by whole pixels."""
+    """A labelled picture; a small one is enlarged by an integer factor, without interpolation."""
     factor = max(1, CELL // max(pixels.shape[:2]))
     return Cell(pixels.repeat(factor, axis=0).repeat(factor, axis=1), label)
 
 
 def _eight_bit(picture: F32) -> NDArray[np.uint8]:
-    """(H, W, 3)"""
+    """(H, W, 3) from (3, H, W), clipped to [0, 1] and rounded to 8 bits."""
     return np.rint(np.clip(picture, 0, 1).transpose(1, 2, 0) * 255).astype(np.uint8)

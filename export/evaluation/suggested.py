@@ -1,4 +1,4 @@
-"""The views that a scene folder suggests: which are inputs, and which are held out to compare with."""
+"""The views that a scene folder suggests as inputs and as held-out targets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class NoSuchViews(InputError):
 
 @dataclass(frozen=True)
 class SuggestedViews:
-    """A scene folder with the indices of its inputs and targets: all of views that there are, none of them twice."""
+    """A scene folder with the indices of its inputs and targets, valid and distinct."""
 
     scene: SceneFolder
     inputs: tuple[int, ...]
@@ -29,10 +29,10 @@ class SuggestedViews:
 
 
 def suggested_views(folder: Path, inputs: int) -> SuggestedViews:
-    """What `cameras.json` suggests for so many inputs.
+    """The views that `cameras.json` suggests for a number of inputs.
 
-    Raises `NoSuchViews` without it, and `InputError` for what is no scene folder, for another number of inputs, for a
-    view that the scene does not have or that is named twice, and for a target that is an input.
+    Raises `NoSuchViews` where it suggests none, and `InputError` for a folder that is no scene, another number of
+    inputs, a view that is missing or named twice, and a target that is an input.
     """
     path = folder / "cameras.json"
     if not path.is_file():
@@ -64,7 +64,7 @@ def suggested_views(folder: Path, inputs: int) -> SuggestedViews:
 
 
 def _check_indices(path: Path, name: str, views: Sequence[int], count: int) -> None:
-    """Each view once, and one of the scene's `count`."""
+    """Raises `InputError` for a view outside of the scene's `count`, or named twice."""
     for place, view in enumerate(views):
         if not 0 <= view < count:
             raise InputError(

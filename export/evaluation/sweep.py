@@ -1,4 +1,4 @@
-"""Baseline depth without learning: plane sweep by ZNCC and colour, edge-aware sums, checked between the views."""
+"""Baseline depth without learning: plane sweep by ZNCC and colour, guided filtering, left-right consistency check."""
 
 from __future__ import annotations
 
@@ -20,34 +20,35 @@ F32 = NDArray[np.float32]
 
 PLANES = 96
 MATCH_RADIUS = 3  # px; ZNCC in windows of 7 x 7
-TEXTURELESS = 1e-8  # product of variances below which a window has nothing to correlate
+TEXTURELESS = 1e-8  # added to the product of variances, which damps the correlation of windows without texture
 COLOUR_SHARE = 0.5  # of the truncated colour difference in the cost, the rest is ZNCC
-COLOUR_LIMIT = 0.15  # absolute difference from which two colours are as different as can be
-UNSEEN_COST = 0.4  # of 0..1: worse than a match, better than a clear mismatch
+COLOUR_LIMIT = 0.15  # truncation of the absolute colour difference
+UNSEEN_COST = 0.4  # cost, 0..1, outside of the source: worse than a match, better than a clear mismatch
 GUIDE_RADIUS, GUIDE_EPSILON = 7, 1e-3  # px and variance of grey: weaker edges are smoothed across
-AGREEMENT = 0.03  # of the range of inverse depth, between a pixel's depth and that of the pixel it leads to
+AGREEMENT = 0.03  # of the range of inverse depth: largest difference to the depth of the corresponding pixel
 MEDIAN_RADIUS = 2  # px
 
 
 @dataclass(frozen=True, eq=False)
 class SweptDepths:
-    """Depth of every input pixel, and where another view agrees with it."""
+    """Depth of every input pixel, and a mask of those that another view confirms."""
 
     depths: F32  # (V, H, W) z-depth
     agreed: NDArray[np.bool_]  # (V, H, W)
 
 
 def plainly_swept_depths(inputs: Sequence[FittedView], near: float, far: float) -> F32:
-    """(V, H, W) z-depth: winner takes all over planes uniform in inverse depth, by the costs of the windows alone."""
+    """(V, H, W) z-depth: winner-take-all over planes uniform in inverse depth, with costs averaged in windows."""
     views = range(len(inputs))
     return torch.stack([_winners(inputs, index, near, far, guided=False) for index in views]).numpy()
 
 
 def swept_depths(inputs: Sequence[FittedView], near: float, far: float) -> SweptDepths:
-    """Winner takes all over planes uniform in inverse depth, each view against all others.
+    """Winner-take-all over planes uniform in inverse depth, each view against all others.
 
-    The cost volume is aggregated by a guided filter (He et al. 2010; Hosni et al. 2011), the winner refined by a
-    parabola. Where no other view's depth agrees, the farther neighbour in the row stands in; a median ends it.
+    The cost volume is aggregated by a guided filter (He et al. 2010; Hosni et al. 2011) and the minimum refined by a
+    parabola. Depths that no other view confirms are filled from the farther neighbour in the row; a median filter
+    follows.
     """
     first = torch.stack([_winners(inputs, index, near, far, guided=True) for index in range(len(inputs))])
     tolerance = AGREEMENT * (1 / near - 1 / far)
@@ -59,7 +60,7 @@ def swept_depths(inputs: Sequence[FittedView], near: float, far: float) -> Swept
 def filled_from_behind(depth: F32, known: NDArray[np.bool_]) -> F32:
     """(H, W): where not `known`, the farther of the nearest known depths to the left and right in the row.
 
-    What is hidden in one view lies behind its neighbours. A row without known depths takes the median of all of them.
+    Occluded surfaces lie behind their neighbours. A row without known depths gets the median of all known ones.
     """
     width = depth.shape[1]
     columns = np.arange(width)
@@ -73,7 +74,7 @@ def filled_from_behind(depth: F32, known: NDArray[np.bool_]) -> F32:
 
 
 def _winners(inputs: Sequence[FittedView], index: int, near: float, far: float, *, guided: bool) -> Tensor:
-    """(H, W) depth of the least cost, which a guided filter has aggregated or windows alone."""
+    """(H, W) depth of minimum cost, aggregated by a guided filter or in windows."""
     view = inputs[index]
     depths = torch.from_numpy(inverse_depth_steps(near, far, PLANES).astype(np.float32)).reshape(-1, 1, 1)
     others = [other for j, other in enumerate(inputs) if j != index]
@@ -90,7 +91,7 @@ def _winners(inputs: Sequence[FittedView], index: int, near: float, far: float, 
 
 
 def _matching_cost(view: FittedView, other: FittedView, depths: Tensor) -> Tensor:
-    """(D, H, W) in 0..1: zero-mean normalised cross-correlation of the grey pictures, and colour difference."""
+    """(D, H, W) costs in 0..1: ZNCC of the grey pictures combined with the truncated colour difference."""
     image = torch.from_numpy(view.image)[None]
     colours, seen = warped(view.camera, other, depths)
     a, b = image.mean(dim=1, keepdim=True), colours.mean(dim=1, keepdim=True)
@@ -115,7 +116,7 @@ def _guided(guide: Tensor, cost: Tensor) -> Tensor:
 
 
 def _agrees(inputs: Sequence[FittedView], depths: Tensor, index: int, tolerance: float) -> Tensor:
-    """(H, W): the pixel leads to one of another view whose own depth is the same, within `tolerance` in 1 / z."""
+    """(H, W) mask of pixels whose corresponding pixel in another view has the same depth, within `tolerance` in 1/z."""
     camera, depth = inputs[index].camera, depths[index]
     agreed = torch.zeros(depth.shape, dtype=torch.bool)
     for j, other in enumerate(inputs):
@@ -131,13 +132,13 @@ def _agrees(inputs: Sequence[FittedView], depths: Tensor, index: int, tolerance:
 
 
 def _box(planes: Tensor, radius: int) -> Tensor:
-    """Mean over windows of 2 * radius + 1 px of (n, c, H, W), cut off at the border."""
+    """Means of (n, c, H, W) over windows of 2 * radius + 1 px, truncated at the border."""
     size = 2 * radius + 1
     rows = F.avg_pool2d(planes, (1, size), 1, (0, radius), count_include_pad=False)
     return F.avg_pool2d(rows, (size, 1), 1, (radius, 0), count_include_pad=False)
 
 
 def _median(depths: Tensor) -> Tensor:
-    """Median in windows of 2 * `MEDIAN_RADIUS` + 1 px of (V, H, W)."""
+    """Median filter of (V, H, W) in windows of 2 * `MEDIAN_RADIUS` + 1 px."""
     padded = F.pad(depths[:, None], (MEDIAN_RADIUS,) * 4, mode="replicate")
     return F.unfold(padded, 2 * MEDIAN_RADIUS + 1).median(dim=1).values.reshape(depths.shape)

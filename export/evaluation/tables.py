@@ -9,11 +9,11 @@ from .metrics import Figures
 from .routing import RoutingStatistics
 from .scores import BASELINES, Group, MethodScore, Twice, mean_of
 
-SCENES_SHOWN = 20  # of a group; of more, each table says which
+SCENES_SHOWN = 20  # most scenes of a group in a table
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A Markdown table; in a cell a | is escaped, and the backslash that would escape the next one."""
+    """A Markdown table; | and backslashes in cells are escaped."""
     escaped = [[cell.replace("\\", "\\\\").replace("|", "\\|") for cell in row] for row in (head, *rows)]
     return [f"| {' | '.join(line)} |" for line in (escaped[0], ["---"] * len(head), *escaped[1:])]
 
@@ -43,7 +43,7 @@ def group_section(group: Group, lpips: bool) -> list[str]:
 
 
 def precision_table(groups: Sequence[Group], lpips: bool) -> list[str]:
-    """What every further model loses or gains against the first, on the same scenes."""
+    """Differences of every further model to the first, on the same scenes."""
     rows = []
     for group in groups:
         first, *others = group.models
@@ -121,7 +121,7 @@ def _scene_table(group: Group) -> list[str]:
 
 
 def _twice_table(group: Group) -> list[str]:
-    """Means, then scenes: of more than `SCENES_SHOWN` those where the first model changes most."""
+    """Means, then scenes, at most `SCENES_SHOWN`: those where the first model changes most."""
     models = group.models
     found = [(s.scene, [(m, t) for m in models if (t := s.models[m].twice) is not None]) for s in group.scenes]
     found = [(scene, rows) for scene, rows in found if rows]

@@ -8,16 +8,16 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from gapmes.service.cameras.camera import Camera
-from gapmes.service.cameras.rotations import turned
+from gapmes.service.cameras.rotations import rotated
 from gapmes.service.matching.coarse_views import pixel_grid
 from gapmes.service.photographs.images import FittedView
 
 
 def warped(camera: Camera, source: FittedView, depths: Tensor) -> tuple[Tensor, Tensor]:
-    """`source` as `camera` would see it if the surface lay at `depths`, without occlusion.
+    """Backward warp of `source` into `camera` through surfaces at `depths`, without occlusion.
 
-    depths: z-depths (D, H, W), or (D, 1, 1) for planes. Returns colours (D, 3, H, W), the border's where nothing is
-    seen, and where the source sees the point (D, H, W).
+    depths: z-depths (D, H, W), or (D, 1, 1) for planes. Returns colours (D, 3, H, W), clamped to the border, and a mask
+    (D, H, W) of points inside the source.
     """
     x, y, seen = source_positions(camera, source.camera, depths)
     grid = torch.stack([2 * x / source.camera.width - 1, 2 * y / source.camera.height - 1], dim=-1)
@@ -26,7 +26,7 @@ def warped(camera: Camera, source: FittedView, depths: Tensor) -> tuple[Tensor, 
 
 
 def source_positions(camera: Camera, source: Camera, depths: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Pixel positions x, y (D, H, W) in `source` of the points at `depths`, and whether they lie in its picture."""
+    """Pixel positions x, y (D, H, W) in `source` of the points at `depths`, and a mask of those in its picture."""
     rays, offset = relative_rays(camera, source)
     z = offset[2] + depths * rays[2]
     front = z > 0
@@ -37,8 +37,8 @@ def source_positions(camera: Camera, source: Camera, depths: Tensor) -> tuple[Te
 
 
 def relative_rays(camera: Camera, source: Camera) -> tuple[Tensor, list[float]]:
-    """Rays (3, H, W) of `camera` and its centre, both in the axes of `source`; a point is centre + depth * ray."""
+    """Rays (3, H, W) of `camera` and its centre, both in the frame of `source`; a point is centre + depth * ray."""
     shape = (camera.height, camera.width)
-    rays = turned(source.rotation.T, camera.rays(pixel_grid(shape))).T.reshape(3, *shape)
+    rays = rotated(source.rotation.T, camera.rays(pixel_grid(shape))).T.reshape(3, *shape)
     offset = (camera.center - source.center) @ source.rotation
     return torch.from_numpy(rays.astype(np.float32)), [float(value) for value in offset]

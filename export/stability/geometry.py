@@ -26,7 +26,7 @@ from gapmes.service.leaving_out.pruning import prune
 from gapmes.service.splat import render_reference
 
 from . import naive
-from .row import Row
+from .row import Row, larger
 from .splatter import cloud, view
 
 
@@ -53,9 +53,9 @@ def relative_poses() -> Row:
             centres = zip(cameras[0].center, cameras[1].center, strict=True)
             shift = mp.matrix([mp.mpf(float(b)) - mp.mpf(float(a)) for a, b in centres])
             exact = np.array([float(v) for v in turned * shift])
-            worst = max(worst, float(np.abs(frame.poses(cameras)[1, :3, 3] - exact).max()))
+            worst = larger(worst, float(np.abs(frame.poses(cameras)[1, :3, 3] - exact).max()))
             other = naive.relative_pose(cameras[0].world_from_cam, cameras[1].world_from_cam)
-            plain = max(plain, float(np.abs(other[:3, 3] - exact).max()))
+            plain = larger(plain, float(np.abs(other[:3, 3] - exact).max()))
     # float32 of a baseline of up to 2 units: 1.2e-7
     return Row(
         "P6",
@@ -88,7 +88,7 @@ def other_lens() -> Row:
         grid, inside = Warp.make(given, *camera).positions(depths)
         found = (grid[0, :, 0].numpy() + 1) / 2
         seen = inside[0, :, 0].numpy()
-        worst = max(worst, float(256 * np.abs(found - exact)[seen].max()))
+        worst = larger(worst, float(256 * np.abs(found - exact)[seen].max()))
     return Row("P7", "views with other lenses", "focal lengths 1:100 to 100:1", "float64", "px of 256", worst, 1e-3)
 
 
@@ -101,7 +101,7 @@ def candidates() -> Row:
         for step, depth in [*enumerate(inverse_depth_steps(near, far, 128)), *enumerate(network.tolist())]:
             first, last = 1 / mp.mpf(near), 1 / mp.mpf(far)
             exact = 1 / (first + (last - first) * step / 127)
-            worst = max(worst, abs(float((mp.mpf(float(depth)) - exact) / exact)))
+            worst = larger(worst, abs(float((mp.mpf(float(depth)) - exact) / exact)))
     return Row("P10", "depth candidates", "far/near to 1e6", "50 digits", "relative", worst, 2e-7)
 
 
@@ -113,8 +113,8 @@ def quaternions() -> Row:
         identity = torch.tensor([1.0, 0, 0, 0]).reshape(1, 4, 1, 1)
         heads = unit_quaternions(torch.from_numpy(raw.T.copy()).reshape(1, 4, 50, 1), identity)[0, :, :, 0].T.numpy()
         for unit in (normalized_quaternions(raw), heads):
-            worst = max(worst, _off_orthonormal(unit))
-        plain = max(plain, _off_orthonormal(naive.unit_quaternion(raw)))
+            worst = larger(worst, _off_orthonormal(unit))
+        plain = larger(plain, _off_orthonormal(naive.unit_quaternion(raw)))
     return Row(
         "A1", "quaternions of any length", "1e-44 to 1e38", "R R^T = I", "entry", worst, 2e-6, plain, "q / (|q| + 1e-8)"
     )
@@ -138,8 +138,8 @@ def harmonics() -> Row:
             turned = rotate_harmonics(coefficients, rotation)
             expected = evaluate_basis(directions, degree) @ coefficients[0]
             found = evaluate_basis(directions @ rotation.T, degree) @ turned[0]
-            worst = max(worst, float(np.abs(found - expected).max()))
-        plain = max(plain, float(np.abs(naive.band_rotation_by_angles(rotation) - rotation).max()))
+            worst = larger(worst, float(np.abs(found - expected).max()))
+        plain = larger(plain, float(np.abs(naive.band_rotation_by_angles(rotation) - rotation).max()))
     return Row(
         "A3",
         "harmonics turned with the world",
@@ -159,7 +159,8 @@ def half_turns() -> Row:
         for _ in range(20):
             axis = rng.standard_normal(3)
             rotation = about_axis(axis / np.linalg.norm(axis), angle)
-            worst = max(worst, float(np.abs(matrix_from_quaternion(quaternion_from_matrix(rotation)) - rotation).max()))
+            again = matrix_from_quaternion(quaternion_from_matrix(rotation))
+            worst = larger(worst, float(np.abs(again - rotation).max()))
     return Row("A4", "rotations to quaternions", "angles 0 to a half turn", "the matrix", "entry", worst, 1e-6)
 
 
@@ -188,14 +189,14 @@ def ply_file() -> Row:
 
 
 def removal() -> Row:
-    """How much more than its bound a colour changes by leaving out: random scenes, both pictures in float64."""
+    """The change of a colour by pruning in excess of its bound: random scenes, both pictures in float64."""
     worst, dropped = -math.inf, 0
     for seed in range(12):
         scene = cloud(120, seed, (0.02, 0.3), (1.0, 6.0))
         faint = replace(scene, opacities=scene.opacities ** np.float32(3))
         found = prune(faint, [view()], 0.3, worth=0)
         before, after = (render_reference(some, view()).rgb for some in (faint, faint[found.keep]))
-        worst = max(worst, float(np.abs(before - after).max()) - found.bound)
+        worst = larger(worst, float(np.abs(before - after).max()) - found.bound)
         dropped += found.dropped - found.unseen
     if dropped == 0:
         raise ValueError("nothing with weight was left out")

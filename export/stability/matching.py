@@ -1,4 +1,4 @@
-"""The stability table's row about matching between views: pictures bright, dark or both, with little contrast."""
+"""The stability row of matching between views: bright and dark pictures with little contrast."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gapmes.model.cost_volume import Views
 from gapmes.model.evidence import matching_evidence
 
 from . import naive
-from .row import Row
+from .row import Row, larger
 
 SIZE = 40  # px
 LEVELS = (0.05, 0.5, 0.95, (0.05, 0.95))  # the last: dark and bright halves
@@ -24,8 +24,8 @@ def rows() -> Iterator[Row]:
 
 
 def evidence() -> Row:
-    """Two cameras at one place: every plane compares the pictures pixel by pixel, so that nothing but the windows
-    rounds."""
+    """Two cameras of one pose: on every plane the pictures are compared pixel by pixel, so that only the window means
+    round."""
     rng = np.random.default_rng(0)
     views = Views.make(
         torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3),
@@ -40,7 +40,7 @@ def evidence() -> Row:
             images = np.clip(np.repeat(level, SIZE // np.size(level)) + contrast * both, 0, 1).astype(np.float32)
             exact = naive.evidence(*images.astype(np.float64))
             found = matching_evidence(torch.from_numpy(images), views, 2)[0, 0].numpy()
-            worst = max(worst, float(np.abs(found - exact).max()))
-            plain = max(plain, float(np.abs(naive.evidence(*images) - exact).max()))
+            worst = larger(worst, float(np.abs(found - exact).max()))
+            plain = larger(plain, float(np.abs(naive.evidence(*images) - exact).max()))
     sweep = f"levels 0.05 to 0.95, both in one, contrasts {CONTRASTS[-1]} to {CONTRASTS[0]}"
     return Row("P11", "evidence of matching", sweep, "float64", "score", worst, 1e-5, plain, "squares about zero")

@@ -1,4 +1,4 @@
-"""How these things are usually computed: in float32 the table's other column, and nothing that the product runs."""
+"""Straightforward float32 implementations for comparison in the stability table; the product uses none of them."""
 
 from __future__ import annotations
 
@@ -104,9 +104,9 @@ def band_rotation_by_angles(rotation: Array) -> Array:
 
 
 def evidence(first: Array, second: Array) -> Array:
-    """(h, w) how well two pictures (3, h, w) of the same cameras match, in their dtype: variances and covariances as
-    mean squares and products less those of the means (`model/evidence.py` has the definition). In float64 the table's
-    reference."""
+    """(h, w) matching evidence of two pictures (3, h, w) of the same camera, in their dtype, with variances and
+    covariances as means of products less products of means (defined in `model/evidence.py`). In float64 it is the
+    table's reference."""
 
     def mean(values: Array, radius: int) -> Array:
         padded = np.pad(values, radius, mode="edge")

@@ -13,7 +13,7 @@ from gapmes.model.routing import Gates, Routing, decisiveness, hybrid_weights, t
 
 from ..routes import AMBIGUOUS_GAP
 from . import naive
-from .row import Row
+from .row import Row, larger
 
 
 def rows() -> Iterator[Row]:
@@ -42,7 +42,7 @@ def ties() -> Row:
 
 
 def near_ties() -> Row:
-    """float32 logits against the float64 ones that they round; a route may differ only where the margin says so."""
+    """float32 logits against the float64 ones they round; routes may differ only where the margin is small."""
     rng, missed, flips, total = np.random.default_rng(2), 0, 0, 0
     for gap in (0.0, 1e-8, 1e-7, 1e-6, 1e-5, 1e-3, 1e-2):
         wide = rng.normal(0, 1, (2000, 6))
@@ -77,8 +77,8 @@ def huge_logits() -> Row:
                 tau = mp.mpf(temperature)
                 powers = [mp.exp((mp.mpf(float(v)) - mp.mpf(float(row.max()))) / tau) for v in row]
                 exact = np.array([float(p / mp.fsum(powers)) for p in powers])
-                worst = max(worst, float(np.abs(ours - exact).max()))
-                plain = max(plain, float(np.nan_to_num(np.abs(other - exact), nan=np.inf).max()))
+                worst = larger(worst, float(np.abs(ours - exact).max()))
+                plain = larger(plain, float(np.abs(other - exact).max()))
     return Row(
         "R3",
         "softmax of huge logits",
@@ -97,7 +97,7 @@ def balance() -> Row:
     soft = torch.softmax(torch.randn(500, 6, generator=torch.Generator().manual_seed(4)), -1)
     for value in (0.0, 1e-6, 0.3, 1 - 1e-6, 1.0):
         weights = hybrid_weights(soft, torch.tensor(value))
-        worst = max(worst, float((weights.double().sum(-1) - 1).abs().max()))
+        worst = larger(worst, float((weights.double().sum(-1) - 1).abs().max()))
     return Row("R4", "weights sum to 1", "lambda 0 to 1", "1", "weight", worst, 3e-7)
 
 
@@ -114,7 +114,7 @@ def sparse_experts() -> Row:
             x = torch.randn(patches, 24, 4, 4)
             with torch.no_grad():
                 sparse, dense = group(x, routing), group.dense(x, routing)
-            worst = max(worst, float((sparse - dense).abs().max() / dense.abs().max()))
+            worst = larger(worst, float((sparse - dense).abs().max() / dense.abs().max()))
     return Row(
         "R5",
         "experts on their patches alone",

@@ -1,7 +1,8 @@
-"""A row of the stability table, and how two pictures are compared off the edges of the splatter's cuts."""
+"""A row of the stability table, and the comparison of two pictures away from the splatter's cut-offs."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ EDGE = 1e-5  # of a cut: nearer pixels may fall on either side of it in another 
 
 @dataclass(frozen=True)
 class Row:
-    """One case over its sweep; errors are in `unit`, `naive` is what plain float32 gives (None where there is none)."""
+    """The largest error of one case over a sweep, in `unit`; `naive` is that of plain float32, None without one."""
 
     case: str
     what: str
@@ -34,8 +35,14 @@ class Row:
         return bool(self.worst <= self.tolerance)
 
 
+def larger(*errors: float) -> float:
+    """The largest error, infinite where one is NaN: `max` would pass over it, depending on the order."""
+    return math.inf if any(map(math.isnan, errors)) else max(errors)
+
+
 def against_reference(gaussians: Gaussians, camera: Camera, rule: Definition | None = None) -> tuple[float, Render]:
-    """The largest error of colour and opacity off the edges of cuts, and the float64 picture."""
+    """The largest error of colour and opacity away from cut-offs, and the float64 picture. Raises `ValueError` where
+    more than MOST_EDGES of the pixels lie on one."""
     rule = rule or Definition()
     ours, true = render(gaussians, camera, definition=rule), render_reference(gaussians, camera, definition=rule)
     edge = edges(gaussians, camera, rule, true)
@@ -46,7 +53,7 @@ def against_reference(gaussians: Gaussians, camera: Camera, rule: Definition | N
 
 
 def edges(gaussians: Gaussians, camera: Camera, rule: Definition, true: Render) -> NDArray[np.bool_]:
-    """Pixels whose float64 picture changes when a cut moves by `EDGE` of itself."""
+    """(H, W) mask of pixels whose float64 opacity changes when a cut-off changes by the share `EDGE`."""
     found = np.zeros(true.alpha.shape, bool)
     for share in (1 - EDGE, 1 + EDGE):
         for other in (replace(rule, alpha_min=rule.alpha_min * share), replace(rule, stop=rule.stop * share)):

@@ -1,4 +1,4 @@
-"""Stiff and extreme pictures: needles, layers, ties, far-off worlds; float64 or closed forms say what is right."""
+"""Stability rows of the splatter: needles, layers, ties, distant origins, against float64 or closed forms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gapmes.service.harmonics import C0
 from gapmes.service.splat import Definition, render, render_reference
 
 from . import naive
-from .row import Row, against_reference, edges
+from .row import Row, against_reference, edges, larger
 
 F64 = "float64, brute force"
 
@@ -60,7 +60,7 @@ def needles() -> Row:
             error, true = against_reference(one, camera)
             _, alpha = naive.picture(one, camera)
             off = ~edges(one, camera, Definition(), true)
-            worst, plain = max(worst, error), max(plain, float(np.abs(alpha - true.alpha)[off].max(initial=0.0)))
+            worst, plain = larger(worst, error), larger(plain, float(np.abs(alpha - true.alpha)[off].max(initial=0.0)))
     return Row(
         "E1", "one needle", "1 to 1e5 px long, 1:1 to 1:1e8", F64, "opacity", worst, 5e-6, plain, "2-D covariance"
     )
@@ -73,7 +73,7 @@ def stiff() -> Row:
         error, true = against_reference(scene, camera)
         colour, _ = naive.picture(scene, camera)
         off = ~edges(scene, camera, Definition(), true)
-        worst, plain = max(worst, error), max(plain, float(np.abs(colour - true.rgb)[off].max()))
+        worst, plain = larger(worst, error), larger(plain, float(np.abs(colour - true.rgb)[off].max()))
     return Row(
         "E2",
         "stiff scenes",
@@ -95,8 +95,8 @@ def closed_form() -> Row:
         variance = (40.0 * float(np.float32(scale)) / 2) ** 2 + 0.3
         alpha = float(np.float32(0.8)) * np.exp(-(x**2 + y**2) / (2 * variance))
         alpha[alpha < 1 / 255] = 0.0
-        worst = max(worst, float(np.abs(render(ball, camera).alpha - alpha).max()))
-        plain = max(plain, float(np.abs(naive.picture(ball, camera)[1] - alpha).max()))
+        worst = larger(worst, float(np.abs(render(ball, camera).alpha - alpha).max()))
+        plain = larger(plain, float(np.abs(naive.picture(ball, camera)[1] - alpha).max()))
     return Row(
         "E3", "a sphere on the axis", "scale 0 to 1", "closed form", "opacity", worst, 2e-6, plain, "2-D covariance"
     )
@@ -114,8 +114,9 @@ def many_layers() -> Row:
             expected = (alpha * light[:-1]) @ colours
             logs = np.exp(np.cumsum(np.log1p(-alpha.astype(np.float32)), dtype=np.float32)).astype(np.float32)
             weights = alpha.astype(np.float32) * np.concatenate([[np.float32(1)], logs[:-1]])
-            worst = max(worst, float(np.abs(image.rgb[2, 2] - expected).max()))
-            plain = max(plain, float(np.abs((weights[:, None] * colours.astype(np.float32)).sum(0) - expected).max()))
+            worst = larger(worst, float(np.abs(image.rgb[2, 2] - expected).max()))
+            simple = (weights[:, None] * colours.astype(np.float32)).sum(0)
+            plain = larger(plain, float(np.abs(simple - expected).max()))
     sweep = "1 to 1e4 layers of 1/255 to 0.99"
     return Row(
         "E5", "layers without early stop", sweep, "closed form", "colour", worst, 1e-5, plain, "sums of logarithms"
@@ -123,16 +124,16 @@ def many_layers() -> Row:
 
 
 def early_stop() -> Row:
-    """What the early stop hides, the rest being exact: the Gaussian that finishes a pixel is added, or is not."""
+    """The error of early stopping alone, with and without the Gaussian that finishes a pixel."""
     worst = plain = 0.0
     for layers in range(2, 21):
         for opacity in (0.9, 0.985, 1 - 2.0**-24, 1.0):
             means = np.column_stack([np.zeros((layers, 2)), 1 + 0.1 * np.arange(layers)])
             scene = dots(means, np.full(layers, opacity), np.linspace(0, 1, layers)[:, None])
             exact = render_reference(scene, view(5, 5, 5.0), definition=Definition(stop=0.0)).rgb[2, 2]
-            worst = max(worst, float(np.abs(render(scene, view(5, 5, 5.0)).rgb[2, 2] - exact).max()))
+            worst = larger(worst, float(np.abs(render(scene, view(5, 5, 5.0)).rgb[2, 2] - exact).max()))
             simple, _ = naive.picture(scene, view(5, 5, 5.0), exclusive=True)
-            plain = max(plain, float(np.abs(simple[2, 2] - exact).max()))
+            plain = larger(plain, float(np.abs(simple[2, 2] - exact).max()))
     return Row(
         "E6",
         "opaque layers",
@@ -170,7 +171,7 @@ def ties() -> Row:
 def threads() -> Row:
     scene, camera = cloud(2000, 4, (0.02, 0.3), (1.0, 6.0)), view(130, 70, 90.0)
     first = render(scene, camera, threads=1).rgb
-    worst = max(float(np.abs(render(scene, camera, threads=count).rgb - first).max()) for count in (1, 2, 3, 7))
+    worst = larger(*(float(np.abs(render(scene, camera, threads=n).rgb - first).max()) for n in (1, 2, 3, 7)))
     return Row("E9", "numbers of threads", "1, 2, 3, 7", "the same picture", "colour", worst, 0.0)
 
 
@@ -184,12 +185,12 @@ def invisible() -> Row:
 def lenses() -> Row:
     scene, worst = cloud(150, 12, (0.02, 0.3), (1.0, 6.0)), 0.0
     for fx, fy, cx, cy in ((4.0, 4000.0, 20.0, 20.0), (45.0, 30.0, -40.0, 60.0), (60.0, 50.0, 80.0, -36.0)):
-        worst = max(worst, against_reference(scene, Camera(40, 36, fx, fy, cx, cy, np.eye(4)))[0])
+        worst = larger(worst, against_reference(scene, Camera(40, 36, fx, fy, cx, cy, np.eye(4)))[0])
     return Row("E14", "lenses", "fy/fx to 1000, centre -1 to 2 pictures off", F64, "colour", worst, 1e-5)
 
 
 def rigid_motion() -> Row:
-    """The 99th percentile: what lies on a cut jumps with the rounding of the inputs."""
+    """The 99th percentile: pixels on a cut-off jump with the rounding of the inputs."""
     from gapmes.service.cameras.rotations import about_axis, quaternion_from_matrix, quaternion_product
 
     scene, camera = cloud(200, 10, (0.02, 0.3), (1.0, 6.0)), view()
@@ -220,12 +221,12 @@ def units() -> Row:
     for power in (-20, -3, 5, 20):
         unit = 2.0**power
         other = replace(scene, means=scene.means * unit, scales=scene.scales * np.float32(unit))
-        worst = max(worst, float(np.abs(render(other, camera, near=0.01 * unit).rgb - first).max()))
+        worst = larger(worst, float(np.abs(render(other, camera, near=0.01 * unit).rgb - first).max()))
     return Row("E18", "units", "times 2^-20 to 2^20", "the same picture", "colour", worst, 0.0)
 
 
 def far_world() -> Row:
-    """Where a point lands in a picture of 1000 px focal length, the camera and the point far from the origin."""
+    """The pixel position of points at a focal length of 1000 px, with camera and points far from the origin."""
     from mpmath import mp
 
     rng, worst, plain = np.random.default_rng(9), 0.0, 0.0
@@ -240,10 +241,10 @@ def far_world() -> Row:
         for point in points:
             x, y, z = (mp.mpf(float(p)) - mp.mpf(float(s)) for p, s in zip(point, shift, strict=True))
             exact.append([float(1000 * x / z + 512), float(1000 * y / z + 512)])
-        worst = max(worst, float(np.abs(camera.project(points)[0] - exact).max()))
+        worst = larger(worst, float(np.abs(camera.project(points)[0] - exact).max()))
         local = (points.astype(np.float32) - shift.astype(np.float32)).astype(np.float32)
         pixels = np.float32(1000) * local[:, :2] / local[:, 2:] + np.float32(512)
-        plain = max(plain, float(np.abs(pixels - exact).max()))
+        plain = larger(plain, float(np.abs(pixels - exact).max()))
     return Row(
         "E19", "a world far from its origin", "0 to 1e7 units", "40 digits", "px", worst, 5e-4, plain, "float32 world"
     )

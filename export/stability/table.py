@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import chain
@@ -46,7 +47,7 @@ def markdown(rows: list[Row]) -> str:
     ]
     for row in rows:
         worst = f"{row.worst:.1e}" if row.passed else f"**{row.worst:.1e}**"
-        naive = "" if row.naive is None else "not finite" if row.naive == float("inf") else f"{row.naive:.1e}"
+        naive = "" if row.naive is None else "not finite" if not math.isfinite(row.naive) else f"{row.naive:.1e}"
         lines.append(
             f"| {row.case} | {row.what} | {row.sweep} | {row.reference} | {row.unit} | {worst} | {row.tolerance:.1e} | "
             f"{naive} | {row.naive_is} |"
@@ -55,11 +56,11 @@ def markdown(rows: list[Row]) -> str:
 
 
 def _finite(value: object) -> object:
-    """JSON has no infinity: it is written as text."""
+    """JSON has neither infinity nor NaN: they are written as text."""
     if isinstance(value, dict):
         return {key: _finite(entry) for key, entry in value.items()}
     if isinstance(value, list):
         return [_finite(entry) for entry in value]
-    if isinstance(value, float) and value in (float("inf"), float("-inf")):
+    if isinstance(value, float) and not math.isfinite(value):
         return "not finite"
     return value

@@ -1,4 +1,4 @@
-"""What runs in a process of its own, under the C library's own allocator: reconstructions, timed, with peak memory."""
+"""Reconstructions in separate processes, under the C library's own allocator: times and peak memory."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CHILD = "import sys; from gapmes.export.tradeoff.child import answer; answer(*sy
 
 
 class ChildFailed(RuntimeError):
-    """A process of the report ended without a result; what it said of it stands above."""
+    """A process of the report ended without a result; its own messages are on stderr."""
 
     def __init__(self, what: str, status: int) -> None:
         super().__init__(f"{what} ended with status {status}, need 0; its last words are above")
@@ -58,7 +58,7 @@ class Timed:
 
 
 def peak_mb() -> float:
-    """Most memory resident so far: Linux tells it of this program; elsewhere it may be the parent's."""
+    """Peak resident memory of this process, MiB; outside of Linux it may include the parent's before the fork."""
     status = Path("/proc/self/status")
     if status.is_file():
         (line,) = (line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
@@ -74,15 +74,15 @@ def timed(
     threads: int | None,
     fade: int = DEFAULT_PASSES,
 ) -> Timed:
-    """In new processes, which have loaded nothing but the service: one is timed with the first scene alone, so that its
-    memory is that of serving it, the other reconstructs them all. Raises `ChildFailed`."""
+    """Measure in new processes that load only the service: one reconstructs the first scene `repeats` times, for times
+    and peak memory, the other reconstructs all scenes. Raises `ChildFailed`."""
     times, peak = _in_child(_measured, model, given[0], budget, repeats, threads, fade)
     scenes = _in_child(_reconstructed, model, given, budget, threads, fade)
     return Timed([s for s, _ in scenes], [d for _, d in scenes], times, sum(times.values()), peak)
 
 
 def _in_child(work: Callable[..., Any], *arguments: object) -> Any:
-    """Not by `multiprocessing`, whose children import the program that started them, and with it torch.
+    """work(*arguments) in a new process; `multiprocessing` would import the main program there, and with it torch.
 
     Raises `ChildFailed`.
     """
@@ -97,7 +97,7 @@ def _in_child(work: Callable[..., Any], *arguments: object) -> Any:
 
 
 def answer(asked: str, told: str, parent: str) -> None:
-    """What a child does, as long as its parent lives."""
+    """Entry point of the child, which ends when its parent does."""
     end_with_parent(int(parent))
     work, arguments = pickle.loads(Path(asked).read_bytes())
     Path(told).write_bytes(pickle.dumps(work(*arguments)))

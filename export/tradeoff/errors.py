@@ -23,6 +23,7 @@ from gapmes.service.viewpoints.scene_views import NEAR_PLANE_SHARE
 
 from ..cases import sample_scene
 from ..graph import evaluated
+from ..pictures import halfway_camera
 from ..variant import load_variant
 from .files import ModelFile
 from .schema import Bound, ModelError, Rounding, SettingError
@@ -79,10 +80,7 @@ def network_rounding(file: ModelFile, threads: int | None) -> Rounding:
     values = engine.run(*(tensor.numpy() for tensor in inputs.tensors()))
     network = load_variant(shipped_checkpoint("tiny"), file.variant).network
     exact = evaluated(network, inputs, torch.float64)
-    k, pose = inputs.intrinsics[0].double().numpy(), inputs.world_from_cam[0].double().numpy().copy()
-    pose[:3, 3] = inputs.world_from_cam[:2, :3, 3].double().mean(0).numpy()
-    s = file.size
-    camera = Camera.make(s, s, k[0, 0] * s, k[1, 1] * s, k[0, 2] * s, k[1, 2] * s, pose)
+    camera = halfway_camera(inputs)
     near = NEAR_PLANE_SHARE * float(inputs.near_far[0])
     pictures = [
         drawn(Gaussians.make(*(result[name] for name in GAUSSIAN_OUTPUTS)), [camera], near)[0]

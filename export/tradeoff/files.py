@@ -1,4 +1,4 @@
-"""The model files that the report compares: the shipped one, its int8 form, and exports with other settings."""
+"""The model files of the report: the shipped one, its int8 variant, and exports with other settings."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def quick_files(out: Path) -> list[ModelFile]:
 
 
 def all_files(out: Path) -> list[ModelFile]:
-    """With the exports that take minutes; two are made at a time. What an earlier report left is used again where it
-    says of itself what is asked for. Raises `ChildFailed`."""
+    """`quick_files` and exports that take minutes, two at a time. Files of an earlier report are reused where their
+    metadata match. Raises `ChildFailed`."""
     folder = out / FOLDER
     more = [
         ModelFile("experts per patch", "1", "gapmes-export --top-k 1", folder / "top1.onnx", Variant(top_k=1)),
@@ -92,7 +92,7 @@ def _finish(file: ModelFile, process: subprocess.Popen[bytes]) -> None:
 
 
 def _says(path: Path, asked: Mapping[str, str]) -> bool:
-    """Whether there is a model that says just this of itself."""
+    """Whether `path` is a model with exactly this metadata."""
     try:
         return _metadata_of(path) == asked
     except (OSError, ValueError):  # none, or no model

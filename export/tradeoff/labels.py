@@ -1,4 +1,4 @@
-"""Labels of points in a panel: each goes where it hides least, and stands nearer to its own point than to others."""
+"""Placement of point labels in a panel: least overlap, and each closest to its own point."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ON_A_LINE = 0.2  # px^2 that may be hidden rather than one px of a line
 
 
 def spread(figure: Figure) -> None:
-    """Place the labels of all panels, those that stand at data, the bold ones first."""
+    """Place the labels at data points in all panels, bold ones first."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # sizes of texts and places of panels are known from here on, and stay
     figure.set_layout_engine("none")
@@ -41,7 +41,7 @@ def labels(axes: Axes) -> list[Annotation]:
 
 
 class _Panel:
-    """What a label must not hide."""
+    """The contents of a panel that labels should not cover."""
 
     def __init__(self, axes: Axes) -> None:
         self._axes, self._inside = axes, axes.get_window_extent()
@@ -55,7 +55,7 @@ class _Panel:
         self.taken = boxes if legend is None else [*boxes, legend.get_window_extent()]
 
     def cost(self, box: Bbox, own: tuple[float, float]) -> float:
-        """px^2."""
+        """The cost, px^2, of a label that covers `box` and belongs to the point `own`."""
         hidden = sum(_shared(box, other) for other in self.taken)
         beyond = _area(box) - _shared(box, self._inside)
         crossed = np.all((self._along > box.min) & (self._along < box.max), axis=1).sum()
@@ -66,7 +66,7 @@ class _Panel:
 
 
 def _box(label: Annotation, side: tuple[float, float, str], canvas: FigureCanvasAgg) -> Bbox:
-    """What the label covers, px, once it is moved there."""
+    """Move the label to `side`; returns its bounding box, px."""
     right, up, edge = side
     label.xyann = (right, up)
     label.set_horizontalalignment(edge)  # type: ignore[arg-type]
@@ -74,7 +74,7 @@ def _box(label: Annotation, side: tuple[float, float, str], canvas: FigureCanvas
 
 
 def _along(path: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 2) a place for each px of a path of corners (M, 2)."""
+    """(N, 2) points about 1 px apart along a polyline (M, 2)."""
     pieces = [np.linspace(a, b, 1 + int(np.hypot(*(b - a)))) for a, b in pairwise(path)]
     return np.concatenate([path, *pieces])
 
@@ -89,6 +89,6 @@ def _area(box: Bbox) -> float:
 
 
 def _distance(points: NDArray[np.float64], box: Bbox) -> NDArray[np.float64]:
-    """(N,) px from each of points (N, 2) to the nearest of the box."""
+    """(N,) distance, px, of points (N, 2) to the box; 0 inside."""
     away = np.maximum(np.maximum(box.min - points, points - box.max), 0)
     return np.hypot(away[:, 0], away[:, 1])

@@ -25,7 +25,7 @@ COLOURS = ("#0b62a4", "#c2541b", "#2e7d4f", "#7a4fa3", "#8a6d1c", "#b3267a", "#4
 
 
 def write(report: Report, out: Path) -> None:
-    """report.json, report.schema.json, report.md and pareto.png."""
+    """Write report.json, report.schema.json, report.md and pareto.png into `out`."""
     (out / "report.json").write_text(report.model_dump_json(indent=1) + "\n")
     (out / "report.schema.json").write_text(json.dumps(Report.model_json_schema(), indent=1) + "\n")
     (out / "report.md").write_text(markdown(report))
@@ -33,16 +33,16 @@ def write(report: Report, out: Path) -> None:
 
 
 def markdown(report: Report) -> str:
-    """Tables by group; empty cells are what cannot be measured for a row."""
+    """A table for each group; a cell is empty where a row has no such figure."""
     machine = report.machine
     lines = [
         f"{machine.cpu}, {machine.threads} threads, {', '.join(machine.flags) or 'no vector flags known'}; "
         f"{', '.join(f'{name} {value}' for name, value in machine.versions.items())}.",
         "",
-        f"Scenes: {', '.join(report.scenes)}; times are those of the first. Medians of {report.rows[0].timing.repeats} "
-        "runs and more after a warm-up.",
+        f"Scenes: {', '.join(report.scenes)}. Times are those of the first: medians of at least "
+        f"{report.rows[0].timing.repeats} runs after a warm-up.",
         "",
-        "The splatter's own rounding, against brute force in float64: at most "
+        "The splatter's own rounding, against brute force in float64, is at most "
         f"{report.splatter_rounding.largest:.1e} of a colour.",
         "",
     ]
@@ -79,8 +79,8 @@ def _number(value: float | None, form: str) -> str:
 
 
 def pareto(report: Report) -> Figure:
-    """Held-out quality over time of the network, change over time of scenes, each with its front; and for pictures a
-    line per knob, since each has an exact value of its own. Harmonics are left out: they are not the scene's."""
+    """Held-out quality over time of the network and change over time of scenes, each with its Pareto front. Pictures
+    have a line per knob, since each knob has an exact value of its own. The random harmonics are left out."""
     figure = Figure(figsize=(13.5, 4.8), dpi=100, layout="constrained")
     panels = figure.subplots(1, 3)
     rows = {group: [row for row in report.rows if row.group == group] for group in TITLES}
@@ -102,9 +102,9 @@ def pareto(report: Report) -> Figure:
 def _scatter(
     axes: Axes, points: Sequence[tuple[Row, float, float]], across: str, up: str, *, joined: bool = False
 ) -> float:
-    """Points labelled by value and coloured by knob, on a logarithmic axis of time; where knobs share their default,
-    it is labelled once. What equals the most exact setting has no finite PSNR and lies on a line of its own, whose
-    height is returned."""
+    """Plot points labelled by value and coloured by knob, on a logarithmic time axis; a default that knobs share is
+    labelled once. Points equal to the most exact setting have no finite PSNR and are plotted on a line of their own,
+    whose height is returned."""
     finite = [value for _, _, value in points if value < EQUAL_DB]
     top = max(finite, default=0.0) + 0.1 * (max(finite, default=1.0) - min(finite, default=0.0) + 1)
     knobs = list(dict.fromkeys(row.knob for row, _, _ in points))
@@ -142,6 +142,6 @@ def _scatter(
 
 
 def _front(axes: Axes, points: Sequence[tuple[float, float]]) -> None:
-    """A line through the points that none beats in both."""
+    """Draw the Pareto front: a line through the points that no other point beats in both values."""
     front = sorted(p for p in points if not any(a <= p[0] and b >= p[1] and (a, b) != p for a, b in points))
     axes.step([x for x, _ in front], [y for _, y in front], where="post", color="#999999", zorder=0, linewidth=1)

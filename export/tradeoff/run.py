@@ -1,4 +1,4 @@
-"""Measure every setting: network files in processes of their own, then what is left out of a scene, then pictures."""
+"""The trade-off report: error and run time of network files, of pruning a scene, and of rendering settings."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def report(
 
 
 class _Measure:
-    """What all rows are compared with: the shipped network's scenes with nothing left out, and their pictures."""
+    """Measures rows against a baseline: unpruned scenes of the shipped network, and their pictures."""
 
     def __init__(self, scenes: Sequence[Scene], lpips: Lpips | None, threads: int | None) -> None:
         self.scenes, self.lpips, self.threads = scenes, lpips, threads
@@ -143,7 +143,7 @@ class _Measure:
         return rows
 
     def fading(self, passes: int) -> Row:
-        """How often what the photographs contradict is faded and recoloured."""
+        """The number of passes that fade and recolour Gaussians."""
         plain = passes == DEFAULT_PASSES
         run = self.whole if plain else timed(None, self.given, KEEP_ALL, REPEATS, self.threads, passes)
         quality = model_error(self.exact if plain else self._pictures(run.gaussians), self.truth, self.lpips)
@@ -151,7 +151,7 @@ class _Measure:
         return _row("network", "fading", str(passes), how, plain, _timing(run), run.peak_mb, model=quality)
 
     def scene(self, setting: knobs.SceneSetting) -> Row:
-        """What is left out of a scene: time of a picture of what is left, size of the .ply, change, bound."""
+        """A pruned scene: render time, size of the .ply, change of colours and its bound."""
         run = timed(None, self.given, setting.budget, REPEATS, self.threads)
         pictures = self._pictures(run.gaussians)
         pruned = [document["pruning"] for document in run.documents]

@@ -9,7 +9,7 @@ import numpy as np
 
 from gapmes.service.photographs.images import FittedView
 
-from ..evaluation.case import Case, photograph_case
+from ..evaluation.case import Case, opaque_view, photograph_case
 from ..evaluation.suggested import suggested_views
 from .child import Given
 
@@ -41,8 +41,6 @@ def _given(case: Case) -> Given:
 
 
 def _more(folder: Path, case: Case) -> dict[int, Given]:
-    from gapmes.service.photographs.images import decode_image, match_photo
-
     suggested = suggested_views(folder, 2)
     scene, context, targets = suggested.scene, suggested.inputs, suggested.targets
     spare = [i for i in range(len(scene.file.views)) if i not in (*context, *targets)]
@@ -52,9 +50,6 @@ def _more(folder: Path, case: Case) -> dict[int, Given]:
         if len(spare) < extra:
             break
         chosen = sorted([*context, *(spare[i] for i in np.linspace(0, len(spare) - 1, extra).round().astype(int))])
-        views = []
-        for index in chosen:
-            photo = decode_image(scene.image_paths[index].read_bytes(), index=index)
-            views.append(match_photo(photo, scene.file.views[index].camera, index=index))
+        views = [opaque_view(scene, index) for index in chosen]
         found[count] = Given([p for p, _ in views], [c for _, c in views], case.near, case.far)
     return found

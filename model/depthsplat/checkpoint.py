@@ -8,6 +8,7 @@ from pathlib import Path
 
 from torch import Tensor
 
+from ..overflow import refuse_overflow
 from ..pretrained.dinov2 import OPTIONAL, vit_parts
 from ..pretrained.files import TensorFile, read_tensors
 from ..pretrained.fit import Fit, LeftOut, Part, Recognised, fit
@@ -38,7 +39,7 @@ def load_depthsplat(
     where its sha256 or the end of its name is that of a published one, else 3.
 
     Raises `CheckpointError` for a file that cannot be read or is no DepthSplat of a published layout (naming what it
-    is), and lists what is missing, unexpected or misshapen.
+    is), and lists what is missing, unexpected or misshapen, or computes numbers that are not finite.
     """
     file = read_tensors(path)
     root = ROOT if any(name.startswith(ROOT + TRUNK) for name in file.tensors) else ""
@@ -73,7 +74,8 @@ def load_depthsplat(
     optional = {f"{VIT}vit.{name}": reason for name, reason in OPTIONAL.items()}
     report, tensors = fit(file, network.state_dict(), names, recognised=recognised, optional=optional)
     network.load_state_dict(tensors)
-    return network.eval(), report
+    refuse_overflow(path, network.eval())
+    return network, report
 
 
 def recognised_config(

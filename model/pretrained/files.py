@@ -16,7 +16,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from ..weights_file import CheckpointError, file_sha256
+from ..weights_file import CheckpointError, file_sha256, why_no_file
 
 SAFETENSORS = ".safetensors"
 INDEX = ".safetensors.index.json"
@@ -45,7 +45,7 @@ def read_tensors(path: Path) -> TensorFile:
     wants to create anything but tensors and plain values; nothing of such a file is executed.
     """
     if not path.is_file():
-        raise CheckpointError(f"{path}: no such file")
+        raise CheckpointError(why_no_file(path))
     _refuse_placeholders(path)
     if path.name.endswith(INDEX):
         return _read_shards(path)

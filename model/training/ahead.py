@@ -1,4 +1,4 @@
-"""Scenes drawn ahead: processes of their own draw those of coming steps while the network computes."""
+"""Prefetching of scenes: separate processes draw those of coming steps while the network computes."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ Drawn = tuple[list[NDArray], int, bool]  # by pipe: tensors would take shared me
 
 
 def drawn_steps(recipe: Recipe, steps: range, worker: Worker, loaders: int) -> Generator[StepScenes]:
-    """The scenes of `steps` in their order, drawn ahead by as many processes as `loaders`; without any, when asked for.
+    """The scenes of `steps` in order, prefetched by `loaders` processes, or drawn on demand with 0.
 
-    They are the same to the bit. Each process is ahead by the one step that it draws, or has drawn and hands over.
-    Close the generator to end the processes. Raises `Refused` when one of them has ended, whatever by.
+    The result does not depend on `loaders`. Each process is ahead by one step. Close the generator to end the
+    processes. Raises `Refused` when one of them has ended for any reason.
     """
     if not loaders:
         yield from (draw_step(recipe, step, worker) for step in steps)
@@ -65,8 +65,8 @@ def _started(recipe: Recipe, steps: range, worker: Worker, loaders: int) -> Iter
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Processes started within never hear the interrupt that a terminal sends to all. Their parent does, once they have
-    all that they begin with."""
+    """Processes started within ignore the SIGINT that a terminal sends to the whole group. In the parent it is deferred
+    to the end of the block."""
     resource_tracker.ensure_running()  # its own start lets interrupts through again
     heard: list[int] = []
     usual = signal.getsignal(signal.SIGINT)

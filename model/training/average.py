@@ -16,7 +16,7 @@ import torch
 
 from ..checkpoint import load_checkpoint, read_config, save_checkpoint
 from ..network import GaPMeS
-from ..weights_file import CheckpointError, file_sha256
+from ..weights_file import CheckpointError, file_sha256, why_no_file
 from .differences import differences
 
 MEAN_OF = "gapmes.mean_of"  # sha256 of every file that went in, in the checkpoint's metadata
@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         for path in options.weights:
             if not path.is_file():
-                parser.error(f"{path}: no such file")
+                parser.error(why_no_file(path))
         digests = [file_sha256(path) for path in options.weights]
         for place, digest in enumerate(digests):
             if digest in digests[:place]:

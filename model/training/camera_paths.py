@@ -22,10 +22,10 @@ def camera_poses(
 ) -> F64:
     """(inputs + targets, 4, 4) world_from_cam, inputs first, around the origin and looking along about +z.
 
-    `baseline` is the length of the way between the first and the last input and `depth` that of the scene, in the same
-    unit; `half_width` = tan(horizontal fov / 2). Targets lie on the same way, up to 8 % beyond its ends; with
-    `aside` each is then moved in all directions by a normal deviate, whose standard deviation is uniform between 0 and
-    `aside` baselines: from off the way edges along it show their depth too.
+    `baseline` is the length of the path from the first to the last input and `depth` that of the scene, in the same
+    unit; `half_width` = tan(horizontal fov / 2). Targets lie on the path, up to 8 % beyond its ends; with `aside` each
+    is displaced by a normal deviate whose standard deviation is uniform between 0 and `aside` baselines, so that depth
+    errors at edges along the path become visible too.
     """
     style = STYLES[rng.choice(3, p=STYLE_SHARES)]
     along = np.concatenate([np.linspace(0, 1, inputs), rng.uniform(-0.08, 1.08, targets)]) - 0.5

@@ -1,4 +1,4 @@
-"""Train a preset on generated scenes, its frozen parts from published weights; an interrupted run goes on."""
+"""Train a preset on generated scenes, with frozen parts from published weights; continue an interrupted run."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gapmes.model.training", description=__doc__)
     parser.add_argument("out", type=Path, help="folder of the run; an interrupted run continues from it")
     parser.add_argument("--preset", choices=sorted(PRESETS), default="tiny")
-    parser.add_argument("--recipe", choices=sorted(RECIPES), default="whole", help="finish: more steps after a run")
+    parser.add_argument("--recipe", choices=sorted(RECIPES), default="whole", help="finish: further steps after a run")
     parser.add_argument("--initial-weights", type=Path, metavar="FILE", help="start from this checkpoint of the preset")
     parser.add_argument("--steps", type=kinds.whole_number(0), help="default: the recipe's; 0 trains nothing")
     parser.add_argument("--seed", type=kinds.seed(), help="default: the recipe's")
-    parser.add_argument("--scenes", type=kinds.whole_number(1), help="in every step (default: the recipe's, 2 to 4)")
+    parser.add_argument("--scenes", type=kinds.whole_number(1), help="scenes per step (default: the recipe's, 2 to 4)")
     parser.add_argument(
         "--processes", type=kinds.whole_number(1), default=1, help="share each step's scenes evenly (default 1)"
     )
@@ -58,11 +58,11 @@ def main(arguments: list[str] | None = None) -> int:
         "--loaders",
         type=kinds.whole_number(0),
         default=0,
-        help="processes beside each process that draw its coming scenes: where a graphics card computes, as many as "
-        "cores are idle (default 0: each step draws its own)",
+        help="processes that generate the next scenes of each process: with a graphics card, as many as there are "
+        "idle cores (default 0: each step generates its own)",
     )
     parser.add_argument(
-        "--device", type=kinds.device, default="auto", help="cpu, cuda, or auto (default): cuda when there is one"
+        "--device", type=kinds.device, default="auto", help="cpu, cuda, or auto (default): cuda if there is one"
     )
     parser.add_argument("--validate-every", type=kinds.whole_number(1), default=250, metavar="STEPS")
     parser.add_argument("--json", action="store_true", help="print the run's last figures to stdout as one JSON object")

@@ -12,12 +12,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from gapmes.service.progress import Listener, Stage, silent
 
 from ..checkpoint import load_checkpoint, read_config
 from ..config import ModelConfig
 from ..network import GaPMeS
+from ..overflow import overflow
 from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
 from ..weights_file import CheckpointError, file_sha256
 from .ahead import drawn_steps
@@ -207,7 +209,7 @@ def _step(
     if model.mixture.gates is not None:
         model.mixture.gates.noise_scale = recipe.noise_scale_at(step)
     model.depth.withheld = scenes.withheld
-    loss, parts = training_loss(model, scenes.batch.to(trained[0].device), recipe, step)
+    loss, parts = _loss(model, scenes.batch.to(trained[0].device), recipe, step)
     optimiser.zero_grad(set_to_none=True)
     loss.backward()
     worker.average_gradients(trained)
@@ -219,6 +221,20 @@ def _step(
     else:
         parts["skipped"] = 1.0
     return rate, parts
+
+
+def _loss(model: GaPMeS, batch: TensorBatch, recipe: Recipe, step: int) -> tuple[Tensor, dict[str, float]]:
+    """Raises `Refused` where the network overflows, which frozen parts may bring along and a run may come to."""
+    try:
+        return training_loss(model, batch, recipe, step)
+    except (IndexError, RuntimeError, ValueError) as error:
+        given = (batch.images, batch.intrinsics, batch.poses, batch.near_far)
+        if found := overflow(model, lambda: model(*given)):
+            raise Refused(
+                f"step {step + 1}: {found}; what it began with is damaged or the run has diverged: use a new folder, "
+                "with other weights or another seed"
+            ) from error
+        raise
 
 
 @torch.no_grad()

@@ -53,10 +53,11 @@ def normalised_inverse_depth(depth: Tensor, near_far: Tensor) -> Tensor:
 
 
 def depth_loss(estimate: DepthEstimate, final: Tensor, truth: Tensor) -> Tensor:
-    """L1 at 1/4, 1/2 and full resolution; truth (B, V, K, H, W) normalised inverse depth, K equally near samples.
+    """L1 loss at 1/4, 1/2 and full resolution; truth (B, V, K, H, W) normalised inverse depth, with K samples at equal
+    distances from each pixel's centre.
 
-    The centre of a coarse cell lies on a corner between four pixels. Averaging them would invent depths at edges, and
-    taking one of them would shift the truth by half a pixel: the prediction is compared with the closest of the four.
+    The centre of a coarse cell is a corner of four pixels. Their mean would be a depth of no surface at edges, and one
+    of them would be off by half a pixel: the prediction is compared with the closest of the four.
     """
     truth = truth.flatten(0, 1)
     quarter = _closest(estimate.quarter, [truth[:, :, y::4, x::4] for y in (1, 2) for x in (1, 2)])

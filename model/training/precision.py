@@ -1,4 +1,4 @@
-"""bfloat16 where it is cheap to be coarse: the convolutions of a network in training; geometry stays float32."""
+"""Mixed precision in training: convolutions in bfloat16, geometry in float32."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..trunk import LightTrunk
 
 
 def coarse_modules(model: GaPMeS) -> list[nn.Module]:
-    """The parts that take most of a step; none of them handles positions or depths in units."""
+    """The modules that take most of a step's time; none of them handles positions or depths."""
     depth, trunk = model.depth, model.trunk
     parts: list[nn.Module] = []
     if isinstance(trunk, LightTrunk):  # the full one is frozen, and computes as its weights were trained

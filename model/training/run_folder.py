@@ -1,4 +1,4 @@
-"""The folder of a run: its state, whole or not at all, its log of JSON lines, its weights, and who works in it."""
+"""The folder of a run: its state, written atomically, its log of JSON lines, its weights, and a lock."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ WEIGHTS = "weights.safetensors"
 LOG = "log.jsonl"
 LOCK = "lock"
 
-REVISION = "4"  # of what a state holds and of where random numbers come from: another one is another run
+REVISION = "4"  # of the state's contents and the derivation of random numbers; runs of another cannot be continued
 
 
 class Refused(ValueError):
-    """A run that cannot be begun or gone on with in this folder."""
+    """A run that cannot be started or continued in this folder."""
 
 
 @contextmanager
 def claimed(folder: Path) -> Iterator[None]:
-    """Hold the folder alone, made where there is none; a kill frees it.
+    """Lock the folder, which is made if missing; the lock ends with the process.
 
     Raises `Refused` while another process holds it, and where there can be no such folder.
     """
@@ -52,8 +52,8 @@ def claimed(folder: Path) -> Iterator[None]:
 def save_state(
     folder: Path, progress: dict[str, object], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
 ) -> None:
-    """Everything that a later start needs but the frozen parts, which it gets as this one did; and the averaged weights
-    so far, whole. Raises `OSError`."""
+    """Save atomically all that continuing needs, except frozen parts, which are loaded as at the start; and the
+    averaged weights so far. Raises `OSError`."""
     trained = trained_names(model)
     state = {
         **progress,
@@ -134,7 +134,7 @@ def restore_state(
 
 
 def _document(text: Any) -> Any:
-    """A part of an identity with its fields, where it has any."""
+    """A part of the identity, parsed if it is a JSON object."""
     return json.loads(text) if isinstance(text, str) and text.startswith("{") else text
 
 
@@ -150,7 +150,7 @@ def append_row(folder: Path, row: dict[str, object]) -> None:
 
 
 def forget_rows_after(folder: Path, step: int) -> None:
-    """Drop log rows of steps that were lost with a kill and will be done again, and one that was cut short by it.
+    """Drop log rows after `step`, which a kill lost and which will be repeated, and an incomplete last row.
 
     Raises `Refused` that names a line which is no row.
     """

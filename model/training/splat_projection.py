@@ -24,6 +24,8 @@ FIELD_OF_VIEW_MARGIN = 0.3
 X, Y, Z, FREE_X, FREE_Y, M, B1, B2, ROW_STD, COLUMN_STD, SHEAR, U, V = 0, 1, 2, 3, 4, 5, 11, 14, 17, 18, 19, 20, 21
 SCRATCH = 22
 
+LONG_RUN = 64  # depths equal in float32 above which insertion sort, which is quadratic, would be slow
+
 
 @nb.njit(fastmath=FASTMATH, error_model="numpy", cache=True)
 def project_gaussian(mean, factor, camera, width, height, dilation, out):
@@ -69,7 +71,7 @@ def depth_of(mean, camera):
 
 @nb.njit(fastmath=FASTMATH, error_model="numpy", cache=True)
 def project_gaussian_backward(factor, camera, out, grad, mean_grad, factor_grad):
-    """Add to `mean_grad` (3,) and `factor_grad` (3, 3) what the image gradient `grad` says.
+    """Backpropagate the image gradient `grad`: add to `mean_grad` (3,) and `factor_grad` (3, 3).
 
     `out` is the scratch of `project_gaussian`; `grad` holds dL/d (u, v, shear), then row_std dL/d row_std and
     column_std dL/d column_std.
@@ -112,8 +114,8 @@ def project_gaussian_backward(factor, camera, out, grad, mean_grad, factor_grad)
 def depth_order(depths, count):
     """(count,) int32 indices that sort `depths[:count]` (positive float64), ties by index: radix passes, then a repair.
 
-    Positive float32 numbers sort like their bits, so three stable passes of 11 bits order the rounded depths; an
-    insertion pass then puts right what rounding made equal.
+    Positive float32 numbers sort like their bits, so three stable passes of 11 bits order the rounded depths; what
+    rounding made equal is then sorted run by run.
     """
     keys = np.empty(count, np.float32)
     for i in range(count):
@@ -132,11 +134,24 @@ def depth_order(depths, count):
             other[starts[digit]] = order[i]
             starts[digit] += 1
         order, other = other, order
-    for i in range(1, count):
-        item = order[i]
-        j = i
-        while j > 0 and depths[order[j - 1]] > depths[item]:
-            order[j] = order[j - 1]
-            j -= 1
-        order[j] = item
+    start = 0
+    for end in range(1, count + 1):
+        if end == count or bits[order[end]] != bits[order[start]]:
+            _sort_run(depths, order[start:end])
+            start = end
     return order
+
+
+@nb.njit(fastmath=FASTMATH, error_model="numpy", cache=True)
+def _sort_run(depths, run):
+    """Stable in-place sort of indices by depth: insertion sort, and merge sort for long runs."""
+    if len(run) > LONG_RUN:
+        run[:] = run[np.argsort(depths[run], kind="mergesort")]
+        return
+    for i in range(1, len(run)):
+        item = run[i]
+        j = i
+        while j > 0 and depths[run[j - 1]] > depths[item]:
+            run[j] = run[j - 1]
+            j -= 1
+        run[j] = item

@@ -33,7 +33,8 @@ class TensorBatch:
 
 
 def to_tensors(batch: SceneBatch, *, zoomed: bool) -> TensorBatch:
-    """Re-centre on the first view in float64, then cast; `zoomed` halves the inputs and keeps the targets as drawn."""
+    """Make poses relative to the first view in float64, then cast to float32; `zoomed` downsamples the inputs by 2 and
+    keeps the targets."""
     world = torch.from_numpy(batch.world_from_cam)
     relative = (torch.linalg.inv(world[:, :1]) @ world).float()
     intrinsics = torch.from_numpy(batch.intrinsics).float()

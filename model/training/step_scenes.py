@@ -1,4 +1,4 @@
-"""What one step trains by: a function of recipe, step and worker alone, whichever process draws it and when."""
+"""The training data of one step: a function of recipe, step and worker alone, whichever process draws it and when."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .workers import Worker
 
 @dataclass(frozen=True)
 class StepScenes:
-    """A worker's share of the scenes of a step, and the chance of all else in it."""
+    """A worker's share of the scenes of a step, and its random decisions."""
 
     batch: TensorBatch  # on the CPU, with the sensor noise of its inputs
-    torch_seed: int  # for what the network draws
+    torch_seed: int  # seed of the network's own noise
     withheld: bool  # whether the network gets no matching evidence
 
 

@@ -21,9 +21,9 @@ def validation_batches(size: int, count: int, baseline: tuple[float, float]) -> 
 
 @torch.no_grad()
 def validate(model: GaPMeS, batches: list[TensorBatch], lpips: Lpips | None = None) -> dict[str, object]:
-    """Means over all targets; `copy_psnr` is that of the nearer input shown as it is, the least that counts.
+    """Means over all targets; `copy_psnr` is the PSNR of the nearer input itself, the baseline to exceed.
 
-    `lpips` adds a figure of that name.
+    `lpips` adds a score of that name.
     """
     was_training = model.training
     model.eval()

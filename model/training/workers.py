@@ -34,11 +34,11 @@ class Worker:
 
     @property
     def leads(self) -> bool:
-        """The one that validates, logs and saves."""
+        """Whether this process validates, logs and saves."""
         return self.rank == 0
 
     def average_gradients(self, parameters: list[nn.Parameter]) -> None:
-        """Replace each gradient by its mean over the processes; one that is missing counts as 0."""
+        """Replace each gradient by its mean over the processes; a missing one counts as 0."""
         if self.count == 1:
             return
         grads = [torch.zeros_like(p) if p.grad is None else p.grad for p in parameters]
@@ -53,8 +53,8 @@ def run_workers(count: int, threads: int, work: Callable[..., None], *arguments:
     """Call `work(worker, *arguments)` in `count` processes of `threads` threads; any failure ends them all, and so does
     an interrupt of this process alone.
 
-    A refusal in one of several is raised here as one, also where another, which lost it, is heard first, and so
-    is that one was killed; anything else as `ProcessException`.
+    With several processes a refusal in one of them is raised as `Refused`, even where the failure of another, which
+    lost the connection to it, is reported first. So is a killed process; other failures raise `ProcessException`.
     """
     if count == 1:
         limit_threads(threads)
@@ -80,7 +80,7 @@ def run_workers(count: int, threads: int, work: Callable[..., None], *arguments:
 
 @contextmanager
 def _none_left() -> Iterator[None]:
-    """Whatever ends the block, an interrupt above all, leaves no process at work that was started in it."""
+    """Kill the processes started within the block when it ends, also by an interrupt."""
     before = {process.pid for process in active_children()}
     try:
         yield

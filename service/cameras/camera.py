@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..arguments import real_number, shown
 from ..errors import CameraError, IntrinsicsError
 from .pose import AS_IT_IS, Given, Pose, checked_pose, rigid_inverse
-from .rotations import turned
+from .rotations import rotated
 
 F64 = NDArray[np.float64]
 
@@ -125,7 +125,7 @@ class Camera:
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def posed(self, world_from_cam: F64) -> Camera:
-        """The same lens at another pose."""
+        """The same intrinsics at another pose."""
         return replace(self, world_from_cam=world_from_cam, given=AS_IT_IS)
 
     def rays(self, pixels: F64) -> F64:
@@ -133,7 +133,7 @@ class Camera:
         cam = np.stack(
             [(pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy, np.ones(len(pixels))], axis=1
         )
-        return turned(self.rotation, cam)
+        return rotated(self.rotation, cam)
 
     def unproject(self, pixels: F64, depth: F64) -> F64:
         """World points (N, 3) at z-depth `depth` (N,) behind pixel positions (N, 2)."""
@@ -141,16 +141,16 @@ class Camera:
 
     def project(self, points: F64) -> tuple[F64, F64]:
         """Pixel positions (N, 2) and z-depths (N,) of world points (N, 3); pixels are NaN where z <= 0."""
-        cam = turned(self.rotation.T, np.asarray(points, dtype=np.float64) - self.center)
+        cam = rotated(self.rotation.T, np.asarray(points, dtype=np.float64) - self.center)
         z = cam[:, 2]
         safe = np.where(z > 0, z, np.nan)
-        with np.errstate(over="ignore"):  # next to the camera's own plane a point is infinitely far off the picture
+        with np.errstate(over="ignore"):  # at z next to 0 the position overflows to infinity: outside any picture
             pixels = np.stack([self.fx * cam[:, 0] / safe + self.cx, self.fy * cam[:, 1] / safe + self.cy], axis=1)
         return pixels, z
 
 
 def _whole(value: float) -> int | None:
-    """The side of a picture that it is, also as a float; None for anything else."""
+    """A side in px as `int`, also of a float without a fraction; None for anything else."""
     number = real_number(value)
     return int(number) if number is not None and 1 <= number <= MAX_SIDE and number.is_integer() else None
 

@@ -59,6 +59,10 @@ class CameraFile:
             return self.bounded(views)
         return CameraFile(views, self.near, self.far)
 
+    def depths(self, near: float | None, far: float | None) -> tuple[float | None, float | None]:
+        """Near and far: each as it is given here, else the file's."""
+        return self.near if near is None else near, self.far if far is None else far
+
 
 def number_of(entry: Mapping, name: str, *, field: str, index: int | None = None) -> float:
     """The finite number under `name`. Raises `CameraError` where it is missing or anything else."""

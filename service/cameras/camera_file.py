@@ -1,4 +1,4 @@
-"""Parse camera files that are JSON: the service's own cameras.json and, through transforms_file, transforms.json."""
+"""Parsing of JSON camera files: the service's own cameras.json and, by `transforms_file`, transforms.json."""
 
 from __future__ import annotations
 
@@ -22,11 +22,10 @@ def parse_camera_file(
 ) -> CameraFile:
     """Parse a decoded cameras.json or transforms.json into OpenCV camera-to-world cameras.
 
-    `size_of` supplies image sizes where a transforms.json leaves them out. Unknown keys are ignored, but for those that
-    would mean something elsewhere: a cameras.json with coefficients of a lens or a model that bends, with a view that
-    has conventions or bounds of its own, or with one of these misspelt is refused. With `indices` only those views are
-    looked at, and come in that order.
-    Raises `CameraError` or one of its children, naming field and view index.
+    `size_of` supplies image sizes that a transforms.json omits. Unknown keys are ignored, except those that would
+    change the result: a cameras.json is refused with distortion coefficients or another lens model than a pinhole, with
+    conventions or bounds inside a view, and with a misspelt key of these. `indices` selects views and their order.
+    Raises `CameraError` or a subclass, naming field and view index.
     """
     document = _json_object(obj)
     if _list_name(document) == "views":
@@ -35,7 +34,8 @@ def parse_camera_file(
 
 
 def view_names(obj: object) -> tuple[str, tuple[str | None, ...]]:
-    """Which of the two formats a decoded file is, and the names of its photographs. Raises `CameraError`."""
+    """The format of a decoded file, "cameras.json" or "transforms.json", and the names of its photographs, None where a
+    view has none. Raises `CameraError`."""
     document = _json_object(obj)
     entries = _list_name(document)
     kind, name = ("cameras.json", "image") if entries == "views" else ("transforms.json", "file_path")
@@ -51,18 +51,18 @@ def camera_document(camera: Camera, image: str | None = None) -> dict[str, objec
 
 
 def conventions(obj: Mapping, *, field: str) -> tuple[str, str]:
-    """What the poses mean: `axes` (opencv | opengl) and `pose` (c2w | w2c). Raises `CameraError`."""
+    """The conventions of the poses: `axes` (opencv | opengl) and `pose` (c2w | w2c). Raises `CameraError`."""
     return _choice(obj, "axes", ("opencv", "opengl"), field), _choice(obj, "pose", ("c2w", "w2c"), field)
 
 
 def meant_key(name: object) -> str | None:
-    """Which of the file's own keys a key is or nearly is: it would be passed over as unknown."""
+    """The file-level key that `name` is or resembles, in any case and in known misspellings; else None."""
     meant = _MISSPELT.get(str(name).lower(), str(name).lower())
     return meant if meant in _OF_THE_FILE else None
 
 
 def refuse_misspelt(obj: Mapping, *, field: str) -> None:
-    """Raises `CameraError` for a key that is nearly one of the file's own."""
+    """Raises `CameraError` for a misspelt file-level key, which would be ignored as unknown."""
     for name in obj:
         meant = meant_key(name)
         if meant is not None and name != meant:
@@ -70,7 +70,7 @@ def refuse_misspelt(obj: Mapping, *, field: str) -> None:
 
 
 def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int | None = None) -> NamedView:
-    """One view object of a cameras.json. Raises `CameraError` or one of its children."""
+    """Parse one view of a cameras.json under the conventions `axes` and `pose`. Raises `CameraError` or a subclass."""
     _refuse_lens(entry, field, index)
     missing = [name for name in _NUMBERS if name not in entry]
     if missing:
@@ -78,14 +78,14 @@ def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int |
             f"{', '.join(missing)} missing", field=field, index=index, cure="sizes and focal lengths in px"
         )
     width, height, fx, fy, cx, cy = (number_of(entry, name, field=field, index=index) for name in _NUMBERS)
-    matrix = _matrix(entry, pose, field, index)
-    world_from_cam = opencv_pose(matrix, axes=axes, pose=pose, field=f"{field}.c2w", index=index)
+    name = _matrix_name(entry, pose, field, index)
+    world_from_cam = opencv_pose(entry[name], axes=axes, pose=pose, field=f"{field}.{name}", index=index)
     camera = Camera.make(width, height, fx, fy, cx, cy, world_from_cam, index=index, field=field)
     return NamedView(image_name(entry, "image", field=field, index=index), camera)
 
 
 def _json_object(obj: object) -> Mapping:
-    """The decoded file, which must be a JSON object. Raises `CameraError`."""
+    """`obj`, which must be a JSON object. Raises `CameraError`."""
     if isinstance(obj, list) and obj and isinstance(obj[0], Mapping) and "img_name" in obj[0]:
         message = "is the list of cameras that 3DGS training leaves beside its .ply, which lacks principal points"
         raise CameraError(message, field="cameras", cure="give the COLMAP model or transforms.json it was trained from")
@@ -95,7 +95,7 @@ def _json_object(obj: object) -> Mapping:
 
 
 def _list_name(obj: Mapping) -> str:
-    """Which of the two formats this is: the name of its list of views. Raises `CameraError`."""
+    """The name of the list of views, which tells the format. Raises `CameraError`."""
     for name in ("views", "frames"):
         if name in obj:
             return name
@@ -124,8 +124,8 @@ def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
 
 
 def _refuse_lens(obj: Mapping, field: str, index: int | None) -> None:
-    """The cameras of a cameras.json are pinholes. Raises `IntrinsicsError` for a coefficient other than 0, and for
-    what says of another lens."""
+    """Raises `IntrinsicsError` for a distortion coefficient other than 0 and for another lens model: the cameras of a
+    cameras.json are pinholes."""
     refuse_bending_model(obj, field=field, index=index)
     refuse_other_names(obj, field=field, index=index)
     for name in COEFFICIENTS:
@@ -138,13 +138,12 @@ def _refuse_lens(obj: Mapping, field: str, index: int | None) -> None:
             )
 
 
-def _matrix(entry: Mapping, pose: str, field: str, index: int | None) -> object:
-    """The pose matrix under `c2w`, or under `w2c` where the file says that this is its direction."""
-    if "c2w" in entry:
-        return entry["c2w"]
+def _matrix_name(entry: Mapping, pose: str, field: str, index: int | None) -> str:
+    """The key of the matrix: the one that `pose` names, else `c2w`, whose matrix then has the direction of `pose`."""
+    for name in (pose, "c2w"):
+        if name in entry:
+            return name
     if "w2c" in entry:
-        if pose == "w2c":
-            return entry["w2c"]
         raise CameraError(
             'has w2c, but the file does not say "pose": "w2c"',
             field=f"{field}.w2c",

@@ -1,4 +1,4 @@
-"""The depths between which the scene is looked for: given by the caller, or estimated from the cameras alone."""
+"""The depth range of the plane sweep: given by the caller, or estimated from the cameras alone."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ MIN_SHARE = 0.1  # of a view; what fewer than this share sees in two views canno
 MAX_DEPTH = 1e32  # caller's units, and at least its inverse: float32 scales of what lies there keep all their digits
 MAX_RATIO = 1e30  # near is the network's unit, and it reckons in float32
 ENOUGH_STEPS = 100.0  # of float64 at the cameras' largest coordinate: a shorter baseline has less than two digits
-FAR_OFF = 1e6  # units: cameras in one place that are no farther from the origin are so because nobody moved them
-_SCAN = 24  # depths at which the overlap is looked at
+FAR_OFF = 1e6  # units from the origin: coinciding cameras farther off may have lost their baseline to rounding
+_SCAN = 24  # depths at which the overlap is evaluated
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ class DepthRange:
 
     near: float
     far: float
-    source: Literal["given", "narrowed", "estimated"]  # narrowed: a given one, by the photographs
+    source: Literal["given", "narrowed", "estimated"]  # narrowed: by the photographs
 
 
 def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float | None = None) -> DepthRange:
-    """Check the given range, or estimate one where both are None.
+    """Check a given range of z-depths, caller's units, or estimate one where both ends are None.
 
     Estimate: let D_v be the z-depth in view v of the point closest to all optical axes (least squares), and B the
     largest distance between two cameras. If the axes really meet in front of the cameras (as lines at least 2 degrees
@@ -59,12 +59,12 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
         near = 0.4 B                      otherwise: cameras held by hand around something, which miss it a little,
         far = 50 B.
 
-    Both ends are then drawn in to where at least one pair of views shares a tenth of its picture: nothing outside can
-    be matched. Of 4000 simulated pairs around a thing (10 to 90 degrees apart, aim off by up to 8 degrees standard
-    deviation) 18 had the thing outside the range, nearly all of them with narrow lenses that hardly share it.
+    The range is then cut to where at least one pair of views shares a tenth of its picture: outside nothing can be
+    matched. Of 4000 simulated pairs around an object (10 to 90 degrees apart, aim off by up to 8 degrees standard
+    deviation) 18 had the object outside the range, nearly all of them with narrow lenses that hardly share it.
 
-    Raises `DepthRangeError` for a range that is none, given or estimated, or that leaves 1e-32 to 1e32 units, and
-    `BaselineError` where all cameras stand in one place.
+    Raises `DepthRangeError` for an empty or malformed range and for one beyond 1e-32 to 1e32 units, and `BaselineError`
+    where all camera centres coincide.
     """
     if near is None and far is None:
         return _estimated(cameras)
@@ -106,10 +106,10 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
 
 
 def depth_range_of_reading(cameras: Sequence[Camera], depths: DepthRange) -> DepthRange | None:
-    """The range for another reading of the poses; None where that reading puts all cameras in one place, or at a
-    distance from which no range can be estimated.
+    """The range for `cameras`, another interpretation of the poses that `depths` belongs to; None where none can be
+    estimated, as for coinciding centres.
 
-    A given range holds for any reading; an estimate was made from the poses and is made again.
+    A given range holds for every interpretation; an estimate depends on the poses and is repeated.
     """
     if depths.source == "given":
         return depths
@@ -141,12 +141,12 @@ def _estimated(cameras: Sequence[Camera]) -> DepthRange:
 
 
 def convergence_depths(cameras: Sequence[Camera]) -> F64 | None:
-    """(V,) z-depths of the point where the optical axes meet, None where they do not meet in front of all cameras.
+    """(V,) z-depths of the point where the optical axes meet; None where they do not meet in front of all cameras.
 
-    The point p solves sum_v (I - a_v a_v^T)(p - c_v) = 0 with centres c_v and unit axes a_v: the least sum of squared
-    distances to the axes. Centres are taken relative to the first, so that a far-off origin costs no digits. Parallel
-    axes, the same way or opposite ways, have no such point. Where a camera stands on the axis of another, as after
-    a step forward and a turn, the point is that camera, and its depth is rounding; hence MIN_REACH.
+    The point p is the least-squares solution of sum_v (I - a_v a_v^T)(p - c_v) = 0 with centres c_v and unit axes a_v.
+    Centres are relative to the first, which avoids cancellation far from the origin. Parallel and antiparallel axes
+    have no such point. Where a camera lies on the axis of another, as after a step forward and a turn, p is that
+    camera's centre and its depth is rounding noise; hence MIN_REACH.
     """
     axes = np.stack([camera.rotation[:, 2] for camera in cameras])
     centers = np.stack([camera.center for camera in cameras]) - cameras[0].center
@@ -167,18 +167,18 @@ def widest_angle(axes: F64) -> float:
 
 
 def _widest_between_lines(axes: F64) -> float:
-    """The largest angle in radians, a right one at most, between the lines along two of the unit vectors (V, 3)."""
+    """The largest angle in radians, at most pi / 2, between the undirected lines along the unit vectors (V, 3)."""
     angles = (angle_between(axes[i], axes[j]) for i in range(len(axes)) for j in range(i))
     return max((min(angle, math.pi - angle) for angle in angles), default=0.0)
 
 
 def angle_between(one: F64, other: F64) -> float:
-    """Angle in radians between two unit vectors; by atan2, so that small angles keep their digits."""
+    """Angle in radians between two unit vectors (3,), by atan2, which is accurate for small angles."""
     return float(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other))
 
 
 def largest_baseline(cameras: Sequence[Camera]) -> F64:
-    """(3,) the longest vector between two camera centres. Raises `BaselineError` where it is zero to rounding."""
+    """(3,) the longest vector between two camera centres. Raises `BaselineError` where it is zero within rounding."""
     centers = np.stack([camera.center for camera in cameras])
     vectors = (centers[:, None] - centers[None]).reshape(-1, 3)
     longest = vectors[np.argmax(np.linalg.norm(vectors, axis=1))]

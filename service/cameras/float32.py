@@ -1,4 +1,4 @@
-"""Whether numbers have been through float32, and what that may have cost them."""
+"""Detect numbers that were rounded to float32, and bound what the rounding cost."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-DIGITS, LEAST = 24, 2.0**-149  # of a float32's fraction, and the least step
+DIGITS, LEAST = 24, 2.0**-149  # bits of a float32's significand, and its smallest step
 
 
 def half_step(values: ArrayLike) -> float:
-    """Half a float32 step at the largest of `values` where all of them are float32 numbers: each may have been rounded
-    by so much. 0 where one is not, so that they never were, and where there are none."""
+    """Half a float32 step at the largest magnitude, if all `values` are exactly representable in float32: each may have
+    been rounded by that much. 0 if one is not representable (nothing was rounded) or there are none."""
     wide = np.asarray(values, dtype=np.float64)
     with np.errstate(over="ignore"):
         narrow = wide.astype(np.float32)
@@ -24,6 +24,6 @@ def half_step(values: ArrayLike) -> float:
 
 
 def largest_shift(step: float, focal: float, depth: float) -> float:
-    """How far, in px along any axis in the middle of a picture, moving each coordinate by `step` may move a point at
-    `depth` under `focal` px: its offset has a length of sqrt(3) steps at most."""
+    """The largest displacement in px, near the principal point, of a point at z-depth `depth` under a focal length of
+    `focal` px, if each of its coordinates moves by up to `step`: an offset of length sqrt(3) step."""
     return math.sqrt(3) * step * focal / depth

@@ -1,4 +1,4 @@
-"""Which photographs foretell another one, whose picture from a reconstruction of them tells what a new view is like."""
+"""Leave-one-out: from which other photographs each one is reconstructed, to tell how good a novel view is."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ..arguments import shown, whole_number
 from ..errors import InputError
 from .camera import Camera
-from .shortest_ways import DIGITS
+from .spanning_tree import DIGITS
 from .view_checks import MAX_VIEWS, MIN_PARALLAX_PX, MIN_VIEWS, Notice, parallax_px
 
 # Of three photographs both others; of more, two as well, so that each costs no more than a run with two views.
@@ -18,7 +18,8 @@ DEFAULT_OTHERS = 2
 
 
 def checked_others(count: int) -> int:
-    """As `int`. Raises `InputError` unless it is 0 (nothing is foretold) or so many views can foretell another one."""
+    """As `int`. Raises `InputError` unless it is 0 (no leave-one-out) or a number of views that can be reconstructed
+    from: MIN_VIEWS to MAX_VIEWS - 1."""
     others = whole_number(count)
     if others is None or others not in (0, *range(MIN_VIEWS, MAX_VIEWS)):
         raise InputError(
@@ -29,12 +30,12 @@ def checked_others(count: int) -> int:
 
 
 def nearest_others(cameras: Sequence[Camera], index: int, count: int, near: float) -> list[int]:
-    """The `count` cameras nearest to that of `index`, all the others where there are fewer, in their own order.
+    """Indices of the `count` cameras nearest to camera `index`, ascending; of all the others where there are fewer.
 
-    Two of them have parallax at depth `near`: where those nearest have none, the last of them gives way to the next
-    that brings some. None at all where no two of the others have any. Of equally near ones that comes first which
-    stands farther to the left as the camera sees it, then farther up, then farther behind, so that the order of the
-    photographs decides nothing.
+    At least two of them have parallax at depth `near`: of the combinations in order of nearness the first that has is
+    taken, and none where no two of the others have any. Ties in distance are broken by where the camera sees the other
+    one: left before right, above before below, behind before ahead. The order of the photographs therefore decides
+    nothing.
     """
     camera = cameras[index]
     others = [other for other in range(len(cameras)) if other != index]

@@ -1,5 +1,5 @@
-"""Keys of a camera file that say what no reader of ours would act on: another lens than a pinhole, or one whose
-coefficients have other names."""
+"""Refuse keys of a camera file that would be ignored though they matter: other camera models than a pinhole, and
+distortion coefficients under other names."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ..plain_number import plain_float
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 # Pinholes, and what can be undistorted to one.
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
-# Words of names of other models. The short ones are so alone: they are also part of names of devices.
-BENDING = {
+# Words in the names of other camera models. Short ones count only as the whole name: devices have them in theirs.
+NOT_PINHOLE = {
     *("FISHEYE", "EQUIDISTANT", "EQUISOLID", "STEREOGRAPHIC", "ORTHOGRAPHIC", "KANNALA", "BRANDT", "EUCM"),
     *("SPHERE", "SPHERICAL", "EQUIRECTANGULAR", "PANORAMA", "PANORAMIC", "CYLINDRICAL", "OMNIDIRECTIONAL", "PRISM"),
 }
-BENDING_ALONE = {"FOV", "OMNI", "UCM", "MEI", "ORTHO", "DIVISION"}
+NOT_PINHOLE_ALONE = {"FOV", "OMNI", "UCM", "MEI", "ORTHO", "DIVISION"}
 OTHER_NAMES = (
     "distortion",
     "distortion_params",
@@ -43,17 +43,17 @@ def require_pinhole_model(values: Mapping, *, field: str, index: int | None) -> 
 
 
 def refuse_bending_model(values: Mapping, *, field: str, index: int | None) -> None:
-    """Raises `IntrinsicsError` for a `camera_model` that is no pinhole by its name, which may also be that of a device,
-    and for `is_fisheye`."""
+    """Raises `IntrinsicsError` for a `camera_model` whose name says that it is no pinhole, and for `is_fisheye`; the
+    name of a device passes."""
     model = str(values.get("camera_model") or "")
-    if BENDING & set(re.split("[^A-Z]+", model.upper())) or model.upper() in BENDING_ALONE:
+    if NOT_PINHOLE & set(re.split("[^A-Z]+", model.upper())) or model.upper() in NOT_PINHOLE_ALONE:
         _refuse(f"camera_model is {model[:60]}, need a pinhole", f"{field}.camera_model", index)
     _refuse_fisheye(values, field, index)
 
 
 def refuse_other_names(values: Mapping, *, field: str, index: int | None) -> None:
-    """Raises `IntrinsicsError` for coefficients that are not 0 under other names than those of COEFFICIENTS, where
-    all of these are: passed over, a bent picture would be taken for a straight one."""
+    """Raises `IntrinsicsError` for nonzero coefficients under one of OTHER_NAMES while all of COEFFICIENTS are 0 or
+    missing (ignored, a distorted picture would be taken for a pinhole's), and for `skew`."""
     told = any(_bends(values.get(known)) for known in COEFFICIENTS)
     for name in OTHER_NAMES:
         if not told and _bends(values.get(name)):
@@ -74,7 +74,7 @@ def _refuse(message: str, field: str, index: int | None, cure: str = UNDISTORT) 
 
 
 def _bends(value: Any, nothing: float = NOTHING) -> bool:
-    """Whether it is a number that is more than nothing, as text too, or holds one."""
+    """Whether `value` is, or contains, a number, also as text, of a magnitude above `nothing`."""
     if isinstance(value, str):
         value = [_number(word) for word in re.split(r"[\s,;\[\]()]+", value)]
     if isinstance(value, list | tuple | Mapping):

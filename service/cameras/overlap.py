@@ -11,11 +11,11 @@ from .camera import Camera
 
 F64 = NDArray[np.float64]
 
-GRID = 12  # rays per side; a share is then known to about 1 / 12 of the width, which every use here can bear
+GRID = 12  # rays per side: shares are resolved to about 1 / 12 of the width, enough for every threshold here
 
 
 def shared_shares(cameras: Sequence[Camera], depths: Sequence[float] | F64) -> F64:
-    """(V, V, D): entry [i, j, d] is the share of view i that, if it lay at z-depth `depths[d]`, view j would see."""
+    """(V, V, D): entry [i, j, d] is the share of view i's pixels that view j would see at z-depth `depths[d]`."""
     count = len(cameras)
     shares = np.ones((count, count, len(depths)))
     places = (np.arange(GRID) + 0.5) / GRID
@@ -30,7 +30,7 @@ def shared_shares(cameras: Sequence[Camera], depths: Sequence[float] | F64) -> F
 
 
 def best_partner_shares(cameras: Sequence[Camera], depths: Sequence[float] | F64) -> F64:
-    """(V, D): the largest share of each view that one other view sees, per depth, mean of both directions."""
+    """(V, D): per view and depth the largest overlap with one other view, as the mean of both directions' shares."""
     shares = shared_shares(cameras, depths)
     both = 0.5 * (shares + shares.transpose(1, 0, 2))
     both[np.arange(len(cameras)), np.arange(len(cameras))] = 0.0
@@ -38,7 +38,7 @@ def best_partner_shares(cameras: Sequence[Camera], depths: Sequence[float] | F64
 
 
 def inverse_depth_steps(near: float, far: float, count: int) -> F64:
-    """(count,) depths from near to far in equal steps of inverse depth: about equal steps in pixels."""
+    """(count,) depths from near to far, uniform in inverse depth: about equal steps of parallax."""
     return 1.0 / np.linspace(1.0 / near, 1.0 / far, count)
 
 

@@ -1,4 +1,4 @@
-"""Rigid motions: parsing a pose matrix, projecting what rounding did to its rotation away, and inverting it."""
+"""Rigid motions: parse a pose matrix, project its rotation onto SO(3) where it was rounded, and invert it."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ ROUNDING = 1e-14  # what float64 leaves of orthonormality (some 1e-15); such a m
 
 
 class Given(NamedTuple):
-    """What a camera's pose was like when it came."""
+    """How precise a pose was as it was given."""
 
-    drift: float = 0.0  # max |R^T R - I| of camera to world; 0 where that is rounding and R is kept to the bit
-    shift: float = 0.0  # how far the projection onto SO(3) moved the camera, units; not 0 for world to camera alone
+    drift: float = 0.0  # max |R^T R - I|, camera to world; 0 where it is mere float64 rounding and R is kept to the bit
+    shift: float = 0.0  # how far projecting R onto SO(3) moved the camera centre, units; 0 for camera to world
     step: float = 0.0  # half a float32 step of its translation, see `float32.py`
 
 
@@ -49,9 +49,10 @@ def rigid_inverse(matrix: F64) -> F64:
 
 
 def checked_pose(value: object, *, field: str = "c2w", index: int | None = None) -> Pose:
-    """Parse a (4, 4) or (3, 4) rigid motion; a drift below 1e-4 is projected onto SO(3), more is refused.
+    """Parse a (4, 4) or (3, 4) rigid motion; R within 1e-4 of orthonormal is projected onto SO(3).
 
-    A rotation that is one to rounding stays as it is, so that a pose that was checked once is never changed again.
+    An R that is orthonormal to float64 rounding keeps its bits, so that checking twice changes nothing. Raises
+    `PoseError` for anything else, naming field, index and numbers.
     """
     try:
         entries = np.asarray(value)

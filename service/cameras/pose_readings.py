@@ -1,4 +1,4 @@
-"""The other readings of a set of poses that users mean when they get the convention wrong, each with its cure."""
+"""Alternative readings of a set of poses, one per usual mistake of convention, each with its cure."""
 
 from __future__ import annotations
 
@@ -13,36 +13,37 @@ from .camera import Camera
 from .camera_fields import OPENCV_FROM_OPENGL
 from .pose import rigid_inverse
 
-CLEARLY = 10.0  # times the distance as read; with less the cameras would hardly have a baseline either
+CLEARLY = 10.0  # times the baseline as read; below it the inverted poses would hardly have a baseline either
 
 
 @dataclass(frozen=True)
 class Reading:
-    """The cameras as they would be if the poses meant something else."""
+    """The cameras under another convention or order."""
 
     looks_like: str  # finishes the sentence "these poses look like ..."
     cure: str
     cameras: tuple[Camera, ...]
-    order: bool = False  # one of many orders of the same cameras
+    order: bool = False  # a permutation of the same cameras, one of many
 
 
 def other_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
-    """World-to-camera instead of camera-to-world, OpenGL instead of OpenCV axes, and both at once."""
+    """World-to-camera instead of camera-to-world, OpenGL instead of OpenCV axes, and both at once. The cures are those
+    of a transforms.json too, which cannot say either and has OpenGL axes where nothing is wrong."""
     poses = [camera.world_from_cam for camera in cameras]
     readings = (
         (
             "world-to-camera matrices",
-            'invert them, or say "pose": "w2c" in the camera file',
+            'invert them, or say "pose": "w2c" in a cameras.json; of a transforms.json negate columns 1 and 2 then',
             [rigid_inverse(pose) for pose in poses],
         ),
         (
-            "OpenGL axes (x right, y up, z backward)",
-            'negate columns 1 and 2 of each c2w, or say "axes": "opengl" in the camera file',
+            "OpenGL axes (x right, y up, z backward), or in a transforms.json OpenCV axes",
+            'negate columns 1 and 2 of each c2w, or say "axes": "opengl" in a cameras.json',
             [pose @ OPENCV_FROM_OPENGL for pose in poses],
         ),
         (
             "world-to-camera matrices in OpenGL axes",
-            'say "pose": "w2c" and "axes": "opengl" in the camera file',
+            'say "pose": "w2c" and "axes": "opengl" in a cameras.json; of a transforms.json invert them',
             [rigid_inverse(pose) @ OPENCV_FROM_OPENGL for pose in poses],
         ),
     )
@@ -60,25 +61,24 @@ def turned_photographs(cameras: Sequence[Camera], numbers: Sequence[int]) -> Rea
 
 
 def other_orders(cameras: Sequence[Camera], numbers: Sequence[int]) -> Iterator[Reading]:
-    """The cameras of other photographs: any two exchanged, and of three also all passed on. `numbers` are what the
-    caller calls the views."""
+    """The cameras assigned to other photographs: every swap of two, and for three views both cyclic permutations.
+    `numbers` are what the caller calls the views."""
     count = len(cameras)
     if count == 2:
         swapped = tuple(reversed(cameras))
         yield Reading("the cameras of the other photograph", "swap the two cameras or images", swapped)
         return
-    exchanged = [[j if k == i else i if k == j else k for k in range(count)] for i, j in combinations(range(count), 2)]
-    passed_on = [[1, 2, 0], [2, 0, 1]] if count == 3 else []
-    for order in exchanged + passed_on:
+    swaps = [[j if k == i else i if k == j else k for k in range(count)] for i, j in combinations(range(count), 2)]
+    cycles = [[1, 2, 0], [2, 0, 1]] if count == 3 else []
+    for order in swaps + cycles:
         moved = [f"{numbers[k]} fits that of {numbers[own]}" for k, own in enumerate(order) if k != own]
         cure = f"send each photograph with its own camera, photograph {', '.join(moved)}"
         yield Reading("the cameras of other photographs", cure, tuple(cameras[own] for own in order), order=True)
 
 
 def apart_when_inverted(cameras: Sequence[Camera]) -> str:
-    """Part of a cure where cameras stand in one place: world-to-camera matrices of a ring about the origin do that.
-
-    Empty where inverted poses are not CLEARLY farther apart than these are.
+    """The end of a cure for cameras that all stand in one place, as world-to-camera matrices of a ring around the
+    origin do when they are read as camera-to-world. Empty unless inverting the poses moves them CLEARLY apart.
     """
     centers = np.stack([rigid_inverse(camera.world_from_cam)[:3, 3] for camera in cameras])
     apart = _largest_distance(centers)

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 
 
-def turned(rotation: F64, vectors: NDArray[np.floating]) -> F64:
-    """`rotation` (3, 3) times each of the vectors (..., 3), in float64.
+def rotated(rotation: F64, vectors: NDArray[np.floating]) -> F64:
+    """`rotation` (3, 3) applied to each of the vectors (..., 3), in float64.
 
-    Not by a product of matrices: BLAS would share so narrow a one among threads that wait for each other (65,536
-    vectors on two busy cores: 31 ms instead of 0.8), and its sums would depend on their number.
+    Not a matrix product: BLAS would split one this narrow among threads that wait for each other (65,536 vectors on two
+    busy cores: 31 ms instead of 0.8), and its rounding would depend on the number of threads.
     """
     x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
     result = np.empty((*x.shape, 3))
@@ -24,8 +24,8 @@ def turned(rotation: F64, vectors: NDArray[np.floating]) -> F64:
 def quaternion_from_matrix(rotation: F64) -> F64:
     """(4,) unit quaternion wxyz of a rotation (3, 3), w >= 0.
 
-    The largest of the four squared components is taken by the root and the others by division with it (Shepperd,
-    J. Guidance and Control 1, 223, 1978), so that nothing is lost near 180 degrees.
+    The component with the largest square is found first and the others by division by it (Shepperd, J. Guidance and
+    Control 1, 223, 1978), which keeps full precision near 180 degrees.
     """
     r = np.asarray(rotation, dtype=np.float64)
     trace = np.trace(r)

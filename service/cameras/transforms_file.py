@@ -47,8 +47,10 @@ def parse_transforms(
     principal point defaults to the image centre, the size to `size_of`. Distortion that moves no point of the picture
     by 0.5 px is left out; with more the view has its lens, and the pinhole that this becomes. `applied_transform` says
     what was done to the poses that are in the file: they are taken as they are. Raises `IntrinsicsError` for a lens
-    that does not become a pinhole (fisheye, folds) and `CameraError` for what is missing.
+    that does not become a pinhole (fisheye, folds) and `CameraError` for what is missing, and for the keys of a
+    cameras.json that would state another convention.
     """
+    _refuse_conventions(obj)
     views = []
     frames = list_of(obj, "frames")
     common = {name: value for name, value in obj.items() if name in _OF_A_FRAME}
@@ -72,6 +74,14 @@ def parse_transforms(
         lens = _lens(values, (width, height), (fx, fy), (cx, cy), index)
         views.append(view_through(name, lens, pose, field="frames", index=index))
     return CameraFile(tuple(views), optional_number(obj, "near"), optional_number(obj, "far"))
+
+
+def _refuse_conventions(obj: Mapping) -> None:
+    for key, other, fixed in (("axes", "opencv", "opengl"), ("pose", "w2c", "c2w")):
+        if str(obj.get(key)).lower() == other:
+            message = f"{key} is {other}, and poses of a transforms.json are {fixed}"
+            cure = f'convert the poses and leave {key} out, or list the views in a cameras.json with "{key}": "{other}"'
+            raise CameraError(message, field=key, cure=cure)
 
 
 def _of_the_top(common: Mapping, frame: Mapping) -> dict[str, Any]:

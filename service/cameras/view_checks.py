@@ -1,4 +1,4 @@
-"""Checks of a set of cameras before anything is computed: count, plausible lenses, baseline, depth range, overlap."""
+"""Checks of a set of cameras before reconstruction: count, intrinsics, baseline, depth range, overlap."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .rotations import rotation_angle
 
 MIN_VIEWS = 2
 MAX_VIEWS = 6
-MIN_PARALLAX_PX = 0.25  # the largest shift between near and infinity; below it depth is noise
+MIN_PARALLAX_PX = 0.25  # parallax between near and infinity, below which depth is noise
 SAME_POSITION = 1e-6  # of the near depth: 1e-3 px at f = 1000 px
 SAME_ROTATION = 1e-6  # rad
 MIN_SHARE = 0.1  # of a view, at the depth where it shares most; real captures have 0.9 and more
@@ -25,8 +25,8 @@ LITTLE_SHARE = 0.3  # below it, a warning
 TIE = 0.1  # readings of the poses that overlap about equally are all named
 WIDE_RANGE = 1000.0  # far / near from which the depth steps are too coarse beyond some 10 x near
 DEPTH_PLANES = 64  # of the shipped network, for the depth-step table in the warning
-_DEPTHS = 16  # at which the overlap is looked at
-_ANY_DEPTH = np.geomspace(0.1, 1000.0, 32)  # in baselines: where an estimated range may be wrong, this one is not
+_DEPTHS = 16  # depths at which the overlap is evaluated
+_ANY_DEPTH = np.geomspace(0.1, 1000.0, 32)  # in baselines: wide enough where an estimated range may be wrong
 
 Notice = dict[str, Any]  # code, message and what it is about
 
@@ -38,12 +38,12 @@ def check_views(
     trust_poses: bool = False,
     numbers: Sequence[int] | None = None,
 ) -> list[Notice]:
-    """Refuse sets of cameras that cannot give a scene; return warnings about those that hardly can.
+    """Refuse cameras from which no scene can be reconstructed; return warnings about little overlap.
 
-    Raises `ViewCountError`, `IntrinsicsError`, `BaselineError` (same view twice, no parallax, or a distance beyond
-    float32) or `OverlapError`, which says what the poses look like if another reading of them would overlap. Views
-    that do not overlap within an estimated depth range are refused only if they overlap at no other depth either; with
-    `trust_poses` none are. `numbers` are what the caller calls the views, where these were chosen from more.
+    Raises `ViewCountError`, `IntrinsicsError`, `BaselineError` (the same pose twice, no parallax, or a distance beyond
+    float32) or `OverlapError`, which names other interpretations of the poses under which the views overlap. Where the
+    range is estimated, views are refused only if they overlap at no other depth either; with `trust_poses` never.
+    `numbers`: what errors and warnings call the views, one each; by default 0, 1, 2...
     """
     check_count(len(cameras))
     numbers = range(len(cameras)) if numbers is None else numbers
@@ -54,9 +54,10 @@ def check_views(
 
 
 def range_notices(depths: DepthRange, planes: int = DEPTH_PLANES) -> list[Notice]:
-    """The warning about a range in which the network's `planes` stand far apart in depth.
+    """A warning where `far / near` is so large that the sweep's `planes` are coarse; else an empty list.
 
-    Half a step h = (1 / near - 1 / far) / (2 (planes - 1)) of inverse depth makes z nearer by z h / (1 + z h).
+    Half a step h = (1 / near - 1 / far) / (2 (planes - 1)) of inverse depth is an error of z h / (1 + z h), relative to
+    the depth z.
     """
     ratio = depths.far / depths.near
     if ratio <= WIDE_RANGE:
@@ -90,12 +91,12 @@ def check_count(count: int) -> None:
 
 
 def parallax_px(one: Camera, other: Camera, near: float) -> float:
-    """How far a point at depth `near` shifts between two views against one at infinity: at most this many pixels."""
+    """Upper bound, px, on the parallax of a point at depth `near` against one at infinity between two views."""
     return max(one.fx, one.fy, other.fx, other.fy) * float(np.linalg.norm(one.center - other.center)) / near
 
 
 def _check_principal_point(camera: Camera, index: int) -> None:
-    """A principal point within one pixel of the upper left corner is a normalised one."""
+    """Refuse a principal point within one pixel of the upper left corner: it is normalised by the image size."""
     if 0 < camera.cx <= 1 < camera.width / 8 and 0 < camera.cy <= 1 < camera.height / 8:
         raise IntrinsicsError(
             f"cx, cy = {camera.cx:g}, {camera.cy:g} px in an image of {camera.width} x {camera.height} px",

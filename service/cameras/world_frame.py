@@ -16,14 +16,14 @@ from ..gaussians import Gaussians
 from ..harmonics import rotate_harmonics
 from .camera import Camera
 from .depth_range import DepthRange
-from .rotations import quaternion_from_matrix, quaternion_product, turned
+from .rotations import quaternion_from_matrix, quaternion_product, rotated
 
 F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class WorldFrame:
-    """The network's frame in the caller's world."""
+    """The rigid motion and scale that lead from the network's frame to the caller's world."""
 
     rotation: F64  # (3, 3) world from frame: that of camera 0
     origin: F64  # (3,) centre of camera 0, caller's units
@@ -34,7 +34,7 @@ class WorldFrame:
         return cls(cameras[0].rotation, cameras[0].center, depths.near)
 
     def poses(self, cameras: Sequence[Camera]) -> NDArray[np.float32]:
-        """(V, 4, 4) camera poses in this frame; centres are subtracted before anything is multiplied."""
+        """(V, 4, 4) camera-to-frame poses; the origin is subtracted in float64 before anything is multiplied."""
         poses = np.tile(np.eye(4), (len(cameras), 1, 1))
         for pose, camera in zip(poses, cameras, strict=True):
             pose[:3, :3] = self.rotation.T @ camera.rotation
@@ -50,8 +50,9 @@ class WorldFrame:
         return self.unit * outputs["depth"].astype(np.float64)
 
     def at_depths(self, outputs: Mapping[str, NDArray], cameras: Sequence[Camera], depths: F64) -> dict[str, NDArray]:
-        """The outputs with every pixel's Gaussian moved along its ray to `depths` (V, H, W), z-depths in the caller's
-        units, and scaled with it, so that it covers the same pixels. What stays in place keeps its bits."""
+        """The outputs with each pixel's Gaussian moved along its ray to `depths` (V, H, W), z-depths in the caller's
+        units, and its scales multiplied by the same ratio, so that its footprint in the view stays. Gaussians whose
+        depth does not change keep their bits."""
         before = self.depths(outputs)
         ratio = (depths / before).reshape(len(cameras), -1, 1)
         count = before.size
@@ -67,8 +68,8 @@ class WorldFrame:
         }
 
     def to_world(self, outputs: Mapping[str, NDArray], rows: NDArray[np.intp]) -> Gaussians:
-        """The Gaussians in `rows` of the network's outputs, moved, turned and scaled into the caller's world."""
-        means = self.origin + turned(self.rotation, outputs["means"][rows]) * self.unit
+        """The Gaussians in `rows` of the network's outputs, transformed into the caller's world."""
+        means = self.origin + rotated(self.rotation, outputs["means"][rows]) * self.unit
         rotations = quaternion_product(quaternion_from_matrix(self.rotation), outputs["rotations_wxyz"][rows])
         return Gaussians.make(
             means=means,

@@ -1,1 +1,1 @@
-"""Captures as people have them: cameras in one of several formats, with or without the photographs beside them."""
+"""Captures: cameras in one of several formats, with or without photographs beside them."""

@@ -1,4 +1,4 @@
-"""A capture in a .zip, read in memory within bounds: names, counts and sizes are checked before unpacking."""
+"""A capture in a .zip, read without unpacking to disk; names, counts and sizes are checked first."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from typing import BinaryIO, cast
 from ..errors import CaptureError
 from .files import is_clutter
 
-MAX_MEMBERS = 20_000  # 2,000 photographs at several sizes, and a model; each costs about a kilobyte of memory
-MAX_DIRECTORY = 8 * 2**20  # bytes of the archive's own list, which has to be read whole
-MAX_MEMBER_BYTES = 512 * 2**20  # of one file unpacked; a COLMAP model of 2,000 photographs has less
-MAX_UNPACKED_BYTES = 4 * 2**30  # of all that is read of one archive
+MAX_MEMBERS = 20_000  # enough for 2,000 photographs at several sizes; each takes about a kilobyte of memory
+MAX_DIRECTORY = 8 * 2**20  # bytes of the central directory, which is read as a whole
+MAX_MEMBER_BYTES = 512 * 2**20  # of an unpacked file; a COLMAP model of 2,000 photographs is smaller
+MAX_UNPACKED_BYTES = 4 * 2**30  # of all files that are read
 
-SIGNATURES = (b"PK\x03\x04", b"PK\x05\x06")  # of an archive's first file, and of an empty archive
+SIGNATURES = (b"PK\x03\x04", b"PK\x05\x06")  # local file header, and end of central directory of an empty archive
 _ARCHIVES = (".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".7z", ".rar", ".zst")
 _END, _END64, _LOCATOR64 = b"PK\x05\x06", b"PK\x06\x06", b"PK\x06\x07"  # APPNOTE 4.3.14 to 4.3.16
-_LONGEST_END = 22 + 65_535  # the last record with its comment
+_LONGEST_END = 22 + 65_535  # end of central directory with its comment
 _ANEW, _ALONE = "zip the photographs and cameras anew", "zip the photographs and cameras alone"  # cures
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# What `zipfile` raises on damaged archives, its own error being one of many.
+# Exceptions of `zipfile` for damaged archives, of which BadZipFile is only one.
 _DAMAGED = (
     zipfile.BadZipFile,
     zlib.error,
@@ -41,11 +41,11 @@ _DAMAGED = (
 
 
 class ZipFiles:
-    """The files of a zip; `max_bytes` bounds all that is unpacked of it."""
+    """The files of a zip; `max_bytes` limits the sum of all unpacked bytes."""
 
     def __init__(self, stream: BinaryIO, label: str = "the zip", *, max_bytes: int = MAX_UNPACKED_BYTES) -> None:
-        """Raises `CaptureError` for what is no zip, or one that is not taken: too many files or bytes, encrypted, a
-        path that leads out of it, a file twice, another archive inside, a compression other than deflate."""
+        """Raises `CaptureError` for a file that is no zip, and for a zip with too many files or bytes, encryption,
+        paths that leave it, duplicate files, nested archives or a compression other than deflate."""
         self._label = label
         self._max_bytes = max_bytes
         self._read = 0
@@ -87,14 +87,14 @@ class ZipFiles:
         return cast(BinaryIO, io.BufferedReader(_Counted(self, path, cast(BinaryIO, stream))))
 
     def count(self, size: int) -> None:
-        """Raises `CaptureError` once more was unpacked than the limit."""
+        """Add to the unpacked bytes. Raises `CaptureError` beyond the limit."""
         self._read += size
         if self._read > self._max_bytes:
             message = f"unpacks to more than {self._max_bytes} bytes, the limit"
             raise CaptureError(message, field="capture", cure=_ALONE)
 
     def _add(self, info: zipfile.ZipInfo) -> None:
-        name = info.filename.replace("\\", "/")  # as archivers of Windows write it, whatever the format says
+        name = info.filename.replace("\\", "/")  # written by some Windows archivers, against the format
         parts = name.rstrip("/").split("/")
         if not name or name.startswith("/") or ":" in parts[0] or {"", ".", ".."} & set(parts):
             message = f"has a file at {name!r}: paths must stay inside the zip"
@@ -119,7 +119,7 @@ class ZipFiles:
 
 
 class _Counted(io.RawIOBase):
-    """A member as it is unpacked, counted for its archive."""
+    """A stream of a member whose unpacked bytes are counted for the archive."""
 
     def __init__(self, owner: ZipFiles, path: str, stream: BinaryIO) -> None:
         self._owner, self._path, self._stream = owner, path, stream
@@ -155,11 +155,11 @@ def _refusal(info: zipfile.ZipInfo) -> str | None:
 
 
 def _check_directory(stream: BinaryIO) -> int:
-    """How many files the archive's list has, bounded and counted before `zipfile` makes an object of each.
+    """Number of entries in the central directory, checked and limited before `zipfile` creates an object for each.
 
-    What the last record says must be what is there, so that no other reader can find another list: `zipfile` takes the
-    zip64 record directly before the locator, and the list directly before the last record, wherever they say they are.
-    Raises `BadZipFile` and `CaptureError`.
+    The positions and counts in the end records must be true, so that other readers cannot see other files: `zipfile`
+    expects the zip64 record directly before its locator, and the directory directly before the end records, whatever
+    these say. Raises `BadZipFile` and `CaptureError`.
     """
     size = stream.seek(0, io.SEEK_END)
     start = max(0, size - _LONGEST_END)
@@ -198,9 +198,9 @@ def _check_directory(stream: BinaryIO) -> int:
 
 
 def _entries(directory: bytes) -> int:
-    """How many entries follow each other in a list of files (APPNOTE 4.3.12). Raises `struct.error` for half a one."""
+    """Number of entries in a central directory (APPNOTE 4.3.12). Raises `struct.error` for an incomplete one."""
     count = place = 0
     while place < len(directory):
-        place += 46 + sum(struct.unpack_from("<3H", directory, place + 28))  # its name, extra field and comment
+        place += 46 + sum(struct.unpack_from("<3H", directory, place + 28))  # lengths of name, extra field and comment
         count += 1
     return count

@@ -1,10 +1,11 @@
-"""A capture opened and its views chosen: cameras, where their photographs are, and why these."""
+"""Opening captures, and choosing views: cameras, paths of photographs, and the reason of the choice."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,19 +25,19 @@ from .select import DEFAULT_CONTEXT, Wish, several_named_views
 from .table import CameraTable
 from .usable import usable_views
 
-# Which views of a file to read, given how many it has; the order is kept.
+# Indices of the views to read, from their number, in this order.
 Choice = Callable[[int], Sequence[int]]
 
 
 @dataclass(frozen=True)
 class ChosenViews:
-    """The views of a capture that are to be used, their photographs still in their files."""
+    """Chosen views of a capture; photographs are not read yet."""
 
     file: CameraFile  # the chosen views alone
     paths: tuple[str, ...]  # of their photographs in the capture
     photographs: Photographs
-    indices: tuple[int, ...]  # the views' places in the file
-    selection: dict[str, Any]  # plain JSON values: by what they were chosen, of how many
+    indices: tuple[int, ...]  # of the views in the camera file
+    selection: dict[str, Any]  # JSON values: how they were chosen, of how many
     warnings: tuple[Notice, ...] = ()
 
     def read(self, place: int) -> bytes:
@@ -45,34 +46,34 @@ class ChosenViews:
 
 
 class Capture:
-    """Cameras, and files among which their photographs are."""
+    """The cameras of a capture, and the files among which their photographs are."""
 
     def __init__(self, files: Files, base: str, table: CameraTable, *, max_pixels: int = MAX_PIXELS) -> None:
         beside = table.source.rpartition("/")[0]
         self.files = files
         self.table = table
         self._photographs = Photographs(files, base, beside, table.names, max_pixels)
-        self._paths: list[str] | None = None  # where the file names none
+        self._paths: list[str] | None = None  # of photographs by order, if the file has no names
 
     @classmethod
     def of(cls, files: Files, *, max_pixels: int = MAX_PIXELS, max_camera_bytes: int = MAX_CAMERA_BYTES) -> Capture:
-        """Recognised by content. Raises `CaptureError` and `CameraError`."""
+        """The capture in a folder or zip, see `recognised`. Raises `CaptureError` and `CameraError`."""
         return cls(files, *recognised(files, max_camera_bytes), max_pixels=max_pixels)
 
     @property
     def names(self) -> tuple[str | None, ...]:
-        """Of the views' photographs: the file's, else those of the photographs that belong to them by order. Raises
-        `CaptureError` where these are not as many."""
+        """Names of the views' photographs: those of the file, else paths by order. Raises `CaptureError` if their
+        numbers differ."""
         return tuple(self._in_order()) if self.table.by_sorted_name else self.table.names
 
     def cameras(self, indices: Sequence[int]) -> CameraFile:
-        """The cameras of these views, as they are in the file; photographs are read where it lacks their sizes."""
+        """The cameras of these views; photographs are opened for their sizes if the file has none."""
         return self.table.parse(indices, self._size_of)
 
     @cached_property
     def by_sorted_name(self) -> bool:
-        """Whether view i belongs to photograph i of all that there are, sorted by name: where the file has no names,
-        and where its names are time stamps and no photograph has that of another view than order gives it to."""
+        """Whether view i belongs to photograph i, sorted by name: if the file has no names, or if its names are time
+        stamps and no photograph is named like another view than it has by order."""
         if self.table.by_sorted_name or self.table.kind != "realestate10k":
             return self.table.by_sorted_name
         named = {index: path for index in range(len(self.table.names)) if (path := self._named(index))}
@@ -80,28 +81,28 @@ class Capture:
             return not named
         try:
             return all(self._in_order()[index] == path for index, path in named.items())
-        except CaptureError:  # not as many photographs as views
+        except CaptureError:  # other numbers of photographs and views
             return False
 
     def path_of(self, index: int) -> str:
-        """Where the photograph of a view is. Raises `ImageError` where it is not there."""
+        """Path of the photograph of a view. Raises `ImageError` if it is missing."""
         if self.by_sorted_name:
             return self._in_order()[index]
         return self._photographs.find(self.table.names[index], index)
 
     def _named(self, index: int) -> str | None:
-        """The photograph that has the name of this view."""
+        """Path of the photograph with the name of this view, None if there is none."""
         try:
             return self._photographs.find(self.table.names[index], index)
         except ImageError:
             return None
 
     def choose(self, wish: Wish, near: float | None = None, far: float | None = None) -> ChosenViews:
-        """The views that are wished for; `near` and `far` are the user's, which win over the file's.
+        """The requested views; `near` and `far` of the user override those of the file.
 
-        Without a wish all of a capture of up to six. Of more, those are chosen from that have a photograph and a camera
-        that can be used; a warning tells of the others' cameras. Raises `ViewError`, `ImageError`, `CameraError` and
-        `CaptureError`.
+        Without a request all views of a capture of up to six. In a larger one views are chosen among those with a
+        photograph and a usable camera; a warning names unusable cameras. Raises `ViewError`, `ImageError`,
+        `CameraError` and `CaptureError`.
         """
         count = len(self.table.names)
         said: dict[str, Any] = {"format": self.table.kind, "cameras": self.table.source, "of": count}
@@ -116,8 +117,7 @@ class Capture:
         if wish.context is None and len(there) <= MAX_VIEWS:
             return self._chosen(self.cameras(there), there, {"by": "photographs", **said})
         there, file, warnings = usable_views(there, self.cameras)
-        near, far = (file.near if near is None else near), (file.far if far is None else far)
-        choice = chosen_views(file.cameras, wish.context or DEFAULT_CONTEXT, near, far)
+        choice = chosen_views(file.cameras, wish.context or DEFAULT_CONTEXT, *file.depths(near, far))
         indices = [there[place] for place in choice.places]
         return self._chosen(file.chosen(choice.places), indices, {"by": "score", **said, **choice.said}, warnings)
 
@@ -161,40 +161,55 @@ class Capture:
 
 
 def open_capture(path: str | Path) -> Capture:
-    """A folder, a .zip or a camera file with its photographs beside it, by content and not by name.
+    """Open a folder, a .zip or a camera file beside its photographs, recognised by content.
 
-    A zip stays open as long as the capture is used. Raises `CaptureError` and `CameraError`.
+    A zip stays open as long as the capture exists. Raises `CaptureError` and `CameraError`.
     """
     path = Path(path)
     if path.is_dir():
-        return Capture.of(FolderFiles(path))
+        base, table = recognised(FolderFiles(path))
+        file = path / table.source
+        root = _root_of(file)
+        within = folders_below_project(Path(table.source).parent)
+        if not within and root in Path(os.path.abspath(path)).parents:  # the folder of a model, or of models
+            return _of_file(root, file, table)
+        return Capture(FolderFiles(path), base, table)
     if not path.is_file():
         raise CaptureError(f"{path} does not exist", field="capture", cure="give a folder, a .zip or a camera file")
-    try:
-        stream = path.open("rb")
-    except OSError as error:
-        cure = "ask who owns it for permission"
-        raise CaptureError(f"{path} cannot be read: {error.strerror}", field="capture", cure=cure) from error
-    if stream.read(4) in SIGNATURES:
-        return Capture.of(ZipFiles(stream, str(path)))
-    stream.close()
-    root = _root_of(path)
-    files = FolderFiles(root)
-    return Capture(files, "", table_of_file(files, Path(os.path.relpath(path, root)).as_posix()))
+    with ExitStack() as opened:
+        try:
+            stream = opened.enter_context(path.open("rb"))
+        except OSError as error:
+            cure = "ask who owns it for permission"
+            raise CaptureError(f"{path} cannot be read: {error.strerror}", field="capture", cure=cure) from error
+        if stream.read(4) in SIGNATURES:
+            capture = Capture.of(ZipFiles(stream, str(path)))
+            opened.pop_all()
+            return capture
+    return _of_file(_root_of(path), path)
+
+
+def _of_file(root: Path, path: Path, table: CameraTable | None = None) -> Capture:
+    """The capture whose camera file, already read into `table` or not, is at `path`, below `root`."""
+    files, source = FolderFiles(root), Path(os.path.relpath(path, root)).as_posix()
+    return Capture(files, "", table_of_file(files, source) if table is None else replace(table, source=source))
 
 
 def _root_of(path: Path) -> Path:
-    """The folder among whose files the photographs of a named camera file are: its own. A COLMAP model that has no
-    folder of photographs beside it stands for its project, the folder above `sparse`."""
+    """The folder in which photographs of a camera file are searched: its own, or for a COLMAP model without photographs
+    beside it that of the project, the folder above `sparse`, or above nerfstudio's `colmap` where that has none."""
     above = folders_below_project(Path(os.path.abspath(path.parent))) if is_of_colmap(path.name) else 0
-    if not above or any((path.parent / name).is_dir() for name in FOLDERS if name):
-        return path.parent
-    return Path(os.path.abspath(path.parent)).parents[above - 1]
+    places = [path.parent, *Path(os.path.abspath(path.parent)).parents[:above]]
+    return next((place for place in places if _has_photographs(place)), places[-1])
+
+
+def _has_photographs(place: Path) -> bool:
+    return any((place / name).is_dir() for name in FOLDERS if name)
 
 
 def read_camera_file(path: str | Path) -> CameraFile:
-    """All cameras of a camera file, a folder or a .zip; its photographs are needed only where it leaves their sizes
-    out. Raises `CameraError`, `CaptureError` and `ImageError`.
+    """All cameras of a camera file, a folder or a .zip; photographs are needed only for sizes that it lacks. Raises
+    `CameraError`, `CaptureError` and `ImageError`.
     """
     capture = open_capture(path)
     return capture.cameras(range(len(capture.table.names)))
@@ -206,14 +221,14 @@ class SceneFolder:
 
     file: CameraFile  # the chosen views alone
     image_paths: tuple[Path, ...]
-    indices: tuple[int, ...]  # the chosen views' places in the file
+    indices: tuple[int, ...]  # of the chosen views in the file
 
 
 def load_scene_folder(path: str | Path, choose: Choice | None = None) -> SceneFolder:
-    """The views of a folder or a camera file whose photographs show what their pinholes see; found, not decoded.
+    """The views of a folder or camera file without lens distortion, and the paths of their photographs.
 
-    `choose` says which views are wanted: the others' photographs need not be there. Raises `CameraError` for a missing
-    or malformed file, `IntrinsicsError` for a lens that bends, and `ImageError` for a photograph that is not there.
+    `choose` selects views; photographs of others may be missing. Raises `CameraError` for a missing or malformed file,
+    `IntrinsicsError` for a distorted lens, and `ImageError` for a missing photograph.
     """
     path = Path(path)
     capture = open_capture(path)

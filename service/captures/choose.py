@@ -1,4 +1,4 @@
-"""Choose the views of a capture that the network should see: those that share much, from places far enough apart."""
+"""Choosing views of a capture for the network: with large overlap and sufficient parallax."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from ..cameras.overlap import seen
 
 F64 = NDArray[np.float64]
 
-MAX_SCORED = 400  # views; of more, so many at equal distances in the file's order: cost grows with their square
-GRID = 5  # rays per side of a view, for the share that another one sees
-SMALL_ANGLE = np.radians(5.0)  # of parallax; below it depth is uncertain in proportion
-LARGE_ANGLE = np.radians(25.0)  # above it views look different, and see past each other's edges
-NEAR_ANGLE = np.radians(10.0)  # up to which what one view shows is still good from another
-MIN_TURN = np.radians(2.0)  # between axes; below it, where they meet is chance
-MAX_MISS = 0.1  # of the depth: axes that pass each other farther off than this do not look at one thing
-MIN_REACH = 0.1  # of the way between two cameras: axes that meet closer to one of them meet at that camera itself
-BEFORE = 0.7  # of the depth where axes meet: the scene begins before the thing that is looked at
-PARALLEL_DEPTH = 4.0  # baselines, where no axes meet: the middle, in inverse depth, of what two views side by side see
+MAX_SCORED = 400  # views that are compared, evenly spaced in the file: cost is quadratic
+GRID = 5  # rays per side of a view, for its overlap with another
+SMALL_ANGLE = np.radians(5.0)  # parallax below it makes depth uncertain in proportion
+LARGE_ANGLE = np.radians(25.0)  # parallax above it: views differ in appearance and occlusion
+NEAR_ANGLE = np.radians(10.0)  # up to which a view covers another well
+MIN_TURN = np.radians(2.0)  # between optical axes; below it their intersection is ill-conditioned
+MAX_MISS = 0.1  # times the depth: axes with a larger distance do not look at the same point
+MIN_REACH = 0.1  # times the baseline: axes that meet closer to a camera than this meet at the camera itself
+BEFORE = 0.7  # times the depth where axes meet, since scenes begin in front of their centre
+PARALLEL_DEPTH = 4.0  # baselines, if no axes meet: mean inverse depth of what two parallel views share
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The chosen views' places, ascending, and what they were chosen by as plain JSON values."""
+    """Ascending indices of the chosen views, and the figures of the choice as JSON values."""
 
     places: tuple[int, ...]
     said: dict[str, Any]
 
 
 def chosen_views(cameras: Sequence[Camera], count: int, near: float | None, far: float | None) -> Choice:
-    """`count` of the cameras, or all where there are no more; the same for the same cameras.
+    """Choose `count` of the cameras, or all if there are not more; deterministic.
 
     With o_ij the share of view i that view j sees at the depth of view i, mean of both directions, and a_ij the angle
     between the two cameras as seen from there, a pair has the quality q_ij = o_ij min(1, a_ij / 5 deg, 25 deg / a_ij),
@@ -72,12 +72,12 @@ def chosen_views(cameras: Sequence[Camera], count: int, near: float | None, far:
 
 
 def scene_depths(cameras: Sequence[Camera]) -> F64:
-    """(V,) how deep in each view the others look, in the cameras' units.
+    """(V,) z-depth in each view of what the others look at, in the cameras' units.
 
-    The median over the other views, of the z-depth at which its axis comes closest to theirs; those count whose axes
-    are turned by 2 degrees or more, meet in front of both, a tenth of the way between the two cameras or more from
-    each, and miss each other by less than a tenth of the depth. A view without such others gets the median of those
-    that have them; where none has, four times the largest baseline.
+    The median over other views of the z-depth at which the optical axes come closest. Axes count if they differ by at
+    least 2 degrees, come closest in front of both cameras, at least a tenth of the baseline from each, and within a
+    tenth of the depth of each other. A view without such others gets the median over the views that have them; if none
+    has, four times the largest baseline.
     """
     axes = np.stack([camera.rotation[:, 2] for camera in cameras])
     centers = np.stack([camera.center for camera in cameras]) - cameras[0].center
@@ -99,7 +99,7 @@ def scene_depths(cameras: Sequence[Camera]) -> F64:
 
 
 def _overlap(cameras: Sequence[Camera], depths: F64) -> F64:
-    """(V, V) share of each view, at its depth, that each other one sees; mean of both directions, 1 with itself."""
+    """(V, V) share of each view, at its depth, that another sees; mean of both directions, 1 on the diagonal."""
     places = (np.arange(GRID) + 0.5) / GRID
     grid = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
     points = np.concatenate(
@@ -113,7 +113,7 @@ def _overlap(cameras: Sequence[Camera], depths: F64) -> F64:
 
 
 def _angles(cameras: Sequence[Camera], depths: F64) -> F64:
-    """(V, V) radians between two cameras as seen from the point in the middle of a view; mean of both views."""
+    """(V, V) parallax in radians: angle between two cameras from the centre point of a view; mean of both views."""
     centers = np.stack([camera.center for camera in cameras]) - cameras[0].center
     axes = np.stack([camera.rotation[:, 2] for camera in cameras])
     rays = (centers + depths[:, None] * axes)[:, None] - centers[None]  # (V, V, 3) from j to what i looks at
@@ -124,7 +124,7 @@ def _angles(cameras: Sequence[Camera], depths: F64) -> F64:
 
 
 def _best_pair(quality: F64, covered: F64) -> list[int]:
-    """The places of the pair with the highest score, the earliest of those that share it."""
+    """Indices of the pair with the highest score; ties go to the earliest."""
     best, pair = -1.0, [0, min(1, len(quality) - 1)]
     for i in range(len(quality) - 1):
         scores = quality[i, i + 1 :] * np.maximum(covered[i], covered[i + 1 :]).mean(axis=1)
@@ -135,7 +135,7 @@ def _best_pair(quality: F64, covered: F64) -> list[int]:
 
 
 def _grown(chosen: list[int], quality: F64, covered: F64, count: int) -> list[int]:
-    """The chosen places with further ones, each of which gives the highest score of the set."""
+    """Extend the chosen indices greedily to `count`, each time by the view with the highest score of the set."""
     while len(chosen) < count:
         best, place = -1.0, -1
         for candidate in range(len(quality)):
@@ -150,7 +150,7 @@ def _grown(chosen: list[int], quality: F64, covered: F64, count: int) -> list[in
 
 
 def _evenly(count: int, most: int) -> list[int]:
-    """All places, or `most` of them at equal distances, the first and the last among them."""
+    """All indices, or `most` evenly spaced ones including the first and the last."""
     if count <= most:
         return list(range(count))
     return [int(place) for place in np.linspace(0, count - 1, most).round()]

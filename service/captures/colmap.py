@@ -1,4 +1,4 @@
-"""From a COLMAP model to cameras: which models are pinholes, which can be undistorted, and which are refused."""
+"""Cameras from COLMAP models: camera models that are pinholes or can be undistorted; others are refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .colmap_model import ColmapCamera, ColmapModel
 from .files import Files, joined
 from .table import CameraTable, check_listed
 
-# The parameters in the order of the file; `f` is both focal lengths.
+# Parameters in the order of the file; `f` stands for fx and fy.
 PARAMETERS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -34,18 +34,20 @@ def is_of_colmap(name: str) -> bool:
 
 
 def folders_below_project(folder: PurePath) -> int:
-    """How deep a model's folder lies in its project: 1 for sparse, 2 for sparse/1, one more in colmap; else 0."""
+    """Depth of a model's folder in its project: 1 for sparse, 2 for sparse/1, one more below colmap; else 0."""
     names = [name for name in folder.parts[::-1] if name != folder.anchor]
     place = names.index("sparse") if "sparse" in names[:2] else -1
     return place + 1 + (names[place + 1 : place + 2] == ["colmap"]) if place >= 0 else 0
 
 
+def is_whole(files: Files, folder: str, form: str) -> bool:
+    """Whether a folder has both cameras and images in this form, `bin` or `txt`."""
+    return all(files.has(joined(folder, f"{name}.{form}")) for name in ("cameras", "images"))
+
+
 def has_colmap(files: Files, folder: str) -> str | None:
-    """`bin` or `txt`, the first of the two in which cameras and images are there; None where they are in neither."""
-    for form in _READERS:
-        if all(files.has(joined(folder, f"{name}.{form}")) for name in ("cameras", "images")):
-            return form
-    return None
+    """The first of `bin` and `txt` in which the folder holds a whole model; None where it holds none."""
+    return next((form for form in _READERS if is_whole(files, folder, form)), None)
 
 
 def read_colmap(files: Files, folder: str, form: str) -> CameraTable:
@@ -72,7 +74,7 @@ def read_colmap(files: Files, folder: str, form: str) -> CameraTable:
 
 
 def lens_of(camera: ColmapCamera, camera_id: int, index: int) -> Lens:
-    """Raises `IntrinsicsError` for a model that no pinhole shows well, by its name."""
+    """The lens of a camera. Raises `IntrinsicsError` for an unsupported camera model."""
     names = PARAMETERS.get(camera.model)
     if names is None:
         raise IntrinsicsError(
@@ -88,7 +90,7 @@ def lens_of(camera: ColmapCamera, camera_id: int, index: int) -> Lens:
 
 
 def _model(files: Files, folder: str, form: str) -> ColmapModel:
-    """The points are not read. Rigs and frames count only together."""
+    """Read a model without its points; rigs and frames only if both files exist."""
     reader = _READERS[form]
     paths = {name: joined(folder, f"{name}.{form}") for name in ("cameras", "images", "rigs", "frames")}
     model = ColmapModel()

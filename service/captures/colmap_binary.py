@@ -1,4 +1,4 @@
-"""Read COLMAP's binary files as a stream: what is not needed (points) is passed over and never held."""
+"""Streaming reader of COLMAP's binary files; points are skipped."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ import struct
 from typing import Any, BinaryIO, cast
 
 from ..errors import CameraError
-from .colmap_model import MODELS, ColmapCamera, ColmapFrame, ColmapImage, Sensor
+from .colmap_model import IDENTITY, MODELS, ColmapCamera, ColmapFrame, ColmapImage, Sensor
 from .table import MAX_LISTED
 
-_IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _POINT2D = 24  # bytes of x, y and the point's id
 _LONGEST_NAME = 4096
 _CHUNK = 2**20
 
 
 class _Bytes:
-    """A little-endian stream that says where it ends too early."""
+    """A little-endian stream that raises `CameraError` if it ends too early."""
 
     def __init__(self, stream: BinaryIO, source: str) -> None:
         self._stream = (
@@ -65,7 +64,7 @@ class _Bytes:
 
 
 def read_cameras(stream: BinaryIO, source: str) -> dict[int, ColmapCamera]:
-    """cameras.bin."""
+    """Cameras of a cameras.bin by id."""
     data = _Bytes(stream, source)
     cameras = {}
     for _ in range(data.count("cameras")):
@@ -79,7 +78,7 @@ def read_cameras(stream: BinaryIO, source: str) -> dict[int, ColmapCamera]:
 
 
 def read_images(stream: BinaryIO, source: str) -> dict[int, ColmapImage]:
-    """images.bin without its points."""
+    """Images of an images.bin by id; their points are skipped."""
     data = _Bytes(stream, source)
     images = {}
     for _ in range(data.count("images")):
@@ -91,7 +90,7 @@ def read_images(stream: BinaryIO, source: str) -> dict[int, ColmapImage]:
 
 
 def read_rigs(stream: BinaryIO, source: str) -> dict[int, dict[Sensor, tuple[float, ...] | None]]:
-    """rigs.bin; the first sensor of a rig is its origin."""
+    """Rigs of a rigs.bin by id; the first sensor of a rig is its reference."""
     data = _Bytes(stream, source)
     rigs, total = {}, 0
     for _ in range(data.count("rigs")):
@@ -101,7 +100,7 @@ def read_rigs(stream: BinaryIO, source: str) -> dict[int, dict[Sensor, tuple[flo
         for place in range(count):
             sensor: Sensor = data.unpack("iI")
             if place == 0:
-                sensors[sensor] = _IDENTITY
+                sensors[sensor] = IDENTITY
             else:
                 sensors[sensor] = data.unpack("7d") if data.unpack("B")[0] else None
         rigs[rig_id] = sensors
@@ -109,7 +108,7 @@ def read_rigs(stream: BinaryIO, source: str) -> dict[int, dict[Sensor, tuple[flo
 
 
 def read_frames(stream: BinaryIO, source: str) -> dict[int, ColmapFrame]:
-    """frames.bin."""
+    """Frames of a frames.bin by id."""
     data = _Bytes(stream, source)
     frames, total = {}, 0
     for _ in range(data.count("frames")):

@@ -1,4 +1,4 @@
-"""A COLMAP model as its files have it: cameras, images, and the rigs and frames of newer releases."""
+"""Value types of a COLMAP model: cameras, images, and the rigs and frames of newer releases."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from ..errors import CameraError, PoseError
 
 F64 = NDArray[np.float64]
 
-CAMERA = 0  # the kind of sensor that is a camera
+CAMERA = 0  # sensor kind of cameras
 SENSORS = ("CAMERA", "IMU")
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # qw qx qy qz tx ty tz
 
 # Number, name and count of parameters of every camera model (colmap/sensor/models.h).
 MODELS = {
@@ -41,7 +42,7 @@ MODELS = {
 
 @dataclass(frozen=True)
 class ColmapCamera:
-    """The intrinsics that images share."""
+    """Intrinsics, shared by images."""
 
     model: str
     width: int
@@ -51,7 +52,7 @@ class ColmapCamera:
 
 @dataclass(frozen=True)
 class ColmapImage:
-    """A registered photograph; the seven numbers are qw qx qy qz tx ty tz of camera from world."""
+    """A registered photograph; `cam_from_world` is qw qx qy qz tx ty tz."""
 
     name: str
     camera_id: int
@@ -63,7 +64,7 @@ Sensor = tuple[int, int]  # kind and id
 
 @dataclass(frozen=True)
 class ColmapFrame:
-    """A rig at one moment, and the images that its sensors took."""
+    """The pose of a rig at one moment, and the images of its sensors."""
 
     rig_id: int
     rig_from_world: tuple[float, ...]
@@ -72,17 +73,17 @@ class ColmapFrame:
 
 @dataclass
 class ColmapModel:
-    """Everything by its id; ids have gaps."""
+    """All tables by id; ids may have gaps."""
 
     cameras: dict[int, ColmapCamera] = field(default_factory=dict)
     images: dict[int, ColmapImage] = field(default_factory=dict)
-    # per rig its sensors' poses from the rig, None where it is not known
+    # sensor_from_rig poses by rig and sensor, None if unknown
     rigs: dict[int, dict[Sensor, tuple[float, ...] | None]] = field(default_factory=dict)
     frames: dict[int, ColmapFrame] = field(default_factory=dict)
 
     def pose(self, image_id: int) -> F64:
-        """(4, 4) camera from world: through the frame and its rig where they tell, as COLMAP does, else as the image
-        has it. Raises `PoseError` for a quaternion that is none, `CameraError` for a rig that is not there.
+        """(4, 4) cam_from_world: by the frame and its rig if they are known, as in COLMAP, else that of the image.
+        Raises `PoseError` for an invalid quaternion, `CameraError` for a missing rig.
         """
         image = self.images[image_id]
         if image_id in self._taken:
@@ -94,12 +95,13 @@ class ColmapModel:
                 raise CameraError(message, field="cameras", cure="are both files of one model?")
             sensor_from_rig = rig.get(sensor)
             if sensor_from_rig is not None:
-                return rigid(sensor_from_rig, image.name) @ rigid(frame.rig_from_world, image.name)
+                with np.errstate(invalid="ignore"):  # infinite translations; the pose is checked later
+                    return rigid(sensor_from_rig, image.name) @ rigid(frame.rig_from_world, image.name)
         return rigid(image.cam_from_world, image.name)
 
     @cached_property
     def _taken(self) -> dict[int, tuple[int, Sensor]]:
-        """The frame and the camera that took an image, by its id."""
+        """Frame id and sensor by image id."""
         return {
             image_id: (frame_id, sensor)
             for frame_id, frame in self.frames.items()
@@ -109,7 +111,7 @@ class ColmapModel:
 
 
 def rigid(numbers: tuple[float, ...], name: str) -> F64:
-    """(4, 4) of qw qx qy qz tx ty tz; the quaternion is brought to length 1, as COLMAP does."""
+    """(4, 4) matrix of qw qx qy qz tx ty tz; the quaternion is normalised, as in COLMAP. Raises `PoseError`."""
     wxyz = np.array(numbers[:4])
     with np.errstate(over="ignore"):
         length = float(np.linalg.norm(wxyz))

@@ -1,7 +1,8 @@
-"""A capture with several COLMAP models: where they are, how many images each has, and the notice that one is read."""
+"""Captures with several COLMAP models: finding them, counting their images, choosing one, and a notice about it."""
 
 from __future__ import annotations
 
+import posixpath
 import re
 import struct
 
@@ -11,13 +12,13 @@ from .colmap import has_colmap
 from .files import Files, joined
 from .table import MAX_LISTED
 
-_PLACES = ("sparse", "colmap/sparse")  # whose folders the mapper fills: 0, 1, ...
+_PLACES = ("sparse", "colmap/sparse")  # the mapper writes models into their folders 0, 1, ...
 _LISTED = 5  # models that the notice names
-_HEAD = 4096  # bytes of images.txt in which its comments say how many images it has
+_HEAD = 4096  # bytes of images.txt that hold its comments with the number of images
 
 
 def several_models(files: Files, base: str, chosen: str) -> tuple[Notice, ...]:
-    """The notice `several_models` where the capture in `base` has other models than the chosen folder's; else none."""
+    """The notice `several_models` if the capture in `base` has models beside the chosen one; else empty."""
     others = [folder for folder in models_below(files, base) if folder != chosen]
     if not others:
         return ()
@@ -25,14 +26,26 @@ def several_models(files: Files, base: str, chosen: str) -> tuple[Notice, ...]:
     passed_over = ", ".join([_described(files, folder) for folder in others[:_LISTED]] + more)
     other = joined(others[0], f"images.{has_colmap(files, others[0])}")
     message = (
-        f"{len(others) + 1} COLMAP models are there: {_described(files, chosen)} is read, passed over are "
+        f"{len(others) + 1} COLMAP models are there: {_described(files, chosen)} is read; ignored: "
         f"{passed_over} (for another one name a file of it, such as {other}; in a zip keep its folder alone)"
     )
     return ({"code": "several_models", "field": "capture", "message": message},)
 
 
+def largest_model(files: Files, base: str, first: str) -> str:
+    """The model with the most images among the numbered siblings of `first`, a model of the capture in `base`: COLMAP's
+    mapper may leave two images in model 0 and all others in 1. `first` itself where it has no number, or does not tell
+    how many images it has."""
+    place, name = posixpath.split(first)
+    if not name.isdecimal() or place not in [joined(base, below) for below in _PLACES] or _images(files, first) is None:
+        return first
+    beside = [folder for folder in models_below(files, base) if posixpath.dirname(folder) == place]
+    numbered = [folder for folder in beside if posixpath.basename(folder).isdecimal()]
+    return max(numbered, key=lambda folder: _images(files, folder) or 0)
+
+
 def models_below(files: Files, base: str) -> list[str]:
-    """The folders that hold a model, numbered ones in the order of their numbers."""
+    """Folders with a model, numbered ones in numerical order."""
     folders = [base]
     for place in (joined(base, name) for name in _PLACES):
         within = sorted(files.folders(place), key=lambda name: (len(name), name))
@@ -41,18 +54,18 @@ def models_below(files: Files, base: str) -> list[str]:
 
 
 def _described(files: Files, folder: str) -> str:
-    """The folder, and how many images its model says that it has."""
+    """The folder, with the number of images of its model."""
     count = _images(files, folder)
     return (folder or "the capture's own folder") + ("" if count is None else f" ({count} images)")
 
 
 def _images(files: Files, folder: str) -> int | None:
-    """As the beginning of its list of images says; None where that says nothing that can be."""
+    """Number of images by the start of the file of images; None if it is missing or implausible."""
     form = has_colmap(files, folder)
     try:
         with files.open(joined(folder, f"images.{form}")) as stream:
             head = stream.read(_HEAD if form == "txt" else 8)
-    except CaptureError:  # it is not the model that is read
+    except CaptureError:  # this model is not needed
         return None
     if form == "txt":
         said = re.search(rb"Number of images: (\d{1,9})\b", head)

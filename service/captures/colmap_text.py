@@ -1,4 +1,4 @@
-"""Read COLMAP's text files line by line: comments and empty lines, names with spaces, points passed over."""
+"""Reader of COLMAP's text files, line by line, with comments, empty lines and names with spaces; points are skipped."""
 
 from __future__ import annotations
 
@@ -6,20 +6,19 @@ from collections.abc import Callable, Iterator
 from typing import BinaryIO, TypeVar
 
 from ..errors import CameraError
-from .colmap_model import MODELS, SENSORS, ColmapCamera, ColmapFrame, ColmapImage, Sensor
+from .colmap_model import IDENTITY, MODELS, SENSORS, ColmapCamera, ColmapFrame, ColmapImage, Sensor
 from .table import MAX_LISTED
 
 _Entry = TypeVar("_Entry")
 
-_IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_LONGEST_LINE = 2**20  # bytes, of a line that is looked at; those with points may be longer
-_MARK = "\ufeff"  # of the order of bytes, with which some editors begin a file
-_LONGEST_IMAGE = 2**13  # bytes, of the line of an image; a longer one has points
+_LONGEST_LINE = 2**20  # bytes of a parsed line; lines of points may be longer
+_MARK = "\ufeff"  # byte order mark, written by some editors
+_LONGEST_IMAGE = 2**13  # bytes of the line of an image; a longer line holds points
 _PARAMS = {name: count for name, count in MODELS.values()}
 
 
 def read_cameras(stream: BinaryIO, source: str) -> dict[int, ColmapCamera]:
-    """cameras.txt: id, model, width, height, parameters."""
+    """Cameras of a cameras.txt by id. Raises `CameraError`."""
 
     def camera(words: list[str]) -> tuple[int, ColmapCamera]:
         model, params = words[1], tuple(map(float, words[4:]))
@@ -32,8 +31,8 @@ def read_cameras(stream: BinaryIO, source: str) -> dict[int, ColmapCamera]:
 
 
 def read_images(stream: BinaryIO, source: str) -> dict[int, ColmapImage]:
-    """images.txt: two lines each, of which the second, with the points, may be empty, or missing as in a list that
-    was written by hand."""
+    """Images of an images.txt by id. Each has a second line with points, which may be empty, or missing in a file that
+    was written by hand. Raises `CameraError`."""
 
     def image(words: list[str]) -> tuple[int, ColmapImage]:
         if len(words) != 10:
@@ -45,7 +44,7 @@ def read_images(stream: BinaryIO, source: str) -> dict[int, ColmapImage]:
 
 
 def read_rigs(stream: BinaryIO, source: str) -> dict[int, dict[Sensor, tuple[float, ...] | None]]:
-    """rigs.txt: id, number of sensors, the one that is the origin, and each other with or without its pose."""
+    """Rigs of a rigs.txt by id: the reference sensor, and each other with or without its pose. Raises `CameraError`."""
 
     total = _Total()
 
@@ -55,7 +54,7 @@ def read_rigs(stream: BinaryIO, source: str) -> dict[int, dict[Sensor, tuple[flo
         for place in range(total.with_more(words[1])):
             sensor = _sensor(rest)
             if place == 0:
-                sensors[sensor] = _IDENTITY
+                sensors[sensor] = IDENTITY
             else:
                 sensors[sensor] = _floats(rest, 7) if int(next(rest)) else None
         return int(words[0]), sensors
@@ -64,7 +63,7 @@ def read_rigs(stream: BinaryIO, source: str) -> dict[int, dict[Sensor, tuple[flo
 
 
 def read_frames(stream: BinaryIO, source: str) -> dict[int, ColmapFrame]:
-    """frames.txt: id, rig, its pose, number of images, and each with its sensor."""
+    """Frames of a frames.txt by id: rig, its pose, and images with their sensors. Raises `CameraError`."""
 
     total = _Total()
 
@@ -82,7 +81,7 @@ def _entries(
     parse: Callable[[list[str]], tuple[int, _Entry]],
     most: int = 0,
 ) -> dict[int, _Entry]:
-    """Entries by id; `most` columns, the last of which may have spaces. Raises `CameraError` naming the line."""
+    """Parsed lines by id; with `most` columns the last may contain spaces. Raises `CameraError` naming the line."""
     entries: dict[int, _Entry] = {}
     for number, line in lines:
         try:
@@ -99,8 +98,8 @@ def _entries(
 
 
 def _lines(stream: BinaryIO, source: str, *, every_second: bool = False) -> Iterator[tuple[int, str]]:
-    """Number and text of the lines that hold something; with `every_second` the line of points below each is passed
-    over."""
+    """Number and text of lines that are neither empty nor comments; with `every_second` the line of points after each
+    is skipped."""
     number, data = 0, b""
     while data := data or stream.readline(_LONGEST_LINE):
         number += 1
@@ -122,7 +121,7 @@ def _lines(stream: BinaryIO, source: str, *, every_second: bool = False) -> Iter
 
 
 def _has_points(line: bytes) -> bool:
-    """Whether a line is one of x, y and point for each of the points in an image, or of none; else it is another's."""
+    """Whether a line holds points, triples of numbers or nothing; otherwise it is the next image."""
     if len(line) > _LONGEST_IMAGE:
         return True
     words = line.split()
@@ -144,13 +143,13 @@ def _floats(words: Iterator[str], count: int) -> tuple[float, ...]:
 
 
 class _Total:
-    """Counts that lines announce, bounded together."""
+    """Sum of the counts that lines announce, with a limit."""
 
     def __init__(self) -> None:
         self._sum = 0
 
     def with_more(self, word: str) -> int:
-        """The count itself. Raises `ValueError` where it is negative, or the sum is above the limit."""
+        """The count, added to the sum. Raises `ValueError` if it is negative or the sum exceeds the limit."""
         count = int(word)
         self._sum += count
         if count < 0 or self._sum > MAX_LISTED:

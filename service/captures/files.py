@@ -1,4 +1,4 @@
-"""Where the files of a capture are: a folder on disk here, a zip in `archive.py`, both read through `Files`."""
+"""Access to the files of a capture: the interface `Files`, and folders on disk; zips are in `archive.py`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import BinaryIO, Protocol
 
 from ..errors import CaptureError
 
-# Left beside photographs by file managers and archivers.
+# Files that file managers and archivers create.
 _CLUTTER = ("__macosx", "thumbs.db", "desktop.ini")
 
 
@@ -18,22 +18,22 @@ class Files(Protocol):
 
     @property
     def label(self) -> str:
-        """What to call it in a message."""
+        """Its name for messages."""
 
     def files(self, folder: str) -> Sequence[str]:
-        """Names of the files directly in a folder, sorted; none where it is not there."""
+        """Sorted names of the files in a folder; empty if it does not exist."""
 
     def folders(self, folder: str) -> Sequence[str]:
-        """Names of the folders directly in a folder, sorted."""
+        """Sorted names of the folders in a folder; empty if it does not exist."""
 
     def has(self, path: str) -> bool:
-        """Whether there is a file at the path."""
+        """Whether a file exists at the path."""
 
     def size(self, path: str) -> int:
-        """Bytes of a file, as they are read."""
+        """Size of a file in bytes, unpacked."""
 
     def open(self, path: str) -> BinaryIO:
-        """The file as a stream. Raises `CaptureError` where it cannot be read, then or while reading."""
+        """Open a file for reading. Raises `CaptureError` if it cannot be read, also while reading."""
 
 
 class FolderFiles:
@@ -55,7 +55,7 @@ class FolderFiles:
     def has(self, path: str) -> bool:
         try:
             return (self.root / path).is_file()
-        except (OSError, ValueError):  # a name that no file can have
+        except (OSError, ValueError):  # an invalid name
             return False
 
     def size(self, path: str) -> int:
@@ -71,24 +71,24 @@ class FolderFiles:
     def _entries(self, folder: str, *, folders: bool) -> Sequence[str]:
         try:
             entries = [path for path in (self.root / folder).iterdir() if path.is_dir() == folders]
-        except OSError:
+        except (OSError, ValueError):  # missing, or an invalid name
             return []
         return sorted(path.name for path in entries if not is_clutter(path.name))
 
 
 def is_clutter(name: str) -> bool:
-    """Whether a file or folder of this name was put there by a file manager."""
+    """Whether a name is hidden, or one that file managers create."""
     return name.startswith(".") or name.lower() in _CLUTTER
 
 
 def joined(*parts: str) -> str:
-    """A relative POSIX path without `.`, `..` or empty parts where that can be; the root is the empty path."""
+    """Join and normalise a relative POSIX path; the root is the empty path, and leading `..` remain."""
     path = posixpath.normpath(posixpath.join("", *(part.replace("\\", "/") for part in parts)))
     return "" if path == "." else path
 
 
 def read_bounded(files: Files, path: str, most: int) -> bytes:
-    """The whole file. Raises `CaptureError` where it has more than `most` bytes, before it is read where it says so."""
+    """The content of a file. Raises `CaptureError` if it has more than `most` bytes, by its size before it is read."""
     size = files.size(path)
     if size <= most:
         with files.open(path) as stream:

@@ -1,4 +1,4 @@
-"""Read LLFF's poses_bounds.npy: a row per photograph, photographs in the order of their names."""
+"""Reader of LLFF's poses_bounds.npy: a row per photograph, in the order of their names."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ COLUMNS = 17  # 3 rows of (R | t | height, width, focal), then the nearest and t
 
 
 def read_llff(data: bytes, source: str) -> CameraTable:
-    """The poses are camera to world, the columns of R point down, right and backwards; the size and the focal length
-    are in px, the principal point is the centre. Raises `CameraError` for any other array.
+    """The cameras of an LLFF file: world_from_cam with columns of R pointing down, right and backwards; size and focal
+    length in px; the principal point is the centre. Raises `CameraError`.
     """
     rows = _rows(data, source)
     check_listed(len(rows), source)
@@ -47,7 +47,7 @@ def _view(row: NDArray[np.float64], index: int) -> NamedView:
 
 
 def _rows(data: bytes, source: str) -> NDArray[np.float64]:
-    """(N, 17). The header is checked against the bytes that are there before any array is made."""
+    """(N, 17) rows; the header is checked against the size of the data first. Raises `CameraError`."""
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)

@@ -1,4 +1,4 @@
-"""Find the photographs of a capture by the names that its camera file has for them."""
+"""Finding the photographs of a capture by the names in its camera file."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from .files import Files, joined, read_bounded
 from .names import Endings, key
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG", ".WEBP")
-FOLDERS = ("images", "", "images_2", "images_4", "images_8", "input", "rgb")  # beside the cameras, in this order
+FOLDERS = ("images", "", "images_2", "images_4", "images_8", "input", "rgb")  # that are searched, in this order
 MAX_PHOTOGRAPH_BYTES = 256 * 2**20
-_HEADER = 2**18  # bytes that nearly always hold the size of a photograph
+_HEADER = 2**18  # bytes at the start that usually hold the size
 
 
 class Photographs:
-    """The photographs below `base`, the folder of the capture, and below `beside`, that of its camera file, which has
-    `names` for them."""
+    """The photographs below `base`, the folder of the capture, and `beside`, that of its camera file with these
+    `names`."""
 
     def __init__(
         self, files: Files, base: str, beside: str, names: Sequence[str | None], max_pixels: int = MAX_PIXELS
@@ -33,8 +33,8 @@ class Photographs:
         self._below: dict[str, dict[str, list[str]]] = {}
 
     def find(self, name: str | None, index: int) -> str:
-        """Path of a photograph: at its name, else with a suffix that it lacks or in another case, else at the end of
-        its name that no other name has: `right/0.png` is not the 0.png that may be `left/0.png`. Raises `ImageError`.
+        """Path of a photograph: by its name, also with a missing suffix or in another case, else by a unique end of its
+        name: `right/0.png` does not match a 0.png that may be `left/0.png`. Raises `ImageError`.
         """
         if name is None:
             message = "the camera file names no photograph for this view"
@@ -51,7 +51,7 @@ class Photographs:
         return found
 
     def in_order(self, count: int) -> list[str]:
-        """All photographs, sorted by name, of the first folder that has `count` of them. Raises `CaptureError`."""
+        """Sorted paths of the photographs in the first folder with `count` of them. Raises `CaptureError`."""
         seen = {}
         for place in self._places:
             names = [name for name in self._files.files(place) if name.endswith(SUFFIXES)]
@@ -67,11 +67,11 @@ class Photographs:
         )
 
     def read(self, path: str) -> bytes:
-        """Raises `CaptureError` for a file that is too large or cannot be unpacked."""
+        """The content of a photograph. Raises `CaptureError` if it is too large or cannot be unpacked."""
         return read_bounded(self._files, path, MAX_PHOTOGRAPH_BYTES)
 
     def size_of(self, path: str, index: int) -> tuple[int, int]:
-        """(width, height) in px, from the beginning of the file where that is enough. Raises `ImageError`."""
+        """(width, height) in px, from the start of the file if that suffices. Raises `ImageError`."""
         with self._files.open(path) as stream:
             head = stream.read(_HEADER)
         try:
@@ -101,7 +101,7 @@ class Photographs:
         return None
 
     def _folder(self, path: str) -> str:
-        """The folder at `path`, or the one that differs from it by case alone."""
+        """The folder at `path`, or the only one that differs in case."""
         found = ""
         for part in path.split("/") if path else ():
             same = self._named_like(found).get(key(part), [])
@@ -111,7 +111,7 @@ class Photographs:
         return found
 
     def _named_like(self, folder: str) -> dict[str, list[str]]:
-        """The folders in `folder` by their names as `key` has them."""
+        """Names of the folders in `folder` by their `key`."""
         if folder not in self._below:
             self._below[folder] = {}
             for name in self._files.folders(folder):
@@ -119,7 +119,7 @@ class Photographs:
         return self._below[folder]
 
     def _by_key(self, folder: str) -> dict[str, list[str]]:
-        """Photographs of a folder by their names as `key` has them, with and without suffix."""
+        """Names of the photographs in a folder by their `key`, with and without suffix."""
         if folder not in self._listed:
             found: dict[str, list[str]] = {}
             for name in self._files.files(folder):

@@ -1,4 +1,4 @@
-"""Read the text files of RealEstate10K and ACID: a line per frame of a video, intrinsics as shares of the picture."""
+"""Reader of the text files of RealEstate10K and ACID: a line per video frame, with normalised intrinsics."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ COLUMNS = 19  # time stamp, fx, fy, cx, cy, two zeros, 3 rows of world to camera
 
 
 def looks_like_realestate10k(data: bytes) -> bool:
-    """Whether the first line, or the one below an address, has the columns of a frame."""
+    """Whether the first line, or the one after a URL, has the columns of a frame."""
     lines = [line for line in data[:4096].decode("utf-8-sig", "replace").splitlines() if line.strip()][:2]
     rows = lines[1:] if lines and _is_address(lines[0]) else lines[:1]
     return bool(rows) and len(rows[0].split()) == COLUMNS and rows[0].split()[0].isdigit()
 
 
 def read_realestate10k(data: bytes, source: str) -> CameraTable:
-    """Views are named by their time stamps; sizes come from the photographs. Raises `CameraError`."""
+    """The cameras of a file; views are named by time stamps, sizes come from photographs. Raises `CameraError`."""
     lines = [line for line in data.decode("utf-8-sig", "replace").splitlines() if line.strip()]
     if lines and _is_address(lines[0]):
         lines = lines[1:]

@@ -1,4 +1,4 @@
-"""Recognise a capture by its content: which file has the cameras, and in which format."""
+"""Recognising a capture by content: which file holds the cameras, and in which format."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from typing import Any
 from ..cameras.camera_fields import CameraFile, SizeOf
 from ..cameras.camera_file import parse_camera_file, view_names
 from ..errors import CameraError, CaptureError
-from .colmap import has_colmap, is_of_colmap, read_colmap
-from .colmap_models import models_below, several_models
+from .colmap import has_colmap, is_of_colmap, is_whole, read_colmap
+from .colmap_models import largest_model, models_below, several_models
 from .files import Files, joined, read_bounded
 from .llff import SIGNATURE, read_llff
 from .realestate10k import looks_like_realestate10k, read_realestate10k
 from .table import CameraTable
 
 JSON_NAMES = ("cameras.json", "transforms.json", "transforms_train.json")
-COLMAP_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "")  # before others that have a model
+COLMAP_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "")  # before other folders with a model
 LLFF_NAME = "poses_bounds.npy"
 MAX_CAMERA_BYTES = 64 * 2**20  # of a camera file that is read whole
 
@@ -30,11 +30,11 @@ Parse = Callable[[bytes], Any]  # a decoded JSON file. Raises `ValueError` or `R
 
 
 def recognised(files: Files, max_bytes: int = MAX_CAMERA_BYTES) -> tuple[str, CameraTable]:
-    """The folder of the capture, which is the root or one of its folders, and its cameras.
+    """The folder of the capture, the root or one of its folders, and its cameras.
 
-    In a folder the first of these counts: cameras.json, transforms.json, transforms_train.json, a COLMAP model,
-    poses_bounds.npy, a single RealEstate10K text; of more than `max_bytes` a file that is read whole is refused. Raises
-    `CaptureError` where there is none, or in several folders: found by their names, before one of them is read.
+    In a folder the first of these is read: cameras.json, transforms.json, transforms_train.json, a COLMAP model,
+    poses_bounds.npy, a single RealEstate10K text. Raises `CaptureError` if there is none, if several folders have one
+    (before any is read), and for a file of more than `max_bytes` that is read as a whole.
     """
     read = _reader_in(files, "", max_bytes)
     if read is not None:
@@ -58,15 +58,16 @@ def recognised(files: Files, max_bytes: int = MAX_CAMERA_BYTES) -> tuple[str, Ca
 
 
 def table_of_file(files: Files, path: str, max_bytes: int = MAX_CAMERA_BYTES) -> CameraTable:
-    """The cameras of a named file, whatever its name is; a file of a COLMAP model stands for the model. Raises
-    `CameraError`, and `CaptureError` for more than `max_bytes`.
+    """The cameras of a named file, whatever its name is. A file of a COLMAP model stands for the model, in the file's
+    own form. Raises `CameraError`, and `CaptureError` for more than `max_bytes`.
     """
     folder, name = posixpath.split(path)
     if is_of_colmap(name):
-        if has_colmap(files, folder) is None:
-            message = f"{path} is not in a whole COLMAP model, need cameras and images, both .bin or both .txt"
+        form = name[-3:]
+        if not is_whole(files, folder, form):
+            message = f"{path} is not in a whole COLMAP model, need cameras.{form} and images.{form} beside it"
             raise CameraError(message, field="cameras", cure="copy or export the model with all its files")
-        return read_colmap(files, folder, name[-3:] if has_colmap(files, folder) != "bin" else "bin")
+        return read_colmap(files, folder, form)
     return table_of_bytes(read_bounded(files, path, max_bytes), path)
 
 
@@ -99,9 +100,8 @@ def _reader_in(files: Files, base: str, max_bytes: int) -> Callable[[], CameraTa
                 return partial(table_of_file, files, path, max_bytes)
             lists.append(path)
     for folder in (*(joined(base, folder) for folder in COLMAP_FOLDERS), *models_below(files, base)):
-        form = has_colmap(files, folder)
-        if form is not None:
-            return partial(_colmap, files, base, folder, form)
+        if has_colmap(files, folder) is not None:
+            return partial(_colmap, files, base, folder)
     if files.has(joined(base, LLFF_NAME)):
         return partial(table_of_file, files, joined(base, LLFF_NAME), max_bytes)
     texts = [joined(base, name) for name in files.files(base) if name.endswith(".txt")]
@@ -113,12 +113,14 @@ def _reader_in(files: Files, base: str, max_bytes: int) -> Callable[[], CameraTa
     return partial(table_of_file, files, last[0], max_bytes) if last else None
 
 
-def _colmap(files: Files, base: str, folder: str, form: str) -> CameraTable:
+def _colmap(files: Files, base: str, first: str) -> CameraTable:
+    folder = largest_model(files, base, first)
+    form = has_colmap(files, folder) or "bin"
     return replace(read_colmap(files, folder, form), warnings=several_models(files, base, folder))
 
 
 def _is_list(files: Files, path: str) -> bool:
-    """Whether a JSON file is a list: the cameras.json of 3DGS training, which any other camera file is better than."""
+    """Whether a JSON file is a list, the cameras.json of 3DGS training, which has the lowest priority."""
     with files.open(path) as stream:
         return stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"["
 

@@ -1,4 +1,4 @@
-"""Which views of a capture are wanted: those that are named, those that are counted, or as many as are asked for."""
+"""Requests for views of a capture: by name, by index, or by their number."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ DEFAULT_CONTEXT = 3  # views of a capture that has more than six; a third costs 
 
 @dataclass(frozen=True)
 class Wish:
-    """What the user said of the choice; nothing: all views of up to six, else three that are chosen."""
+    """The user's selection. By default all views of up to six, else three that are chosen automatically."""
 
     select: str | None = None  # names or indices, separated by commas
-    context: int | None = None  # how many to choose
-    field: str = "select"  # what the user knows the first of them as
+    context: int | None = None  # number of views to choose
+    field: str = "select"  # name of the user's field or option for `select`
 
 
 def checked_wish(wish: Wish) -> Wish:
-    """Raises `ViewCountError` for a number outside 2..6, and `InputError` for views that are both named and counted."""
+    """The wish. Raises `ViewCountError` for a number outside 2..6, and `InputError` for both kinds of selection."""
     if wish.context is not None and not MIN_VIEWS <= wish.context <= MAX_VIEWS:
         cure = f"leave it out for {DEFAULT_CONTEXT} of a large capture"
         raise ViewCountError(
@@ -43,9 +43,8 @@ def named_views(
 ) -> list[int]:
     """Indices of the views in `text`, such as `4,8` or `a.jpg,b.jpg`; a name wins over the same text as an index.
 
-    A name is the file's own, or as much of its end as only one view has; or else the path at which the photograph was
-    found, which `path_of` tells. Raises `ViewError` for anything else, for a
-    view that does not exist and for one that is given twice.
+    A name is that in the camera file, a unique end of it, or the path of the photograph by `path_of`. Raises
+    `ViewError` for anything else, for a view that does not exist and for one that is given twice.
     """
     indices: list[int] = []
     for part in text.split(","):
@@ -59,7 +58,7 @@ def named_views(
 def several_named_views(
     text: str, names: Sequence[str | None], *, field: str, path_of: Callable[[int], str | None] = lambda _: None
 ) -> list[int]:
-    """The same for a reconstruction; raises `ViewCountError` for a single one, too."""
+    """As `named_views`, for a reconstruction. Raises `ViewCountError` for a single view, too."""
     indices = named_views(text, names, field=field, path_of=path_of)
     if len(indices) < MIN_VIEWS:
         cure = "name more of them, separated by commas: one view has no parallax"

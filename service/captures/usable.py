@@ -1,4 +1,4 @@
-"""Of many views those whose cameras can be used; a warning tells of the others."""
+"""Filtering views with usable cameras, with a warning about the others."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ Cameras = Callable[[Sequence[int]], CameraFile]  # of these views
 
 
 def usable_views(indices: Sequence[int], cameras: Cameras) -> tuple[list[int], CameraFile, tuple[Notice, ...]]:
-    """Those of the views whose lens can be made a pinhole and whose pose is one, their cameras, and the warning that
-    others are not. Raises what the first of them raises where fewer than two are left."""
+    """Indices of views with an undistortable lens and a valid pose, their cameras, and a warning about the others.
+    Raises the first view's error if fewer than two are left."""
     try:
         return list(indices), cameras(indices), ()
     except (IntrinsicsError, PoseError):
         pass
     refused: list[tuple[int, IntrinsicsError | PoseError]] = []
     usable = _sifted(indices, cameras, refused)
-    if not refused:  # what is wrong is wrong with all of them together
+    if not refused:  # every view alone is valid: the error is about all of them
         return usable, cameras(usable), ()
     index, first = refused[0]
     if len(usable) < MIN_VIEWS:
@@ -33,7 +33,7 @@ def usable_views(indices: Sequence[int], cameras: Cameras) -> tuple[list[int], C
 def _sifted(
     indices: Sequence[int], cameras: Cameras, refused: list[tuple[int, IntrinsicsError | PoseError]]
 ) -> list[int]:
-    """By halves: hardly any are bad as a rule."""
+    """The usable views, by bisection, since most are usable."""
     try:
         cameras(indices)
         return list(indices)

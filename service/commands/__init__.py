@@ -1,1 +1,1 @@
-"""gapmes.service.commands: one module per subcommand of `gapmes`, each a thin edge over the functions it calls."""
+"""gapmes.service.commands: one module per subcommand of `gapmes`, each a thin layer over library functions."""

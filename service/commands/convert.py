@@ -1,4 +1,4 @@
-"""`gapmes convert`: a file of Gaussians in another format, and what that format costs."""
+"""`gapmes convert`: convert a file of Gaussians to another format, and measure the loss."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from ..gaussians import Gaussians
     from ..viewpoints.scene_views import SceneViews
 
-AROUND = ("0", "orbit:-30", "orbit:30")  # views of the default framing
+AROUND = ("0", "orbit:-30", "orbit:30")  # views that are compared, of the default framing
 
 
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", readable=False, help=".ply, .compressed.ply, .splat or .spz")],
     output: Annotated[
-        Path, typer.Argument(metavar="OUT", readable=False, help="the file to write, of a format by its extension")
+        Path, typer.Argument(metavar="OUT", readable=False, help="file to write; its extension determines the format")
     ],
-    to: Annotated[str | None, typer.Option(help="its format, where the extension does not tell")] = None,
+    to: Annotated[str | None, typer.Option(help="format of OUT, if its extension does not tell")] = None,
     source_format: SourceFormatOption = None,
     opacity: OpacityOption = "auto",
     scales: ScalesOption = "auto",
@@ -40,7 +40,8 @@ def convert(
     axes: AxesOption = "rub",
     drop_invalid: DropInvalidOption = False,
     measure: Annotated[
-        str, typer.Option(metavar="CAMERAS|around|off", help="cameras whose pictures are compared, or none")
+        str,
+        typer.Option(metavar="CAMERAS|around|off", help="cameras from which pictures are compared; off: no comparison"),
     ] = "around",
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
@@ -67,7 +68,7 @@ def convert(
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("read"):
-            data = source.read_bytes()  # once: a pipe has nothing more
+            data = source.read_bytes()  # once, since a pipe cannot be read again
             before = len(data)
             reading, found = inspect_gaussians(
                 data, format=source_format, name=str(source), dialect=dialect, drop_invalid=drop_invalid
@@ -84,7 +85,7 @@ def convert(
                 views, shots = _measured(gaussians, cameras)
                 with stages.stage("measure", len(shots)) as step:
                     values = picture_psnr(gaussians, kept, shots, views.near_plane, threads=threads, step=step)
-            except InputError as error:  # what no picture shows is written all the same
+            except InputError as error:  # the file is written nevertheless
                 unmeasured = [f"pictures could not be compared: {error}"]
         with named(output):
             replace_file(output, encoded.data)
@@ -114,7 +115,7 @@ def convert(
 
 
 def _measured(gaussians: Gaussians, cameras: Sequence[Camera] | None) -> tuple[SceneViews, Sequence[Camera]]:
-    """The cameras of a file, else three about the scene."""
+    """The scene's views and the cameras to compare: those given, else `AROUND` the default framing."""
     from ..viewpoints.default_framing import default_views
     from ..viewpoints.scene_views import SceneViews
     from ..viewpoints.seen_depths import seen_depths

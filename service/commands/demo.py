@@ -1,4 +1,4 @@
-"""`gapmes demo`: the packaged sample scene through a service of its own, which is what `make demo` runs."""
+"""`gapmes demo`: reconstruct the packaged sample scene by a temporary service, as `make demo` does."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def demo(
     from ..demo import run_demo
 
     for number in SIGNALS:
-        if signal.getsignal(number) != signal.SIG_IGN:  # as it is under nohup
+        if signal.getsignal(number) != signal.SIG_IGN:  # ignored under nohup
             signal.signal(number, _unwound)
     keep = keep or os.environ.get("KEEP", "") not in ("", "0")
     with ProgressBars(quiet=quiet) as bars:
@@ -39,7 +39,7 @@ def demo(
     if keep:
         bars.say(f"the page stays at {result.address}/ ; stop it with: kill {result.pid}")
     else:
-        bars.say(f"the page was at {result.address}/ ; KEEP=1 make demo leaves it there")
+        bars.say(f"the page was at {result.address}/ ; KEEP=1 make demo keeps it running")
     if as_json:
         document = {
             "scene": result.scene_id,
@@ -52,7 +52,7 @@ def demo(
 
 
 def _unwound(number: int, _: Any) -> None:
-    """Ends the process in order, so that the service is stopped as well; a terminal that closes may say so twice."""
+    """Exit by an exception, so that the service is stopped too; further signals are ignored."""
     for each in SIGNALS:
         signal.signal(each, signal.SIG_IGN)
     sys.exit(128 + number)

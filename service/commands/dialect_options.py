@@ -1,4 +1,4 @@
-"""The options of commands that read files of Gaussians: format and dialect, and what becomes of invalid rows."""
+"""Shared options of commands that read files of Gaussians: format, dialect, and dropping of invalid rows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import typer
 
 SourceFormatOption = Annotated[
     str | None,
-    typer.Option("--from", help="the format of the file, where neither its bytes nor its extension tell"),
+    typer.Option("--from", help="format of the file, if neither its bytes nor its extension tell"),
 ]
 OpacityOption = Annotated[
     Literal["auto", "logit", "linear"], typer.Option("--opacity", help="what a .ply holds: logits, or opacities")
@@ -20,7 +20,8 @@ RotationOption = Annotated[
     Literal["auto", "wxyz", "xyzw"], typer.Option("--rotation", help="order of a .ply's quaternions [auto: wxyz]")
 ]
 AxesOption = Annotated[
-    Literal["rub", "rdf"], typer.Option("--axes", help="of a .spz: right-up-back, or right-down-front as in a .ply")
+    Literal["rub", "rdf"],
+    typer.Option("--axes", help="axes of a .spz: right-up-back, or right-down-front as in a .ply"),
 ]
 DropInvalidOption = Annotated[
     bool,

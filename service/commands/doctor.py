@@ -1,4 +1,4 @@
-"""`gapmes doctor`: what is installed and whether it works here, with a verdict in one line."""
+"""`gapmes doctor`: check the installation and the machine, with a verdict in one line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .given import given, path_option
 def doctor(
     model: Annotated[Path | None, path_option("ONNX model [default: GAPMES_MODEL or the packaged one]")] = None,
     engine: Annotated[
-        str | None, typer.Option(help=f"what computes the network: {', '.join(ENGINES)} [default: GAPMES_ENGINE]")
+        str | None, typer.Option(help=f"engine that runs the network: {', '.join(ENGINES)} [default: GAPMES_ENGINE]")
     ] = None,
     store: Annotated[Path | None, path_option("folder of the scenes [default: GAPMES_STORE]")] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,

@@ -1,4 +1,4 @@
-"""Options that are settings, too: one that is empty, as `--store "$STORE"` may be, is not given, like a variable."""
+"""Options that override settings; an empty one, such as `--store "$STORE"` without a value, counts as not given."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ def _path(text: str) -> Path | None:
 
 
 def path_option(help: str) -> Any:
-    """An option that names a file or a folder: of an empty one `Path` would make the working directory."""
+    """A path option that is None if empty, where `Path` alone would mean the working directory."""
     return typer.Option(parser=_path, metavar="<path>", help=help)
 
 
 def given(**options: Any) -> dict[str, Any]:
-    """Those that say something."""
+    """The options that are neither None nor empty."""
     return {name: value for name, value in options.items() if value not in (None, "")}

@@ -1,4 +1,4 @@
-"""The address that the service is to listen on, looked at before anything is started."""
+"""Early check of the address that the service is to listen on."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT, errno.EINVAL)
 
 
 def check_address(host: str, port: int, workers: int) -> None:
-    """Raises `InputError` where the service could not listen there: `host` names no address of this machine, or the
-    port is taken or forbidden."""
+    """Raises `InputError` if `host` is no address of this machine, or the port is in use or needs privileges."""
     try:
         found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except (socket.gaierror, UnicodeError) as error:
@@ -27,16 +26,16 @@ def check_address(host: str, port: int, workers: int) -> None:
                 field="port",
                 cure="let GAPMES_PORT or --port name " + ("one from 1024 on" if forbidden else "one that is free"),
             ) from failure
-    if len(failures) == len(found):  # of the two addresses of localhost one may be none
+    if len(failures) == len(found):  # one of the two addresses of localhost may be missing
         raise _not_here(host, str(failures[0].strerror)) from failures[0]
 
 
 def _failure(family: int, kind: int, protocol: int, _: str, address: Any, *, workers: int) -> OSError | None:
-    """Why nothing can be bound to the address, which is left again at once. As the server does: what several share is
-    bound to IPv4 too where it is to all of IPv6, what one has is not."""
+    """The error of binding to the address, None if it can be bound. As in the server, a single process binds IPv6 only;
+    a socket that several share also accepts IPv4."""
     try:
         with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # one just left is free
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a port that was just closed counts as free
             if family == socket.AF_INET6 and workers == 1:
                 probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
             probe.bind(address)

@@ -1,4 +1,4 @@
-"""The file or folder that a command writes to, looked at before the work."""
+"""Early checks of the file or folder that a command writes to."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ _CURE = "choose another folder, or ask who owns it for permission"
 
 
 def check_output_file(path: Path, *, as_json: bool = False) -> None:
-    """Raises `InputError` where no file can be written at `path`: it is a folder, there is none for it, it is not
-    writable, or stdout, where with `as_json` the result goes."""
+    """Raises `InputError` if no file can be written at `path`: it is a folder, its folder is missing or not writable,
+    or with `as_json` it is stdout, which the result is written to."""
     if path.is_dir():
         raise InputError(f"{path} is a folder, need a file", field="output", cure="name a file in it")
     if not path.parent.is_dir():
         raise InputError(f"{path.parent} is not a folder", field="output", cure="make it first")
     if as_json and is_stdout(path):
         raise InputError(f"{path} is where --json writes to", field="output", cure="leave --json out, or name a file")
-    if open_file(path) is not None:  # is written to by whoever has it
+    if open_file(path) is not None:  # an open stream is written to as it is
         return
     if takes_bytes(path):
         obstacle = None if os.access(path, os.W_OK) else _DENIED
-    else:  # the file behind a link is replaced, in its own folder
+    else:  # the target of a link is replaced, in its own folder
         obstacle = _obstacle(_replaced(path).parent)
     if obstacle:
         raise InputError(f"{path} cannot be written: {obstacle}", field="output", cure=_CURE)
 
 
 def _replaced(path: Path) -> Path:
-    """The file whose place the new one takes. Raises `InputError` where links lead to none, or it is a mount."""
+    """The file to be replaced, with links resolved. Raises `InputError` for a broken link or a mount point."""
     try:
         file = resolved(path)
     except OSError as error:
@@ -52,7 +52,7 @@ def _replaced(path: Path) -> Path:
 
 
 def check_output_folder(path: Path) -> None:
-    """Raises `InputError` where `path` is no folder and none can be made, or where it is not writable."""
+    """Raises `InputError` if `path` is not a writable folder and cannot be created as one."""
     there = next(folder for folder in (path, *path.absolute().parents) if folder.exists() or folder.is_symlink())
     if not there.exists():
         raise InputError(
@@ -67,7 +67,7 @@ def check_output_folder(path: Path) -> None:
 
 
 def _obstacle(folder: Path) -> str | None:
-    """Why no file can be made there, tried with one that has no name: of some file systems nothing else tells."""
+    """Why no file can be created in a folder, None if one can: tried, as permissions do not always tell."""
     if not os.access(folder, os.W_OK | os.X_OK):
         return _DENIED
     try:

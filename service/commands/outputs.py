@@ -1,4 +1,4 @@
-"""What `gapmes render` writes: pictures in a folder, a film, or a contact sheet."""
+"""The outputs of `gapmes render`: pictures in a folder, a film, or a contact sheet."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from ..gaussians import Gaussians
     from ..splat import Render
 
-LISTED = 5  # empty pictures that the warning names
-REASONS = {  # why the splatter left Gaussians out
+LISTED = 5  # number of empty pictures that the warning names
+REASONS = {  # texts for the splatter's reasons for culling
     "near": "before the near plane at z-depth {near:.4g}",
     "far": "beyond z-depth 1e37",
     "faint": "fainter than alpha_min",
@@ -39,24 +39,24 @@ SHEET_FORMATS: dict[str, Format] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpe
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A scene, the cameras of the views that were asked for, and how to draw them."""
+    """A scene, the requested views, and how to draw them."""
 
     gaussians: Gaussians
     scene: SceneViews
     specs: Sequence[str]
-    fit: Callable[[Camera], Camera]  # crop and size that were asked for
+    fit: Callable[[Camera], Camera]  # to the requested crop and size
     channel: Channel
     effort: Effort
     options: dict[str, Any]
-    empty: dict[str, Mapping[str, int]] = field(default_factory=dict)  # pictures of no Gaussian: culled, by reason
+    empty: dict[str, Mapping[str, int]] = field(default_factory=dict)  # pictures without Gaussians: culled, by reason
 
     @property
     def shots(self) -> list[Camera]:
-        """The cameras of the views, as they are drawn."""
+        """The cameras of the views, cropped and sized."""
         return [self.fit(self.scene.resolve(spec, field="views")) for spec in self.specs]
 
     def draw(self, camera: Camera, name: str) -> Render:
-        """One picture; one that shows no Gaussian is noted in `empty` under its name."""
+        """Draw a picture; one without any Gaussian is added to `empty` under `name`."""
         drawn = draw(self.gaussians, camera, self.channel, self.effort, **self.options, **self.scene.near_plane)
         if not drawn.stats["projected"]:
             self.empty[name] = drawn.stats["culled"]
@@ -65,18 +65,18 @@ class Drawing:
 
 @dataclass(frozen=True)
 class FilmPlan:
-    """A film that was asked for."""
+    """A requested film."""
 
     format: FilmFormat
     path: PathName = "turntable"
     seconds: float = SECONDS
-    fps: float | None = None  # as asked for; `FPS` where it is not
+    fps: float | None = None  # as requested; None for `FPS`
     swing: float | None = None
-    even: bool = False  # whether the size may be cropped to what the format needs
+    even: bool = False  # whether to crop odd sides, which MP4 does not support
 
     @classmethod
     def asked(cls, output: Path, channel: Channel, sheet: bool, sized: bool, **given: Any) -> FilmPlan | None:
-        """None where neither the name of the file nor an option asks for one. Raises `InputError`."""
+        """The film that the output's suffix asks for, else None. Raises `InputError` for options that need a film."""
         given = {name: value for name, value in given.items() if value is not None}
         ending = output.suffix.lower().removeprefix(".")
         if sheet or ending not in FILM_FORMATS:
@@ -92,31 +92,31 @@ class FilmPlan:
         return cls(ending, even=ending == "mp4" and not sized, **given)
 
     def fit(self, camera: Camera) -> Camera:
-        """The frame of this format."""
+        """The camera with sides that the format supports."""
         return even(camera) if self.even else camera
 
     def shape(self, camera: Camera) -> FilmShape:
-        """Of the film whose frames are those of `camera`. Raises `InputError` for what cannot be written."""
+        """The film's shape, with the picture size of `camera`. Raises `InputError` if it cannot be written."""
         frames = min(round(self.seconds * (self.fps or FPS)), most_frames(self.seconds))
         shape = FilmShape(self.format, camera.width, camera.height, frames, self.seconds)
         check_film(shape)
         return shape
 
     def notes(self, shape: FilmShape) -> list[str]:
-        """A sentence where whole frames do not come at the rate that was asked for."""
+        """A sentence if the number of frames does not give the requested rate."""
         if self.fps is None or math.isclose(shape.fps, self.fps):
             return []
         return [f"{shape.frames} frames in {shape.seconds:g} s are {shape.fps:.4g} per second, not {self.fps:g}"]
 
 
 def names_file(output: Path) -> bool:
-    """Whether a name that is neither of a film nor of a sheet is meant for a file nevertheless, `.webp` alone too."""
+    """Whether a path that must be a folder looks like a file, by its suffix or as a bare suffix such as `.webp`."""
     ending = (output.suffix or output.name).lower()
     return ending in (*NO_FOLDER, *(f".{film}" for film in FILM_FORMATS))
 
 
 def empty_pictures(drawing: Drawing) -> list[str]:
-    """A sentence where pictures show no Gaussian at all: which, why the first of them does not, and the likely cure."""
+    """A sentence about pictures without any Gaussian: which, why for the first of them, and the likely cure."""
     from ..splat import Definition
 
     if not drawing.empty:
@@ -136,7 +136,7 @@ def empty_pictures(drawing: Drawing) -> list[str]:
 
 
 def write_pictures(drawing: Drawing, folder: Path, depth_scale: float | None, stages: Stages) -> list[dict[str, Any]]:
-    """A PNG for each view, named view_<view>.png; returns what each is."""
+    """Write view_<view>.png for each view; returns an entry for the JSON result for each."""
     with named(folder):
         folder.mkdir(parents=True, exist_ok=True)
     written: list[dict[str, Any]] = []
@@ -158,8 +158,8 @@ def write_pictures(drawing: Drawing, folder: Path, depth_scale: float | None, st
 
 
 def write_moving(drawing: Drawing, output: Path, plan: FilmPlan, stages: Stages) -> dict[str, Any]:
-    """The film of a path among the views; frames go into the file as they are drawn. Returns what it is, and the least
-    and the largest number of Gaussians in a frame."""
+    """Write the film of a path among the views, frame by frame. Returns its entry for the JSON result, with the
+    smallest and the largest number of Gaussians in a frame."""
     among = replace(drawing.scene, cameras=[drawing.scene.resolve(spec, field="views") for spec in drawing.specs])
     path = among.path(plan.path, plan.swing)
     shape = plan.shape(plan.fit(drawing.fit(path(0.0))))
@@ -179,7 +179,7 @@ def write_moving(drawing: Drawing, output: Path, plan: FilmPlan, stages: Stages)
 
 
 def check_sheet(output: Path, shots: Sequence[Camera]) -> None:
-    """Raises `InputError` where a sheet of these views does not fit the format of the file."""
+    """Raises `InputError` if a sheet of these views exceeds the side limit of the file's format."""
     from ..pictures.contact_sheet import CELL, in_rows, sheet_size
 
     cells = [within(camera, CELL) for camera in shots]
@@ -195,7 +195,7 @@ def check_sheet(output: Path, shots: Sequence[Camera]) -> None:
 
 
 def write_sheet(drawing: Drawing, output: Path, stages: Stages) -> dict[str, Any]:
-    """All views in one picture. Returns what it is."""
+    """Write a contact sheet of all views. Returns its entry for the JSON result."""
     from ..pictures.contact_sheet import CELL, Cell, contact_sheet, rows_of
 
     cells, stats = [], []

@@ -1,4 +1,4 @@
-"""`gapmes reconstruct`: a capture of posed photographs into a .ply."""
+"""`gapmes reconstruct`: reconstruct Gaussians from a capture of posed photographs."""
 
 from __future__ import annotations
 
@@ -32,36 +32,39 @@ def reconstruct(
         typer.Option("-o", "--output", readable=False, help="file to write: .ply, .compressed.ply, .splat or .spz"),
     ],
     views: Annotated[
-        str | None, typer.Option(help="2 to 6 views by index or name, such as 1,5 [default: all, of more than 6 some]")
+        str | None,
+        typer.Option(help="2 to 6 views by index or name, such as 1,5 [default: all; some of more than 6]"),
     ] = None,
     context: Annotated[
-        int | None, typer.Option(help="how many views to choose, 2 to 6 [default: 3 where there are more than 6]")
+        int | None, typer.Option(help="number of views to choose, 2 to 6 [default: 3 if there are more than 6]")
     ] = None,
     near: Annotated[
-        float | None, typer.Option(help="nearest depth, in the cameras' units; narrowed where it is far too near")
+        float | None, typer.Option(help="nearest depth, in the cameras' units; narrowed if it is far too near")
     ] = None,
     far: Annotated[float | None, typer.Option(help="farthest depth, in the cameras' units")] = None,
-    trust_poses: Annotated[bool, typer.Option(help="only warn where photographs or overlap oppose the poses")] = False,
+    trust_poses: Annotated[bool, typer.Option(help="only warn if photographs or overlap contradict the poses")] = False,
     max_error: Annotated[
-        str, typer.Option(help="change of colour up to which Gaussians are left out; 0: none, off: keep all")
+        str, typer.Option(help="largest change of a colour by leaving Gaussians out; 0: none, off: keep all")
     ] = "1/255",
     certify: Annotated[
-        int, typer.Option(help="views between neighbouring inputs for which that is proved")
+        int, typer.Option(help="views between neighbouring inputs for which --max-error is proved")
     ] = DEFAULT_CERTIFY,
-    min_opacity: Annotated[float, typer.Option(help="fainter Gaussians are left out, whatever that changes")] = 0.0,
-    stride: Annotated[int, typer.Option(help="a Gaussian per so many pixels each way: 1, 2 or 4")] = 1,
+    min_opacity: Annotated[float, typer.Option(help="leave out fainter Gaussians, whatever that changes")] = 0.0,
+    stride: Annotated[int, typer.Option(help="one Gaussian per so many pixels in each direction: 1, 2 or 4")] = 1,
     leave_one_out: Annotated[
-        int, typer.Option(help="of three views or more, how many others foretell each (2 to 5); 0: not done")
+        int, typer.Option(help="for three or more views: how many others predict each (2 to 5); 0: off")
     ] = DEFAULT_OTHERS,
     fade: Annotated[
         int,
-        typer.Option(help="passes that fade and recolour what the photographs contradict; 0: none, no depth refined"),
+        typer.Option(
+            help="passes that fade and recolour what the photographs contradict; 0: none, nor are depths refined"
+        ),
     ] = DEFAULT_PASSES,
     detail: Annotated[
-        int, typer.Option(help="1, or 2: four Gaussians per pixel, with the colours of the photographs' own pixels")
+        int, typer.Option(help="1, or 2 for four Gaussians per pixel, with the colours of the photographs' own pixels")
     ] = 1,
     model: Annotated[Path | None, typer.Option(readable=False, help="ONNX model [default: the packaged one]")] = None,
-    engine: Annotated[str, typer.Option(help=f"what computes the network: {', '.join(ENGINES)}")] = DEFAULT_ENGINE,
+    engine: Annotated[str, typer.Option(help=f"engine that runs the network: {', '.join(ENGINES)}")] = DEFAULT_ENGINE,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
     quiet: Quiet = False,
@@ -89,6 +92,7 @@ def reconstruct(
     checked_detail(detail, stride)
     wish = checked_wish(Wish(views, context, field="views"))
     found = open_capture(capture).choose(wish, near, far)
+    near, far = found.file.depths(near, far)
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("load model"):
@@ -97,14 +101,14 @@ def reconstruct(
             photos = []
             for place, (index, view) in enumerate(zip(found.indices, found.file.views, strict=True)):
                 data = found.read(place)
-                image_size(data, index=index)  # what is no photograph is said with its index in the file
+                image_size(data, index=index)  # checked here, so that the error has the index in the file
                 photos.append(EncodedPhoto(data, lens=view.lens))
                 step(len(photos))
         scene = reconstructor.reconstruct(
             photos,
             found.file.cameras,
-            near=found.file.near if near is None else near,
-            far=found.file.far if far is None else far,
+            near=near,
+            far=far,
             trust_poses=trust_poses,
             budget=budget,
             leave_one_out=leave_one_out,

@@ -37,33 +37,34 @@ def render(
             "-o",
             "--output",
             readable=False,
-            help="folder for pictures, made where it is missing; or file of a film or sheet",
+            help="folder for pictures, created if missing, or the file of a film or sheet",
         ),
     ],
-    views: Annotated[str | None, typer.Option(help="such as 5,6,7 or 5.5 between two [default: all]")] = None,
-    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in px; another aspect is cropped to")] = None,
+    views: Annotated[str | None, typer.Option(help="such as 5,6,7, or 5.5 between two [default: all]")] = None,
+    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in px; views are cropped to this aspect ratio")] = None,
     crop: Annotated[Literal["none", "square"], typer.Option(help="square: the centred square of each view")] = "none",
     path: Annotated[
-        PathName | None, typer.Option(help="of a film: about the scene, through the views and back, or all round it")
+        PathName | None,
+        typer.Option(help="path of a film: about the scene, through the views and back, or all around it"),
     ] = None,
-    seconds: Annotated[float | None, typer.Option(min=0.1, max=600, help="of a film [default: 4]")] = None,
-    fps: Annotated[float | None, typer.Option(min=1, max=50, help="of a film: frames per second [default: 24]")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, max=600, help="length of a film [default: 4]")] = None,
+    fps: Annotated[float | None, typer.Option(min=1, max=50, help="frames per second of a film [default: 24]")] = None,
     swing: Annotated[
-        float | None, typer.Option(help="of a turntable: degrees each way [default: as far as the views reach]")
+        float | None, typer.Option(help="degrees to each side of a turntable [default: as far as the views reach]")
     ] = None,
     sheet: Annotated[bool, typer.Option("--sheet", help="all views in one picture, .png, .jpg or .webp")] = False,
     channel: Annotated[Literal["rgb", "alpha", "depth"], typer.Option(help="colour, opacity or z-depth")] = "rgb",
     depth_scale: Annotated[
         float | None,
-        typer.Option(help="of depth: units per grey level, such as 0.001 [default: what the picture's depths need]"),
+        typer.Option(help="units of depth per grey level, such as 0.001 [default: chosen for the picture's depths]"),
     ] = None,
     background: Annotated[str, typer.Option(help="rrggbb in hex, black, white or grey")] = "black",
-    alpha_min: Annotated[float, typer.Option(help="layers below this opacity are not drawn")] = ALPHA_MIN,
-    stop: Annotated[float, typer.Option(help="what lies behind so little light is not drawn")] = STOP,
+    alpha_min: Annotated[float, typer.Option(help="do not draw layers below this opacity")] = ALPHA_MIN,
+    stop: Annotated[float, typer.Option(help="stop at a pixel once its transmittance falls to this")] = STOP,
     sh_degree: Annotated[
         int | None, typer.Option(min=0, max=3, help="highest band of harmonics [default: all]")
     ] = None,
-    samples: Annotated[int, typer.Option(min=1, max=MAX_SAMPLES, help="per side of a pixel")] = 1,
+    samples: Annotated[int, typer.Option(min=1, max=MAX_SAMPLES, help="samples per side of a pixel")] = 1,
     source_format: SourceFormatOption = None,
     opacity: OpacityOption = "auto",
     scales: ScalesOption = "auto",
@@ -105,10 +106,11 @@ def render(
     effort = Effort(alpha_min, stop, sh_degree, samples)
     capture = open_capture(cameras)
     file = capture.cameras(range(len(capture.table.names)))
-    specs = [str(index) for index in range(len(file.views))] if views is None else view_specs(views)
+    again = path == "inputs"  # such a path may pass a view several times; pictures of it would be equal
+    specs = [str(index) for index in range(len(file.views))] if views is None else view_specs(views, repeated=again)
     in_file = file.near is not None or file.far is not None
     if in_file:
-        depth_range(file.cameras, file.near, file.far)  # refuses what is no range, and one end without the other
+        depth_range(file.cameras, file.near, file.far)  # refuses an invalid range, and one end alone
     scene = SceneViews(file.cameras, file.near, file.far) if in_file else SceneViews(file.cameras)
     sides = None if size is None else parse_size(size)
     moving: dict[str, Any] = {"path": path, "seconds": seconds, "fps": fps, "swing": swing}
@@ -124,7 +126,7 @@ def render(
 
     passed_over = [notice["message"] for notice in capture.table.warnings]
     shots = [fit(scene.resolve(spec, field="views")) for spec in specs]
-    for shot in shots:  # what cannot be drawn or written is said before the work
+    for shot in shots:  # checked before the Gaussians are read
         check_format(shot.width, shot.height, channel, "png", depth_scale)
     if sheet:
         check_sheet(output, shots)
@@ -170,7 +172,7 @@ def render(
 
 
 def _precision(gaussians: Gaussians, shots: Sequence[Camera], near: float | None) -> list[str]:
-    """A sentence where positions are float32 numbers so far from the origin that it shows."""
+    """A warning if positions are so far from the origin that float32 rounding would be visible."""
     from ..cameras.float32 import half_step, largest_shift
     from ..cameras.pose_notices import TOLD_PX
 

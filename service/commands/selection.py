@@ -1,4 +1,4 @@
-"""What the commands share: the lists of views that are given on the command line."""
+"""Parsing of lists of views on the command line."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ def view_indices(text: str, count: int) -> list[int]:
     return named_views(text, (None,) * count, field="views")
 
 
-def view_specs(text: str) -> Sequence[str]:
-    """Views to render, such as `5,6.5`: without repetition, in the order given."""
-    specs = list(dict.fromkeys(part.strip() for part in text.split(",")))
+def view_specs(text: str, *, repeated: bool = False) -> Sequence[str]:
+    """Views to render, such as `5,6.5`, in the order given: each once, or as often as it is named where `repeated`."""
+    specs = [part.strip() for part in text.split(",")]
     if not all(specs):
         raise ViewError(f"{text!r} has an empty entry", field="views", cure="give views such as 5,6.5")
-    return specs
+    return specs if repeated else list(dict.fromkeys(specs))

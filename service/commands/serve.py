@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..settings import Settings
 
 SHARED_MEMORY = Path("/dev/shm")
-ANSWER_S = 60.0  # in which a process must answer the one that watches it, and after SIGHUP its successor be loaded
+ANSWER_S = 60.0  # for a worker to answer its supervisor, and after SIGHUP for its successor to be loaded
 _log = logging.getLogger("gapmes")
 
 
@@ -37,26 +37,28 @@ def serve(
     ] = None,
     model: Annotated[Path | None, path_option("ONNX model [default: GAPMES_MODEL or the packaged one]")] = None,
     models: Annotated[
-        str | None, typer.Option(help="further models, name=file.onnx, comma separated [default: GAPMES_MODELS]")
+        str | None, typer.Option(help="further models, name=file.onnx, separated by commas [default: GAPMES_MODELS]")
     ] = None,
     engine: Annotated[
         str | None,
-        typer.Option(help=f"what computes the network: {', '.join(ENGINES)} [default: GAPMES_ENGINE or onnxruntime]"),
+        typer.Option(
+            help=f"engine that runs the network: {', '.join(ENGINES)} [default: GAPMES_ENGINE or onnxruntime]"
+        ),
     ] = None,
     store: Annotated[Path | None, path_option("folder of the scenes [default: GAPMES_STORE]")] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, max=1024, help="CPU threads of each process [default: all]")
-    ] = None,
+    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads per process [default: all]")] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, max=256, help="processes [default: GAPMES_WORKERS or 1]")
     ] = None,
     prepare: Annotated[
-        bool, typer.Option("--prepare", help="start nothing: optimise the models for this machine, for later starts")
+        bool, typer.Option("--prepare", help="only optimise the models for this machine, for later starts")
     ] = False,
     parent: Annotated[int | None, typer.Option(hidden=True, help="process that this one does not outlive")] = None,
     quiet: Annotated[
         bool,
-        typer.Option("-q", "--quiet", help="log warnings and errors alone, and draw no bars [default: GAPMES_QUIET]"),
+        typer.Option(
+            "-q", "--quiet", help="log only warnings and errors, and show no progress bars [default: GAPMES_QUIET]"
+        ),
     ] = False,
 ) -> None:
     """Start the service; /readyz answers 200 once the model is loaded and the kernels are warm. With --prepare nothing
@@ -83,20 +85,20 @@ def serve(
     )  # fmt: skip
     settings = checked_settings(**options)
     strange = strange_variables(os.environ)
-    found = Models(settings)  # looks at the files; said before the work
+    found = Models(settings)  # checks the files
     key = settings.key()
-    if os.environ.get("TMPDIR"):  # where large uploads lie for a moment; an empty volume has no such folder yet
+    if os.environ.get("TMPDIR"):  # for large uploads; it may not exist yet on a new volume
         Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
     if prepare:
         _tell(strange)
         _prepare(settings, found)
         return
-    SceneStore(settings.store)  # is refused here once, not by one worker after the other
+    SceneStore(settings.store)  # checked here once, instead of in every worker
     check_address(settings.host, settings.port, settings.workers)
     configure(settings.log, quiet=settings.quiet)
     _tell(strange)
-    os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in options.items()}  # what the workers read
-    if settings.api_key_file is not None:  # which may hold another one, or be gone, when one comes in place of another
+    os.environ |= {f"GAPMES_{name.upper()}": str(value) for name, value in options.items()}  # read by the workers
+    if settings.api_key_file is not None:  # it may have changed or be gone when a worker is replaced
         os.environ |= {"GAPMES_API_KEY": key or "", "GAPMES_API_KEY_FILE": ""}
     served: dict[str, Any] = {
         "factory": True,
@@ -111,12 +113,12 @@ def serve(
         "timeout_graceful_shutdown": math.ceil(settings.drain_seconds) + GRACE_S,
     }
     ask_for_files()
-    signal.signal(signal.SIGTERM, _ended)  # the server raises it once more when it has ended in order
+    signal.signal(signal.SIGTERM, _ended)  # the server raises the signal again after its shutdown
     if settings.workers == 1:
         _end_with_the_terminal()
         uvicorn.run("gapmes.service.serving:app", **served)
         return
-    memory = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None  # a full disk would end who writes there
+    memory = SHARED_MEMORY if os.access(SHARED_MEMORY, os.W_OK) else None  # a full disk would kill who writes there
     with own_folder(OURS, memory) as folder:
         os.environ[FOLDER] = str(folder)
         watched_process.install()
@@ -130,7 +132,7 @@ def _tell(strange: Sequence[str]) -> None:
 
 
 def _prepare(settings: Settings, models: Models) -> None:
-    """The optimised copy of every model into the store, one after the other, and the kernels compiled."""
+    """Write an optimised copy of every model into the store, and compile the kernels."""
     from ..http.runtime import MODELS
     from ..kernels import warm_up
     from ..network.backends.onnxruntime_session import session_options
@@ -158,14 +160,14 @@ def _prepare(settings: Settings, models: Models) -> None:
 
 
 def _end_with_the_terminal() -> None:
-    """SIGHUP, of a terminal that closes, is heard as SIGTERM; who has it ignored, such as nohup, keeps that."""
+    """Handle SIGHUP, of a closing terminal, like SIGTERM, unless it is ignored, as under nohup."""
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         signal.signal(signal.SIGHUP, lambda *_: os.kill(os.getpid(), signal.SIGTERM))
 
 
 def _ended(*_: object) -> None:
-    """Exit code 0, at once: a thread that is still inside the network must not be unwound."""
+    """Exit with code 0 at once: threads may still be inside the network, which must not be torn down then."""
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):  # the terminal may be gone, the disk full
+        with contextlib.suppress(OSError):  # a closed terminal, a full disk
             stream.flush()
     os._exit(0)

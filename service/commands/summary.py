@@ -1,4 +1,4 @@
-"""What the scene document says, in lines for a terminal: how far to trust the scene, and what was left out of it."""
+"""Lines for a terminal about a scene document: selection, self-check, fading, and what was left out."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 
 
 def check_line(check: Mapping[str, Any]) -> str:
-    """The self-check in a line: what the scene shows of its own inputs, and how much of them says nothing of depth."""
+    """The self-check in a line: PSNR of the inputs, and the shares of pixels without texture or parallax."""
     parts = [f"inputs drawn again: {_decibels(check['input_views'])}"]
     for name, share in (("textureless", "textureless_share"), ("without parallax", "no_parallax_share")):
         if check[share] is not None:
             parts.append(f"{100 * check[share]:.1f} % {name}")
-    for name, words in (("from_others", "drawn from the other views"), ("leave_one_out", "foretold by others")):
+    for name, words in (("from_others", "drawn from the other views"), ("leave_one_out", "predicted by others")):
         if check.get(name):
             parts.append(f"{words}: {_decibels(check[name])}")
     if check.get("ambiguous_routes"):
@@ -23,27 +23,27 @@ def check_line(check: Mapping[str, Any]) -> str:
 
 
 def _decibels(rows: Sequence[Mapping[str, Any]]) -> str:
-    """A view without a figure has no pixel to compare, or is drawn `from` none: no others have parallax."""
+    """PSNR of each view; without one there is no pixel to compare, or no other view with parallax to draw it from."""
     missing = ("no pixel" if row.get("from", True) else "no parallax" for row in rows)
     shown = [why if row["psnr"] is None else f"{row['psnr']:.1f}" for row, why in zip(rows, missing, strict=True)]
     return f"{', '.join(shown)} dB"
 
 
 def fading_line(document: Mapping[str, Any]) -> str:
-    """What the photographs changed."""
+    """How much fading has changed opacities and colours."""
     fading = document["fading"]
     if not fading["passes"]:
         return "fading: off"
     passes = "1 pass" if fading["passes"] == 1 else f"{fading['passes']} passes"
     return (
-        f"fading in {passes}: the photographs took half of the opacity or "
-        f"more of {fading['halved']:,} Gaussians, all that is drawn of {fading['gone']:,}, "
-        f"and moved colours by {255 * fading['recoloured']:.1f} of 255 on average"
+        f"fading in {passes}: {fading['halved']:,} Gaussians lost half of their opacity or more, "
+        f"{fading['gone']:,} are no longer drawn, "
+        f"and colours moved by {255 * fading['recoloured']:.1f} of 255 on average"
     )
 
 
 def selection_line(said: Mapping[str, Any]) -> str:
-    """Which views were used, of how many, and by what they were chosen."""
+    """Which views were used, of how many, and how they were chosen."""
     why = {"all": "all there are", "select": "as asked for", "photographs": "those with a photograph"}
     reason = why.get(said["by"])
     if reason is None:
@@ -55,7 +55,7 @@ def selection_line(said: Mapping[str, Any]) -> str:
 
 
 def left_out_lines(document: Mapping[str, Any]) -> list[str]:
-    """A table of what was left out, at which error, and what it saved; one line where it is nothing."""
+    """A table of what was left out, with its error and savings; a single line if nothing was."""
     rows, pruned = document["left_out"], document["pruning"]
     if not rows:
         return ["left out: nothing"]

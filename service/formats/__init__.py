@@ -1,1 +1,1 @@
-"""The file formats of Gaussians: one file for each, what their readers and writers share, and the registry of them."""
+"""File formats of Gaussians: a module for each, shared code of readers and writers, and a registry."""

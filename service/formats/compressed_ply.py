@@ -1,8 +1,8 @@
-"""The .compressed.ply of PlayCanvas: chunks of 256 Gaussians with their bounds, and 16 bytes for each in between.
+"""The .compressed.ply of PlayCanvas: 16 bytes per Gaussian, quantised between the bounds of chunks of 256.
 
 A row packs position and log scale as 11, 10 and 11 bits between the bounds of its chunk, the rotation as the index of
-its largest component and three times 10 bits, colour as 8 bits each between bounds, and opacity as 8 bits. An element
-`sh` holds the harmonics above the constant one, channel by channel, in 256 steps from -4 to 4.
+its largest component and 10 bits for each other one, colour as 8 bits each between bounds, and opacity as 8 bits. An
+element `sh` holds the harmonics above the constant one, channel by channel, in 256 steps from -4 to 4.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from .smallest_three import BOUND, join, split
 F64 = NDArray[np.float64]
 
 CHUNK = 256
-BITS = ((21, 2047), (11, 1023), (0, 2047))  # shift and levels of three numbers in a word
+BITS = ((21, 2047), (11, 1023), (0, 2047))  # shift and largest level of the three numbers in a word
 AXES, COLOURS = ("x", "y", "z"), ("r", "g", "b")
 SCALES = tuple(f"scale_{axis}" for axis in AXES)
 GROUPS = (AXES, SCALES, COLOURS)
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 ROTATION_LEVELS, COLOUR_LEVELS = 1023, 255
-COLOUR_TOLERANCE = 1 / 255  # up to which half a step of a chunk's colours is the format's usual rounding
-LOG_LIMIT = 20.0  # of scales: what readers of the format clamp to
+COLOUR_TOLERANCE = 1 / 255  # half a step of a chunk's colours above it is worth a note
+LOG_LIMIT = 20.0  # of log scales: readers of the format clamp to it
 BAND_STEP, BAND_LOW = 1 / 32, -4.0
-BAND_EDGE = -BAND_LOW - 0.75 * BAND_STEP  # halfway between the ends, which the first and last byte mean, and the next
+BAND_EDGE = -BAND_LOW - 0.75 * BAND_STEP  # halfway between an end, the value of the first or last byte, and the next
 
 
 def is_compressed(header: Header) -> bool:
-    """Whether it is this format and not one row per Gaussian with a property for each number."""
+    """Whether a .ply is of this format and not of the usual one."""
     chunk = header.element("chunk")
     return chunk is not None and any(prop.name in PACKED for prop in header.vertex.properties)
 
 
 def read_compressed_ply(data: bytes, *, drop_invalid: bool = False, max_count: int | None = None) -> Reading:
-    """Decode a binary file; without colour bounds colours lie between 0 and 1.
+    """Decode a binary file; colours without bounds range from 0 to 1.
 
     Raises `PlyError` naming element and row.
     """
@@ -69,7 +69,7 @@ def read_compressed_ply(data: bytes, *, drop_invalid: bool = False, max_count: i
     parts = np.stack([colour >> 24, colour >> 16, colour >> 8, colour], axis=1) & 255
     unit = parts / COLOUR_LEVELS
     others = np.stack([rotation >> 20, rotation >> 10, rotation], axis=1) & ROTATION_LEVELS
-    with np.errstate(over="ignore", invalid="ignore"):  # bounds of a damaged file; the rows are checked
+    with np.errstate(over="ignore", invalid="ignore"):  # bounds of a damaged file; rows are checked
         if COLOURS in groups:
             unit[:, :3] = _between(bounds, COLOURS, place, unit[:, :3])
         constant = ((unit[:, :3] - 0.5) / C0)[:, None, :].astype(np.float32)
@@ -96,7 +96,7 @@ def compressed_ply_bytes(gaussians: Gaussians) -> Encoded:
     require_float32(gaussians, PlyError, INTO_THE_SCENE)
     ordered = gaussians[morton_order(gaussians.means)]
     count, rest = len(ordered), ordered.harmonics.shape[1] - 1
-    with np.errstate(divide="ignore"):  # a scale of 0 goes to the limit
+    with np.errstate(divide="ignore"):  # a scale of 0 is clamped
         logs = np.log(ordered.scales.astype(np.float64))
     colours = 0.5 + C0 * ordered.harmonics[:, 0].astype(np.float64)
     values = {AXES: ordered.means, SCALES: np.clip(logs, -LOG_LIMIT, LOG_LIMIT), COLOURS: colours}
@@ -134,7 +134,7 @@ def compressed_ply_bytes(gaussians: Gaussians) -> Encoded:
 
 
 def _colour_note(bounds: NDArray, place: NDArray[np.int64]) -> list[str]:
-    """A sentence where one colour that lies far outside makes the steps of its whole chunk coarse."""
+    """A note if outliers make the colour steps of their whole chunk coarse."""
     ends = [np.stack([bounds[f"{end}_{name}"].astype(np.float64) for name in COLOURS]) for end in ("min", "max")]
     moved = (ends[1] - ends[0]).max(axis=0) / (2 * COLOUR_LEVELS)
     coarse = (moved > COLOUR_TOLERANCE)[place]
@@ -147,7 +147,7 @@ def _colour_note(bounds: NDArray, place: NDArray[np.int64]) -> list[str]:
 
 
 def _shares(bounds: NDArray, group: tuple[str, ...], place: NDArray[np.int64], values: F64) -> F64:
-    """Fill in the bounds of a group; (N, 3) where each value lies between them, from 0 to 1."""
+    """Fill in the bounds of a group of columns; returns the values (N, 3) scaled to [0, 1] between them."""
     shares = np.zeros(values.shape)
     for column, name in enumerate(group):
         if not len(values):
@@ -161,14 +161,14 @@ def _shares(bounds: NDArray, group: tuple[str, ...], place: NDArray[np.int64], v
 
 
 def _between(bounds: NDArray, group: tuple[str, ...], place: NDArray[np.int64], shares: F64) -> F64:
-    """(N, 3) values at `shares` of the way between the bounds of each row's chunk."""
+    """(N, 3) values interpolated at `shares` (N, 3) between the bounds of each row's chunk."""
     ends = [np.stack([bounds[f"{end}_{name}"].astype(np.float64) for name in group], axis=1) for end in ("min", "max")]
     low, high = (end[place] for end in ends)
     return low * (1 - shares) + high * shares
 
 
 def _packed(shares: F64) -> NDArray[np.int64]:
-    """(N,) words of 11, 10 and 11 bits."""
+    """(N,) words of 11, 10 and 11 bits from `shares` (N, 3) in [0, 1]."""
     word = np.zeros(len(shares), np.int64)
     for column, (shift, levels) in enumerate(BITS):
         word |= np.rint(shares[:, column] * levels).astype(np.int64) << shift
@@ -176,12 +176,12 @@ def _packed(shares: F64) -> NDArray[np.int64]:
 
 
 def _unpacked(words: NDArray[np.int64]) -> F64:
-    """(N, 3) numbers from 0 to 1."""
+    """(N, 3) numbers in [0, 1] from words (N,), the inverse of `_packed`."""
     return np.stack([(words >> shift & levels) / levels for shift, levels in BITS], axis=1)
 
 
 def _higher(data: bytes, header: Header, sh: Element | None, count: int) -> NDArray[np.float32]:
-    """(N, K - 1, 3) harmonics above the constant one; the lowest and the highest byte mean the ends themselves."""
+    """(N, K - 1, 3) harmonics above the constant one; bytes 0 and 255 are the ends of the range exactly."""
     if sh is None:
         return np.zeros((count, 0, 3), np.float32)
     numbers = len(sh.properties)
@@ -197,7 +197,7 @@ def _higher(data: bytes, header: Header, sh: Element | None, count: int) -> NDAr
 
 
 def _passed_over(header: Header, chunk: Element) -> list[str]:
-    """A remark for properties that nobody reads, of Gaussians or chunks, and one for other elements."""
+    """A remark about unknown properties of vertices and chunks, and one about other elements."""
     known = {*PACKED, *(f"{end}_{name}" for group in GROUPS for end in ("min", "max") for name in group)}
     more = [prop.name for element in (chunk, header.vertex) for prop in element.properties if prop.name not in known]
     others = [element.name for element in header.elements if element.name not in ("chunk", "vertex", "sh")]
@@ -205,8 +205,12 @@ def _passed_over(header: Header, chunk: Element) -> list[str]:
 
 
 def _require_properties(element: Element, names: tuple[str, ...] | list[str], kind: str | None = None) -> None:
+    """Raises `PlyError` where the element has lists, whose rows have no fixed size, or lacks one of these properties in
+    the type `kind`, by default uint for vertices and float for others."""
+    if element.lists:
+        raise PlyError("has list properties, need numbers only", field=element.name)
     wanted = kind or ("u4" if element.name == "vertex" else "f4")
-    there = {prop.name for prop in element.properties if prop.kind == wanted and prop.length_kind is None}
+    there = {prop.name for prop in element.properties if prop.kind == wanted}
     missing = [name for name in names if name not in there]
     if missing:
         raise PlyError(

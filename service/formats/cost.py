@@ -1,4 +1,4 @@
-"""What a format costs: pictures of a set of Gaussians, and of what a file keeps of it, compared."""
+"""The loss of a format: PSNR between pictures of the original Gaussians and of those read back."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def picture_psnr(
     threads: int | None = None,
     step: Callable[[int], None] = lambda done: None,
 ) -> list[float | None]:
-    """dB per camera over all pixels on black, colours cut to [0, 1]; 100 where both pictures are equal, None where
-    nothing is drawn in either."""
+    """PSNR in dB per camera over all pixels, on black, with colours clipped to [0, 1]; 100 for equal pictures, None if
+    both are empty."""
     from ..splat import render
 
     values: list[float | None] = []

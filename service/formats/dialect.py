@@ -1,7 +1,7 @@
-"""The dialects of .ply: opacity as logit or as it is, scales as logarithms or as they are, rotations wxyz or xyzw.
+"""Dialects of .ply: opacity as logit or linear, scales as logarithms or linear, rotations as wxyz or xyzw.
 
-No header says which. What a column itself shows is taken only where no file of the usual dialect could look like that,
-and is said; what is doubtful is read as usual, and said with the option that settles it.
+No header tells which. An unusual dialect is detected from the values of a column only if no file of the usual one could
+have them, and is reported; doubtful columns are read as usual, and the option that changes this is reported.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ _FORMS: dict[str, tuple[str, ...]] = {
     "axes": get_args(Axes),
 }
 
-FEWEST = 1000  # rows: below that a share of them proves nothing
-EDGE = 0.01  # width of the outermost strip at 0 or 1
-CROWDED = 2.0  # times as many in that strip as an even spread would have
-SIGMAS = 6.0  # beyond which chance is no explanation
-SPREAD = 0.01  # share of the rows that must lie in either outer tenth
-SMALL = 1.0  # linear sizes up to it, as logarithms, would all be 1 to 2.7 units
-LOW_TENTH = 0.2  # share of sizes in the lowest tenth, twice that of an even spread
-OVERLAP = 10.0  # a size in typical distances between neighbours beyond which no scene was ever optimised
-MIN_NEGATIVE = 0.1  # share of rows
+FEWEST = 1000  # rows, for shares of them to be significant
+EDGE = 0.01  # width of the outermost intervals at 0 and 1
+CROWDED = 2.0  # times as many values in such an interval as a uniform distribution has
+SIGMAS = 6.0  # of a uniform distribution, for significance
+SPREAD = 0.01  # share of the rows that must be in each outer tenth
+SMALL = 1.0  # linear sizes up to 1 would as logarithms all mean 1 to 2.7 units
+LOW_TENTH = 0.2  # share of sizes in the lowest tenth, twice that of a uniform distribution
+OVERLAP = 10.0  # sizes, in distances between neighbours, above those of any optimised scene
+MIN_NEGATIVE = 0.1  # share of rows with a negative rot_0
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """How to read what a file does not say; "auto" is the usual unless the file itself shows otherwise."""
+    """How to read a .ply or .spz; "auto" is the usual form unless the values show otherwise."""
 
     opacity: Literal["auto"] | OpacityForm = "auto"
     scales: Literal["auto"] | ScaleForm = "auto"
@@ -65,7 +65,7 @@ AUTO = Dialect()
 
 @dataclass(frozen=True)
 class Taken:
-    """How the columns are read, and why."""
+    """How the columns are read, with remarks on the reasons."""
 
     opacity: OpacityForm
     scales: ScaleForm
@@ -74,7 +74,7 @@ class Taken:
 
 
 def taken_as(columns: Mapping[str, F64], dialect: Dialect) -> Taken:
-    """Decide for the columns of a file, all (N,), and say so."""
+    """Resolve "auto" by the columns of a file, all (N,)."""
     remarks: list[str] = []
     opacity = dialect.opacity if dialect.opacity != "auto" else _opacity(columns, remarks)
     scales = dialect.scales if dialect.scales != "auto" else _scales(columns, remarks)
@@ -83,10 +83,10 @@ def taken_as(columns: Mapping[str, F64], dialect: Dialect) -> Taken:
 
 
 def _opacity(columns: Mapping[str, F64], remarks: list[str]) -> OpacityForm:
-    """Opacities as they are: all in [0, 1], over its whole width, and crowded right at an end that none passes.
+    """Linear if all are in [0, 1], spread over all of it, and concentrated next to an end.
 
-    To a logit neither 0 nor 1 is anything special. Values that are exactly 0 or 1 do not count as crowd: a clamp makes
-    such of anything.
+    For logits neither 0 nor 1 is special. Values of exactly 0 or 1 do not count, since clamping produces them for any
+    data.
     """
     values = columns["opacity"]
     if not len(values) or not ((values >= 0) & (values <= 1)).all():  # NaN compares as False
@@ -110,7 +110,7 @@ def _opacity(columns: Mapping[str, F64], remarks: list[str]) -> OpacityForm:
 
 
 def _scales(columns: Mapping[str, F64], remarks: list[str]) -> ScaleForm:
-    """Sizes as they are: all positive, small and crowded towards 0, and as logarithms far larger than distances."""
+    """Linear if all are positive, small and concentrated near 0, and as logarithms would far exceed distances."""
     values = np.stack([columns[name] for name in SCALE_NAMES])
     if not values.size or not (values >= 0).all() or not np.isfinite(values).all():
         return "log"
@@ -133,7 +133,7 @@ def _scales(columns: Mapping[str, F64], remarks: list[str]) -> ScaleForm:
 
 
 def _rotation(columns: Mapping[str, F64], remarks: list[str]) -> RotationOrder:
-    """No order shows in a file; that one end is never negative, as some writers have w, is said."""
+    """Always wxyz, as values do not tell; a last component that is never negative, as some write w, is reported."""
     first, last = columns[ROTATION_NAMES[0]], columns[ROTATION_NAMES[3]]
     if len(first) >= FEWEST and (last >= 0).all() and (first < 0).mean() >= MIN_NEGATIVE:
         remarks.append(
@@ -144,7 +144,7 @@ def _rotation(columns: Mapping[str, F64], remarks: list[str]) -> RotationOrder:
 
 
 def _spacing(columns: Mapping[str, F64]) -> float:
-    """About how far apart neighbours on a surface of the scene's extent lie: median distance over sqrt(N); never 0."""
+    """Typical distance of neighbours on a surface: median distance from the median over sqrt(N); never 0."""
     means = np.stack([columns[axis] for axis in "xyz"], axis=1)
     means = means[np.isfinite(means).all(axis=1)]
     if not len(means):

@@ -1,8 +1,8 @@
-"""What every writer gives: the bytes, and a sentence for each thing that the format could not hold."""
+"""The result of writers: the bytes of a file, and notes about what the format could not hold."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,36 +15,36 @@ INTO_THE_SCENE = "move the world's origin into the scene, or write .ply"  # the 
 
 @dataclass(frozen=True)
 class Encoded:
-    """A file, and what it lost beyond the rounding that its format always has."""
+    """A file, and notes about losses beyond the usual rounding of its format."""
 
-    data: bytes
+    data: bytes = field(repr=False)
     notes: tuple[str, ...] = ()
 
 
 def quantized(values: NDArray, levels: int) -> tuple[NDArray[np.int64], int]:
-    """The nearest whole numbers from 0 to `levels`, and how many values lay more than half a step outside."""
+    """Values rounded and clipped to integers from 0 to `levels`, and the number of those clipped."""
     nearest = np.rint(values)
     outside = int(((nearest < 0) | (nearest > levels)).sum())
     return np.clip(nearest, 0, levels).astype(np.int64), outside
 
 
 def clamped_note(what: str, outside: int, total: int, low: float, high: float) -> list[str]:
-    """A sentence where values were beyond what the format holds."""
+    """A note if values were clipped to the range of the format."""
     if not outside:
         return []
     return [f"{outside} of {total} {what} are outside {low:.4g} to {high:.4g}, which is all that the format holds"]
 
 
 def typical_size(gaussians: Gaussians) -> float:
-    """The median of the largest scales, in the caller's units; 0 where there is none above 0."""
+    """Median over the Gaussians of the largest scale, in the caller's units, without zeros; 0 if all are 0."""
     largest = gaussians.scales.max(axis=1, initial=0.0).astype(np.float64)
     positive = largest[largest > 0]
     return float(np.median(positive)) if len(positive) else 0.0
 
 
 def position_note(gaussians: Gaussians, moved: float) -> list[str]:
-    """A sentence where the rounding of positions shows: `moved`, the farthest along an axis in the caller's units, is
-    held against the typical size."""
+    """A note if rounding moves positions visibly: by `moved`, the largest change along an axis in the caller's units,
+    compared with the typical size."""
     size = typical_size(gaussians)
     if moved <= POSITION_TOLERANCE * size:
         return []
@@ -52,7 +52,7 @@ def position_note(gaussians: Gaussians, moved: float) -> list[str]:
 
 
 def bands_note(gaussians: Gaussians) -> list[str]:
-    """A sentence where the format holds one colour per Gaussian and these have more."""
+    """A note if higher harmonics are lost, for formats with one colour per Gaussian."""
     degree = gaussians.sh_degree
     if degree == 0:
         return []

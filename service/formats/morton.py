@@ -1,4 +1,4 @@
-"""The Morton order (Z-order curve) of points: neighbours in the list are neighbours in space."""
+"""The Morton order (Z-order curve) of points, which keeps neighbours in space close in the list."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 BITS = 21  # per axis, 63 in all
-# Masks that move the 21 bits of a number apart, two places between each and the next.
+# Shifts and masks that spread 21 bits, with two zero bits after each.
 _SPREAD = (
     (32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3),
     (2, 0x1249249249249249),
@@ -14,8 +14,8 @@ _SPREAD = (
 
 
 def morton_order(points: NDArray) -> NDArray[np.int64]:
-    """(N,) indices that sort (N, 3) finite points along the curve through their bounding box; equal ones keep their
-    order (Morton, IBM technical report, 1966)."""
+    """(N,) indices that sort (N, 3) finite points along the curve in their bounding box, stably (Morton, IBM technical
+    report, 1966)."""
     if not len(points):
         return np.empty(0, np.int64)
     low = points.min(axis=0)

@@ -1,4 +1,4 @@
-"""Rows of a .ply behind those that its header declares: another count than was meant hides them."""
+"""Detecting extra rows of a .ply after those that its header declares."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .ply_format import Header, filled_lines, row_type
 
 
 def behind(data: bytes, header: Header) -> list[str]:
-    """A remark for them. Of a binary file with lists nothing is said: where they end would have to be walked to."""
+    """A remark about extra rows; none for binary files with lists, whose end is not known without reading them."""
     vertex = header.vertex
     if header.byte_order is None:
         declared = sum(element.count for element in header.elements if element.properties)
@@ -22,4 +22,4 @@ def behind(data: bytes, header: Header) -> list[str]:
         more = (len(data) - end) // max(sizes[vertex.name], 1)
     if more <= 0:
         return []
-    return [f"of {vertex.count + more} rows {more} lie behind those that the header declares and were passed over"]
+    return [f"of {vertex.count + more} rows {more} lie behind those that the header declares and were ignored"]

@@ -1,4 +1,4 @@
-"""The .ply container (Turk 1994): parse the header, walk past other elements, return the rows of one as numbers."""
+"""The .ply container (Turk 1994): parsing the header, skipping elements, and reading the rows of one."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ TYPES = {
 }  # fmt: skip
 LENGTH_TYPES = frozenset(name for name, kind in TYPES.items() if kind[0] != "f")
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": None}
-MAX_LISTS = 200_000  # before the vertices, walked one by one; where a mesh has faces they stand behind
+MAX_LISTS = 200_000  # before the vertices, where they are skipped one by one; faces of a mesh come after them
 _LINE = re.compile(rb"[^\r\n]+")
-MAX_HEADER = 1 << 16  # bytes: a 3DGS header has about 1,500; more is another kind of file
+MAX_HEADER = 1 << 16  # bytes; a 3DGS header has about 1,500
 
 
 @dataclass(frozen=True)
 class Property:
-    """One column of an element; a list has the type of its length in `length_kind`."""
+    """A column of an element; for lists `length_kind` is the type of the length."""
 
     name: str
     kind: str  # numpy type code without byte order
@@ -47,13 +47,13 @@ class Element:
 
     @property
     def lists(self) -> int:
-        """Of each row."""
+        """Number of list properties."""
         return sum(prop.length_kind is not None for prop in self.properties)
 
 
 @dataclass(frozen=True)
 class Header:
-    """What the file says about itself; `body` is the offset of the first byte after the header."""
+    """A parsed header; `body` is the offset of the first byte after it."""
 
     byte_order: str | None  # "<", ">" or None for ASCII
     elements: tuple[Element, ...]
@@ -61,7 +61,7 @@ class Header:
 
     @property
     def vertex(self) -> Element:
-        """The one element of that name, which every header has."""
+        """The element of that name, of which every header has one."""
         return self.elements[self._place("vertex")]
 
     def element(self, name: str) -> Element | None:
@@ -77,13 +77,13 @@ class Header:
 
 
 def parse_header(data: bytes) -> Header:
-    """Parse the header. Raises `PlyError` with the line number of what is not understood."""
+    """Parse the header. Raises `PlyError` with the number of an invalid line."""
     start = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if start is None:
         raise PlyError(
             f"starts with {data[:4]!r}, need 'ply' and a line end", field="header", cure="is this a .ply file?"
         )
-    # The first line tells how lines end, so that a binary body that happens to start with a line feed stays whole.
+    # The first line defines the line end, so that a line feed at the start of a binary body is not skipped.
     line_end = re.escape(start[1])
     end = re.search(line_end + rb"[ \t]*end_header[ \t]*" + line_end, data[:MAX_HEADER])
     if end is None:
@@ -135,18 +135,18 @@ def _checked_element(name: str, count: int, properties: list[Property]) -> Eleme
 
 
 def vertex_columns(data: bytes, header: Header) -> dict[str, F64]:
-    """The vertex table as float64 columns by name. Raises `PlyError` if the file ends before it does."""
+    """The vertex table as float64 columns by name. Raises `PlyError` for a truncated file."""
     if header.byte_order is None:
         return _ascii_columns(data, header)
     table = binary_rows(data, header, header.vertex)
-    with np.errstate(invalid="ignore"):  # signalling NaNs of a damaged file; whoever reads the column refuses NaN
+    with np.errstate(invalid="ignore"):  # signalling NaNs; columns that are used are checked for NaN
         return {prop.name: table[prop.name].astype(np.float64) for prop in header.vertex.properties}
 
 
 def binary_rows(data: bytes, header: Header, element: Element) -> NDArray:
-    """The rows of an element without lists as they lie in a binary file, a structured array by property name.
+    """The rows of an element without lists in a binary file, as a structured array with a field per property.
 
-    Raises `PlyError` if the file ends before they do.
+    Raises `PlyError` for a truncated file.
     """
     order = header.byte_order or "<"
     offset = header.body
@@ -164,12 +164,12 @@ def binary_rows(data: bytes, header: Header, element: Element) -> NDArray:
 
 
 def row_type(element: Element, byte_order: str) -> np.dtype:
-    """Of an element without lists."""
+    """Structured type of a row of an element without lists."""
     return np.dtype([(prop.name, byte_order + prop.kind) for prop in element.properties])
 
 
 def _whole_rows(data: bytes, offset: int, element: Element, row_bytes: int) -> int:
-    """`element.count`, once the file is long enough for it."""
+    """`element.count`. Raises `PlyError` if the file is too short for it."""
     room = max(len(data) - offset, 0)
     if element.count * row_bytes > room:
         raise PlyError(
@@ -212,16 +212,16 @@ def _require_bytes(data: bytes, offset: int, size: int, element: Element, index:
 
 
 def filled_lines(data: bytes, header: Header) -> Iterator[bytes]:
-    """Of the body of an ASCII file, without blank ones."""
+    """The lines in the body of an ASCII file that are not blank."""
     found = (match.group() for match in _LINE.finditer(data, header.body))
     return (line for line in found if line.strip())
 
 
 def _ascii_columns(data: bytes, header: Header) -> dict[str, F64]:
-    """One row per line, blank lines left out."""
+    """Columns from an ASCII file with one row per line; blank lines are skipped."""
     start = sum(element.count for element in header.before("vertex") if element.properties)
     vertex = header.vertex
-    lines = list(islice(filled_lines(data, header), start, start + vertex.count))  # those before are passed over
+    lines = list(islice(filled_lines(data, header), start, start + vertex.count))  # skips earlier elements
     if vertex.count > len(lines):
         raise PlyError(
             f"{vertex.count} rows are declared, the file has {len(lines)} lines of them",

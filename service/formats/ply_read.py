@@ -1,8 +1,7 @@
 """Read a 3DGS .ply of any writer: ASCII or binary of either byte order, any property order, other elements around it.
 
-The rows that are read become `Gaussians`: exp of the scales, logistic function of the opacity, unless the file is of
-another dialect. What cannot be read rightly is refused with the property, the row and both numbers, or dropped and
-counted where the caller asks for that.
+Scales are exponentiated, and opacities mapped by the logistic function, unless the file has another dialect. Invalid
+values raise an error that names property, row and both numbers, or on request their rows are dropped and counted.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ F64 = NDArray[np.float64]
 CONSTANT = ("f_dc_0", "f_dc_1", "f_dc_2")
 REQUIRED = ("x", "y", "z", *CONSTANT, "opacity", *SCALE_NAMES, *ROTATION_NAMES)
 REST_COUNTS = (0, 9, 24, 45)  # 3 ((degree + 1)^2 - 1) for degrees 0 to 3
-COLOURS = ("red", "green", "blue")  # of point clouds, in place of f_dc
-NORMALS = ("nx", "ny", "nz")  # zero or meaningless in the files of all writers
+COLOURS = ("red", "green", "blue")  # of point clouds, used if f_dc is missing
+NORMALS = ("nx", "ny", "nz")  # ignored: zero or meaningless in files of all writers
 FORMS: tuple[tuple[OpacityForm, ScaleForm], ...] = (("logit", "log"), ("linear", "linear"))
 _log = logging.getLogger("gapmes")
 
@@ -35,7 +34,7 @@ _log = logging.getLogger("gapmes")
 def read_ply(source: Source) -> Gaussians:
     """The Gaussians of a path, the bytes of a file or an open binary file, as `inspect_ply` reads them.
 
-    What was not taken as it was is logged as a warning.
+    Notes of the reading are logged as warnings.
     """
     reading = inspect_ply(source)
     for note in reading.notes():
@@ -48,9 +47,9 @@ def inspect_ply(
 ) -> Reading:
     """Read a path, the bytes of a file or an open binary file.
 
-    A logit opacity of +-inf is 1 or 0 and a log scale of -inf is 0, as writers without a clamp mean them; every other
-    number must be finite and within float32. With `drop_invalid` rows where one is not are dropped and counted. Raises
-    `PlyError` that says what is wrong where, and `TooManyGaussians` beyond `max_count`.
+    A logit opacity of +-inf means 1 or 0, and a log scale of -inf means 0, as in files of writers that do not clamp.
+    All other numbers must be finite and within the range of float32; with `drop_invalid` rows in which one is not are
+    dropped and counted. Raises `PlyError` naming property and row, and `TooManyGaussians` for more than `max_count`.
     """
     data = bytes_of(source)
     header = parse_header(data)
@@ -84,7 +83,7 @@ def inspect_ply(
 
 
 def _readable(columns: dict[str, F64], names: tuple[str, ...], dialect: Dialect) -> dict[str, F64]:
-    """The rows of which some dialect takes every number; the others have no say in which one the file is of."""
+    """The columns without rows that are invalid in every dialect, for detecting the dialect."""
     usual, other = (
         Taken(
             opacity if dialect.opacity == "auto" else dialect.opacity,
@@ -102,7 +101,7 @@ def _readable(columns: dict[str, F64], names: tuple[str, ...], dialect: Dialect)
 
 
 def _gaussians(columns: dict[str, F64], rest: int, taken: Taken) -> Gaussians:
-    """From columns whose every number was checked."""
+    """Gaussians from checked columns."""
     harmonics = np.empty((len(columns["x"]), 1 + rest // 3, 3))
     for channel in range(3):
         harmonics[:, 0, channel] = columns[CONSTANT[channel]]
@@ -110,7 +109,7 @@ def _gaussians(columns: dict[str, F64], rest: int, taken: Taken) -> Gaussians:
             harmonics[:, 1 + k, channel] = columns[f"f_rest_{channel * (rest // 3) + k}"]
     opacities = columns["opacity"]
     if taken.opacity == "logit":
-        logit = np.clip(opacities, -700.0, 700.0)  # beyond it exp leaves float64 and the value is 0 or 1 anyway
+        logit = np.clip(opacities, -700.0, 700.0)  # beyond it exp overflows, and the value is 0 or 1
         opacities = 1.0 / (1.0 + np.exp(-logit))
     scales = np.stack([columns[name] for name in SCALE_NAMES], axis=1)
     rotations = np.stack([columns[name] for name in ROTATION_NAMES], axis=1).astype(np.float32)
@@ -124,7 +123,7 @@ def _gaussians(columns: dict[str, F64], rest: int, taken: Taken) -> Gaussians:
 
 
 def _passed_over(header: Header, rest: int, coloured: bool) -> list[str]:
-    """A remark for properties that nobody reads, and one for other elements."""
+    """A remark about ignored properties, and one about other elements."""
     known = {*REQUIRED, *NORMALS, *(f"f_rest_{i}" for i in range(rest)), *(COLOURS if coloured else ())}
     more = [prop.name for prop in header.vertex.properties if prop.name not in known]
     others = [element.name for element in header.elements if element.name != "vertex"]
@@ -132,11 +131,11 @@ def _passed_over(header: Header, rest: int, coloured: bool) -> list[str]:
 
 
 def _colours(columns: dict[str, F64], header: Header) -> str:
-    """Make f_dc of red, green and blue, which end at the largest number of their type, or at 1; the remark for it."""
+    """Add f_dc columns from red, green and blue, scaled by the largest integer of their type or 1; returns a remark."""
     kinds = {prop.name: prop.kind for prop in header.vertex.properties}
     for name, colour in zip(CONSTANT, COLOURS, strict=True):
         kind = np.dtype(kinds[colour])
-        if kind.kind != "f" and kind not in (np.uint8, np.uint16):  # no number says which of theirs is white
+        if kind.kind != "f" and kind not in (np.uint8, np.uint16):  # it is unknown which value is white
             message = f"is of type {kinds[colour]}, need uchar, ushort, float or double"
             raise PlyError(message, field=f"vertex.{colour}", cure="write them so, or f_dc_0, f_dc_1 and f_dc_2")
         full = 1.0 if kind.kind == "f" else float(np.iinfo(kind).max)
@@ -146,7 +145,7 @@ def _colours(columns: dict[str, F64], header: Header) -> str:
 
 
 def _checked_properties(header: Header) -> tuple[int, bool]:
-    """The number of f_rest properties, once all that is needed is there, and whether colours stand in for f_dc."""
+    """The number of f_rest properties, and whether colours replace f_dc. Raises `PlyError` for missing properties."""
     names = {prop.name for prop in header.vertex.properties}
     coloured = not names.intersection(CONSTANT) and names.issuperset(COLOURS)
     missing = [name for name in REQUIRED if name not in names and not (coloured and name in CONSTANT)]
@@ -167,7 +166,7 @@ def _checked_properties(header: Header) -> tuple[int, bool]:
 
 
 def _valid(name: str, column: F64, taken: Taken) -> tuple[NDArray[np.bool_], str]:
-    """Which values of a property can be read rightly, and what they need."""
+    """Mask of the valid values of a property, and the requirement in words."""
     if name == "opacity":
         if taken.opacity == "linear":
             return (column >= 0) & (column <= 1), "in [0, 1]"
@@ -177,13 +176,13 @@ def _valid(name: str, column: F64, taken: Taken) -> tuple[NDArray[np.bool_], str
             return (column >= 0) & (column <= LARGEST), "a size from 0 on"
         with np.errstate(over="ignore"):
             return np.exp(column) <= LARGEST, f"at most {LARGEST_LOG:.7g}, the logarithm of the largest float32"
-    if name in ("x", "y", "z"):  # those stay float64
+    if name in ("x", "y", "z"):  # positions are float64
         return np.isfinite(column), "a finite number"
     return np.abs(column) <= LARGEST, "a finite number within float32"
 
 
 def _cure(name: str, column: F64, ok: NDArray[np.bool_], dialect: Dialect) -> str:
-    """Where most numbers speak against the form that the caller named, it is the form that is wrong."""
+    """The cure for invalid values: if most contradict a form that the caller has named, to leave that out."""
     kind = "opacity" if name == "opacity" else "scales" if name in SCALE_NAMES else None
     form = "auto" if kind is None else getattr(dialect, kind)
     if form == "auto" or 2 * int((np.isfinite(column) & ~ok).sum()) < len(ok):

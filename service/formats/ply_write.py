@@ -1,4 +1,4 @@
-"""Write Gaussians as a 3DGS .ply: binary little-endian, no comments (some readers choke on them), same bytes always."""
+"""Write Gaussians as a 3DGS .ply: binary little-endian, deterministic, without comments, which some readers reject."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ Positions = Literal["auto", "float32", "float64"]
 # sigmoid(17) = 1 - 4.1e-8 rounds to the float32 below 1: a wider range would store infinities and gain nothing.
 LOGIT_MAX = 17.0
 
-# A zero scale has no logarithm; this share of the median scale is a dot in every picture.
+# A zero scale has no logarithm; this multiple of the median scale is a dot in every picture.
 ZERO_SCALE = 1e-12
 
-# Rounding x, y, z to float32 is accepted while it moves a Gaussian by at most this share of a typical one's size.
+# Positions are stored as float32 if that moves a Gaussian by at most this multiple of the typical size.
 POSITION_TOLERANCE = 1 / 8
 
 
 def write_ply(target: str | PathLike[str] | BinaryIO, gaussians: Gaussians, *, positions: Positions = "auto") -> None:
-    """Write to a path, whose file is replaced when the new one is whole, or to an open binary file; see `ply_bytes`."""
+    """Write to a path, replacing its file atomically, or to an open binary file; see `ply_bytes`."""
     data = ply_bytes(gaussians, positions=positions)
     if isinstance(target, str | PathLike):
         replace_file(Path(target), data)
@@ -37,12 +37,12 @@ def write_ply(target: str | PathLike[str] | BinaryIO, gaussians: Gaussians, *, p
 
 
 def ply_bytes(gaussians: Gaussians, *, positions: Positions = "auto") -> bytes:
-    """The file as bytes; its numbers are float32, x, y, z perhaps float64.
+    """The file as bytes; all numbers are float32, but x, y and z may be float64.
 
     `positions`: "auto" stores x, y, z as float64 only where float32 would move a Gaussian by more than an eighth of the
     median largest scale (a world far from its origin). Opacities are clamped to logit +-17, a scale of 0 becomes 1e-12
     of the median positive scale, and one whose logarithm would round beyond float32 the largest that can be read back.
-    Raises `PlyError` if float32 is asked for and a position does not fit it.
+    Raises `PlyError` if a position exceeds the range of float32 and has to be stored as such.
     """
     if positions not in ("auto", "float32", "float64"):
         raise PlyError(f'is {positions!r}, need "auto", "float32" or "float64"', field="positions")
@@ -67,11 +67,11 @@ def ply_bytes(gaussians: Gaussians, *, positions: Positions = "auto") -> bytes:
 
 
 def as_stored(gaussians: Gaussians) -> Gaussians:
-    """With the positions that a .ply holds, float32 unless "auto" needs more.
+    """The Gaussians with positions as a .ply stores them: rounded to float32 unless "auto" needs float64.
 
-    Neighbours on one surface differ so little in depth that rounding changes which hides which, and pictures by up to
-    eight 255ths. What is decided and said of a scene is to hold for its file, so positions are rounded before. The
-    file's other roundings move colours by 1e-5 at most, where no Gaussian lies on the edge of a cut.
+    Neighbours on a surface differ so little in depth that rounding changes their order, and pictures by up to 8/255.
+    Errors are measured on rounded positions, so that they hold for the file. The file's other roundings change colours
+    by at most 1e-5, if no Gaussian lies at the threshold of a cut.
     """
     if _needs_float64(gaussians):
         return gaussians
@@ -79,20 +79,20 @@ def as_stored(gaussians: Gaussians) -> Gaussians:
 
 
 def stored_positions(gaussians: Gaussians) -> Positions:
-    """How a set that came from `as_stored`, or a part of it, is written without a change."""
+    """The type in which positions from `as_stored`, or a subset of them, are written exactly."""
     with np.errstate(over="ignore"):
         return "float32" if (gaussians.means == gaussians.means.astype(np.float32)).all() else "float64"
 
 
 def ply_size(gaussians: Gaussians) -> int:
-    """Bytes of the rows that `ply_bytes` writes of a set that came from `as_stored`, with its `stored_positions`."""
+    """Bytes of the rows that `ply_bytes` writes for Gaussians from `as_stored`, with their `stored_positions`."""
     record, _, _ = _layout(gaussians.harmonics.shape[1] - 1, stored_positions(gaussians) == "float64")
     return len(gaussians) * record.itemsize
 
 
 def _layout(rest: int, wide: bool) -> tuple[np.dtype, list[str], str]:
-    """A row with `rest` coefficients per channel above the constant band, its float32 columns' names, and the type of
-    its positions."""
+    """The structured type of a row with `rest` higher coefficients per channel, the names of its float32 columns, and
+    the .ply type of its positions."""
     names = ["nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(3 * rest)), "opacity"]
     names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
     kind, word = ("<f8", "double") if wide else ("<f4", "float")
@@ -121,12 +121,12 @@ def _needs_float64(gaussians: Gaussians) -> bool:
     positive = largest[largest > 0]
     if len(positive):
         return moved > POSITION_TOLERANCE * float(np.median(positive))
-    # Nothing but dots: what matters then is their distance from each other.
+    # All scales are 0: compare with the extent.
     return moved > 1e-4 * float(np.ptp(gaussians.means, axis=0).max())
 
 
 def require_float32(gaussians: Gaussians, refusal: type[FormatError], cure: str) -> None:
-    """Raises `refusal` naming the first Gaussian whose position does not fit float32."""
+    """Raises `refusal` naming the first Gaussian whose position exceeds the range of float32."""
     largest = float(np.finfo(np.float32).max)
     large = np.abs(gaussians.means).max(axis=1, initial=0.0) > largest
     if large.any():

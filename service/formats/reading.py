@@ -1,4 +1,4 @@
-"""What every reader gives: Gaussians, what could not be taken as it was, and the checks that all formats share."""
+"""The result of readers: Gaussians and notes; and checks that all formats share."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ DROP_CURE = "such rows are left out with --drop-invalid, drop_invalid=true over 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What a file held, and what could not be taken as it was."""
+    """The Gaussians of a file, and what was dropped or changed while reading."""
 
     gaussians: Gaussians
     rows: int  # in the file
-    invalid: dict[str, int]  # property: rows that were dropped because of it; a row counts under each of its properties
+    invalid: dict[str, int]  # dropped rows by invalid property; a row counts for each of them
     zero_rotations: int  # all-zero quaternions, which became the identity
-    remarks: tuple[str, ...] = ()  # what was taken for what and why, and what was passed over
+    remarks: tuple[str, ...] = ()  # detected dialect, and what was ignored
 
     def notes(self) -> list[str]:
-        """A sentence for each thing that was not taken as it was."""
+        """A sentence for each thing that was dropped, changed or ignored."""
         notes = list(self.remarks)
         if self.invalid:
             listed = ", ".join(f"{name} ({count})" for name, count in self.invalid.items())
@@ -48,7 +48,7 @@ class Reading:
 
 
 def bytes_of(source: Source) -> bytes:
-    """All of a path, of an open binary file, or the bytes themselves."""
+    """The content of a path or an open binary file, or the bytes themselves."""
     if isinstance(source, str | PathLike):
         return Path(source).read_bytes()
     if isinstance(source, bytes):
@@ -57,7 +57,7 @@ def bytes_of(source: Source) -> bytes:
 
 
 def check_count(count: int, max_count: int | None, field: str) -> None:
-    """Refuse a file by what its header says, before memory is taken for it. Raises `TooManyGaussians`."""
+    """Raises `TooManyGaussians` by the count in a header, before memory is allocated."""
     if max_count is not None and count > max_count:
         raise TooManyGaussians(
             f"the file has {count} Gaussians, the limit is {max_count}", field=field, cure="thin it out first"
@@ -65,22 +65,22 @@ def check_count(count: int, max_count: int | None, field: str) -> None:
 
 
 def passed_over(**named: Sequence[str]) -> list[str]:
-    """A remark for each kind of thing in a file that nobody reads, with the first names."""
+    """A remark for each kind of ignored things, with the first names."""
     remarks = []
     for what, names in named.items():
         if names:
             listed = ", ".join(visible(name[:40]) for name in names[:8]) + (" and more" if len(names) > 8 else "")
-            remarks.append(f"{what} passed over: {listed}")
+            remarks.append(f"{what} ignored: {listed}")
     return remarks
 
 
 def gaussians_of(
     fields: Mapping[str, NDArray], kind: str, *, drop_invalid: bool, remarks: tuple[str, ...] = ()
 ) -> Reading:
-    """Check decoded rows by the names of `Gaussians`; opacities lie in [0, 1] by the way that they are stored.
+    """Check decoded rows, by field of `Gaussians`; opacities are in [0, 1] by their encoding.
 
-    Raises `FormatError` naming `kind` and field, the first row and how many there are; with `drop_invalid` such rows
-    go and are counted instead.
+    Raises `FormatError` naming `kind` and field, the first invalid row and their number; with `drop_invalid` invalid
+    rows are dropped and counted instead.
     """
     rows = len(fields["means"])
     keep, invalid = np.ones(rows, np.bool_), {}

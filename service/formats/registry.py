@@ -1,4 +1,4 @@
-"""The formats of Gaussians by their extension: what each keeps, its reader and its writer, and which one a file is."""
+"""Registry of the formats of Gaussians by extension, detection of formats, and reading and writing of any of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Reader = Callable[[bytes, Dialect, bool, int | None], Reading]
 
 @dataclass(frozen=True)
 class Format:
-    """A format, and what of a dialect there is in it."""
+    """A format, with its reader, its writer, and the dialect options that apply to it."""
 
     extension: str  # without the dot in front
     keeps: str
@@ -35,7 +35,7 @@ class Format:
     choices: tuple[str, ...] = ()  # fields of `Dialect`
 
     def read(self, data: bytes, dialect: Dialect, drop_invalid: bool, max_count: int | None) -> Reading:
-        """What a file holds, with a remark where its dialect was told and there is none in the format.
+        """Decode a file, with a remark about dialect options that do not apply to the format.
 
         Raises `FormatError`, and `TooManyGaussians` beyond `max_count`.
         """
@@ -82,7 +82,7 @@ NAMES = ", ".join(FORMATS)
 
 
 def format_named(extension: str, field: str = "format") -> Format:
-    """The format of an extension, with or without its dot. Raises `InputError` that lists them."""
+    """The format of an extension, with or without its dot. Raises `InputError`."""
     found = FORMATS.get(extension.lower().removeprefix("."))
     if found is None:
         raise InputError(f"{extension[:50]!r} is no format of Gaussians", field=field, cure=f"one of {NAMES}")
@@ -99,10 +99,10 @@ def format_of_path(path: str | PathLike[str], field: str = "format", cure: str =
 
 
 def format_of_bytes(data: bytes, name: str | None = None) -> Format:
-    """The format that a file is by its own first bytes, else by its name: a .splat has nothing that tells.
+    """The format of a file by its first bytes, else by its name, as a .splat has no signature.
 
-    What is named a .splat and consists of whole rows may begin with any bytes; it is another format only where more
-    than the first three say so. Raises `InputError` where neither tells, `PlyError` where a .ply's header is damaged.
+    A file named .splat that consists of whole rows may start with any bytes: more than three must match for another
+    format. Raises `InputError` if neither tells, and `PlyError` for a damaged header of a .ply.
     """
     rows = name is not None and name.lower().endswith(".splat") and len(data) % ROW.itemsize == 0
     if data[:3] == b"ply" and (data[3:4].isspace() or not rows):
@@ -126,10 +126,11 @@ def inspect_gaussians(
     drop_invalid: bool = False,
     max_count: int | None = None,
 ) -> tuple[Reading, Format]:
-    """Read a path, the bytes of a file or an open binary file of any format, and say which it was.
+    """Read a path, the bytes of a file or an open binary file of any format; returns the format, too.
 
-    Without `format` the file's own bytes tell, then its `name` or path. Raises `FormatError` (for a .ply `PlyError`)
-    that says what is wrong where, `TooManyGaussians` beyond `max_count`, and `InputError` where no format is told.
+    Without `format` it is detected from the content, then from `name` or the path. Raises `FormatError` (for a .ply
+    `PlyError`) naming field and row, `TooManyGaussians` for more than `max_count`, and `InputError` for an unknown
+    format.
     """
     data = bytes_of(source)
     if name is None and isinstance(source, str | PathLike):
@@ -139,14 +140,13 @@ def inspect_gaussians(
 
 
 def read_gaussians(source: Source, *, format: str | None = None, dialect: Dialect = AUTO) -> Gaussians:
-    """The Gaussians of a file of any format; see `inspect_gaussians`, which also tells what was not as usual."""
+    """The Gaussians of a file of any format; see `inspect_gaussians`, which also returns notes."""
     return inspect_gaussians(source, format=format, dialect=dialect)[0].gaussians
 
 
 def write_gaussians(path: str | PathLike[str], gaussians: Gaussians, *, format: str | None = None) -> Encoded:
-    """Write a file in the format that its name ends in, or in `format`; returns it with what it could not hold.
-
-    One that is there is replaced when the new one is whole.
+    """Write a file in the format of its extension, or in `format`, replacing it atomically; returns it with notes about
+    what the format could not hold.
     """
     chosen = format_of_path(path, field="path") if format is None else format_named(format)
     encoded = chosen.write(gaussians)

@@ -17,11 +17,11 @@ from .reading import Reading, check_count, gaussians_of
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 COLOUR_LEVELS = 255
-ROTATION_LEVELS = 128  # per unit; 1 itself is one level too far and is stored as 127/128
+ROTATION_LEVELS = 128  # per unit; 1 exceeds the range and is stored as 127/128
 
 
 def read_splat(data: bytes, *, drop_invalid: bool = False, max_count: int | None = None) -> Reading:
-    """Decode a file. Raises `FormatError` where it is no whole number of rows or a row is no Gaussian."""
+    """Decode a file. Raises `FormatError` for an incomplete row or an invalid one."""
     count, left = divmod(len(data), ROW.itemsize)
     if left:
         raise FormatError(
@@ -44,7 +44,7 @@ def read_splat(data: bytes, *, drop_invalid: bool = False, max_count: int | None
 
 
 def splat_bytes(gaussians: Gaussians) -> Encoded:
-    """Encode in the order given. Raises `FormatError` where a position does not fit float32."""
+    """Encode in the given order. Raises `FormatError` if a position exceeds the range of float32."""
     require_float32(gaussians, FormatError, INTO_THE_SCENE)
     rows = np.zeros(len(gaussians), ROW)
     rows["means"], rows["scales"] = gaussians.means, gaussians.scales

@@ -29,10 +29,10 @@ ANTIALIASED, EXTENDED = 1, 2  # flags
 MAGIC = 0x5053474E  # NGSP
 VERSION = 3
 LEGACY = {2: 3, 3: 4}  # version: bytes of a rotation
-DEFLATE_RATIO = 1032  # at most, by the definition of deflate (RFC 1951): 258 bytes for two bits
+DEFLATE_RATIO = 1032  # upper bound for deflate (RFC 1951): 258 bytes from two bits
 MAX_FRACTION = 24
-# Steps of positions in a typical Gaussian's size: of two scenes half as many cost up to 0.6 dB, any more give at most
-# that and cost 4 to 11 % of bytes.
+# Position steps per typical size: on two scenes half as many lose up to 0.6 dB, and more gain at most that and cost 4
+# to 11 % of bytes.
 SHARE_OF_SIZE = 32
 TOP = 2**23 - 1  # the largest fixed-point number
 ALPHA_LEVELS = COLOUR_LEVELS = 255
@@ -41,16 +41,16 @@ SCALE_LEVELS, SCALE_LOW = 16, -10.0
 BAND_LEVELS = 128
 MAGNITUDES = 511  # of a rotation component, for 0 to 1/sqrt(2)
 COMPRESSION = 6
-TURN = np.diag([1.0, -1.0, -1.0])  # half a turn about x
+TURN = np.diag([1.0, -1.0, -1.0])  # rotation by 180 degrees about x
 
 
 def is_gzip(data: bytes) -> bool:
-    """Whether a file begins as a gzip does (RFC 1952): the mark, deflate, and no flag without a meaning."""
+    """Whether a file starts like gzip (RFC 1952): magic number, deflate, and no reserved flags."""
     return data[:3] == b"\x1f\x8b\x08" and len(data) > 3 and not data[3] & 0xE0
 
 
 def holds_spz(data: bytes) -> bool:
-    """Whether a gzip holds the magic number of a .spz."""
+    """Whether the decompressed data starts with the magic number of .spz."""
     try:
         return zlib.decompressobj(31).decompress(data, 4) == MAGIC.to_bytes(4, "little")
     except zlib.error:
@@ -58,7 +58,7 @@ def holds_spz(data: bytes) -> bool:
 
 
 def read_spz(data: bytes, *, axes: Axes = "rub", drop_invalid: bool = False, max_count: int | None = None) -> Reading:
-    """Decode a file, of which no more is decompressed than its header says. Raises `FormatError`."""
+    """Decode a file; no more is decompressed than its header announces. Raises `FormatError`."""
     columns, degree, fraction, version, remarks = _unpacked(data, max_count)
     positions, alphas, colours, scales, rotations, higher = columns
     count, rest = len(alphas), (degree + 1) ** 2 - 1
@@ -82,20 +82,20 @@ def read_spz(data: bytes, *, axes: Axes = "rub", drop_invalid: bool = False, max
 
 
 def spz_bytes(gaussians: Gaussians) -> Encoded:
-    """Encode in the order given and in right-up-back axes.
+    """Encode in the given order and in right-up-back axes.
 
-    The step of positions is at most 1/32 of a typical Gaussian's size where the farthest position leaves the bits for
-    that; finer ones would cost bytes and show nothing. Raises `FormatError` where a position is too far for any.
+    The position step is at most 1/32 of a typical Gaussian's size, if the farthest position leaves enough bits; finer
+    steps would cost bytes without visible gain. Raises `FormatError` if a position is too far for one fractional bit.
     """
     names = ("means", "rotations_wxyz", "harmonics")
     turned = _turned({name: getattr(gaussians, name).astype(np.float64) for name in names})
     means, count = turned["means"], len(gaussians)
-    fraction = _fraction(gaussians.means, typical_size(gaussians))  # names a position as it is in the source
+    fraction = _fraction(gaussians.means, typical_size(gaussians))  # its errors name the given position
     fixed = np.rint(means * 2.0**fraction).astype(np.int32)
     colours, colours_outside = quantized(
         (COLOUR_SHARE * turned["harmonics"][:, 0] + 0.5) * COLOUR_LEVELS, COLOUR_LEVELS
     )
-    with np.errstate(divide="ignore"):  # a scale of 0 goes to the lowest level
+    with np.errstate(divide="ignore"):  # a scale of 0 becomes the lowest level
         logs = np.log(gaussians.scales.astype(np.float64))
     scales, scales_outside = quantized((logs - SCALE_LOW) * SCALE_LEVELS, 255)
     higher, higher_outside = quantized((turned["harmonics"][:, 1:] + 1) * BAND_LEVELS, 255)
@@ -152,7 +152,8 @@ def _unpacked(data: bytes, max_count: int | None) -> tuple[list[NDArray[np.uint8
         )
     body = np.frombuffer(_inflated(stream, stream.unconsumed_tail, sum(sizes)), np.uint8)
     more = _more(stream)
-    remarks = [f"{'an extension' if flags & EXTENDED else 'what'} behind the Gaussians was passed over"] if more else []
+    rest = "an extension behind the Gaussians" if flags & EXTENDED else "what follows the Gaussians"
+    remarks = [f"{rest} was ignored"] if more else []
     if flags & ANTIALIASED:
         remarks.append(
             "the file says that its Gaussians were trained with an antialiasing filter; they are taken and drawn "
@@ -162,7 +163,7 @@ def _unpacked(data: bytes, max_count: int | None) -> tuple[list[NDArray[np.uint8
 
 
 def _inflated(stream: zlib._Decompress, data: bytes, size: int) -> bytes:
-    """The next `size` bytes, and no more memory than they need."""
+    """Decompress exactly the next `size` bytes. Raises `FormatError`."""
     found = _decompressed(stream, data, size) if size else b""
     if len(found) < size:
         raise FormatError(
@@ -172,7 +173,7 @@ def _inflated(stream: zlib._Decompress, data: bytes, size: int) -> bytes:
 
 
 def _more(stream: zlib._Decompress) -> bool:
-    """Whether bytes follow, packed or not; where none do, the checksum was there and right."""
+    """Whether more data follows; if none does, the checksum was verified. Raises `FormatError`."""
     found = _decompressed(stream, stream.unconsumed_tail, 1)
     if not found and not stream.eof:
         raise FormatError("ends before its checksum", field="spz", cure="is it truncated?")
@@ -180,7 +181,7 @@ def _more(stream: zlib._Decompress) -> bool:
 
 
 def _decompressed(stream: zlib._Decompress, data: bytes, most: int) -> bytes:
-    """Up to `most` bytes, which is not 0: to zlib that would mean no limit."""
+    """Decompress up to `most` > 0 bytes (0 would be no limit for zlib). Raises `FormatError`."""
     try:
         return stream.decompress(data, most)
     except zlib.error as error:
@@ -200,7 +201,7 @@ def _rotations(column: NDArray[np.uint8], version: int) -> NDArray[np.float64]:
 
 
 def _smallest_three(wxyz: NDArray) -> NDArray[np.int64]:
-    """(N,) 32 bits each: which of x, y, z, w is left out, then sign and magnitude of the others."""
+    """(N,) words of 32 bits: index of the component of x, y, z, w left out, sign and magnitude of the others."""
     index, others = split(np.roll(wxyz, -1, axis=1))
     magnitudes, _ = quantized(np.abs(others) * (MAGNITUDES / BOUND), MAGNITUDES)
     parts = magnitudes | (others < 0).astype(np.int64) << 9
@@ -208,7 +209,7 @@ def _smallest_three(wxyz: NDArray) -> NDArray[np.int64]:
 
 
 def _turned(fields: dict[str, NDArray]) -> dict[str, NDArray]:
-    """Half a turn about x, exactly; each Gaussian's own axes change their sign with it, which moves no ellipsoid."""
+    """Exact rotation by 180 degrees about x. Local axes of Gaussians are mirrored too, which keeps their ellipsoids."""
     degree = round(fields["harmonics"].shape[1] ** 0.5) - 1
     signs = np.rint(np.concatenate([np.diag(band) for band in band_rotations(TURN, degree)]))
     return fields | {
@@ -219,10 +220,10 @@ def _turned(fields: dict[str, NDArray]) -> dict[str, NDArray]:
 
 
 def _fraction(means: NDArray[np.floating], size: float) -> int:
-    """As many fractional bits as Gaussians of a typical size ask for and the farthest coordinate leaves room for."""
+    """Number of fractional bits: as the typical size needs, limited by the largest coordinate."""
     farthest = float(np.abs(means).max(initial=0.0))
     wanted = np.ceil(np.log2(SHARE_OF_SIZE / size)) if size > 0 else MAX_FRACTION
-    for fraction in range(int(np.clip(wanted, 1, MAX_FRACTION)), 0, -1):  # 0, which is read, some readers refuse
+    for fraction in range(int(np.clip(wanted, 1, MAX_FRACTION)), 0, -1):  # some readers reject 0
         if farthest * 2.0**fraction <= TOP:
             return fraction
     index = int(np.abs(means).max(axis=1).argmax())

@@ -1,1 +1,1 @@
-"""gapmes.service.http: the routes, the problem documents and the bounds of the HTTP service."""
+"""gapmes.service.http: routes, middleware, problem documents and limits of the HTTP service."""

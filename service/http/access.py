@@ -1,4 +1,4 @@
-"""Who may ask: a key that every request brings, where the service has one. Probes and the page itself need none."""
+"""Authentication by an API key, if one is configured. Health probes and the page's own files need none."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from ..errors import Unauthorized
 from ..problem_document import of_error
 from . import problems
 
-OPEN = ("/healthz", "/readyz", "/", "/viewer")  # and the page's files, which hold no data
+OPEN = ("/healthz", "/readyz", "/", "/viewer")  # and the files of the page, which hold no data
 OPEN_BELOW = "/static/"
 SCHEME = "bearer "
-# The same for the open API.
+# Security schemes of the OpenAPI document.
 SCHEMES = {
     "bearer": {"type": "http", "scheme": "bearer"},
     "key": {"type": "apiKey", "in": "header", "name": "X-API-Key"},
@@ -22,7 +22,7 @@ SCHEMES = {
 
 
 class KeyNeeded:
-    """ASGI middleware: 401 without the key, as `Authorization: Bearer KEY` or `X-API-Key: KEY`."""
+    """ASGI middleware: 401 for requests without `Authorization: Bearer KEY` or `X-API-Key: KEY`."""
 
     def __init__(self, app: ASGIApp, key: str) -> None:
         self._app, self._key = app, key.encode()
@@ -38,7 +38,7 @@ class KeyNeeded:
     def _brought(self, headers: Headers) -> bool:
         given = headers.get("authorization", "")
         key = given[len(SCHEME) :] if given.lower().startswith(SCHEME) else headers.get("x-api-key", "")
-        return hmac.compare_digest(key.encode("latin-1"), self._key)  # the bytes as they came
+        return hmac.compare_digest(key.encode("latin-1"), self._key)  # the bytes of the header
 
 
 def _open(path: str) -> bool:

@@ -1,4 +1,4 @@
-"""The zip of a scene: the .ply, its document and the renders asked for, byte for byte the same every time."""
+"""The zip of a scene: its .ply, its document and the requested renders; reproducible byte by byte."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .gate import Gone, Pause
 from .runtime import Runtime
 from .spilled import spilled
 
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold: no clock in the bytes
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date of a zip: a time stamp would change the bytes
 
 
 async def zip_bundle(runtime: Runtime, document: Mapping[str, Any], views: Sequence[str], gone: Gone) -> IO[bytes]:
-    """`scene.ply`, `scene.json` and `renders/view_<spec>.png`: drawn in the lane of the pictures one after the other,
-    packed in that of the files. Call it while the scene is kept."""
+    """`scene.ply`, `scene.json` and `renders/view_<spec>.png`, drawn one by one in the lane of pictures and packed in
+    that of files. The caller keeps the scene from eviction."""
     scene_views = SceneViews.of_document(document)
     cameras = {spec: scene_views.resolve(spec, field="views") for spec in views}
 

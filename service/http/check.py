@@ -1,13 +1,13 @@
-"""`POST /check`: what a reconstruction of the same form would take its photographs and cameras for."""
+"""`POST /check`: how the photographs and cameras of a form would be interpreted by a reconstruction."""
 
 from __future__ import annotations
 
 import base64
 import io
 from functools import partial
-from typing import Annotated, Any
+from typing import Any
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Request, Response
 from PIL import Image
 
 from ..cameras.camera_file import camera_document
@@ -21,7 +21,7 @@ from ..photographs.undistort import match_lens
 from ..settings import Settings
 from .form import FORM
 from .responses import json_response
-from .runtime import Runtime, runtime_of
+from .runtime import RuntimeDep
 from .schemas import Understood
 from .upload import Upload, read_upload
 
@@ -35,9 +35,10 @@ THUMBNAIL = 160  # px, longer side
     response_model=Understood,
     openapi_extra={"requestBody": {"required": True, "content": {"multipart/form-data": {"schema": FORM}}}},
 )
-async def check(request: Request, runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
-    """Read the form of `POST /reconstruct` and check cameras and photographs as it would; the network is not asked,
-    nothing is stored. Answers with the cameras in the service's own terms, the depth range and small pictures."""
+async def check(request: Request, runtime: RuntimeDep) -> Response:
+    """Read the form of `POST /reconstruct` and check its cameras and photographs in the same way, without running the
+    network or storing anything. Answers with the cameras in the service's conventions, the depth range and
+    thumbnails."""
     models = runtime.models  # refuses until there is one
     async with runtime.uploads.place():
         upload = await read_upload(request, runtime.settings, models.names)
@@ -61,7 +62,7 @@ def _understood(upload: Upload, settings: Settings, info: ModelInfo) -> dict[str
     for number, image, view in zip(numbers, pairing.images, pairing.views, strict=True):
         photo = decode_image(image.data, index=number, max_pixels=settings.max_image_pixels)
         warnings += fit_notices(photo, view.camera, view.lens, number, info, work.detail)
-        if view.lens is None:  # upright, where EXIF says so and the camera too
+        if view.lens is None:  # turned upright if both EXIF and the camera say so
             photo, _ = match_photo(photo, view.camera, index=number)
         else:
             photo = match_lens(photo, view.lens, index=number)

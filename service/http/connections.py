@@ -1,4 +1,4 @@
-"""The server's side of a connection: how long it may be silent, how slowly it may read, and how many there may be."""
+"""Limits of connections: how long one may be idle, how slowly a client may read, and how many may be open."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ..process.logs import OVER_LIMIT
 
-HEAD_S = 10  # from the connection, or from the answer before, to the last byte of a request's head
-LOOK_S, LEAST = 60.0, 16 * 2**10  # of an answer that the system does not buffer whole, so many bytes go in that time
-SHARE, MOST = 3, 1000  # connections: this part of the files that the process may open, and never more
-FILES = 2 * SHARE * MOST  # that a process asks for, of those that it may have: twice as many are there for a moment
-CROWDED_S = 1.0  # from when there are too many to when one goes: what was sent with a connection is read before
-BACKLOG = 128  # connections that the system holds ready, and that are taken at once before any of them is looked at
+HEAD_S = 10  # from the start of a connection or the end of the last answer to the end of a request's head
+LOOK_S, LEAST = 60.0, 16 * 2**10  # seconds in which a client must take so many bytes of an answer
+SHARE, MOST = 3, 1000  # connections: a third of the files that the process may open, but at most 1000
+FILES = 2 * SHARE * MOST  # open files to ask for; for a moment there may be twice as many connections
+CROWDED_S = 1.0  # before an idle one of too many is closed, so that requests just sent are read
+BACKLOG = 128  # of the listening socket; so many connections are accepted at once, before any is read
 
 _log = logging.getLogger("gapmes")
 
 
 def most_connections() -> int:
-    """Of a process at the same time: scenes, uploads and the database need files, too."""
+    """Largest number of connections of this process; scenes, uploads and the database need open files, too."""
     files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return MOST if files == resource.RLIM_INFINITY else max(1, min(MOST, files // SHARE))
 
 
 def ask_for_files() -> None:
-    """So many files as the bound of connections needs, or as many as the system allows the process."""
+    """Raise the soft limit of open files to what the limit of connections needs, or to the hard limit."""
     files, allowed = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = FILES if allowed == resource.RLIM_INFINITY else min(FILES, allowed)
     if files != resource.RLIM_INFINITY and files < wanted:
@@ -38,17 +38,18 @@ def ask_for_files() -> None:
 
 
 class Connection(H11Protocol):
-    """The framework's waits without end for a head and for a reader, and takes any number."""
+    """Uvicorn's protocol with timeouts for idle connections and slow readers, and a limit on their number."""
 
-    _since: float | None = None  # when it began to wait for the head of a request; None while one is answered
+    _since: float | None = None  # loop time since when it has waited for the head of a request; None during an answer
     _late: asyncio.TimerHandle | None = None
     _look: asyncio.TimerHandle | None = None
-    _left = 0  # bytes of answers that had not gone at the last look
-    _moved = False  # whether since then another answer was begun or most of one has gone
+    _left = 0  # unsent bytes at the last check
+    _moved = False  # whether another answer was begun, or a buffer emptied, since then
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Where there are too many, one that is silent goes: after a moment, in which those of a burst are heard, or at
-        once where there are twice as many; then this one, where all others are being answered."""
+        """If there are too many connections, close the one that has been idle for longest (this one, if all others are
+        being answered): after `CROWDED_S`, in which the requests of a burst are read, or at once if there are twice as
+        many."""
         super().connection_made(transport)
         self._look = self.loop.call_later(LOOK_S, self._look_at_answer)
         self._wait()
@@ -81,7 +82,7 @@ class Connection(H11Protocol):
         super().connection_lost(exc)
 
     def _make_room(self) -> None:
-        """Close the one that has been silent for the longest time, if there are too many still."""
+        """Close the connection that has been idle for longest, if there are still too many."""
         most, silent = most_connections(), self._silent()
         if len(self.connections) > most:
             _log.warning("%s of %d connections is reached: silent ones are closed", OVER_LIMIT, most)
@@ -92,7 +93,7 @@ class Connection(H11Protocol):
         return [one for one in self.connections if isinstance(one, Connection) and one._since is not None]
 
     def _wait(self) -> None:
-        """From now on for the head of a request, where none is being answered."""
+        """Start the timeout for the head of the next request, unless one is being answered."""
         answering = self.cycle is not None and not self.cycle.response_complete
         if answering or self.transport.is_closing():
             self._heard()
@@ -110,7 +111,7 @@ class Connection(H11Protocol):
         self.timeout_keep_alive_handler()
 
     def _look_at_answer(self) -> None:
-        """End it where a client has stopped reading: what is sent to it may hold a scene, or a file."""
+        """Abort the connection if the client has stopped reading: its answer may keep a scene or file in use."""
         left = self._unsent()
         if left and self._left and not self._moved and self._left - left < LEAST:
             _log.info("a client has read less than %d bytes in %g s: its connection is closed", LEAST, LOOK_S)
@@ -120,12 +121,12 @@ class Connection(H11Protocol):
         self._look = self.loop.call_later(LOOK_S, self._look_at_answer)
 
     def _unsent(self) -> int:
-        """Bytes that wait here, and then also those that wait in the system, which takes some megabytes at a time."""
+        """Unsent bytes of the transport and, if there are any, of the socket, whose buffer holds some megabytes."""
         here = self.transport.get_write_buffer_size()
         if not here:
             return 0
         try:
             there = fcntl.ioctl(self.transport.get_extra_info("socket").fileno(), termios.TIOCOUTQ, bytes(4))
-        except OSError:  # no system that tells
+        except OSError:  # not supported
             return here
         return here + int(struct.unpack("i", there)[0])

@@ -1,4 +1,4 @@
-"""When the time is up that requests have once the process was told to end: who still waits is answered, and why."""
+"""The deadline of requests during shutdown: those that are not finished then are answered with 503."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..errors import ServiceBusy
 from ..problem_document import of_error
 from . import problems
 
-GRACE_S = 2  # behind it, for the answers to be sent; then the server ends what is left
+GRACE_S = 2  # after it, to send these answers; then the server closes the connections
 
 
 class Curfew:
-    """Tasks that end when the process has to; all of it belongs to the event loop's thread."""
+    """Tasks that are cancelled at the deadline. To be used from the event loop's thread only."""
 
     def __init__(self) -> None:
         self.over = False
@@ -24,27 +24,27 @@ class Curfew:
 
     @contextmanager
     def until(self) -> Iterator[None]:
-        """The block is left where it is then, without a word."""
+        """The block is cancelled at the deadline, and left without an error."""
         task, key = asyncio.current_task(), object()
         assert task is not None
         self._within[key] = task
         try:
             yield
         except asyncio.CancelledError:
-            if not self.over or task.uncancel():  # the server ends it, too
+            if not self.over or task.uncancel():  # the server has cancelled it, too
                 raise
         finally:
             del self._within[key]
 
     def end(self) -> None:
-        """The time is up."""
+        """The deadline is reached: cancel all blocks."""
         self.over = True
         for task in set(self._within.values()):
             task.cancel()
 
 
 class AnsweredInTime:
-    """ASGI middleware: a request that is not answered by then is told so, instead of losing its connection."""
+    """ASGI middleware: 503 for a request that has no answer at the deadline, instead of a closed connection."""
 
     def __init__(self, app: ASGIApp, curfew: Curfew, seconds: float) -> None:
         self._app, self._curfew, self._seconds = app, curfew, seconds

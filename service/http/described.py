@@ -1,11 +1,11 @@
-"""Headers in the open API, of requests and of answers, and HEAD: told by what a route declares, not by each route."""
+"""Headers and HEAD operations in the OpenAPI document, derived from the responses that routes declare."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Any
 
-# What headers of answers say, by name.
+# Descriptions of response headers.
 ANSWERED = {
     "Accept-Ranges": "`bytes` where `Range` is heeded, else `none`",
     "Allow": "with 405: the methods that are offered",
@@ -28,7 +28,7 @@ ANSWERED = {
     "X-Gapmes-Stats": "what was drawn and what was not, a JSON object",
     "X-Request-ID": "that of the request, or a new one",
 }
-# What headers of requests ask for, by name.
+# Descriptions of request headers.
 ASKED = {
     "If-None-Match": "tags that the client has: 304 where one is right",
     "If-Range": "the tag of what `Range` asks a part of; all of it is sent where that has changed",
@@ -36,18 +36,18 @@ ASKED = {
     "Range": "a part of the .ply, `bytes=0-99`; other formats are sent whole",
 }
 _DEPTH = [name for name in ANSWERED if name.startswith("X-Gapmes-Depth")]
-# Of one route each, beside what its statuses imply.
+# Response headers of single routes, beside those that follow from their statuses.
 OF_ROUTE = {
     "/render": ["X-Gapmes-Scene", "X-Gapmes-Stats", *_DEPTH],
     "/scenes/{scene_id}.{extension}": ["Content-Disposition", "X-Gapmes-Notes"],
     "/reconstruct": ["Content-Disposition"],
     "/jobs/{job_id}/events": ["X-Accel-Buffering"],
 }
-FILES = "/scenes/{scene_id}.{extension}"  # whose making is not timed
+FILES = "/scenes/{scene_id}.{extension}"  # has no Server-Timing
 
 
 def describe(paths: dict[str, Any]) -> None:
-    """Add to the operations of an open API what they may be asked with, what they answer with, and HEAD beside GET."""
+    """Add request headers, response headers and HEAD operations to the `paths` of an OpenAPI document."""
     for path, operations in paths.items():
         for operation in operations.values():
             responses = operation["responses"]
@@ -55,7 +55,7 @@ def describe(paths: dict[str, Any]) -> None:
             if asked:
                 operation["parameters"] = [*operation.get("parameters", ()), *asked]
             for status, response in responses.items():
-                response = responses[status] = dict(response)  # of errors there is one for all routes
+                response = responses[status] = dict(response)  # a copy: all routes share the one of errors
                 headers = ["X-Request-ID", *_answers(path, status, responses)]
                 response["headers"] = {name: _header(name) for name in sorted(headers)}
         if "get" in operations:
@@ -68,7 +68,7 @@ def _asks(name: str, responses: Iterable[str]) -> bool:
 
 
 def _answers(path: str, status: str, responses: Iterable[str]) -> list[str]:
-    """What follows from the statuses that a route has."""
+    """Names of the headers of a response, from the statuses of its route."""
     if status == "4XX":
         return ["X-Gapmes-Problem", "Allow", "WWW-Authenticate", *(["Content-Range"] if "206" in responses else [])]
     if status == "5XX":
@@ -98,7 +98,7 @@ def _header(name: str) -> dict[str, Any]:
 
 
 def _head(get: dict[str, Any]) -> dict[str, Any]:
-    """The same without a body: nothing is drawn or converted for it."""
+    """The HEAD operation of a GET operation."""
     responses = {
         status: {name: value for name, value in response.items() if name != "content"}
         for status, response in get["responses"].items()

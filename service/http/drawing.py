@@ -1,4 +1,4 @@
-"""Drawing a stored scene within the service's bounds, on a worker thread: one picture, or one after the other."""
+"""Drawing pictures of a stored scene on a worker thread, within limits on pixels and time."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def check_size(camera: Camera, max_pixels: int, samples: int = 1) -> Camera:
-    """Refuse a picture beyond the limit before anything of it is allocated."""
+    """The camera itself. Raises `InputError` for a picture of more than `max_pixels` samples."""
     pixels = camera.width * camera.height * samples**2
     if pixels > max_pixels:
         raise InputError(
@@ -52,7 +52,7 @@ def draw(
     effort: Effort | None = None,
     background: Sequence[float] | None = None,
 ) -> Render:
-    """Render a stored scene; call it on a worker thread. Raises `DeadlineExceeded` where that takes too long."""
+    """Render a stored scene, on a worker thread. Raises `DeadlineExceeded` after `picture_seconds`."""
     gaussians = runtime.store.gaussians(scene_id)
     limit = partial(_check_time, time.monotonic(), runtime.settings.picture_seconds)
     options = {"background": background, "threads": runtime.settings.threads, "between": limit, **views.near_plane}
@@ -68,8 +68,8 @@ def _check_time(begun: float, seconds: float) -> None:
 
 
 class Sitting:
-    """Pictures of one scene in one turn of the lane, between which it pauses; `seconds` has what it took. Whoever lets
-    it draw keeps the scene meanwhile."""
+    """Several pictures of one scene, between which other requests of the lane may run; `seconds` sums up the time of
+    waiting and drawing. The caller keeps the scene from eviction."""
 
     def __init__(
         self, runtime: Runtime, scene_id: str, views: SceneViews, background: Sequence[float] | None, pause: Pause
@@ -80,7 +80,7 @@ class Sitting:
         self.seconds = {"wait": 0.0, "draw": 0.0}
 
     def pixels(self, camera: Camera) -> NDArray[np.uint8]:
-        """The next picture, (H, W, 3)."""
+        """Draw the next picture, (H, W, 3) sRGB."""
         start = time.perf_counter()
         if self._begun:
             self._pause()
@@ -95,7 +95,7 @@ class Sitting:
 
 
 def picture_tag(runtime: Runtime, scene_id: str, query: BaseModel) -> str:
-    """Of a picture or film: it depends on the scene's file, on what is asked, and on the splatter of this release."""
+    """Entity tag of a picture or film: a hash of the scene's tag, the query, and the version of the splatter."""
     with runtime.store.reading(scene_id) as path:
         scene = etag_of(path)
     parts = [scene, version("gapmes"), DRAWING_REVISION, type(query).__name__, query.model_dump_json(exclude={"scene"})]

@@ -1,4 +1,4 @@
-"""Text fields of a posted form as numbers and flags; an empty one counts as missing."""
+"""Text fields of a posted form as numbers and booleans; an empty field counts as missing."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _Otherwise = TypeVar("_Otherwise", int, None)
 
 
 def number(form: FormData, name: str, refusal: type[InputError] = InputError) -> float | None:
-    """A finite number, None where it is missing. Raises `refusal`."""
+    """A finite number; None if the field is missing. Raises `refusal`."""
     given = text(form, name)
     if not given:
         return None
@@ -30,7 +30,7 @@ def number(form: FormData, name: str, refusal: type[InputError] = InputError) ->
 
 
 def whole(form: FormData, name: str, otherwise: _Otherwise) -> int | _Otherwise:
-    """A whole number from 0 to 99,999,999. Raises `InputError`."""
+    """An integer from 0 to 99,999,999; `otherwise` if the field is missing. Raises `InputError`."""
     given = text(form, name)
     if given and not (given.isascii() and given.isdigit() and len(given) < 9):
         cure = "send digits alone, such as 3, or leave it out"
@@ -39,7 +39,7 @@ def whole(form: FormData, name: str, otherwise: _Otherwise) -> int | _Otherwise:
 
 
 def flag(form: FormData, name: str) -> bool:
-    """True or false, in any case of letters; false where it is missing. Raises `InputError`."""
+    """`true` or `false` in any case; False if the field is missing. Raises `InputError`."""
     given = text(form, name).lower()
     if given not in ("", "false", "true"):
         cure = "send true, or leave it out for false"

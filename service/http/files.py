@@ -1,4 +1,4 @@
-"""Entity tags, and a scene's files as answers: the .ply by ranges and never evicted while it is sent, others made."""
+"""Entity tags, and responses with a scene's files: the .ply with ranges, other formats converted for each request."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import IO
 
+import anyio.to_thread
 from fastapi import Request, Response
 from fastapi.responses import FileResponse
 from starlette.types import Message, Receive, Scope, Send
@@ -25,44 +27,44 @@ from . import problems
 from .responses import PLY, head_alone
 from .spilled import SpilledResponse
 
-ASKED_AGAIN = "private, no-cache"  # kept by a client, which asks with the tag whether it is still right
-_RANGE = re.compile(rb"(?i:bytes)=([\s,]*(\d+-\d*|-\d+)(\s*,[\s,]*(\d+-\d*|-\d+))*[\s,]*)")  # a list may have gaps
+ASKED_AGAIN = "private, no-cache"  # may be stored, but must be revalidated by its tag
+_RANGE = re.compile(rb"(?i:bytes)=([\s,]*(\d+-\d*|-\d+)(\s*,[\s,]*(\d+-\d*|-\d+))*[\s,]*)")  # items may be empty
 
 
 def etag_of(path: Path) -> str:
-    """A strong tag: scenes are written once, so that their time and size tell one file from another."""
+    """A strong entity tag of a scene's file, which is never modified: its time and size."""
     status = path.stat()
     return f'"{status.st_mtime_ns:x}-{status.st_size:x}"'
 
 
 def matches(request: Request, etag: str) -> bool:
-    """Whether `If-None-Match` (RFC 9110 section 13.1.2) lists the tag, weakly compared."""
+    """Whether `If-None-Match` (RFC 9110 section 13.1.2) lists the tag, by weak comparison."""
     listed = ",".join(request.headers.getlist("if-none-match"))
     tags = [tag.strip().removeprefix("W/") for tag in listed.split(",")]
     return "*" in tags or etag.removeprefix("W/") in tags
 
 
 def not_modified(etag: str, headers: Mapping[str, str] | None = None) -> Response:
-    """304: the client has it."""
+    """A response 304 with this tag."""
     return Response(status_code=304, headers={"ETag": etag, **(headers or {})})
 
 
 def etag_of_converted(etag: str, extension: str) -> str:
-    """Of a file that is made from the one with `etag`: another release may write it otherwise."""
+    """Entity tag of a file that is converted from the one with `etag`; it changes with the release."""
     parts = [etag, extension, version("gapmes"), DRAWING_REVISION]
     return f'"{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]}"'
 
 
 @dataclass(frozen=True)
 class Made:
-    """A file that was made for one answer, and what its format cannot hold."""
+    """A converted file, and notes about what its format cannot hold."""
 
     file: IO[bytes]
     notes: tuple[str, ...]
 
 
 def converted_file(name: str, etag: str, made: Made | None) -> Response:
-    """The answer with what was made for it; None is for HEAD, for which nothing is made."""
+    """The response with a converted file; None for HEAD, for which none is made."""
     headers = {
         "ETag": etag,
         "Cache-Control": ASKED_AGAIN,
@@ -75,7 +77,7 @@ def converted_file(name: str, etag: str, made: Made | None) -> Response:
 
 
 class SceneFile(FileResponse):
-    """A scene's .ply; the scene is being read until the last byte is sent."""
+    """A scene's .ply, which is kept from eviction until the last byte is sent."""
 
     def __init__(self, store: SceneStore, scene_id: str, etag: str, size: int) -> None:
         super().__init__(
@@ -87,11 +89,11 @@ class SceneFile(FileResponse):
         self._store, self._scene_id, self._size = store, scene_id, size
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """What is no range is passed over, and of several ranges those that the file does not have; where it has none,
-        the answer is a problem document."""
+        """A malformed `Range` is ignored, as is any with HEAD (RFC 9110 section 14.2); of several ranges, those beyond
+        the end of the file are left out. If all are beyond it, the answer is a problem document with status 416."""
         headers = [(name, value) for name, value in scope["headers"] if name != b"range"]
         asked = next((value for name, value in scope["headers"] if name == b"range"), b"")
-        if ranges := _there(asked, self._size):
+        if scope["method"] == "GET" and (ranges := _there(asked, self._size)):
             headers.append((b"range", ranges))
         beyond = False
 
@@ -102,9 +104,10 @@ class SceneFile(FileResponse):
                 await send(message)
 
         try:
-            with self._store.reading(self._scene_id):
+            with ExitStack() as held:
+                await anyio.to_thread.run_sync(lambda: held.enter_context(self._store.reading(self._scene_id)))
                 await super().__call__({**scope, "headers": headers}, receive, watched)
-        except (SceneNotFound, RuntimeError) as error:  # deleted meanwhile; nothing was sent yet
+        except (SceneNotFound, RuntimeError) as error:  # deleted before anything was sent
             if isinstance(error, RuntimeError) and self._store.exists(self._scene_id):
                 raise
             await problems.response(of_error(unknown(self._scene_id)))(scope, receive, send)
@@ -115,15 +118,15 @@ class SceneFile(FileResponse):
 
 
 def _there(asked: bytes, size: int) -> bytes:
-    """What a `Range` header (RFC 9110 section 14.1.2) asks for that a file of `size` bytes has; all of it where it has
-    nothing of it, and nothing where it is no range at all."""
+    """A `Range` header (RFC 9110 section 14.1.2) reduced to the ranges that a file of `size` bytes has; unchanged if it
+    has none of them, empty if the header is malformed."""
     found = _RANGE.fullmatch(asked)
     if found is None:
         return b""
     kept = []
     for part in filter(None, (part.strip() for part in found[1].split(b","))):
         first, last = (_number(digits) for digits in part.split(b"-"))
-        if first is None:  # the last so many bytes
+        if first is None:  # a suffix of so many bytes
             kept += [b"-%d" % last] if last else []
             continue
         if last is not None and last < first:
@@ -134,5 +137,5 @@ def _there(asked: bytes, size: int) -> bytes:
 
 
 def _number(digits: bytes) -> int | None:
-    """None where there are none; as large as any file where there are too many to count."""
+    """None without digits; 10^18 for numbers of 19 digits or more."""
     return (int(digits) if len(digits) < 19 else 10**18) if digits else None

@@ -1,4 +1,4 @@
-"""The form of `POST /reconstruct` as a schema: its parts, their types, defaults and limits."""
+"""JSON schema of the form of `POST /reconstruct`: its parts with types, defaults and limits."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ FORM: dict[str, Any] = {
             "type": "integer",
             "enum": [0, *range(MIN_VIEWS, MAX_VIEWS)],
             "default": DEFAULT_OTHERS,
-            "description": "of three photographs or more, how many others foretell each; 0: none are foretold",
+            "description": "of three photographs or more, how many others predict each; 0: none are predicted",
         },
         "fade": {
             "type": "integer",

@@ -1,4 +1,4 @@
-"""The gates: so many uploads at once, so many pictures at a time, so many waiting, no work for a client that left."""
+"""Limits on concurrent requests: counted places, and lanes that run work on threads in order of arrival."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from ..errors import ServiceBusy
 from ..metrics import PLACES
 
 T = TypeVar("T")
-Gone = Callable[[], Awaitable[bool]]  # whether the client has gone away
-Pause = Callable[[], None]  # for the worker thread
+Gone = Callable[[], Awaitable[bool]]  # whether the client has disconnected
+Pause = Callable[[], None]  # called on the worker thread
 
-GLANCE_S = 0.1  # between two looks whether it has
+GLANCE_S = 0.1  # between checks for that
 
 
 class Places:
-    """A bounded number of requests that may do something at the same time; one more raises `ServiceBusy`."""
+    """At most `most` requests at the same time; one more raises `ServiceBusy`."""
 
     def __init__(self, name: str, most: int, doing: str) -> None:
-        """`name` is what the metrics call them, `doing` what a refusal says of those who have one."""
+        """`name` is the label in the metrics; `doing` completes "N requests are ..." in the error."""
         self.most = most
         self._doing = doing
         self._gauge = PLACES.labels(name)
         self._take(0)
 
     def check(self) -> None:
-        """Raise `ServiceBusy` when no place is free."""
+        """Raises `ServiceBusy` if no place is free."""
         if self.taken >= self.most:
             raise ServiceBusy(f"{self.taken} requests are {self._doing}, the limit is {self.most}", cure="retry later")
 
     @asynccontextmanager
     async def place(self) -> AsyncIterator[None]:
-        """Hold a place for the length of the block."""
+        """Occupy a place during the block. Raises `ServiceBusy`."""
         self.check()
         self._take(self.taken + 1)
         try:
@@ -53,25 +53,25 @@ class Places:
 
 
 class Lane:
-    """Runs functions on worker threads, `slots` at a time in the order of arrival; `waiting` more may queue."""
+    """Runs functions on worker threads, `slots` at once in order of arrival; up to `waiting` more may queue."""
 
     def __init__(self, name: str, slots: int, waiting: int, patience_s: float, doing: str) -> None:
-        """`name` and `doing` as of `Places`."""
+        """A function waits at most `patience_s` for its turn; `name` and `doing` as in `Places`."""
         self._turns = asyncio.Semaphore(slots)
-        self._threads = anyio.CapacityLimiter(slots + waiting)  # its own: what pauses keeps its thread
+        self._threads = anyio.CapacityLimiter(slots + waiting)  # of its own, since a paused function keeps its thread
         self._patience_s = patience_s
         self.places = Places(name, slots + waiting, doing)
 
     async def run(self, function: Callable[[], T], gone: Gone) -> T:
-        """Wait for a turn, then run, so that the event loop keeps answering.
+        """Wait for a turn and run the function on a worker thread.
 
-        Raises `ServiceBusy` where the lane is full or the wait too long, and `ClientDisconnect` where nobody waits.
+        Raises `ServiceBusy` if the lane is full or the wait too long, and `ClientDisconnect` if the client has left.
         """
         return await self.run_in_steps(lambda _: function(), gone)
 
     async def run_in_steps(self, function: Callable[[Pause], T], gone: Gone) -> T:
-        """As `run`, for work of several steps, which calls what it is given between two of them: there those come first
-        who have waited meanwhile, and `ClientDisconnect` or `ServiceBusy` ends it as they would before the first."""
+        """As `run`, for work of several steps. Between two steps the function calls its argument, which lets waiting
+        requests run first and raises `ClientDisconnect` or `ServiceBusy` as before the first step."""
         async with self.places.place():
             await self._turn(gone)
             held = True
@@ -94,7 +94,7 @@ class Lane:
                     self._turns.release()
 
     async def _turn(self, gone: Gone) -> None:
-        turn = asyncio.ensure_future(self._turns.acquire())  # one wait, so that the order of arrival is kept
+        turn = asyncio.ensure_future(self._turns.acquire())  # a single wait, which keeps the order of arrival
         start = time.monotonic()
         try:
             while not (await asyncio.wait({turn}, timeout=GLANCE_S))[0]:
@@ -103,6 +103,6 @@ class Lane:
                 if time.monotonic() - start > self._patience_s:
                     raise ServiceBusy(f"no turn within {self._patience_s:g} s", cure="retry later")
         except BaseException:
-            if not turn.cancel():  # it came at this very moment
+            if not turn.cancel():  # it was acquired at this moment
                 self._turns.release()
             raise

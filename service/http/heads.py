@@ -1,4 +1,4 @@
-"""What HTTP/1.1 asks of whoever reads a request's head, where the server leaves it to the application."""
+"""Requirements of HTTP/1.1 on request heads that the server does not check."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _ABSOLUTE = re.compile(rb"https?://(?:[^/@]*@)?([^/@]+)(/.*)?", re.IGNORECASE)
 
 
 class Heads:
-    """ASGI middleware: a target in absolute form (RFC 9112 section 3.2.2) is the path in it, and its host the one that
-    is asked; a body of two lengths (section 6.3) is refused, since a proxy may have taken the other one."""
+    """ASGI middleware: a request target in absolute form (RFC 9112 section 3.2.2) is split into path and host. A
+    request with both Content-Length and Transfer-Encoding (section 6.3) is refused, as a sign of request smuggling."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

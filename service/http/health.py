@@ -1,15 +1,15 @@
-"""Probes: /healthz says that the process answers, /readyz that model and kernels are loaded everywhere, and which."""
+"""Health probes: /healthz for a live event loop, /readyz for models and kernels loaded in all processes."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
 import anyio.to_thread
-from fastapi import APIRouter, Depends, Response
+from fastapi import APIRouter, Response
 
 from ..errors import ModelNotReady, StorageFull
 from .responses import json_response
-from .runtime import Runtime, runtime_of
+from .runtime import RuntimeDep
 from .schemas import Alive, Ready
 
 router = APIRouter(tags=["operations"])
@@ -24,10 +24,10 @@ async def healthz() -> dict[str, str]:
 
 @router.head("/readyz", include_in_schema=False)
 @router.get("/readyz", response_model=Ready)
-async def readyz(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
-    """200 with what was loaded and how long it took; 503 before all processes have, with the stage or the reason of a
-    failure, and 507 while the store cannot be written."""
-    stage = runtime.stage  # before the answer is decided: a "ready" of a moment later would accuse the other processes
+async def readyz(runtime: RuntimeDep) -> Response:
+    """200 with the loaded models and the time of each stage; 503 until all processes are loaded, with the current or
+    the failed stage; 507 while the store cannot be written."""
+    stage = runtime.stage  # read first: if it became "ready" meanwhile, the answer would blame the other processes
     try:
         models: dict[str, Any] = runtime.models.document()
         if not runtime.peers.complete:

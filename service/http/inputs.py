@@ -1,4 +1,4 @@
-"""The photographs and cameras of a request: `images` with `cameras`, or both in one `capture`; and which are used."""
+"""Photographs and cameras of a request, as `images` and `cameras` or in one `capture`, and the selection of views."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from ..settings import Settings
 from .limits import parse_json
 from .pairing import NamedImage, Pairing, PostedSizes, match_names
 
-MAX_LISTED_VIEWS = 2_000  # in a camera file, of which 6 at most are used; above it matching names takes seconds
-ZIPPED = 4  # times the largest camera document that a zip may hold: it may be of all photographs of a capture
-UNPACKED = 8  # times the largest body that a zip may unpack to: models shrink by some 3; chosen photographs by none
+MAX_LISTED_VIEWS = 2_000  # in a camera file; more would take seconds to match by name
+ZIPPED = 4  # times `max_camera_bytes`, for a camera file in a zip, which may list a whole capture
+UNPACKED = 8  # times `max_upload_bytes`, for all unpacked files: COLMAP models shrink to about a third
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """Up to six photographs, still encoded, with their views."""
+    """Up to six encoded photographs with their views."""
 
     pairing: Pairing
     near: float | None
     far: float | None
-    selection: dict[str, Any]  # plain JSON values: which of what was sent these are, and why
+    selection: dict[str, Any]  # JSON values: which of the posted views these are, and why
 
 
 @contextmanager
 def _cured() -> Iterator[None]:
-    """Where a refused camera file has no cure of its own, say what a right one looks like."""
+    """Add a hint to errors about the camera file that have none of their own."""
     try:
         yield
     except (CameraError, MalformedRequest) as error:
@@ -56,7 +56,7 @@ def posted(
     near: float | None,
     far: float | None,
 ) -> Inputs:
-    """Of `images` parts and a `cameras` part of any format; `near` and `far` win over those of the file."""
+    """Inputs from `images` parts and a `cameras` part of any format; `near` and `far` override the file's."""
     table = camera_table(document, settings)
     _check_listed(table, "cameras")
     names = [image.name for image in images]
@@ -73,8 +73,7 @@ def posted(
         file, said = cameras(places), said | {"by": "select"}
     elif wish.context is not None:
         there, file, refused = usable_views(range(len(images)), cameras)
-        ours = (file.near if near is None else near), (file.far if far is None else far)
-        choice = chosen_views(file.cameras, wish.context, *ours)
+        choice = chosen_views(file.cameras, wish.context, *file.depths(near, far))
         places, file = [there[place] for place in choice.places], file.chosen(choice.places)
         warnings, said = (*warnings, *refused), said | {"by": "score", **choice.said}
     else:
@@ -82,14 +81,13 @@ def posted(
         file = cameras(places)
     check_count(len(places))
     pairing = Pairing(tuple(images[place] for place in places), file.views, match.by, warnings)
-    near, far = (file.near if near is None else near), (file.far if far is None else far)
     said |= {"views": places, "images": [image.name for image in pairing.images]}
-    return Inputs(pairing, near, far, said)
+    return Inputs(pairing, *file.depths(near, far), said)
 
 
 @_cured()
 def captured(stream: BinaryIO, wish: Wish, settings: Settings, near: float | None, far: float | None) -> Inputs:
-    """Of a zip with photographs and cameras; `near` and `far` win over those of the camera file."""
+    """The inputs from a zip of photographs and cameras; `near` and `far` override those of the camera file."""
     if stream.read(4) not in SIGNATURES:
         raise CaptureError("is not a zip", field="capture", cure="zip the photographs with their camera file")
     files = ZipFiles(stream, max_bytes=UNPACKED * settings.max_upload_bytes)
@@ -99,7 +97,7 @@ def captured(stream: BinaryIO, wish: Wish, settings: Settings, near: float | Non
     found = capture.choose(wish, near, far)
     check_count(len(found.indices))
     size = sum(files.size(path) for path in found.paths)
-    if size > settings.max_upload_bytes:  # as the zip says; a photograph that is longer is refused while it is read
+    if size > settings.max_upload_bytes:  # by the zip's directory; a member that is longer is refused while it is read
         raise UploadTooLarge(
             f"the chosen photographs unpack to {size} bytes, the limit is {settings.max_upload_bytes}",
             field="capture",
@@ -108,13 +106,12 @@ def captured(stream: BinaryIO, wish: Wish, settings: Settings, near: float | Non
     images = [NamedImage(path, found.read(place)) for place, path in enumerate(found.paths)]
     by = "sorted name" if capture.by_sorted_name else "name"
     pairing = Pairing(tuple(images), found.file.views, by, found.warnings)
-    near, far = (found.file.near if near is None else near), (found.file.far if far is None else far)
-    return Inputs(pairing, near, far, found.selection)
+    return Inputs(pairing, *found.file.depths(near, far), found.selection)
 
 
 @_cured()
 def camera_table(document: str | bytes, settings: Settings) -> CameraTable:
-    """The cameras of a `cameras` part of any format, which may be a zip with a COLMAP model."""
+    """The cameras of a `cameras` part of any format, including a zip of a COLMAP model."""
     data = document.encode("utf-8", "replace") if isinstance(document, str) else document
     if not data.startswith(SIGNATURES):
         return table_of_bytes(data, "cameras", lambda _: parse_json(document, "cameras"))

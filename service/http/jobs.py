@@ -1,4 +1,4 @@
-"""Jobs over HTTP: what one is doing, its events as they happen, and ending it."""
+"""Routes of jobs: state, server-sent events, and cancelling."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Any
 
 import anyio
-from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from pydantic import BeforeValidator
 
@@ -19,32 +19,30 @@ from ..jobs.rows import Event, Job
 from ..problem_document import of_error
 from .parameters import whole
 from .responses import head_alone, json_response
-from .runtime import Runtime, runtime_of
+from .runtime import Runtime, RuntimeDep
 from .schemas import Job as JobSchema
 
 router = APIRouter(tags=["jobs"])
 
-Held = Annotated[Runtime, Depends(runtime_of)]
-
 EVENTS = "text/event-stream"
-LOOK_S = 0.2  # between two looks for new events
+LOOK_S = 0.2  # between polls for new events
 RETRY_MS = 2000  # after which a browser connects again
 
 
 def wanted_async(preferences: Sequence[str]) -> bool:
-    """Whether a Prefer header (RFC 7240) asks for an answer before the work is done."""
+    """Whether Prefer headers (RFC 7240) contain `respond-async`."""
     tokens = [token for header in preferences for token in header.split(",")]
-    return "respond-async" in [token.partition(";")[0].strip().lower() for token in tokens]  # parameters are behind ;
+    return "respond-async" in [token.partition(";")[0].strip().lower() for token in tokens]  # without parameters
 
 
 def accepted_job(runtime: Runtime, job: Job, said: Mapping[str, Any]) -> Response:
-    """202 with the job, and what belongs to the request alone: `said`."""
+    """202 with the document of the job and `said`, members about the request itself."""
     headers = {"Location": f"/jobs/{job.id}", "Preference-Applied": "respond-async", "Vary": "Accept, Prefer"}
     return json_response({**job_document(runtime, job), **said}, 202, headers)
 
 
 def why_not(job: Job) -> dict[str, Any]:
-    """The problem document of a job that ended without a scene."""
+    """The problem document of a failed or cancelled job."""
     if job.problem is not None:
         return job.problem
     return of_error(JobCancelled("the job was cancelled", cure="ask for it again"))
@@ -55,14 +53,14 @@ def why_not(job: Job) -> dict[str, Any]:
 async def job_events(
     request: Request,
     job_id: str,
-    runtime: Held,
+    runtime: RuntimeDep,
     last_event_id: Annotated[str | None, Header(description="number of the last event that was received")] = None,
     after: Annotated[
         int, Query(ge=0, le=2**31, description="the same, where headers cannot be set"), BeforeValidator(whole)
     ] = 0,
 ) -> Response:
-    """Server-sent events: `state` and `stage`, numbered, from the beginning or behind the last one received; comments
-    as signs of life; the stream ends with the job."""
+    """Server-sent events `state` and `stage`, numbered, from the first or after the last one received, with comments as
+    a heartbeat; the stream ends with the job."""
     runtime.desk.table.get(job_id)
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     if request.method == "HEAD":
@@ -70,28 +68,28 @@ async def job_events(
     if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
         after = int(last_event_id[:10])
     events = _events(request, runtime, job_id, after)
-    first = await anext(events)  # takes the place, or refuses before the answer has begun
+    first = await anext(events)  # occupies a place, or raises `ServiceBusy` before the answer has begun
     return StreamingResponse(_from(first, events), media_type=EVENTS, headers=headers)
 
 
 @router.head("/jobs/{job_id:path}", include_in_schema=False)
 @router.get("/jobs/{job_id:path}", response_model=JobSchema)
-def get_job(job_id: str, runtime: Held) -> Response:
-    """State, how many are ahead, the stage that it is in, and the scene or the reason once it ended."""
+def get_job(job_id: str, runtime: RuntimeDep) -> Response:
+    """The job's state, how many jobs are ahead, its current stage, and at the end its scene or the problem."""
     job = runtime.desk.table.get(job_id)
     headers = {"Cache-Control": "no-store"}
     return json_response(job_document(runtime, job), headers=headers)
 
 
 @router.delete("/jobs/{job_id:path}", response_model=JobSchema)
-def cancel_job(job_id: str, runtime: Held) -> Response:
-    """End a job: at once while it is queued, after its stage while it runs. One that ended stays as it is. Whoever
-    waits for the same scene without a job keeps it going."""
+def cancel_job(job_id: str, runtime: RuntimeDep) -> Response:
+    """Cancel a job: a queued one at once, a running one after its current stage. A job that has ended stays unchanged,
+    and one whose scene other requests wait for goes on."""
     return json_response(job_document(runtime, runtime.desk.cancel(job_id)))
 
 
 def job_document(runtime: Runtime, job: Job) -> dict[str, Any]:
-    """Plain JSON; `problem` and `links.scene` are there once there is one."""
+    """The job as JSON values; `problem` and `links.scene` are present once they exist."""
     table = runtime.desk.table
     document: dict[str, Any] = {
         "id": job.id,
@@ -116,7 +114,7 @@ async def _events(request: Request, runtime: Runtime, job_id: str, after: int) -
     async with runtime.streams.place():
         yield f"retry: {RETRY_MS}\n\n"
         while not runtime.stopping:
-            over = table.get(job_id).over  # asked first: no event comes after the last
+            over = table.get(job_id).over  # read before the events, of which none follows the end
             for event in table.events(job_id, after):
                 after, heard = event.seq, time.monotonic()
                 yield _text(event)
@@ -129,7 +127,7 @@ async def _events(request: Request, runtime: Runtime, job_id: str, after: int) -
 
 
 async def _from(first: str, rest: AsyncGenerator[str]) -> AsyncIterator[str]:
-    """`first`, then the rest, which ends with this."""
+    """`first`, then `rest`, which is closed with this generator."""
     async with aclosing(rest):
         yield first
         async for text in rest:

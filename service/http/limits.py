@@ -1,4 +1,4 @@
-"""The bounds on a request's body and on all together, counted as bytes arrive, and JSON parsing that nothing upsets."""
+"""Limits on the size of request bodies, single and together, counted as bytes arrive; and safe parsing of JSON."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from ..problem_document import of_error
 from . import problems
 
 SETTING = "GAPMES_MAX_UPLOAD_BYTES"
-# What helps where a body is too large, by what the path takes.
+# Cures for a body that is too large, by path.
 CURES = dict.fromkeys(
     ("/reconstruct", "/check"),
     f"send smaller photographs; anything above the model's size is scaled down anyway. Or raise {SETTING}",
 ) | {"/scenes": f"send a .spz or .compressed.ply, which have fewer bytes, or raise {SETTING}"}
-RELEASE = "gapmes.release"  # in a request's scope: what to call once its body is out of memory
+RELEASE = "gapmes.release"  # key in a request's scope: a function to call once its body is freed
 
 
 class BodyLimit:
-    """ASGI middleware: a declared length over the limit is refused unread, an undeclared one where it crosses it.
+    """ASGI middleware: 413 for bodies of more than `max_bytes`, before reading if Content-Length tells, else as soon as
+    the limit is passed.
 
-    The bodies of all requests, from their first byte until they are released or answered, have `most_together` bytes
-    at most; a single one may be larger.
+    The bodies of all requests together, from their first byte until they are released or answered, have at most
+    `most_together` bytes; one more is refused with 503, but a single body may be larger.
     """
 
     def __init__(self, app: ASGIApp, max_bytes: int, most_together: int) -> None:
@@ -83,9 +84,9 @@ class BodyLimit:
 
 
 def parse_json(text: str | bytes, field: str) -> Any:
-    """Parse JSON; NaN and Infinity pass (the camera's checks name them), anything malformed is a `MalformedRequest`.
+    """Parse JSON; NaN and Infinity are accepted, since the checks of cameras name them. Raises `MalformedRequest`.
 
-    Whole numbers beyond 15 digits become floats, so that none can overflow later without a word.
+    Integers of more than 15 digits become floats, so that none overflows silently later.
     """
     try:
         return json.loads(text, parse_int=lambda digits: int(digits) if len(digits) <= 15 else float(digits))

@@ -1,4 +1,4 @@
-"""`POST /scenes`: a file of Gaussians from elsewhere becomes a scene of the store."""
+"""`POST /scenes`: store an existing file of Gaussians as a scene."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Annotated, Any, Literal
 
 import anyio.to_thread
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import Field, ValidationError
 from starlette.datastructures import FormData, UploadFile
@@ -25,18 +25,18 @@ from .inputs import camera_table
 from .parameters import Parameters
 from .posted import FORM, MAX_PARTS, in_time, media_type, posted_form, single, text
 from .responses import json_response, server_timing
-from .runtime import Runtime, runtime_of
+from .runtime import RuntimeDep
 from .scenes import with_links
 from .schemas import FormatName, SceneDocument
 
 router = APIRouter(tags=["scenes"])
 
-MAX_LOADED_VIEWS = 100  # of a loaded scene: each is a link in every list
+MAX_LOADED_VIEWS = 100  # cameras of a loaded scene: lists of scenes link a picture for each
 EXAMPLE = "curl -F file=@scene.splat, or curl --data-binary @scene.ply -H 'Content-Type: application/octet-stream'"
 
 
 class LoadFields(Parameters):
-    """How a file is to be read: query parameters beside a raw body, fields of a form."""
+    """Options for reading a file: query parameters with a raw body, or fields of a form."""
 
     format: FormatName | None = Field(None, description="of the file; without it its own bytes tell, then its name")
     opacity: Literal["auto", "logit", "linear"] = Field("auto", description="what a .ply holds: logits, or opacities")
@@ -49,7 +49,7 @@ class LoadFields(Parameters):
 
 
 def _form_schema() -> dict[str, Any]:
-    """The parts of the form."""
+    """JSON schema of the form."""
     fields = LoadFields.model_json_schema()["properties"]
     file = {"type": "string", "format": "binary", "description": f"one of {NAMES}"}
     cameras = {"type": "string", "description": "a camera file, as a field or a file part", "examples": [CAMERAS]}
@@ -73,11 +73,9 @@ def _form_schema() -> dict[str, Any]:
         }
     },
 )
-async def load_scene(
-    request: Request, query: Annotated[LoadFields, Query()], runtime: Annotated[Runtime, Depends(runtime_of)]
-) -> Response:
-    """Load a .ply, .compressed.ply, .splat or .spz, posted as it is or as part `file` of a form, which may have
-    `cameras` beside it; without any a camera is put in front. 201 or 200, both with Location."""
+async def load_scene(request: Request, query: Annotated[LoadFields, Query()], runtime: RuntimeDep) -> Response:
+    """Load a .ply, .compressed.ply, .splat or .spz, posted as a raw body or as part `file` of a form, which may also
+    have `cameras`; without cameras a default one is used. 201 for a new scene, else 200, both with Location."""
     async with runtime.uploads.place():
         settings = runtime.settings
         kind = media_type(request)
@@ -109,7 +107,7 @@ async def load_scene(
 
 
 def _stored(store: SceneStore, scene_id: str) -> dict[str, Any] | None:
-    """The document of a scene that is there, whole; call it on a worker thread."""
+    """The document of a stored, undamaged scene, else None; to be called on a worker thread."""
     with suppress(SceneNotFound, FormatError):
         return store.document(scene_id) if store.listed(scene_id) else None
     return None
@@ -133,7 +131,7 @@ async def _of_form(form: FormData, settings: Settings) -> LoadedFile:
 
 
 def _checked(texts: Mapping[str, str]) -> LoadFields:
-    """Empty fields count as missing, as in every form. Raises the framework's refusal, which names the field."""
+    """Validate fields; empty ones count as missing. Raises `RequestValidationError`, which names the field."""
     try:
         return LoadFields.model_validate({name: value for name, value in texts.items() if value})
     except ValidationError as error:
@@ -151,8 +149,9 @@ def _cameras(document: str | bytes, settings: Settings) -> tuple[CameraFile, tup
 def _file(
     data: bytes, name: str | None, fields: LoadFields, document: str | bytes | None, settings: Settings
 ) -> LoadedFile:
-    """Parse the cameras and tell the format; call it on a worker thread."""
-    found, notices = _cameras(document, settings) if document else (CameraFile((), None, None), ())
+    """Parse the cameras and detect the format; to be called on a worker thread."""
+    found, notices = _cameras(document, settings) if document else (CameraFile(()), ())
+    near, far = found.depths(fields.near, fields.far)
     return LoadedFile.of(
         data,
         fields.format,
@@ -160,7 +159,7 @@ def _file(
         Dialect(fields.opacity, fields.scales, fields.rotation, fields.axes),
         drop_invalid=fields.drop_invalid,
         cameras=tuple(found.cameras),
-        near=found.near if fields.near is None else fields.near,
-        far=found.far if fields.far is None else fields.far,
+        near=near,
+        far=far,
         notices=tuple(notice | {"field": "cameras"} for notice in notices),
     )

@@ -1,13 +1,13 @@
-"""Numbers about the service for Prometheus, summed over the processes that share a port."""
+"""`GET /metrics` for Prometheus, summed over the processes that share a port."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from fastapi import APIRouter, Depends, Response
+from fastapi import APIRouter, Response
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from prometheus_client.metrics_core import GaugeMetricFamily, Metric
 from prometheus_client.multiprocess import MultiProcessCollector
@@ -15,7 +15,7 @@ from prometheus_client.registry import Collector
 
 from ..metrics import OWN, SHARED, forget_dead
 from ..process.peers import FOLDER
-from .runtime import Runtime, runtime_of
+from .runtime import RuntimeDep
 
 if TYPE_CHECKING:
     from ..jobs.table import JobTable
@@ -25,7 +25,7 @@ router = APIRouter(tags=["operations"])
 
 
 class _Now(Collector):
-    """What the store's database knows at this moment."""
+    """Current numbers of jobs and scenes, from the store's database."""
 
     def __init__(self, store: SceneStore, table: JobTable) -> None:
         self._store, self._table = store, table
@@ -42,8 +42,8 @@ class _Now(Collector):
 
 @router.head("/metrics", include_in_schema=False)
 @router.get("/metrics", response_class=Response, responses={200: {"content": {CONTENT_TYPE_LATEST: {}}}})
-def metrics(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
-    """In the text format of Prometheus."""
+def metrics(runtime: RuntimeDep) -> Response:
+    """Metrics in the text format of Prometheus."""
     registry = CollectorRegistry()
     if SHARED:
         forget_dead(Path(os.environ[FOLDER]))

@@ -1,13 +1,11 @@
-"""`GET /models`: which networks a request may name, what they are, which are in memory, and the most detail."""
+"""`GET /models`: the networks that a request may name, which are in memory, and the largest `detail`."""
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from fastapi import APIRouter, Depends, Response
+from fastapi import APIRouter, Response
 
 from .responses import json_response
-from .runtime import Runtime, runtime_of
+from .runtime import RuntimeDep
 from .schemas import ModelList
 
 router = APIRouter(tags=["operations"])
@@ -15,7 +13,7 @@ router = APIRouter(tags=["operations"])
 
 @router.head("/models", include_in_schema=False)
 @router.get("/models", response_model=ModelList)
-def list_models(runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
-    """The configured models, the default one first; `loaded` is that of the process that answers."""
+def list_models(runtime: RuntimeDep) -> Response:
+    """The configured models, default first; `loaded` is the state of the process that answers."""
     document = runtime.models.document() | {"max_detail": runtime.settings.max_detail}
     return json_response(document, headers={"Cache-Control": "no-store"})

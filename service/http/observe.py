@@ -1,4 +1,4 @@
-"""Around every request: an id, a line in the log, counts and times, and headers that say nothing of the host."""
+"""Middleware around every request: id, access log, metrics and common headers."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ..metrics import REJECTED, REQUESTS, SECONDS
 from ..process.logs import REQUEST_ID
 
 HEADER = "X-Request-ID"
-JOB = "job"  # under which a request's state has the id of the job that it asked for or waits for
-QUIET = ("/healthz", "/readyz", "/metrics")  # asked for every few seconds: counted, not logged
+JOB = "job"  # key in a request's state: id of the job that it submitted or joined
+QUIET = ("/healthz", "/readyz", "/metrics")  # polled every few seconds: counted, but not logged
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
 _ID = re.compile(r"[\w.:-]{1,64}", re.ASCII)
-SHOWN = 200  # letters of a path that are told; none of a route that there is has more
+SHOWN = 200  # characters of a path that are logged; no existing route has more
 _log = logging.getLogger("gapmes.access")
 
 
 class Observed:
-    """ASGI middleware; a request keeps the id that it brings, if it is one."""
+    """ASGI middleware; a well-formed X-Request-ID of the client is kept."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -56,7 +56,7 @@ class Observed:
         try:
             await self._app(scope, receive, watched)
         except Exception:
-            status = 500  # answered further out
+            status = 500  # the answer comes from an outer middleware
             raise
         finally:
             seconds = time.perf_counter() - start
@@ -73,5 +73,5 @@ class Observed:
 
 
 def shown(path: str) -> str:
-    """The beginning of a path, in which a line break or a control character is no line of the log."""
+    """The beginning of a path, percent-encoded so that control characters cannot forge lines of the log."""
     return quote(path[:SHOWN], safe="/:")

@@ -1,4 +1,4 @@
-"""Which web pages may change anything: the service's own, and those of the origins that it is told of."""
+"""Protection against cross-site requests: only the service's own page and configured origins may change anything."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ..errors import OriginRefused
 from ..problem_document import of_error
 from . import problems
 
-READING = ("GET", "HEAD", "OPTIONS")  # change nothing; a browser keeps their answers from pages of other origins
-OWN = ("same-origin", "none")  # what a browser says of the service's own page, and of the user's own doing
+READING = ("GET", "HEAD", "OPTIONS")  # change nothing, and browsers hide their answers from other origins
+OWN = ("same-origin", "none")  # Sec-Fetch-Site of the service's own page, and of requests by the user
 ANY = "*"
 _PORTS = {"http": 80, "https": 443}
 
 
 class KnownPages:
-    """ASGI middleware: 403 for what a browser sends for a page of another origin, unless it is one of `origins`.
+    """ASGI middleware: 403 for requests that a browser sends for a page of another origin, unless in `origins`.
 
-    A form may be posted to any address without a question before, and its answer be hidden, but not its effect. What
-    no browser sends passes.
+    Browsers send forms to other origins without a preflight request; only the answer is hidden. Requests of other
+    clients pass.
     """
 
     def __init__(self, app: ASGIApp, origins: Collection[str]) -> None:
@@ -44,17 +44,17 @@ class KnownPages:
         origin, site = headers.get("origin"), headers.get("sec-fetch-site")
         if ANY in self._origins or origin in self._origins:
             return True
-        if site is not None:  # no page can set it; it holds where a proxy names another Host than the browser did
+        if site is not None:  # pages cannot set it, and proxies that change Host do not matter
             return site in OWN
         return origin is None or _same_host(origin, headers.get("host", ""))
 
 
 def _same_host(origin: str, host: str) -> bool:
-    """Whether both have the same name and port; not the scheme, which a proxy with TLS changes."""
+    """Whether both have the same host name and port; the scheme may differ behind a TLS proxy."""
     try:
         page = urlsplit(origin)
         return bool(page.hostname) and _place(page) == _place(urlsplit(f"{page.scheme}://{host}"))
-    except ValueError:  # no origin, or no host
+    except ValueError:  # malformed
         return False
 
 

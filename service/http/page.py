@@ -1,4 +1,4 @@
-"""The web page and its files, of the package alone, served under policies that allow nothing from elsewhere."""
+"""The web page and its files from the package, with content security policies that allow no other host."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .responses import takes_gzip
 router = APIRouter(include_in_schema=False)
 
 STATIC = Path(__file__).parents[1] / "static"
-VIEWER = "viewer/index.js"  # there where npm was when the package was built
+VIEWER = "viewer/index.js"  # exists if npm was available when the package was built
 MEDIA_TYPES = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
@@ -29,12 +29,12 @@ MEDIA_TYPES = {
 }
 PACKED = (".html", ".css", ".js", ".svg", ".json")  # worth compressing
 
-# No inline script or style, no other host; pictures also from blobs, which is how the page shows renders.
+# No inline scripts or styles, no other host; images also from blobs, as the page fetches renders.
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; media-src 'self' blob:; "
     "connect-src 'self'; frame-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
 )
-# The viewer compiles WebAssembly, sorts in a worker that it makes itself, and has icons and fonts within its style.
+# The viewer compiles WebAssembly, sorts in a worker from a blob, and embeds icons and fonts in its style.
 VIEWER_POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval' blob:; worker-src 'self' blob:; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
@@ -59,7 +59,7 @@ def index(request: Request) -> Response:
 @router.head("/viewer")
 @router.get("/viewer")
 def viewer(request: Request) -> Response:
-    """The frame that the page shows a scene in by WebGL; 404 where the package was built without the viewer."""
+    """The frame with the WebGL viewer; 404 if the package was built without it."""
     if VIEWER not in _files():
         raise HTTPException(404)
     return _answer(request, "viewer.html", VIEWER_POLICY)
@@ -68,7 +68,7 @@ def viewer(request: Request) -> Response:
 @router.head("/static/{name:path}")
 @router.get("/static/{name:path}")
 def static(request: Request, name: str) -> Response:
-    """One of the page's own files, or of the sample scene; looked up in a table, never joined to a path."""
+    """A file of the page or of the sample scene; looked up in a table, never joined to a path."""
     if name not in _files():
         raise HTTPException(404)
     return _answer(request, name, POLICY)
@@ -90,7 +90,7 @@ def _answer(request: Request, name: str, policy: str) -> Response:
 
 @cache
 def _files() -> dict[str, Path]:
-    """Name in the URL -> file."""
+    """Files by their name in the URL."""
     found = {}
     for root, prefix in ((STATIC, ""), (sample_folder(), "sample/")):
         for path in root.rglob("*"):

@@ -1,4 +1,4 @@
-"""Which camera belongs to which posted image: by file name where the names settle it, else by order."""
+"""Pairing of posted images with cameras: by file name if the names are unambiguous, else by order."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ..errors import InputError, ViewCountError
 from ..photographs.image_files import image_size
 from ..plain_number import counted
 
-_ESCAPED = {"%22": '"', "%0D": "\r", "%0A": "\n"}  # how browsers write what cannot stand in the head of a part
+_ESCAPED = {"%22": '"', "%0D": "\r", "%0A": "\n"}  # how browsers escape characters in the file name of a part
 
 
 @dataclass(frozen=True)
 class NamedImage:
-    """An encoded photograph as it was sent."""
+    """A posted photograph, still encoded."""
 
     name: str
     data: bytes
@@ -40,21 +40,21 @@ class Pairing:
 
 @dataclass(frozen=True)
 class Match:
-    """Which camera of a file belongs to each posted image, and by what that was found out."""
+    """The camera of each posted image, and how it was found."""
 
-    cameras: tuple[int, ...]  # places in the file, in the order of the images
+    cameras: tuple[int, ...]  # indices in the camera file, in the order of the images
     by: str
     warnings: tuple[dict[str, Any], ...] = ()
 
 
 def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sorted_name: bool = False) -> Match:
-    """By name when every camera names its image and each posted name is the name of exactly one camera: of names alone,
-    so that the cameras which no image belongs to are never looked at.
+    """Pair by name if every camera names its image and each posted name is that of exactly one camera. Only names are
+    compared: cameras without an image are never parsed, and the file may hold more cameras than images were posted.
 
-    A camera file may then hold more cameras than images were posted. Otherwise the counts must agree and order decides:
-    that of the images as they were sent, or with `by_sorted_name` that of their names. Raises `ViewCountError`, which
-    names the first image without a camera of its own where others have one, and `InputError` for an image that order
-    would give to another camera than the one that names it.
+    Otherwise the counts must agree, and images are paired in the order in which they were sent, or with
+    `by_sorted_name` in that of their names. Raises `ViewCountError`, which names the first image without a camera of
+    its own if others have one, and `InputError` for an image that order would pair with another camera than the one
+    that names it.
     """
     found = [places_of(image, cameras) or places_of(_undone(image), cameras) for image in images]
     chosen = tuple(places[0] for places in found if len(places) == 1)
@@ -74,16 +74,16 @@ def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sort
 
 
 def _undone(name: str) -> str:
-    """A posted name as its file has it, where a browser sent it; another one may have these letters of its own."""
+    """A posted name without the escapes of browsers; to be tried second, as a name may contain them literally."""
     for written, meant in _ESCAPED.items():
         name = name.replace(written, meant)
     return name
 
 
 def _miscounted(images: Sequence[str], cameras: Sequence[str | None], found: Sequence[Sequence[int]]) -> ViewCountError:
-    """Of other counts of images and cameras, where names do not pair them."""
+    """The error for different counts of images and cameras that names do not pair."""
     counts = f"{counted(len(cameras), 'camera')} for {counted(len(images), 'image')}"
-    first: dict[int, int] = {}  # image of each camera that one names
+    first: dict[int, int] = {}  # first image of each camera
     clear = [(place, places[0]) for place, places in enumerate(found) if len(places) == 1]
     twice = [place for place, camera in clear if first.setdefault(camera, place) < place]
     strays = [place for place, places in enumerate(found) if len(places) != 1]
@@ -93,7 +93,7 @@ def _miscounted(images: Sequence[str], cameras: Sequence[str | None], found: Seq
         (camera,) = found[index]
         said = f"{images[index]!r} is the image of camera {camera}, as image {first[camera]} is"
         return ViewCountError(f"{counts}, and {said}", field="images", index=index, cure=cure)
-    if all(cameras) and 0 < len(strays) < len(images):  # one file too many, not names of another kind
+    if all(cameras) and 0 < len(strays) < len(images):  # single files are wrong, not the kind of names
         several = len(found[index])
         those = f"{several} of them name" if several else "none of them names"
         return ViewCountError(f"{counts}, and {those} {images[index]!r}", field="images", index=index, cure=cure)
@@ -107,7 +107,7 @@ def _check_order(
     found: Sequence[Sequence[int]],
     camera_of: Mapping[int, int],
 ) -> None:
-    """Raises `InputError` where an image and the camera that order gives it have names that contradict each other."""
+    """Raises `InputError` if the name of an image contradicts the camera that it has by order."""
     for place, places in enumerate(found):
         camera = camera_of[place]
         if len(places) == 1 and places[0] != camera:
@@ -122,7 +122,7 @@ def _check_order(
 
 
 class PostedSizes:
-    """Sizes of the posted images for cameras that have none, from their headers alone; each is read at most once."""
+    """Sizes of posted images, for cameras without a size, from the images' headers; each is read at most once."""
 
     def __init__(self, images: Sequence[NamedImage], match: Match, max_pixels: int) -> None:
         self._image_of = {camera: image for camera, image in zip(match.cameras, images, strict=True)}
@@ -131,7 +131,7 @@ class PostedSizes:
         self._sizes: dict[int, tuple[int, int]] = {}
 
     def __call__(self, name: str | None, index: int) -> tuple[int, int]:
-        """(width, height) in px of the image that the camera at `index` of the file belongs to. Raises `ImageError`."""
+        """(width, height) in px of the image that belongs to camera `index` of the file. Raises `ImageError`."""
         if index not in self._sizes:
             data, place = self._image_of[index].data, self._place_of[index]
             self._sizes[index] = image_size(data, index=place, max_pixels=self._max_pixels)

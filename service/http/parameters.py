@@ -1,5 +1,5 @@
-"""Query parameters: one that is given twice is refused by every route, and by those that have theirs as a model one
-that is not among them, and a number with a _ in it."""
+"""Strict query parameters: repeated ones are refused by every route, unknown ones and numbers with underscores by those
+that declare theirs as a model."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pydantic_core import PydanticCustomError
 
 
 async def given_once(request: Request) -> None:
-    """Raises `RequestValidationError` for parameters that are given more than once: one would win without a word.
+    """Raises `RequestValidationError` for parameters that are given more than once, of which one would win silently.
 
-    A coroutine, since the framework gives functions a thread, for which every request would wait."""
+    A coroutine, since the framework would run a function on a worker thread."""
     values = request.query_params
     counts = Counter(name for name, _ in values.multi_items())
     told = "{} times, need it once"
@@ -29,21 +29,21 @@ async def given_once(request: Request) -> None:
 
 
 def whole(value: Any) -> Any:
-    """Before a whole number that stands by itself is read: Python reads +0 and 0_0 as 0, too."""
+    """A validator for single integer parameters: Python would accept +0 and 0_0 for 0."""
     if isinstance(value, str) and not (value.isascii() and value.isdigit()):
         raise PydanticCustomError("plain_number", "Input should be a whole number in decimal digits")
     return value
 
 
 class Parameters(BaseModel):
-    """What a slip of the pen would change without a word is noticed."""
+    """Base of query models: unknown parameters and numbers with underscores are refused."""
 
     model_config = ConfigDict(extra="forbid")
 
     @field_validator("*", mode="before")
     @classmethod
     def _plain(cls, value: Any, info: ValidationInfo) -> Any:
-        """Python reads 1_0 as 10; nobody else does."""
+        """Refuse 1_0, which Python reads as 10."""
         kind = cls.model_fields[info.field_name or ""].annotation
         if isinstance(value, str) and "_" in value and {int, float} & {kind, *get_args(kind)}:
             raise PydanticCustomError("plain_number", "Input should be a number without _")

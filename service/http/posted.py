@@ -1,4 +1,4 @@
-"""A posted multipart form, received within its bounds, and its single fields."""
+"""Receiving a multipart form within limits, and reading its single fields."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ..process.disk import full_is_refused
 from ..settings import Settings
 
 FORM = "multipart/form-data"
-MAX_IMAGES = 60  # of a request, of which 6 at most are used; a capture may hold more
-MAX_PARTS = MAX_IMAGES + 4  # files, and as many fields; beyond it no more of a body is read
-MAX_TEXT = 16 * 2**10  # bytes of a text field: 64 views or 6 long names are far below; beyond it no more is read
-DOCUMENT = "cameras"  # the one text field that may be long, with a limit of its own
-ONCE = {DOCUMENT: "send one of them; a COLMAP model of several files goes in as one zip"}  # what helps, by field
-# How the parsers begin to say so; they have no other sign.
+MAX_IMAGES = 60  # in one request; at most 6 are used. A capture may hold more
+MAX_PARTS = MAX_IMAGES + 4  # files, and as many fields; reading stops at one more
+MAX_TEXT = 16 * 2**10  # bytes of a text field, far more than 64 views or 6 long names; reading stops beyond
+DOCUMENT = "cameras"  # the only long text field, which has a limit of its own
+ONCE = {DOCUMENT: "send one of them; a COLMAP model of several files goes in as one zip"}  # cures, by field
+# Prefixes of the parsers' messages, which have no codes.
 _TOO_MANY_FILES, _LONG_HEADERS = "Too many files", "Maximum header"
 
 
 def media_type(request: Request) -> str:
-    """Of the body, without parameters; empty where none is declared."""
+    """Media type of the body in lower case, without parameters; empty if none is declared."""
     return request.headers.get("content-type", "").partition(";")[0].strip().lower()
 
 
@@ -34,9 +34,10 @@ def media_type(request: Request) -> str:
 async def posted_form(
     request: Request, settings: Settings, example: str, too_many: InputError
 ) -> AsyncIterator[FormData]:
-    """The form of a request without a query, whose files go with the block; raises our own errors, never a framework's.
+    """The form of a request, whose files are closed after the block. A query beside the form is refused. Raises errors
+    of our own only, never the framework's.
 
-    `example` is a command line that sends such a form, `too_many` what is raised for more than `MAX_PARTS` files.
+    `example` is a command that sends such a form; `too_many` is raised for more than `MAX_PARTS` files.
     """
     if media_type(request) != FORM:
         declared = request.headers.get("content-type", "")
@@ -74,8 +75,8 @@ async def posted_form(
 
 
 class _Parser(MultiPartParser):
-    """The framework's parser, which bounds text fields as they arrive and refuses a form without its end, whose last
-    field would be missing without a word."""
+    """The framework's parser, with a limit on text fields as they arrive. A form without its closing boundary is
+    refused, since its last field would be lost silently."""
 
     _whole = False
 
@@ -97,11 +98,11 @@ class _Parser(MultiPartParser):
         try:
             form = await super().parse()
         except BaseException as error:
-            for file in self._files_to_close_on_error:  # earlier releases of the framework leave most errors to us
+            for file in self._files_to_close_on_error:  # earlier releases of the framework do not for all errors
                 with suppress(OSError):
                     file.close()
             cause = error if isinstance(error, FormParserError) else error.__cause__
-            if isinstance(cause, FormParserError):  # later ones do not say what it is
+            if isinstance(cause, FormParserError):  # later releases hide the message
                 raise MultiPartException(str(cause)) from error
             raise
         if not self._whole:
@@ -112,7 +113,7 @@ class _Parser(MultiPartParser):
 
 @contextmanager
 def in_time(settings: Settings) -> Iterator[None]:
-    """Raises `UploadTimeout` where the block takes longer than a body may."""
+    """Raises `UploadTimeout` if the block takes more than `upload_seconds`."""
     try:
         with anyio.fail_after(settings.upload_seconds):
             yield
@@ -123,7 +124,7 @@ def in_time(settings: Settings) -> Iterator[None]:
 
 
 def text(form: FormData, name: str) -> str:
-    """A text field without the spaces around it, empty where it is missing."""
+    """A text field without surrounding spaces; empty if missing. Raises `InputError` for a file part."""
     part = single(form, name)
     if isinstance(part, UploadFile):
         raise InputError("is a file part, need a text field", field=name)
@@ -131,7 +132,7 @@ def text(form: FormData, name: str) -> str:
 
 
 def single(form: FormData, name: str) -> UploadFile | str | None:
-    """A field or file that may be given once."""
+    """A field or file that may be given once; None if missing. Raises `InputError`."""
     parts = form.getlist(name)
     if len(parts) > 1:
         raise InputError(f"is given {len(parts)} times, need once", field=name, cure=ONCE.get(name, "send it once"))

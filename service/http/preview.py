@@ -1,4 +1,4 @@
-"""`GET /scenes/{id}/preview` and `/sheet`: a small film of a scene, and its inputs drawn again in one picture."""
+"""`GET /scenes/{id}/preview` and `/sheet`: a small film of a scene, and a contact sheet of its input views."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import partial
 from typing import Annotated, Any
 
 import anyio.to_thread
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from ..cameras.camera import Camera
@@ -28,16 +28,15 @@ from .gate import Pause
 from .parameters import Parameters
 from .render import KEPT
 from .responses import head_alone, server_timing
-from .runtime import Runtime, runtime_of
+from .runtime import Runtime, RuntimeDep
 
 router = APIRouter(tags=["views"])
 
-Held = Annotated[Runtime, Depends(runtime_of)]
 Colour = tuple[float, float, float]
 
-SIDE = 256  # px, the longer side of a film that nobody asked to be larger
+SIDE = 256  # px, default for the longer side of a film
 MAX_FRAMES = 120
-FILMS = "gapmes-film-"  # how the name of a folder begins in which one is written
+FILMS = "gapmes-film-"  # prefix of the temporary folders
 
 
 class _SceneQuery(Parameters):
@@ -75,8 +74,10 @@ class SheetQuery(_SceneQuery):
         304: {"description": "`If-None-Match` has the film's tag"},
     },
 )
-async def preview(request: Request, scene_id: str, query: Annotated[PreviewQuery, Query()], runtime: Held) -> Response:
-    """Draw a film of the scene on the CPU, a picture after the other; it ends where nobody waits for it any more."""
+async def preview(
+    request: Request, scene_id: str, query: Annotated[PreviewQuery, Query()], runtime: RuntimeDep
+) -> Response:
+    """Draw a film of the scene on the CPU, picture by picture; stops when the client disconnects."""
 
     def asked(held: ExitStack) -> tuple[SceneViews, FilmShape, list[Camera], Colour, str]:
         held.enter_context(runtime.store.keeping(scene_id))
@@ -93,7 +94,7 @@ async def preview(request: Request, scene_id: str, query: Annotated[PreviewQuery
         views, shape, cameras, background, etag = await anyio.to_thread.run_sync(asked, held)
 
         def work(sitting: Sitting) -> bytes:
-            with own_folder(FILMS) as folder, full_is_refused("the film"):
+            with full_is_refused("the film"), own_folder(FILMS) as folder:
                 path = folder / f"film.{shape.format}"
                 write_film(path, shape, map(sitting.pixels, cameras))
                 return path.read_bytes()
@@ -111,10 +112,12 @@ async def preview(request: Request, scene_id: str, query: Annotated[PreviewQuery
         304: {"description": "`If-None-Match` has the picture's tag"},
     },
 )
-async def sheet(request: Request, scene_id: str, query: Annotated[SheetQuery, Query()], runtime: Held) -> Response:
-    """Draw the scene from the cameras of its inputs, side by side, each with how like the photograph it is.
+async def sheet(
+    request: Request, scene_id: str, query: Annotated[SheetQuery, Query()], runtime: RuntimeDep
+) -> Response:
+    """Draw the scene from its input cameras, side by side, each with its PSNR to the photograph.
 
-    A scene that was loaded from a file has no photographs, and its pictures no such number.
+    A scene that was loaded from a file has no photographs and therefore no PSNR.
     """
 
     def asked(held: ExitStack) -> tuple[dict[str, Any], Colour, str]:
@@ -133,7 +136,7 @@ async def sheet(request: Request, scene_id: str, query: Annotated[SheetQuery, Qu
         def work(sitting: Sitting) -> bytes:
             cells = []
             for index, (camera, score) in enumerate(zip(views.cameras, scores, strict=True)):
-                like = "" if score is None else f"   {score:.1f} dB PSNR"  # nothing to compare: its mask keeps nothing
+                like = "" if score is None else f"   {score:.1f} dB PSNR"  # no pixel to compare under its mask
                 cells.append(Cell(sitting.pixels(within(camera, CELL)), f"view {index}{like}"))
             return encode_image(contact_sheet(rows_of(title, cells)), query.format)
 
@@ -149,7 +152,7 @@ async def _answer(
     begin: Callable[[Pause], Sitting],
     work: Callable[[Sitting], bytes],
 ) -> Response:
-    """What `work` draws in the lane of the pictures, or 304; nothing is drawn for HEAD."""
+    """The response with what `work` draws in the lane of pictures, or 304; nothing is drawn for HEAD."""
     cache = {"ETag": etag, "Cache-Control": KEPT}
     if matches(request, etag):
         return not_modified(etag, cache)
@@ -169,7 +172,7 @@ async def _answer(
 
 
 def _framed(camera: Camera, query: PreviewQuery) -> Camera:
-    """At the size that is asked for; MP4 has even sides, and what is asked to be odd is not for here."""
+    """The camera at the requested size. For MP4 odd sides are cropped to even ones unless they were requested."""
     sides = query.width, query.height
     framed = within(camera, SIDE) if sides == (None, None) else frame(camera, *sides)
     odd = any(side is not None and side % 2 for side in sides)
@@ -177,7 +180,7 @@ def _framed(camera: Camera, query: PreviewQuery) -> Camera:
 
 
 def _check_cost(shape: FilmShape, max_pixels: int) -> None:
-    """A film may have as many pixels as one picture."""
+    """Raises `InputError` for a film with more pixels in all than a picture may have."""
     pixels = shape.frames * shape.width * shape.height
     if pixels > max_pixels:
         raise InputError(

@@ -1,7 +1,8 @@
-"""Every error of the service, the framework's own and unexpected ones included, as an RFC 9457 problem document."""
+"""All errors as RFC 9457 problem documents, including those of the framework and unexpected ones."""
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 from collections.abc import Mapping
@@ -15,23 +16,25 @@ from starlette.requests import ClientDisconnect
 from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ..errors import GapmesError
-from ..problem_document import problem, public
+from ..errors import GapmesError, ServiceBusy
+from ..problem_document import of_error, problem, public
+from ..process.logs import OVER_LIMIT
 from .observe import METHODS, shown
 
 MEDIA_TYPE = "application/problem+json"
 RETRY_AFTER_S = 2  # a reconstruction with the small networks takes about this long
 
-# Codes of the errors that the framework raises itself; any other status becomes `http_<status>`.
+# Codes for errors of the framework; other statuses become `http_<status>`.
 FRAMEWORK_CODES = {404: "route_not_found", 405: "method_not_allowed"}
 
-# What every route declares in its `responses` for the open API.
+# Declared by every route in its `responses` for the OpenAPI document.
 _DESCRIPTION: dict[str, Any] = {
     "description": "problem document (RFC 9457)",
     "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
 }
 RESPONSES: dict[int | str, dict[str, Any]] = {"4XX": _DESCRIPTION, "5XX": _DESCRIPTION}
 
+_NO_FILES = (errno.EMFILE, errno.ENFILE)
 _log = logging.getLogger("gapmes")
 
 
@@ -42,7 +45,7 @@ def response(document: Mapping[str, Any], headers: Mapping[str, str] | None = No
 
 
 def install(app: FastAPI) -> None:
-    """Make every error of the application a problem document, the framework's own and unexpected ones included."""
+    """Register handlers that make every error of the application a problem document."""
     app.exception_handler(GapmesError)(_own)
     app.exception_handler(RequestValidationError)(_validation)
     app.exception_handler(HTTPException)(_framework)
@@ -51,18 +54,18 @@ def install(app: FastAPI) -> None:
 
 
 async def _own(request: Request, error: GapmesError) -> Response:
-    if error.status == 500:  # a fault of ours: what it says of paths and libraries is for the log
+    if error.status == 500:  # its message may name paths and libraries: for the log only
         _log.error("%s %s failed", request.method, shown(request.scope["path"]), exc_info=error)
     return of_document(public(error))
 
 
 def of_document(document: Mapping[str, Any]) -> Response:
-    """The answer that a problem document is, with the headers that belong to its status."""
+    """The response with a problem document, and Retry-After for status 503."""
     return response(document, {"Retry-After": str(RETRY_AFTER_S)} if document["status"] == 503 else None)
 
 
 async def _validation(request: Request, error: RequestValidationError) -> Response:
-    """One document for the first wrong parameter; `errors` lists all of them."""
+    """A document about the first invalid parameter; `errors` lists all."""
     found = error.errors()
     errors = [
         {"field": ".".join(str(part) for part in item["loc"][1:])[:100], "detail": _detail(item)} for item in found
@@ -74,7 +77,7 @@ async def _validation(request: Request, error: RequestValidationError) -> Respon
 
 
 def _detail(item: Mapping[str, Any]) -> str:
-    """What was sent, and what is needed."""
+    """The value that was sent, and what is needed."""
     if item["type"] == "extra_forbidden":
         return "is not a parameter of this route"
     need = str(item["msg"])
@@ -82,7 +85,7 @@ def _detail(item: Mapping[str, Any]) -> str:
 
 
 def _parameters(request: Request) -> list[str]:
-    """Names of the query parameters that the route has, as the open API lists them."""
+    """Names of the route's query parameters, from the OpenAPI document."""
     paths, route = request.app.openapi()["paths"], request.scope["route"]
     listed = paths.get(route.path_format, {}).get(request.method.lower(), {}).get("parameters", ())
     return [parameter["name"] for parameter in listed if parameter["in"] == "query"]
@@ -104,7 +107,7 @@ async def _framework(request: Request, error: HTTPException) -> Response:
 
 
 def _offered(request: Request, path: str) -> list[str]:
-    """Methods that some route answers at a path."""
+    """Methods that routes offer at a path."""
     base = {"type": "http", "path": path, "root_path": request.scope.get("root_path", ""), "headers": []}
     routes = request.app.routes
     return [
@@ -115,13 +118,13 @@ def _offered(request: Request, path: str) -> list[str]:
 
 
 async def _gone(_: Request, __: ClientDisconnect) -> Response:
-    """Nobody reads this answer; it keeps a broken upload from being logged as a fault of the service."""
+    """A response that nobody reads: it keeps a broken upload from being logged as an internal error."""
     return response(problem(400, "client_disconnected", "the request ended before its body was complete"))
 
 
 class FaultsAnswered:
-    """ASGI middleware: a fault is answered within what adds headers to every answer, so that a page which may call can
-    read it. Amid an answer it goes on, to whom the framework has for that."""
+    """ASGI middleware: answers unexpected exceptions inside the CORS middleware, so that pages of allowed origins can
+    read the answer. Once an answer has begun, the exception is raised to the framework."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -144,9 +147,14 @@ class FaultsAnswered:
 
 
 async def _unexpected(request: Request, error: Exception) -> Response:
-    """A fault of ours: the log gets the traceback, the caller no internals."""
-    request_id = getattr(request.state, "request_id", None)  # this may be further out than what knows it otherwise
+    """500 without internals, and the traceback in the log; 503 if the process has too many open files."""
+    if isinstance(error, OSError) and error.errno in _NO_FILES:
+        _log.warning("%s of open files is reached: requests are refused (ulimit -n)", OVER_LIMIT)
+        answer = of_document(of_error(ServiceBusy("the service may open no further file now", cure="retry later")))
+        answer.headers["Connection"] = "close"
+        return answer
+    request_id = getattr(request.state, "request_id", None)  # outside of the middleware that adds it to every answer
     path = shown(request.scope["path"])
     _log.error("%s %s failed", request.method, path, exc_info=error, extra={"request_id": request_id})
-    headers = {"Connection": "close"}  # of its body something may be left, which nobody reads
+    headers = {"Connection": "close"}  # part of the body may be unread
     return response(public(error), headers if request_id is None else headers | {"X-Request-ID": request_id})

@@ -1,13 +1,12 @@
-"""`POST /reconstruct`: photographs and cameras in; the scene as a document, a .ply or a zip out."""
+"""`POST /reconstruct`: photographs and cameras in; a scene document, .ply or zip out, or a job."""
 
 from __future__ import annotations
 
 from contextlib import AsyncExitStack, ExitStack, suppress
 from functools import partial
-from typing import Annotated
 
 import anyio.to_thread
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Request, Response
 
 from ..errors import FormatError, SceneNotFound
 from ..scenes.store import SceneStore
@@ -18,7 +17,7 @@ from .jobs import accepted_job, wanted_async, why_not
 from .limits import RELEASE
 from .observe import JOB
 from .responses import JSON, PLY, ZIP, accepted, json_response, server_timing
-from .runtime import Runtime, runtime_of
+from .runtime import Runtime, RuntimeDep
 from .scenes import with_links
 from .schemas import Job, SceneDocument
 from .spilled import SpilledResponse, spilled
@@ -42,16 +41,16 @@ router = APIRouter(tags=["reconstruction"])
     },
     openapi_extra={"requestBody": {"required": True, "content": {"multipart/form-data": {"schema": FORM}}}},
 )
-async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runtime_of)]) -> Response:
-    """Reconstruct a scene, or find it in the store: 201 or 200, both with Location; 202 and a job with the header
-    `Prefer: respond-async`."""
+async def reconstruct(request: Request, runtime: RuntimeDep) -> Response:
+    """Reconstruct a scene, or find it in the store: 201 for a new scene, else 200, both with Location; 202 and a job
+    with the header `Prefer: respond-async`."""
     form = accepted(", ".join(request.headers.getlist("accept")))
-    models = runtime.models  # refuses until there is one
-    runtime.desk.table.check_room()  # before the body is read, so that a full queue costs no memory
+    models = runtime.models  # raises `ModelNotReady` until the default model is loaded
+    runtime.desk.table.check_room()  # before the body is read: a full queue costs no memory
     runtime.scenes.check()
     kept = wanted_async(request.headers.getlist("prefer"))
     async with AsyncExitStack() as held:
-        async with runtime.uploads.place():  # slow senders take no place at the CPU
+        async with runtime.uploads.place():  # slow senders do not occupy a place in `scenes`
             upload = await read_upload(request, runtime.settings, models.names)
             upload.check_asked()
             work, told = upload.work, Told.of(upload)
@@ -60,13 +59,13 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
             job, new = None, False
             if not kept:
                 await held.enter_async_context(runtime.scenes.place())
-            scene = held.enter_context(ExitStack())  # is not evicted before its answer is made
+            scene = held.enter_context(ExitStack())  # keeps the scene from eviction until the answer is made
             if kept or not await anyio.to_thread.run_sync(_there, runtime.store, scene_id, scene):
                 submit = partial(runtime.desk.submit, work, scene_id, kept=kept)
                 job, new = await anyio.to_thread.run_sync(submit)
                 request.scope["state"][JOB] = job.id
                 del submit
-            del work  # and with it the photographs: they are on disk now
+            del work  # frees the photographs, which are on disk now
             request.scope[RELEASE]()
         if job is not None and kept:
             return accepted_job(runtime, job, told.document())
@@ -79,7 +78,7 @@ async def reconstruct(request: Request, runtime: Annotated[Runtime, Depends(runt
 
 
 def _there(store: SceneStore, scene_id: str, held: ExitStack) -> bool:
-    """Whether the scene is stored, whole; then it is kept as long as `held`. Call it on a worker thread."""
+    """Whether the scene is stored undamaged; if so, `held` keeps it from eviction. To be called on a worker thread."""
     with suppress(SceneNotFound, FormatError), ExitStack() as kept:
         kept.enter_context(store.keeping(scene_id))
         if store.exists(scene_id):
@@ -89,7 +88,7 @@ def _there(store: SceneStore, scene_id: str, held: ExitStack) -> bool:
 
 
 async def _answer(request: Request, runtime: Runtime, scene_id: str, form: str, told: Told, status: int) -> Response:
-    """The stored scene with what this request alone says: its file names and how they were paired."""
+    """The stored scene, with members about this request: file names, pairing, selection and warnings."""
     document = with_links(await anyio.to_thread.run_sync(runtime.store.document, scene_id), told.views)
     document |= told.document() | {"warnings": [*told.warnings, *document["warnings"]]}
     headers = {"Location": document["links"]["self"], "Vary": "Accept, Prefer"}

@@ -1,4 +1,4 @@
-"""`GET /render`: one picture of a stored scene, from a view of it or from any camera."""
+"""`GET /render`: a picture of a stored scene, from one of its views or from any camera."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import anyio.to_thread
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from ..cameras.camera import Camera
@@ -27,11 +27,11 @@ from .files import matches, not_modified
 from .limits import parse_json
 from .parameters import Parameters
 from .responses import head_alone, server_timing
-from .runtime import Runtime, runtime_of
+from .runtime import Runtime, RuntimeDep
 
 router = APIRouter(tags=["views"])
 
-KEPT = "private, max-age=3600"  # for a scene that is named; another release may draw it otherwise
+KEPT = "private, max-age=3600"  # for a named scene; limited, since another release may draw it differently
 
 
 class RenderQuery(Parameters):
@@ -75,10 +75,8 @@ class RenderQuery(Parameters):
         304: {"description": "`If-None-Match` has the picture's tag"},
     },
 )
-async def render(
-    request: Request, query: Annotated[RenderQuery, Query()], runtime: Annotated[Runtime, Depends(runtime_of)]
-) -> Response:
-    """Draw a scene on the CPU; headers say which scene it was and what the splatter left out."""
+async def render(request: Request, query: Annotated[RenderQuery, Query()], runtime: RuntimeDep) -> Response:
+    """Draw a scene on the CPU; headers tell its id and what the splatter has left out."""
     if query.view is not None and query.camera is not None:
         raise ViewError("view and camera are both given, need one", field="camera")
     runtime.models  # noqa: B018  refuses until the kernels are warm
@@ -94,7 +92,7 @@ async def render(
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What a query means."""
+    """A query, resolved against the store."""
 
     scene_id: str
     views: SceneViews
@@ -131,7 +129,7 @@ async def _drawn(
 
 
 def _asked(runtime: Runtime, query: RenderQuery, held: ExitStack) -> _Asked:
-    """Read from the store, in which the scene is kept as long as `held`; call it on a worker thread."""
+    """Resolve a query; `held` keeps the scene from eviction. To be called on a worker thread."""
     scene_id = query.scene if query.scene is not None else runtime.store.newest()
     held.enter_context(runtime.store.keeping(scene_id))
     views = SceneViews.of_document(runtime.store.document(scene_id))

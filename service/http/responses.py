@@ -1,4 +1,4 @@
-"""The successful answers: JSON, and which of the three forms of a scene the Accept header asks for."""
+"""Successful responses: JSON, HEAD, Server-Timing, and content negotiation by Accept headers."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ def json_response(content: Any, status: int = 200, headers: Mapping[str, str] | 
 
 
 def head_alone(media_type: str, headers: Mapping[str, str]) -> Response:
-    """To HEAD, where the body is not made for it: what is known without it, so no length."""
+    """A response to HEAD without Content-Length, as the body is not made for it."""
     answer = Response(media_type=media_type, headers=dict(headers))
     del answer.headers["content-length"]
     return answer
 
 
 def server_timing(seconds: Mapping[str, float]) -> str:
-    """The header of that name: stages with their milliseconds."""
+    """The value of a Server-Timing header: stages with their durations in ms."""
     names = {name.replace(" ", "-"): 1000 * value for name, value in seconds.items()}
     return ", ".join(f"{name};dur={value:.1f}" for name, value in names.items())
 
 
 def accepted(header: str | None) -> str:
-    """The offered media type that the Accept header weighs highest; the first offered one wins ties.
+    """The offered media type with the highest weight in an Accept header; ties go to the first one offered.
 
-    RFC 9110 section 12.5.1: a type's weight is that of the most specific range that covers it; a weight that is no
-    number from 0 to 1 is passed over. Raises `NotAcceptable` when all weigh zero.
+    A type has the weight of the most specific range that covers it (RFC 9110 section 12.5.1); a malformed weight is
+    ignored. Raises `NotAcceptable` if all weights are zero.
     """
     if not header or not header.strip():
         return JSON
@@ -53,13 +53,13 @@ def accepted(header: str | None) -> str:
 
 
 def takes_gzip(header: str) -> bool:
-    """Whether an Accept-Encoding header (RFC 9110 section 12.5.3) allows it."""
+    """Whether an Accept-Encoding header (RFC 9110 section 12.5.3) allows gzip."""
     weights = _weights(header)
     return next((weights[name] for name in ("gzip", "x-gzip", "*") if name in weights), 0.0) > 0
 
 
 def _weights(header: str) -> dict[str, float]:
-    """The items of a list by their names in small letters."""
+    """Weights of the items of a header, by name in lower case."""
     weights: dict[str, float] = {}
     for item in header.split(","):
         name, *parameters = (part.strip().lower() for part in item.split(";"))

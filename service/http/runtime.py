@@ -1,4 +1,4 @@
-"""What one running service holds: settings, store, desk, lanes, and the models once one is loaded and warm."""
+"""The state of a running service: settings, store, jobs, lanes, and the models once the default one is loaded."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, asynccontextmanager, contextmanager, nullcontext
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import anyio
 import anyio.to_thread
-from fastapi import Request
+from fastapi import Depends, Request
 from uvicorn import Server
 
 from ..errors import ModelNotReady
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from ..models import Models
 
 _log = logging.getLogger("gapmes")
-MODELS = ".models"  # beside the scenes: the one folder that is surely writable, and shared by all processes
-RETRY_S = 30.0  # before a process that failed makes room for another
-TIDY_S = 60.0  # between two looks for scenes that are too old, and for jobs to forget
+MODELS = ".models"  # beside the scenes, a folder that is writable and shared by all processes
+RETRY_S = 30.0  # before a process that could not load ends, to be replaced
+TIDY_S = 60.0  # between evictions of old scenes and deletions of old jobs
 
 
 class Runtime:
@@ -67,7 +67,7 @@ class Runtime:
             settings.render_seconds,
             "converting files or waiting to",
         )
-        self.looks = Lane(  # one photograph of one request at a time lies in memory at full size
+        self.looks = Lane(  # one photograph at a time is in memory at full size
             "looks", 1, settings.max_uploads, settings.render_seconds, "having their photographs looked at"
         )
         self.streams = Places("streams", settings.max_streams, "following jobs")
@@ -77,18 +77,19 @@ class Runtime:
         self.curfew = Curfew()
         self.stage = "start"
         self._listening = False
-        self._told: float | None = None  # when the process was told to end
+        self._told: float | None = None  # monotonic time of the signal to end
         self._stages = Stages()
         self._loading: asyncio.Future[None] | None = None
         self._models: Models | None = None
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Load in the background for as long as the block lasts; a failure is logged and kept for /readyz.
+        """Load in the background and run the periodic tasks during the block. A failed load is logged and kept for
+        /readyz.
 
-        The server listens once the block is entered: at once, or, while other processes answer, when it is loaded.
+        The server listens once the block is entered: at once, or, if other processes answer already, when it is loaded.
         """
-        loader = ThreadPoolExecutor(1, "load", give_way)  # the network's threads have the priority of who makes them
+        loader = ThreadPoolExecutor(1, "load", give_way)  # the network's threads inherit the priority of this one
         self._loading = asyncio.ensure_future(asyncio.get_running_loop().run_in_executor(loader, self._load))
         self._loading.add_done_callback(_log_failure)
         tasks = [asyncio.create_task(each()) for each in (self._tidy, self._end_if_failed, self._end_in_time)]
@@ -104,25 +105,25 @@ class Runtime:
             loader.shutdown(wait=False, cancel_futures=True)
             for task in tasks:
                 task.cancel()
-            passed = time.monotonic() - (self._told or 0.0)  # requests had their share of the patience
+            passed = time.monotonic() - (self._told or 0.0)  # requests have used part of the time
             patience = max(1.0, self.settings.drain_seconds - passed)
             await anyio.to_thread.run_sync(self.desk.close, patience)
 
     def stop(self) -> None:
-        """The process was told to end: streams end, and nothing is begun but what a request waits for."""
+        """Shutdown begins: streams end, and only jobs that a request waits for are claimed."""
         if self._told is None:
             self._told = time.monotonic()
             self.desk.drain()
 
     @property
     def stopping(self) -> bool:
-        """Whether the process was told to end."""
+        """Whether shutdown has begun."""
         return self._told is not None
 
     @contextmanager
     def _told_to_stop(self) -> Iterator[None]:
-        """Hear the signals that the server hears too, before it waits for streams that would never end."""
-        if threading.current_thread() is not threading.main_thread():  # a server in a test has no signals
+        """Call `stop` on the server's signals, before the server waits for streams, which would not end otherwise."""
+        if threading.current_thread() is not threading.main_thread():  # as in tests
             yield
             return
         before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
@@ -136,7 +137,7 @@ class Runtime:
         for number in before:
             signal.signal(number, heard)
         servers = [getattr(handler, "__self__", None) for handler in before.values()]
-        if any(isinstance(server, Server) and server.should_exit for server in servers):  # it heard one before
+        if any(isinstance(server, Server) and server.should_exit for server in servers):  # a signal came before
             self.stop()
         try:
             yield
@@ -145,9 +146,9 @@ class Runtime:
                 signal.signal(number, handler)
 
     async def _tidy(self) -> None:
-        """Evict what nobody reads and forget what ended, now and then."""
+        """Evict old scenes and delete old jobs every `TIDY_S` seconds."""
         while True:
-            for tidy in (self.store.evict_old, self.desk.tidy):  # each, whatever becomes of the other
+            for tidy in (self.store.evict_old, self.desk.tidy):  # each, even if the other fails
                 try:
                     await anyio.to_thread.run_sync(tidy)
                 except Exception:
@@ -155,13 +156,13 @@ class Runtime:
             await asyncio.sleep(TIDY_S)
 
     async def _end_in_time(self) -> None:
-        """Requests have their share of the patience, once the process was told to end."""
+        """Cancel the remaining requests `drain_seconds` after the signal to end."""
         while self._told is None or time.monotonic() - self._told < self.settings.drain_seconds:
             await asyncio.sleep(GLANCE_S)
         self.curfew.end()
 
     async def _end_if_failed(self) -> None:
-        """Where others are loaded, a process that cannot be makes room for another try, which the server starts."""
+        """End a process that failed to load, while others are loaded, so that the server replaces it."""
         assert self._loading is not None
         await asyncio.wait({self._loading})
         while self.failure is not None:
@@ -180,7 +181,7 @@ class Runtime:
                 from ..models import Models
             with self._timed("model"):
                 models = Models(self.settings, prepare=self.settings.store / MODELS)
-                with models.using(DEFAULT):  # the others when one is first asked for
+                with models.using(DEFAULT):  # further models are loaded on first use
                     pass
             with self._timed("kernels"):
                 warm_up()
@@ -202,13 +203,13 @@ class Runtime:
 
     @property
     def failure(self) -> BaseException | None:
-        """Why loading ended without a model, None while it runs or when it succeeded."""
+        """The exception of a failed load; None while it runs and after success."""
         task = self._loading
         return task.exception() if task is not None and task.done() and not task.cancelled() else None
 
     @property
     def models(self) -> Models:
-        """The models, once the default one was loaded; raises `ModelNotReady` before that."""
+        """The models. Raises `ModelNotReady` until the default one is loaded and the kernels are compiled."""
         if self._models is not None:
             return self._models
         if self.failure is not None:
@@ -219,12 +220,12 @@ class Runtime:
 
 
 def _quit() -> None:
-    """At once: in order it would listen for a moment."""
+    """End at once: an orderly end would listen for a moment."""
     os._exit(1)
 
 
 def _terminate() -> None:
-    """In order, with the answers that it has begun."""
+    """End in order, after the answers that have begun."""
     os.kill(os.getpid(), signal.SIGTERM)
 
 
@@ -235,3 +236,6 @@ def _log_failure(task: asyncio.Future[None]) -> None:
 
 def runtime_of(request: Request) -> Runtime:
     return request.app.state.runtime
+
+
+RuntimeDep = Annotated[Runtime, Depends(runtime_of)]

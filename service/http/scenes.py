@@ -1,4 +1,4 @@
-"""The store over HTTP: list the scenes, read one as a document or as a file of any format, delete it."""
+"""Routes of the store: list scenes, read one as a document or as a file of any format, delete it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from urllib.parse import urlencode
 
 import anyio.to_thread
-from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BeforeValidator, Field
 
 from ..cameras.view_checks import MAX_VIEWS
@@ -18,21 +18,19 @@ from ..scenes.scene_files import is_id
 from .files import ASKED_AGAIN, Made, SceneFile, converted_file, etag_of, etag_of_converted, matches, not_modified
 from .parameters import Parameters, whole
 from .responses import json_response
-from .runtime import Runtime, runtime_of
+from .runtime import Runtime, RuntimeDep
 from .schemas import SceneDocument, SceneList
 from .spilled import spilled
 
 router = APIRouter(tags=["scenes"])
 
-Held = Annotated[Runtime, Depends(runtime_of)]
-
 _KEPT = "; ".join(f".{extension} {entry.keeps}" for extension, entry in FORMATS.items())
 
-# Ids are matched as paths: a slash in one, encoded or not, is an unknown scene and not another route.
+# Ids are matched as paths, so that one with a slash, encoded or not, is an unknown scene and not another route.
 
 
 class PageQuery(Parameters):
-    """Which scenes to list."""
+    """Pagination."""
 
     limit: int = Field(100, ge=1, le=1000, description="how many at most")
     after: str | None = Field(None, max_length=60, description="`next` of the page before")
@@ -40,8 +38,8 @@ class PageQuery(Parameters):
 
 @router.head("/scenes", include_in_schema=False)
 @router.get("/scenes", response_model=SceneList)
-def list_scenes(runtime: Held, query: Annotated[PageQuery, Query()]) -> Response:
-    """Scenes, newest first, with their links; `next` names where the following page begins, null on the last."""
+def list_scenes(runtime: RuntimeDep, query: Annotated[PageQuery, Query()]) -> Response:
+    """Scenes with their links, newest first; `next` is the `after` of the following page, null on the last."""
     limit, after = query.limit, query.after
     rows = runtime.store.page(limit + 1, None if after is None else _place(after))
     scenes = [{**row.summary, "links": links(row.id, row.summary["views"])} for row in rows[:limit]]
@@ -63,14 +61,14 @@ async def scene_file(
     request: Request,
     scene_id: str,
     extension: Annotated[str, Path(json_schema_extra={"enum": list(FORMATS)})],
-    runtime: Held,
+    runtime: RuntimeDep,
 ) -> Response:
-    """The Gaussians in a format by its extension, or 304 where `If-None-Match` has its tag.
+    """The Gaussians as a file of the format of the extension, or 304 if `If-None-Match` has its tag.
 
-    The .ply is a file, whole or by ranges; the others are made of it, and `X-Gapmes-Notes` lists what they cannot hold.
+    The .ply supports ranges. Other formats are converted from it; `X-Gapmes-Notes` lists what they cannot hold.
     """
-    scene_id, _, extension = f"{scene_id}.{extension}".partition(".")  # no id has a dot, an extension may
-    with ExitStack() as held:  # until it is made
+    scene_id, _, extension = f"{scene_id}.{extension}".partition(".")  # ids have no dot, extensions may
+    with ExitStack() as held:  # until the answer is made
         etag, size = await anyio.to_thread.run_sync(_stored, runtime, scene_id, held)
         if extension not in FORMATS:
             raise FormatUnknown(
@@ -98,7 +96,7 @@ async def scene_file(
     responses={200: {"description": "what the network saw of a photograph", "content": {"image/png": {}}}},
 )
 def scene_input(
-    scene_id: str, index: Annotated[int, Path(ge=0, le=MAX_VIEWS - 1), BeforeValidator(whole)], runtime: Held
+    scene_id: str, index: Annotated[int, Path(ge=0, le=MAX_VIEWS - 1), BeforeValidator(whole)], runtime: RuntimeDep
 ) -> Response:
     """A photograph as the network saw it: cropped and resized, with its mask as transparency."""
     headers = {"Cache-Control": "private, max-age=3600"}
@@ -107,27 +105,27 @@ def scene_input(
 
 @router.head("/scenes/{scene_id:path}", include_in_schema=False)
 @router.get("/scenes/{scene_id:path}", response_model=SceneDocument)
-def scene_document(scene_id: str, runtime: Held) -> Response:
+def scene_document(scene_id: str, runtime: RuntimeDep) -> Response:
     """The scene document: model, cameras, depths, counts, warnings, timings, links."""
     return json_response(with_links(runtime.store.document(scene_id)))
 
 
 @router.delete("/scenes/{scene_id:path}", status_code=204)
-def delete_scene(scene_id: str, runtime: Held) -> Response:
+def delete_scene(scene_id: str, runtime: RuntimeDep) -> Response:
     """Remove a scene and its files."""
     runtime.store.delete(scene_id)
     return Response(status_code=204)
 
 
 def _stored(runtime: Runtime, scene_id: str, held: ExitStack) -> tuple[str, int]:
-    """Tag and bytes of the .ply, which is kept as long as `held`; call it on a worker thread."""
+    """Tag and size in bytes of the .ply; `held` keeps it from eviction. To be called on a worker thread."""
     held.enter_context(runtime.store.keeping(scene_id))
     with runtime.store.reading(scene_id) as path:
         return etag_of(path), path.stat().st_size
 
 
 def with_links(document: Mapping[str, Any], views: Sequence[str] = ()) -> dict[str, Any]:
-    """The document with where it, its .ply and its views are; `views` are further renders that were asked for."""
+    """The document with `links`, including those to renders of the requested `views`."""
     scene_id = document["id"]
     found = links(scene_id, len(document["view_cameras"]))
     if document.get("inputs"):
@@ -138,7 +136,7 @@ def with_links(document: Mapping[str, Any], views: Sequence[str] = ()) -> dict[s
 
 
 def links(scene_id: str, views: int) -> dict[str, Any]:
-    """Where a scene is, and its files, and the pictures from its views."""
+    """Paths of a scene's document, files, previews and pictures of its views."""
     return {
         "self": f"/scenes/{scene_id}",
         "ply": f"/scenes/{scene_id}.ply",

@@ -1,4 +1,4 @@
-"""What the JSON answers look like, for the open API: the routes write them, the tests hold them against these."""
+"""Schemas of the JSON answers for the OpenAPI document. Routes do not use them; tests validate answers against them."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class LoadedFile(BaseModel):
 
 
 class SceneDocument(BaseModel):
-    """What was computed, from what, how long it took, how far to trust it; docs/http.md has all members."""
+    """What was computed, from what, how long it took, how far to trust it; docs/scene-document.md has all members."""
 
     model_config = _with(
         {

@@ -1,4 +1,4 @@
-"""Large answers on disk while they are sent: a client that does not read holds a file handle, not the memory."""
+"""Large answers in temporary files while they are sent, so that slow clients keep no memory occupied."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import IO
 
 from fastapi.responses import StreamingResponse
 
-CHUNK = 256 * 2**10  # bytes of an answer that lie in memory
+CHUNK = 256 * 2**10  # bytes of an answer that are in memory at a time
 
 
 def spilled(data: bytes, folder: Path) -> IO[bytes]:
-    """The bytes in a file of `folder` that has no name and goes with its handle; where the disk is full, in memory."""
+    """The bytes in an unnamed temporary file in `folder`, or in memory if the disk is full."""
     try:
         file = TemporaryFile(dir=folder)  # noqa: SIM115 - the answer closes it
     except OSError:
@@ -32,7 +32,7 @@ def spilled(data: bytes, folder: Path) -> IO[bytes]:
 
 
 class SpilledResponse(StreamingResponse):
-    """What `spilled` keeps, sent piece by piece."""
+    """Streams the file of `spilled` in pieces of `CHUNK` bytes, and closes it."""
 
     def __init__(self, file: IO[bytes], media_type: str, headers: Mapping[str, str], status_code: int = 200) -> None:
         size = file.seek(0, io.SEEK_END)

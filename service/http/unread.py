@@ -1,5 +1,5 @@
-"""What is left of a request's body when it is answered: little is read, so that the connection stays; of more only so
-much as lets a client that is still sending see the answer, and the connection ends."""
+"""Unread rests of request bodies: a small rest is read, so that the connection can be reused; of a large one only
+enough for a client that is still sending to see the answer, and the connection is closed."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from .curfew import GRACE_S, Curfew
 
-SMALL, SMALL_S = 64 * 2**10, 5.0  # a body of so many declared bytes is read before the answer, in that time
-SLOW = 408  # the answer to a body for which the service has waited long enough
-# Behind the answer: two photographs of a telephone, over a line that takes them in that time.
+SMALL, SMALL_S = 64 * 2**10, 5.0  # a body of at most so many declared bytes is read before the answer, within that time
+SLOW = 408  # after this status the rest of a body is not awaited
+# After the answer: about two photographs of a telephone.
 MOST, MOST_S = 16 * 2**20, 10.0
 
 
 class BodyLeft:
-    """ASGI middleware: an answer that begins before the body has ended says `Connection: close`. Its last message waits
-    until the client has sent the rest, or as much as is read of it: with bytes unread the system would reset the
-    connection, and many clients lose an answer that they have not read yet."""
+    """ASGI middleware: an answer that begins before the end of the body has `Connection: close`. It is completed only
+    after the rest of the body was read, up to a limit: closing a connection with unread bytes makes the system reset
+    it, and many clients then lose the answer."""
 
     def __init__(self, app: ASGIApp, curfew: Curfew) -> None:
         self._app, self._curfew = app, curfew
@@ -58,6 +58,6 @@ class BodyLeft:
 
         await self._app(scope, watched, answered)
         if held:
-            if asked or "expect" not in headers:  # who waits to be told to send has nothing on its way
+            if asked or "expect" not in headers:  # a client that waits for 100 Continue has sent nothing
                 await rest(MOST, MOST_S)
             await send({"type": "http.response.body", "body": b"", "more_body": False})

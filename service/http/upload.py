@@ -1,4 +1,4 @@
-"""The multipart body of `POST /reconstruct`, read within its bounds and before anything of it is decoded."""
+"""Parsing and checking the form of `POST /reconstruct`; no photograph is decoded."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from .posted import MAX_IMAGES, MAX_PARTS, posted_form
 from .posted import single as _single
 from .posted import text as _text
 
-MAX_ASKED_VIEWS = 64  # in `views`: each is drawn, or a link
+MAX_ASKED_VIEWS = 64  # in `views`: each is drawn, or linked
 FIELDS = (
     "images",
     "cameras",
@@ -61,15 +61,15 @@ FIELDS = (
 
 @dataclass(frozen=True)
 class Upload:
-    """What was posted: the images still encoded, each with its camera."""
+    """A checked form: images, still encoded, with their cameras, and the options."""
 
     pairing: Pairing
     selection: dict[str, Any]
     work: Work
-    views: tuple[str, ...]  # to be drawn, such as "1.5"
+    views: tuple[str, ...]  # to draw, such as "1.5"
 
     def check_asked(self) -> None:
-        """Raises `ViewError` for a view that these cameras do not have, before the work and not after it."""
+        """Raises `ViewError` if a requested view does not exist, before the reconstruction."""
         views = SceneViews(self.pairing.cameras)
         for spec in self.views:
             views.resolve(spec, field="views")
@@ -77,23 +77,23 @@ class Upload:
 
 @dataclass(frozen=True)
 class Told:
-    """What the answer says of the request itself."""
+    """Members of the answer that are about the request itself."""
 
     images: tuple[str, ...]  # file names
     paired_by: str
-    selection: dict[str, Any]  # which of the views that were sent were used, and by what they were chosen
+    selection: dict[str, Any]  # which of the posted views are used, and why
     warnings: tuple[dict[str, Any], ...]
     views: tuple[str, ...]
 
     @classmethod
     def of(cls, upload: Upload) -> Told:
-        """Without the photographs."""
+        """Of an upload, without keeping its photographs in memory."""
         pairing = upload.pairing
         names = tuple(image.name for image in pairing.images)
         return cls(names, pairing.by, upload.selection, pairing.warnings, upload.views)
 
     def document(self) -> dict[str, Any]:
-        """As plain JSON, in every answer to the request, be it a scene or a job."""
+        """As JSON values, for the document of a scene or of a job."""
         return {
             "images": list(self.images),
             "paired_by": self.paired_by,
@@ -103,10 +103,10 @@ class Told:
 
 
 async def read_upload(request: Request, settings: Settings, models: Sequence[str] = (DEFAULT,)) -> Upload:
-    """Read and check the form, where `models` are the names that it may choose from; raises the error that names the
-    field, never a framework's own.
+    """Read and check the form; `models` are the names that it may choose from. Raises errors of our own, which name the
+    field.
 
-    What takes long, parsing the cameras and reading sizes, runs on a worker thread.
+    Cameras and image sizes are parsed on a worker thread.
     """
     example = "curl -F images=@a.jpg -F images=@b.jpg -F cameras=@cameras.json"
     try:
@@ -128,7 +128,7 @@ async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> U
     inputs = await _inputs(form, settings, wish, near, far)
     pairing = inputs.pairing
     lenses = tuple(view.lens for view in pairing.views)
-    numbers = tuple(inputs.selection["views"])  # as whoever sent them counts them
+    numbers = tuple(inputs.selection["views"])  # as the client counts the views
     budget = _budget(form, views)
     work = Work(
         images=tuple(image.data for image in pairing.images),
@@ -205,7 +205,7 @@ def _too_many(what: str) -> ViewCountError:
 
 
 def _encodable(name: str) -> str:
-    """Lone surrogates, which some charsets let in and UTF-8 cannot hold, as text: \\ud800."""
+    """Escape lone surrogates, which some charsets produce and UTF-8 cannot encode, as \\ud800."""
     return name.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
@@ -218,7 +218,7 @@ async def _cameras(form: FormData, max_bytes: int) -> str | bytes:
             cure="send cameras.json, transforms.json, poses_bounds.npy, a RealEstate10K .txt or a zipped COLMAP model",
         )
     if isinstance(part, UploadFile) and await part.read(4) in SIGNATURES:
-        max_bytes = part.size or 0  # it is read in pieces, of which the reader bounds each
+        max_bytes = part.size or 0  # its members are bounded when they are read
     if isinstance(part, UploadFile):
         await part.seek(0)
     size = (part.size or 0) if isinstance(part, UploadFile) else len(part)

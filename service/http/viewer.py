@@ -1,66 +1,65 @@
-"""A stored scene for the page's WebGL viewer: upright about its pivot, with settings that look from its first view."""
+"""A stored scene for the page's WebGL viewer: a .ply in its level frame, and settings with the first view."""
 
 from __future__ import annotations
 
 import math
-from typing import IO, Annotated, Any
+from contextlib import ExitStack
+from typing import IO, Any
 
 import anyio.to_thread
 import numpy as np
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Request, Response
 
 from ..cameras.camera import Camera
 from ..formats.ply import ply_bytes
 from ..viewpoints.level_frame import LevelFrame
 from ..viewpoints.scene_views import SceneViews
-from .files import ASKED_AGAIN, etag_of, matches, not_modified
+from .files import ASKED_AGAIN, etag_of, etag_of_converted, matches, not_modified
 from .responses import PLY, head_alone, json_response
-from .runtime import Runtime, runtime_of
+from .runtime import RuntimeDep
 from .spilled import SpilledResponse, spilled
 
 router = APIRouter(tags=["scenes"], include_in_schema=False)
 
-Held = Annotated[Runtime, Depends(runtime_of)]
-
-_TURNED = np.array([-1.0, -1.0, 1.0])  # the viewer turns a .ply by half a turn about z
+_TURNED = np.array([-1.0, -1.0, 1.0])  # the viewer rotates a .ply by 180 degrees about z
 
 
 @router.head("/scenes/{scene_id}/viewer.ply")
 @router.get("/scenes/{scene_id}/viewer.ply")
-async def viewer_ply(request: Request, scene_id: str, runtime: Held) -> Response:
-    """The scene's .ply in its level frame, float32 near the origin."""
+async def viewer_ply(request: Request, scene_id: str, runtime: RuntimeDep) -> Response:
+    """The scene's .ply in its level frame, where float32 positions are precise."""
 
     def made() -> IO[bytes]:
         frame = _frame(SceneViews.of_document(runtime.store.document(scene_id)))
         return spilled(ply_bytes(frame.gaussians(runtime.store.gaussians(scene_id))), runtime.store.root)
 
-    def tag() -> str:
+    def tag(held: ExitStack) -> str:
+        held.enter_context(runtime.store.keeping(scene_id))
         with runtime.store.reading(scene_id) as path:
-            return f"W/{etag_of(path)}"
+            return etag_of_converted(etag_of(path), "viewer.ply")
 
-    etag = await anyio.to_thread.run_sync(tag)
-    cache = {"ETag": etag, "Cache-Control": ASKED_AGAIN}
-    if matches(request, etag):
-        return not_modified(etag, cache)
-    if request.method == "HEAD":
-        return head_alone(PLY, cache)
-    body = await runtime.pictures.run(made, request.is_disconnected)
-    return SpilledResponse(body, PLY, cache)
+    with ExitStack() as held:  # until it is made
+        etag = await anyio.to_thread.run_sync(tag, held)
+        cache = {"ETag": etag, "Cache-Control": ASKED_AGAIN}
+        if matches(request, etag):
+            return not_modified(etag, cache)
+        if request.method == "HEAD":
+            return head_alone(PLY, cache)
+        return SpilledResponse(await runtime.pictures.run(made, request.is_disconnected), PLY, cache)
 
 
 @router.head("/scenes/{scene_id}/viewer.json")
 @router.get("/scenes/{scene_id}/viewer.json")
-def viewer_json(scene_id: str, runtime: Held) -> Response:
-    """The viewer's settings: where it begins, and that it adds nothing of its own to the picture."""
+def viewer_json(scene_id: str, runtime: RuntimeDep) -> Response:
+    """The viewer's settings: the initial camera, and no post-processing."""
     views = SceneViews.of_document(runtime.store.document(scene_id))
     return json_response(viewer_settings(_frame(views).camera(views.cameras[0])))
 
 
 def viewer_settings(camera: Camera) -> dict[str, Any]:
-    """Settings, version 2, that begin at a camera of the .ply's own frame.
+    """Settings, version 2, that start at a camera given in the frame of the .ply.
 
-    The viewer looks from a position to a target, upright, with square pixels: a roll of the camera and an offset of its
-    principal point cannot be said.
+    The viewer knows position, target and vertical field of view only: the camera's roll and principal point are lost.
     """
     ahead = camera.rotation[:, 2]
     return {
@@ -91,7 +90,7 @@ def viewer_settings(camera: Camera) -> dict[str, Any]:
 
 
 def _distance(camera: Camera) -> float:
-    """How far ahead the frame's origin lies, which the viewer then turns about; 1 where it lies behind."""
+    """Depth of the frame's origin, about which the viewer then orbits; 1 if it lies behind the camera."""
     distance = float(-camera.center @ camera.rotation[:, 2])
     return distance if distance > 0 else 1.0
 

@@ -1,4 +1,4 @@
-"""Waiting for a job within a request: until it ended, the client went away, or time is up."""
+"""Waiting for a job within a request, until it ends, the client disconnects, or the time is up."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from ..jobs.desk import Desk
 from ..jobs.rows import Job
 from .gate import Gone
 
-FIRST_S, LAST_S, SHARE = 0.005, 0.2, 0.05  # looks come at a twentieth of the time that has passed, between these
+FIRST_S, LAST_S, SHARE = 0.005, 0.2, 0.05  # polling interval: a share of the time passed, between these bounds
 
 
 async def ended(desk: Desk, job: Job, patience_s: float, gone: Gone) -> Job:
-    """The job once it is over. Raises `ClientDisconnect` or `DeadlineExceeded`, after which it is left.
+    """The job once it has ended. Raises `ClientDisconnect` or `DeadlineExceeded`; then the job is cancelled if nobody
+    else wants it.
 
-    A wait that the server ends since the process does leaves the job to another one: the client has not gone away.
+    If the wait is cancelled because this process shuts down, the job is left to another process.
     """
     start = time.monotonic()
     over = goes_on = False

@@ -1,1 +1,1 @@
-"""Reconstructions as jobs: described on disk, queued in the store's database, computed by whichever process is free."""
+"""Reconstructions as jobs: inputs on disk, a queue in the store's database, computed by any process of the store."""

@@ -1,4 +1,4 @@
-"""Where reconstructions are asked for: each scene is computed once, however many ask for it at once."""
+"""Submitting, awaiting and cancelling reconstructions: concurrent requests for one scene share one job."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from .. import metrics
-from ..errors import ModelChanged, StorageFull
+from ..errors import ModelChanged, ServiceBusy, StorageFull
 from ..process.allocator import trim
 from ..process.logs import REQUEST_ID
 from ..progress import Listener, Stage, Stages
@@ -32,7 +32,7 @@ LEASES, SPOOL = ".processes", ".jobs"  # folders beside the scenes
 
 
 class Desk:
-    """Jobs of one store; its runner computes them once there is a model."""
+    """The jobs of one store: submitted at any time, computed by its runner once `open` has given it the models."""
 
     def __init__(self, store: SceneStore, settings: Settings) -> None:
         self._store, self._settings = store, settings
@@ -47,7 +47,7 @@ class Desk:
         self._runner: Runner | None = None
 
     def open(self, models: Models) -> None:
-        """Begin to compute, what an earlier process left first; nothing where it was closed meanwhile."""
+        """Start the runner, after jobs of processes that ended have been queued again. Does nothing after `close`."""
         with self._opening:
             if self._closed:
                 return
@@ -65,7 +65,7 @@ class Desk:
             try:
                 self.tidy()
                 self._runner.recover()
-            except StorageFull:  # what is there can be drawn and deleted, and then this is done in time
+            except (StorageFull, ServiceBusy):  # scenes can still be drawn and deleted; this is tried again later
                 _log.exception("the store cannot be tidied")
             self._runner.start()
 
@@ -73,7 +73,7 @@ class Desk:
         store, settings = self._store, self._settings
 
         def scene(work: Work, scene_id: str, listener: Listener) -> None:
-            if store.listed(scene_id):  # it was finished just before its process ended
+            if store.listed(scene_id):  # its process ended after it had stored the scene, and before it noted the end
                 return
             if work.model not in models.names:
                 raise ModelChanged(
@@ -86,40 +86,40 @@ class Desk:
                 metrics.stage_ended(stage)
                 listener(stage)
 
-            # before the model is loaded, which takes seconds and may take another's place
+            # checked before the model is loaded, which takes seconds and may evict another one
             if work.scene_id(models.get(work.model).identity) != scene_id:
                 changed = "the job was asked for with another model file, engine or release"
                 raise ModelChanged(changed, cure="ask for it again")
             with _told(models, work.model, hear) as reconstructor:
                 metrics.reconstructed(compute(work, scene_id, reconstructor, store, settings, hear))
-            trim()  # the scene itself is free by now
+            trim()  # the scene is no longer referenced
 
         return scene
 
     @property
     def _process(self) -> str:
-        """Its name for the others; that of a process that is gone where this one has closed before it opened."""
+        """Name of this process's lease; before `open` a name that no living process has."""
         return "closed" if self._lease is None else self._lease.name
 
     def _slots(self) -> int:
-        """Jobs that all processes of the store compute at a time; those that share this one's port count before they
-        are loaded."""
+        """Jobs that all processes of the store can run at once, including workers of this service that are not loaded
+        yet."""
         own = self._settings.workers * self._settings.concurrency
         return own if self._lease is None else max(own, self._lease.slots())
 
     def tidy(self) -> None:
-        """Forget what ended long ago, and inputs that no job needs."""
+        """Delete the rows of jobs that ended long ago, and inputs of jobs that are not active."""
         self.table.forget()
         self._spool.sweep(self.table.unfinished())
 
     def drain(self) -> None:
-        """The process was told to end: begin nothing but what a request waits for."""
+        """Shutdown has begun: from now on claim only jobs that a request waits for."""
         self.draining = True
         if self._runner is not None:
             self._runner.drain()
 
     def close(self, patience_s: float) -> None:
-        """End after what is being computed; what takes longer is left to another process."""
+        """Stop the runner and release the lease. Jobs that are not finished within `patience_s` are queued again."""
         with self._opening:
             self._closed = True
             if self._runner is not None and self._lease is not None:
@@ -127,23 +127,23 @@ class Desk:
                 self._lease.release()
 
     def leave(self, job_id: str, *, goes_on: bool = False) -> None:
-        """A request does not wait any more; what nobody wants ends, and its inputs go, unless it `goes_on`."""
+        """A request stops waiting for a job. A job that nobody else wants is cancelled, unless it `goes_on`."""
         if self.table.leave(job_id, self._process, goes_on=goes_on):
             self._spool.drop(job_id)
 
     def cancel(self, job_id: str) -> Job:
-        """Nobody asks for the job any more. Raises `JobNotFound`."""
+        """Withdraw the request for a job, which ends unless other requests wait for its scene. Raises `JobNotFound`."""
         job = self.table.cancel(job_id)
         if job.over:
             self._spool.drop(job_id)
         return job
 
     def submit(self, work: Work, scene_id: str, *, kept: bool) -> tuple[Job, bool]:
-        """The job of a scene, and whether it is new: the one that is active, another, or one that is done where the
-        scene is stored.
+        """The job of a scene, and whether it is new: the scene's active job if there is one, else a new one, which is
+        done already if the scene is stored.
 
-        `kept`: it goes on when nobody waits; else the caller must `leave` it, or wait for its end. Raises
-        `ServiceBusy` and `StorageFull`.
+        A `kept` job runs to its end even if no request waits for it; for any other the caller must call `leave`, or
+        wait for the end. Raises `ServiceBusy` and `StorageFull`.
         """
         if kept and self._store.exists(scene_id):
             return self.table.already_done(scene_id), True
@@ -158,7 +158,7 @@ class Desk:
         try:
             job = self.table.submit(job_id, scene_id, waits)
         finally:
-            if job is None or job.id != job_id:  # refused, or somebody else was faster
+            if job is None or job.id != job_id:  # refused, or another request submitted the scene first
                 self._spool.drop(job_id)
         if self._runner is not None:
             self._runner.notify()
@@ -167,7 +167,7 @@ class Desk:
 
 @contextmanager
 def _told(models: Models, name: str, hear: Listener) -> Iterator[Reconstructor]:
-    """The model, in use for as long as the block lasts; a stage of the job where it has to be loaded first."""
+    """The model, in use during the block. If it has to be loaded, that is reported as a stage of the job."""
     with ExitStack() as held:
         if models.loaded(name):
             yield held.enter_context(models.using(name))

@@ -1,8 +1,9 @@
-"""Who is alive, and how much each computes at a time: every process holds a lock on a file of its own, which its end
-releases whatever that end is."""
+"""Which processes are alive, and how many jobs each runs at once: every process holds a lock on a file of its own, and
+the system releases it however the process ends."""
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import uuid
@@ -11,40 +12,41 @@ from pathlib import Path
 
 
 class Lease:
-    """This process among those that share a store."""
+    """The lock file of this process, in a folder that all processes of a store share."""
 
     def __init__(self, folder: Path, slots: int = 1) -> None:
-        """Take a name of one's own in `folder`, for `slots` jobs at a time, and remove those of the dead."""
+        """Create and lock a file in `folder` that announces `slots`, and delete files of processes that have ended."""
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self.name = uuid.uuid4().hex
-        unseen = folder / f".{self.name}"  # locked before anybody could take it for that of a dead process
+        unseen = folder / f".{self.name}"  # renamed once it is locked, so that no other process deletes it
         self._handle = os.open(unseen, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         fcntl.flock(self._handle, fcntl.LOCK_EX)
-        os.write(self._handle, str(slots).encode())
+        with contextlib.suppress(OSError):  # a full disk, see `_slots`
+            os.write(self._handle, str(slots).encode())
         unseen.rename(folder / self.name)
         self.gone(path.name for path in folder.iterdir() if not path.name.startswith("."))
 
     def release(self) -> None:
-        """Be gone for the others."""
+        """Delete the file: other processes see this one as ended."""
         (self._folder / self.name).unlink(missing_ok=True)
         os.close(self._handle)
 
     def gone(self, names: Iterable[str]) -> set[str]:
-        """Those of `names` that no living process has."""
+        """Those of the lease `names` that no living process holds; their files are deleted."""
         return {name for name in set(names) if name != self.name and not self._alive(name)}
 
     def slots(self) -> int:
-        """Jobs that all living processes compute at a time, together."""
+        """Sum of the slots of all living processes."""
         names = {path.name for path in self._folder.iterdir() if not path.name.startswith(".")}
         return sum(self._slots(name) for name in names - self.gone(names))
 
     def _slots(self, name: str) -> int:
         try:
             told = (self._folder / name).read_text()
-        except OSError:  # it went at this moment
+        except OSError:  # deleted meanwhile
             return 0
-        return int(told) if told.isdecimal() else 1  # a full disk took it, or an earlier release tells nothing
+        return int(told) if told.isdecimal() else 1  # empty: a full disk, or an earlier release that wrote nothing
 
     def _alive(self, name: str) -> bool:
         path = self._folder / name

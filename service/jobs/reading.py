@@ -1,4 +1,4 @@
-"""What the database knows of jobs; nothing here writes."""
+"""Read-only queries of the tables of jobs and events."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .rows import ACTIVE, JOBS, Event, Job, job_of, unknown_job
 
 
 class JobReader:
-    """Safe for many processes on one store, as its table is."""
+    """Queries that are safe from any thread and process of the store."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -23,27 +23,27 @@ class JobReader:
         return job_of(rows[0])
 
     def ahead(self, job: Job) -> int:
-        """How many are queued before it or running."""
+        """Number of jobs that are running, or queued before this one."""
         rows = self._database.rows(
             "SELECT count(*) FROM jobs WHERE id != ? "
             "AND (state = 'running' OR (state = 'queued' AND rowid < (SELECT rowid FROM jobs WHERE id = ?)))",
-            [job.id, job.id],  # it may have begun since it was read
+            [job.id, job.id],  # it may have been claimed since it was read
         )
         return int(rows[0][0])
 
     def events(self, job_id: str, after: int = 0) -> list[Event]:
-        """Those with a number above `after`, in order."""
+        """The job's events with a number above `after`, in order."""
         rows = self._database.rows("SELECT * FROM events WHERE job_id = ? AND seq > ? ORDER BY seq", [job_id, after])
         return [Event(row["seq"], row["name"], json.loads(row["data"])) for row in rows]
 
     def last_stage(self, job_id: str) -> dict[str, Any] | None:
-        """The step that was noted last, if any."""
+        """Data of the job's latest stage event, None if there is none."""
         query = "SELECT data FROM events WHERE job_id = ? AND name = 'stage' ORDER BY seq DESC LIMIT 1"
         rows = self._database.rows(query, [job_id])
         return json.loads(rows[0]["data"]) if rows else None
 
     def counts(self) -> dict[str, int]:
-        """Queued and running jobs."""
+        """Number of jobs by state, `queued` and `running`."""
         found = self._database.rows(
             "SELECT state, count(*) AS n FROM jobs WHERE state IN ('queued', 'running') GROUP BY state"
         )
@@ -54,6 +54,6 @@ class JobReader:
         return {row["id"] for row in self._database.rows("SELECT id FROM jobs WHERE state IN ('queued', 'running')")}
 
     def processes(self) -> set[str]:
-        """Those that compute jobs, and those whose requests wait for some."""
+        """Lease names of the processes that run jobs, or whose requests wait for jobs."""
         query = "SELECT owner AS process FROM jobs WHERE state = 'running' UNION SELECT process FROM waits"
         return {row["process"] for row in self._database.rows(query)}

@@ -1,4 +1,4 @@
-"""A job as a row of the database, and single steps on it within somebody's transaction."""
+"""A job as a row of the database, and changes of it within a transaction of the caller."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ ENDED = ("done", "failed", "cancelled")
 
 @dataclass(frozen=True)
 class Job:
-    """A row; times are seconds since 1970."""
+    """A row of the table `jobs`; times are seconds since 1970."""
 
     id: str
     scene_id: str
     state: str
-    kept: bool  # somebody asked for a job, not only for its answer
-    waiting: int  # requests that wait for its answer
-    cancelled: bool  # asked to end, where it is running
+    kept: bool  # asked for as a job: runs to its end even if no request waits
+    waiting: int  # number of requests that wait for it
+    cancelled: bool  # a running job that is to end after its stage
     attempts: int
     owner: str | None  # the lease of the process that computes it
     created: float
@@ -40,7 +40,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Event:
-    """What happened to a job, numbered from 1: a change of its `state`, or a step of a `stage`."""
+    """An event of a job, numbered from 1; its name is `state` (a change of it) or `stage` (progress)."""
 
     seq: int
     name: str
@@ -48,7 +48,7 @@ class Event:
 
 
 def end_job(connection: Connection, job_id: str, state: str, problem: Mapping[str, Any] | None) -> None:
-    """End an active job and tell it; one that has ended stays as it is."""
+    """Set the final state of an active job and add its event. A job that has ended stays unchanged."""
     changed = connection.execute(
         "UPDATE jobs SET state = ?, ended = ?, problem = ? WHERE id = ? AND state IN ('queued', 'running')",
         [state, time.time(), None if problem is None else json.dumps(problem), job_id],
@@ -59,7 +59,7 @@ def end_job(connection: Connection, job_id: str, state: str, problem: Mapping[st
 
 
 def requeue_job(connection: Connection, job_id: str, why: str, attempts: int = 0) -> None:
-    """Queue a running job again."""
+    """Queue a running job again for the reason `why`; `attempts` is added to their number."""
     connection.execute(
         "UPDATE jobs SET state = 'queued', owner = NULL, started = NULL, attempts = attempts + ? WHERE id = ?",
         [attempts, job_id],
@@ -68,19 +68,22 @@ def requeue_job(connection: Connection, job_id: str, why: str, attempts: int = 0
 
 
 def running_job(connection: Connection, job_id: str, owner: str) -> Row | None:
-    """The job, while it is running and this owner's."""
+    """The row of a job that this owner is running; None if it is not."""
     query = "SELECT * FROM jobs WHERE id = ? AND state = 'running' AND owner = ?"
     return connection.execute(query, [job_id, owner]).fetchone()
 
 
 def wait_for(connection: Connection, job_id: str, process: str | None) -> None:
-    """A request of the process waits for the job's answer; none does where there is no process."""
+    """Note that a request of `process` waits for the job; nothing if `process` is None."""
     if process is not None:
         connection.execute("INSERT INTO waits (job_id, process) VALUES (?, ?)", [job_id, process])
 
 
 def cancel_unwanted(connection: Connection, job_id: str, why: str) -> bool:
-    """A queued job ends at once, a running one after the stage that it is in. Returns whether it is over by this."""
+    """Cancel a job that is not kept and that no request waits for: a queued one at once, a running one after its stage.
+
+    Returns whether this ended it.
+    """
     row = connection.execute(f"{JOBS} WHERE id = ?", [job_id]).fetchone()
     if row is None or row["kept"] or row["waiting"] > 0:
         return False
@@ -94,7 +97,7 @@ def cancel_unwanted(connection: Connection, job_id: str, why: str) -> bool:
 
 
 def tell(connection: Connection, job_id: str, name: str, data: Mapping[str, Any]) -> None:
-    """Note an event under the next number."""
+    """Append an event under the job's next number."""
     connection.execute(
         "INSERT INTO events (job_id, seq, name, data)"
         " SELECT ?, 1 + coalesce(max(seq), 0), ?, ? FROM events WHERE job_id = ?",
@@ -103,7 +106,7 @@ def tell(connection: Connection, job_id: str, name: str, data: Mapping[str, Any]
 
 
 def found_job(connection: Connection, job_id: str) -> Job:
-    """Raises `JobNotFound`."""
+    """The job of this id. Raises `JobNotFound`."""
     row = connection.execute(f"{JOBS} WHERE id = ?", [job_id]).fetchone()
     if row is None:
         raise unknown_job(job_id)
@@ -111,7 +114,7 @@ def found_job(connection: Connection, job_id: str) -> Job:
 
 
 def job_of(row: Row) -> Job:
-    """The job that a row is."""
+    """The `Job` of a row that `JOBS` selected."""
     values: dict[str, Any] = dict(row)
     values |= {name: bool(values[name]) for name in ("kept", "cancelled")}
     if values["problem"] is not None:
@@ -120,5 +123,5 @@ def job_of(row: Row) -> Job:
 
 
 def unknown_job(job_id: str) -> GapmesError:
-    """What is said of an id that is none."""
+    """The error for an id that no job has."""
     return JobNotFound(f"no job {job_id[:64]!r}", field="job", cure="ended jobs are forgotten after a while")

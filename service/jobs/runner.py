@@ -1,4 +1,4 @@
-"""The threads of a process that compute jobs: claim, compute, tell every stage, end; and take over from the dead."""
+"""Worker threads that claim jobs, compute them and record stages and ends, and queue jobs of dead processes again."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
-from ..errors import DeadlineExceeded, GapmesError, JobCancelled
+from ..errors import DeadlineExceeded, GapmesError, JobCancelled, StorageFull
 from ..problem_document import problem, public
 from ..process.logs import REQUEST_ID
 from ..process.priority import give_way
@@ -18,10 +19,10 @@ from .spool import Spool
 from .table import JobTable
 from .work import Work
 
-POLL_S = 0.25  # between looks for what other processes have queued
-RECOVER_S = 2.0  # between looks for processes that ended
-STEP_S = 0.1  # between two notes of steps of a stage; its beginning and end are always noted
-RETRY_S = 1.0  # between attempts to note the end of a job on a full disk
+POLL_S = 0.25  # between polls for jobs that other processes have queued
+RECOVER_S = 2.0  # between checks for processes that have ended
+STEP_S = 0.1  # between progress events within a stage; its beginning and end are always recorded
+RETRY_S = 1.0  # between attempts to record the end of a job on a full disk
 
 _log = logging.getLogger("gapmes")
 
@@ -29,12 +30,12 @@ Compute = Callable[[Work, str, Listener], None]  # work, scene id, listener of s
 
 
 class Runner:
-    """`slots` jobs at a time, each by a thread of its own."""
+    """Runs up to `slots` jobs at once, each in a thread of its own."""
 
     def __init__(
         self, table: JobTable, spool: Spool, lease: Lease, compute: Compute, *, slots: int, limit_s: float
     ) -> None:
-        """A job that takes longer than `limit_s` is ended after the stage that it is in then."""
+        """A job that has run for more than `limit_s` seconds fails at its next report of progress."""
         self._table, self._spool, self._lease, self._compute = table, spool, lease, compute
         self._limit_s = limit_s
         self._wake = threading.Condition()
@@ -44,22 +45,22 @@ class Runner:
         self._threads = [threading.Thread(target=self._loop, name=f"job-{i}", daemon=True) for i in range(slots)]
 
     def start(self) -> None:
-        """Begin to claim jobs."""
+        """Start the threads."""
         for thread in self._threads:
             thread.start()
 
     def notify(self) -> None:
-        """A job was queued here: do not wait for the next look."""
+        """Wake a thread: this process has queued a job."""
         with self._wake:
             self._wake.notify()
 
     def drain(self) -> None:
-        """Claim only jobs whose answer a request waits for; the others are left to another process."""
+        """From now on claim only jobs that a request waits for."""
         self._draining = True
 
     def stop(self, patience_s: float) -> None:
-        """Claim no further job and wait for those that run; those that take longer are queued for another process, or
-        end where they were cancelled."""
+        """Claim no further jobs and wait up to `patience_s` for those that run. The rest are queued again, or ended if
+        they were cancelled."""
         with self._wake:
             self._stopping = True
             self._wake.notify_all()
@@ -72,7 +73,7 @@ class Runner:
                 self._spool.drop(job_id)
 
     def recover(self) -> None:
-        """Queue the jobs of processes that ended again, or fail those that have ended two."""
+        """Queue the jobs of processes that have ended again; a job whose process has ended twice fails."""
         why = problem(
             500,
             "job_abandoned",
@@ -89,7 +90,7 @@ class Runner:
         while not self._stopping:
             try:
                 job = self._next()
-            except Exception:  # such as a full disk: what is queued stays queued
+            except Exception:  # such as a full disk; queued jobs stay queued
                 _log.exception("jobs cannot be claimed")
                 time.sleep(RETRY_S)
                 continue
@@ -99,10 +100,10 @@ class Runner:
                         self._wake.wait(POLL_S)
                 continue
             self._running.add(job.id)
-            token = REQUEST_ID.set(self._spool.request_id(job.id))  # of all that is logged of it
+            token = REQUEST_ID.set(self._spool.request_id(job.id))  # for all log lines of the job
             try:
                 self._run(job)
-            except Exception:  # the thread must go on, whatever happened to one job
+            except Exception:  # the thread must survive
                 _log.exception("job %s was left", job.id)
             finally:
                 REQUEST_ID.reset(token)
@@ -117,34 +118,48 @@ class Runner:
 
     def _run(self, job: Job) -> None:
         owner = self._lease.name
-        try:
-            work = self._spool.get(job.id)
-            self._compute(work, job.scene_id, self._listener(job))
-        except JobCancelled:
-            over = self._noted(job, lambda: self._table.end_cancelled(job.id, owner))
-        except Exception as error:
-            if not isinstance(error, GapmesError) or error.status == 500:
-                _log.error("job %s failed", job.id, exc_info=error)
-            document = public(error)
-            over = self._noted(job, lambda: self._table.end(job.id, owner, "failed", document))
+        if left := self._spool.left_end(job.id):  # of a process that ended before it could record it
+            over = self._noted(job, lambda: self._table.end(job.id, owner, *left))
         else:
-            over = self._noted(job, lambda: self._table.end(job.id, owner, "done"))
+            over = self._computed(job, owner)
         if over:
             self._spool.drop(job.id)
 
-    def _noted(self, job: Job, note: Callable[[], bool]) -> bool:
-        """A full disk cannot keep a job from ending: the note is tried until it is there, or this process ends."""
+    def _computed(self, job: Job, owner: str) -> bool:
+        """Compute the job and record its end; whether that was recorded."""
+        problem_document: dict[str, Any] | None = None
+        try:
+            self._compute(self._spool.get(job.id), job.scene_id, self._listener(job))
+        except JobCancelled:
+            return self._noted(job, lambda: self._table.end_cancelled(job.id, owner))
+        except Exception as error:
+            if not isinstance(error, GapmesError) or error.status == 500:
+                _log.error("job %s failed", job.id, exc_info=error)
+            problem_document = public(error)
+        end = ("done" if problem_document is None else "failed", problem_document)
+        return self._noted(
+            job, lambda: self._table.end(job.id, owner, *end), lambda: self._spool.leave_end(job.id, *end)
+        )
+
+    def _noted(self, job: Job, note: Callable[[], bool], make_room: Callable[[], None] | None = None) -> bool:
+        """Call `note` until it succeeds, or until the runner stops; returns what it does, False when stopping.
+
+        On a full disk `make_room` is called before the next attempt, so that a job always ends.
+        """
         while True:
             try:
                 return note()
-            except Exception:
+            except Exception as error:
                 _log.exception("the end of job %s cannot be noted", job.id)
+                if make_room is not None and isinstance(error, StorageFull):
+                    make_room()
+                    self._table.use_room()
                 if self._stopping:
                     return False
                 time.sleep(RETRY_S)
 
     def _listener(self, job: Job) -> Listener:
-        """Notes stages for whoever follows the job, and ends it between two where it should not go on."""
+        """A listener that records progress as events, and ends the job by `JobCancelled` or `DeadlineExceeded`."""
         noted = 0.0
         started = time.monotonic()
 

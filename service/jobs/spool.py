@@ -1,4 +1,4 @@
-"""The inputs of unfinished jobs on disk, so that any process can compute them, also after a crash."""
+"""Inputs of unfinished jobs on disk: any process of the store can compute them, even after a crash."""
 
 from __future__ import annotations
 
@@ -6,28 +6,30 @@ import contextlib
 import json
 import shutil
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from ..process.disk import full_is_refused
 from .work import Work
 
 _DOCUMENT = "work.json"
 _REQUEST = "request"
+_END = "end.json"
 _TEMPORARY = ".incoming-"
 SUBMITTING_S = 3600.0  # far longer than writing the photographs and queueing the job take
 
 
 class Spool:
-    """One folder per job under `root`, whole or not there. It survives a crash of the process; a power cut only where
-    the system had written it by then."""
+    """One folder per job under `root`, created atomically. It survives a crash of the process, but is not synced to
+    disk, so a power cut may lose it."""
 
     def __init__(self, root: Path) -> None:
         root.mkdir(parents=True, exist_ok=True)
         self._root = root
 
     def put(self, job_id: str, work: Work, request_id: str | None = None) -> None:
-        """Write a job's inputs, and the id of the request that brought them. Raises `StorageFull`."""
+        """Write a job's inputs and the id of its request. Raises `StorageFull`."""
         incoming = self._root / f"{_TEMPORARY}{job_id}"
         with full_is_refused("the photographs"):
             try:
@@ -41,26 +43,46 @@ class Spool:
                 shutil.rmtree(incoming, ignore_errors=True)
 
     def get(self, job_id: str) -> Work:
-        """Read a job's inputs. Raises `FileNotFoundError` where they are gone."""
+        """Read a job's inputs. Raises `FileNotFoundError`."""
         folder = self._root / job_id
         document = json.loads((folder / _DOCUMENT).read_bytes())
         return Work.of_document(document, [(folder / str(i)).read_bytes() for i in range(len(document["cameras"]))])
 
     def request_id(self, job_id: str) -> str | None:
-        """Of the request that brought a job's inputs, where that is known."""
+        """Id of the request that submitted a job, None if unknown."""
         try:
             return (self._root / job_id / _REQUEST).read_text(encoding="utf-8") or None
         except (OSError, ValueError):  # an earlier release wrote none
             return None
 
+    def leave_end(self, job_id: str, state: str, problem: Mapping[str, Any] | None) -> None:
+        """Replace a job's inputs by its end, which is far smaller, so that on a full disk another process can record it
+        if this one ends first."""
+        folder = self._root / job_id
+        temporary = folder / f"{_TEMPORARY}{_END}"
+        with contextlib.suppress(OSError):  # the disk is full, or the folder was dropped
+            for file in folder.iterdir():
+                if file.name not in (_END, _REQUEST):
+                    file.unlink()
+            temporary.write_text(json.dumps([state, problem]), encoding="utf-8")
+            temporary.rename(folder / _END)
+
+    def left_end(self, job_id: str) -> tuple[str, dict[str, Any] | None] | None:
+        """State and problem that `leave_end` wrote; None if there is no such file, or a power cut has damaged it."""
+        try:
+            state, problem = json.loads((self._root / job_id / _END).read_bytes())
+        except (OSError, ValueError):
+            return None
+        return state, problem
+
     def drop(self, job_id: str) -> None:
-        """Remove what there is of it."""
+        """Delete the folder of a job, if it exists."""
         shutil.rmtree(self._root / job_id, ignore_errors=True)
 
     def sweep(self, active: Iterable[str]) -> None:
-        """Remove what is of no `active` job, but for what is so young that somebody may be submitting it."""
+        """Delete the folders of jobs that are not `active`; not recent ones, whose jobs may be about to be queued."""
         keep, old = set(active), time.time() - SUBMITTING_S
         for folder in self._root.iterdir():
-            with contextlib.suppress(FileNotFoundError):  # another process was faster
+            with contextlib.suppress(FileNotFoundError):  # deleted by another process
                 if folder.name not in keep and folder.stat().st_mtime < old:
                     shutil.rmtree(folder, ignore_errors=True)

@@ -1,8 +1,8 @@
-"""Jobs and their events in the store's database: submitted once per scene, claimed by one process, ended once.
+"""State changes of jobs in the store's database: one active job per scene, claimed by one process, ended once.
 
 queued -> running -> done | failed | cancelled        queued -> cancelled        running -> queued (its process ended)
 
-Every end is counted, once it is written.
+Every end is counted in the metrics once it is committed.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ from .rows import (
 )
 
 UNSET_S = UNSET_NS / 10**9
-MAX_ATTEMPTS = 2  # a job whose process died is tried once more; then it is taken for the reason
+MAX_ATTEMPTS = 2  # after this many dead processes the job itself is taken to be the cause
 
 
 class JobTable(JobReader):
-    """All of it is safe for many processes on one store."""
+    """Each method is one transaction, safe from any thread and process of the store."""
 
     def __init__(self, database: Database, *, most: int, keep_s: float, slots: Callable[[], int] = lambda: 0) -> None:
-        """`most` active jobs beside as many as the processes have `slots` for; ended ones are forgotten after `keep_s`
-        seconds."""
+        """At most `most` jobs may wait beside those that fill the processes' `slots`. Rows of ended jobs are deleted
+        after `keep_s` seconds."""
         super().__init__(database)
         self._most, self._slots = most, slots
         self._keep_s = keep_s
 
     def check_room(self) -> None:
-        """Raises `ServiceBusy` where no further job would be taken."""
+        """Raises `ServiceBusy` if a new job would be refused."""
         self._check(sum(self.counts().values()))
 
     def join(self, scene_id: str, waits: str | None = None) -> Job | None:
-        """Take part in the active job of the scene, if there is one: for good, or with a request of the process `waits`
-        for as long as that waits."""
+        """Join the active job of the scene; None if there is none. It is kept from now on, or, if `waits` names a
+        process, wanted for as long as a request of that process waits."""
         with self._database.write() as connection:
             return self._joined(connection, scene_id, waits)
 
     def submit(self, job_id: str, scene_id: str, waits: str | None = None) -> Job:
-        """Queue a job whose inputs are spooled under `job_id`, or take part in the scene's active one: the answer's id
-        tells which. `waits` as in `join`. Raises `ServiceBusy`."""
+        """Queue a job whose inputs are spooled under `job_id`, or join the scene's active one, which has another id.
+        `waits` as in `join`. Raises `ServiceBusy`."""
         with self._database.write() as connection:
             there = self._joined(connection, scene_id, waits)
             if there is not None:
@@ -71,8 +71,8 @@ class JobTable(JobReader):
             return found_job(connection, job_id)
 
     def already_done(self, scene_id: str) -> Job:
-        """A job of a stored scene that ended when it was asked for: one from before, while that is remembered for long
-        enough, so that asking again and again adds none."""
+        """A job of a stored scene that is done from the start. One from an earlier request is reused during the first
+        half of `keep_s`, so that repeated requests add no rows."""
         now, job_id = time.time(), uuid.uuid4().hex
         with self._database.write() as connection:
             self._forget(connection)
@@ -92,11 +92,11 @@ class JobTable(JobReader):
         return job
 
     def claim(self, owner: str, *, waited_for: bool = False) -> Job | None:
-        """The queued job that was asked for first, as the rows tell and no clock, running from now on and this owner's;
-        with `waited_for` one whose answer a request waits for."""
+        """Mark the oldest queued job, in order of insertion, as running for `owner`, and return it; None if there is
+        none. With `waited_for` only jobs that a request waits for."""
         some = "state = 'queued'" + (" AND id IN (SELECT job_id FROM waits)" if waited_for else "")
         if not self._database.rows(f"SELECT 1 FROM jobs WHERE {some} LIMIT 1"):
-            return None  # most looks find nothing, and need not write
+            return None  # most polls find nothing, and need no write lock
         with self._database.write() as connection:
             rows = connection.execute(
                 "UPDATE jobs SET state = 'running', owner = ?, started = ?, attempts = attempts + 1 WHERE id ="
@@ -110,7 +110,7 @@ class JobTable(JobReader):
             return job
 
     def stage(self, job_id: str, owner: str, data: Mapping[str, Any]) -> bool:
-        """Note a step of the work; returns whether it should go on: it is this owner's, and somebody wants it."""
+        """Add a stage event; returns whether to go on: False if the job was cancelled or is no longer this owner's."""
         with self._database.write() as connection:
             row = running_job(connection, job_id, owner)
             if row is None or row["cancelled"]:
@@ -119,7 +119,7 @@ class JobTable(JobReader):
             return True
 
     def end(self, job_id: str, owner: str, state: str, problem: Mapping[str, Any] | None = None) -> bool:
-        """The owner's job is done or failed; returns whether it was the owner's still."""
+        """Set the owner's running job to done or failed; returns False if it was no longer this owner's."""
         with self._database.write() as connection:
             self._forget(connection)
             if running_job(connection, job_id, owner) is None:
@@ -129,18 +129,17 @@ class JobTable(JobReader):
         return True
 
     def end_cancelled(self, job_id: str, owner: str) -> bool:
-        """The owner's job ended because nobody wanted it; it begins anew where somebody does by now. Returns whether it
-        is over."""
+        """End the owner's job as cancelled, or queue it again if somebody has joined it meanwhile. Returns whether it
+        ended."""
         return self._stopped(job_id, owner, "somebody wants it again")
 
     def give_back(self, job_id: str, owner: str) -> bool:
-        """Queue a job again that its owner will not finish. One that was cancelled ends. Returns whether it is over by
-        this."""
+        """Queue a job again that its owner will not finish, or end it if it was cancelled. Returns whether it ended."""
         return self._stopped(job_id, owner, "the process that computed it stopped")
 
     def leave(self, job_id: str, process: str, *, goes_on: bool = False) -> bool:
-        """A request of a process does not wait any more; a job that nobody wants is cancelled, unless it `goes_on`.
-        Returns whether that ended it."""
+        """A request of a process stops waiting. A job that nobody else wants is cancelled, unless it `goes_on`. Returns
+        whether this ended it."""
         with self._database.write() as connection:
             one = "SELECT rowid FROM waits WHERE job_id = ? AND process = ? LIMIT 1"
             connection.execute(f"DELETE FROM waits WHERE rowid IN ({one})", [job_id, process])
@@ -150,7 +149,7 @@ class JobTable(JobReader):
         return over
 
     def cancel(self, job_id: str) -> Job:
-        """Nobody asks for the job any more; requests that wait for the same scene keep it going.
+        """Cancel the job unless requests wait for the same scene.
 
         Raises `JobNotFound`.
         """
@@ -164,11 +163,11 @@ class JobTable(JobReader):
         return job
 
     def recover(self, gone: set[str], why: Mapping[str, Any]) -> set[str]:
-        """Queue the running jobs of processes that are gone again, or fail them with `why` after the last attempt.
-        Returns the ids of those that are over.
+        """Queue the running jobs of the processes `gone` again, or fail them with `why` after `MAX_ATTEMPTS`. Returns
+        the ids of those that ended.
 
-        Requests that waited there are forgotten. What they asked for goes on, since their clients will ask again, but
-        can be cancelled.
+        Requests that waited in these processes are deleted. Their jobs go on, since the clients will ask again, but can
+        be cancelled.
         """
         over: dict[str, str] = {}
         with self._database.write() as connection:
@@ -189,7 +188,7 @@ class JobTable(JobReader):
         return set(over)
 
     def forget(self) -> None:
-        """Forget jobs that ended long ago. An end that lies ahead, noted by a clock that was fast, is now."""
+        """Delete jobs that ended more than `keep_s` ago. Ends in the future, by a fast clock, are set to now."""
         now = time.time()
         if not self._database.rows(
             "SELECT 1 FROM jobs WHERE ended < ? OR ended > ? LIMIT 1", [now - self._keep_s, now]
@@ -198,8 +197,12 @@ class JobTable(JobReader):
         with self._database.write() as connection:
             self._forget(connection)
 
+    def use_room(self) -> None:
+        """Checkpoint the write-ahead log into the tables, once a full disk has some room again."""
+        self._database.empty_log()
+
     def _stopped(self, job_id: str, owner: str, why: str) -> bool:
-        """The owner's job ends where it was cancelled; else it is queued again, and the attempt does not count."""
+        """End the owner's job if it was cancelled, else queue it again, not counting the attempt; whether it ended."""
         with self._database.write() as connection:
             row = running_job(connection, job_id, owner)
             if row is None:

@@ -1,4 +1,4 @@
-"""What one reconstruction is asked to do, independent of who asked: photographs, cameras, options; and doing it."""
+"""The inputs of one reconstruction, independent of HTTP: photographs, cameras, options; and computing it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Work:
-    """The inputs of a scene; two with the same `scene_id` give the same scene."""
+    """All inputs of a reconstruction; equal `scene_id` means equal scenes."""
 
     images: tuple[bytes, ...]  # encoded, as they were sent
     cameras: tuple[Camera, ...]
@@ -44,12 +44,12 @@ class Work:
     model: str = DEFAULT  # the name that the service has for it
     fade: int = DEFAULT_PASSES
     detail: int = 1
-    lenses: tuple[Lens | None, ...] = ()  # what the photographs are resampled from; empty where none is
-    numbers: tuple[int, ...] = ()  # what errors and warnings call the views; empty where they are counted from 0
+    lenses: tuple[Lens | None, ...] = ()  # of photographs that are to be undistorted; empty if none is
+    numbers: tuple[int, ...] = ()  # view numbers for errors and warnings; empty for 0, 1, ...
 
     def scene_id(self, identity: str) -> str:
-        """Everything that the stored scene depends on, and nothing else: file names are the request's own, and so is
-        the model's name; `identity` is that of its file and of the engine."""
+        """Hash of everything that the stored scene depends on, and of nothing else: neither file names nor the model's
+        name. `identity` is that of the model's file and of the engine."""
         budget = self.budget
         bounded = budget.max_error is not None or budget.min_opacity > 0
         options: dict[str, Any] = {
@@ -73,12 +73,12 @@ class Work:
         return SceneStore.scene_id(identity, self.images, [_camera_entry(camera) for camera in self.cameras], options)
 
     def check_pixels(self, settings: Settings) -> None:
-        """By the photographs' headers. Raises `ImageError` and `ImageTooLarge`."""
+        """Check the limits on pixels by the photographs' headers. Raises `ImageError` and `ImageTooLarge`."""
         limits = {"max_pixels": settings.max_image_pixels, "max_total": settings.max_request_pixels}
         check_total(self.images, numbers=self.numbers or None, **limits)
 
     def document(self) -> dict[str, Any]:
-        """All but the images as plain JSON; `of_document` reads it back to the bit."""
+        """All but the images as JSON values; `of_document` restores them exactly."""
         names = ("near", "far", "trust_poses", "leave_one_out", "fade", "detail", "model")
         rest: dict[str, Any] = {name: getattr(self, name) for name in names}
         cameras, lenses = (
@@ -89,7 +89,7 @@ class Work:
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any], images: Sequence[bytes]) -> Work:
-        """What `document` wrote, with its images; one of an earlier release has the default of what it lacks."""
+        """Inverse of `document`; fields that an earlier release did not write have their defaults."""
         budget = {**document["budget"], "asked": tuple(document["budget"]["asked"])}
         cameras = tuple(_camera_of(entry) for entry in document["cameras"])
         lenses = tuple(None if entry is None else Lens(**entry) for entry in document.get("lenses", ()))
@@ -104,7 +104,7 @@ class Work:
 def compute(
     work: Work, scene_id: str, reconstructor: Reconstructor, store: SceneStore, settings: Settings, listener: Listener
 ) -> dict[str, Any]:
-    """Decode, reconstruct and store; the store keeps the whole scene or nothing. Returns its document."""
+    """Decode, reconstruct and store; the scene is stored as a whole or not at all. Returns its document."""
     work.check_pixels(settings)
     scene = reconstructor.reconstruct(
         [
@@ -138,6 +138,6 @@ def _lens_entry(lens: Lens | None) -> dict[str, Any] | None:
 
 
 def _camera_of(entry: Mapping[str, Any]) -> Camera:
-    """It was checked when it came."""
+    """The camera of an entry of `document`, which was checked when it was submitted."""
     rest = {name: value for name, value in entry.items() if name not in ("c2w", "given")}
     return Camera(world_from_cam=np.array(entry["c2w"], dtype=np.float64), given=Given(*entry["given"]), **rest)

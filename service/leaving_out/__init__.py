@@ -1,1 +1,1 @@
-"""gapmes.service.leaving_out: what a scene does not need, left out within a proved bound."""
+"""gapmes.service.leaving_out: pruning of Gaussians within a proved bound on the change of colour."""

@@ -1,4 +1,4 @@
-"""How much may be left out of a scene: a budget on the change of colour, and the views for which it is proved."""
+"""The budget of pruning: the largest change of colour, and the views for which that bound is proved."""
 
 from __future__ import annotations
 
@@ -11,23 +11,19 @@ from ..plain_number import plain_float
 from .stride import STRIDES
 
 DEFAULT_MAX_ERROR = 1 / 255  # one level of an 8-bit picture
-DEFAULT_CERTIFY = 1  # views between two neighbouring inputs: what only they see stays
+DEFAULT_CERTIFY = 1  # views between two neighbouring inputs: what only these views see is kept
 MAX_CERTIFY = 30
 
 
 @dataclass(frozen=True)
 class Budget:
-    """What may be left out: `max_error` is a change of colour (None: nothing goes), `certify` how many views between
-    two neighbouring inputs it holds for, `asked` further views (such as "orbit:20"; kept sorted, once each).
+    """Which Gaussians may be pruned. Raises `InputError` for numbers out of range."""
 
-    Raises `InputError` for numbers out of range.
-    """
-
-    max_error: float | None = DEFAULT_MAX_ERROR
-    certify: int = DEFAULT_CERTIFY
-    asked: tuple[str, ...] = ()
-    min_opacity: float = 0.0  # fainter Gaussians go whatever that changes; the change is bounded and reported
-    stride: int = 1  # a Gaussian per so many pixels in both directions; another model, of which no bound is known
+    max_error: float | None = DEFAULT_MAX_ERROR  # largest change of a colour in the certified views; None: keep all
+    certify: int = DEFAULT_CERTIFY  # certified views between two neighbouring inputs
+    asked: tuple[str, ...] = ()  # further certified views, such as "orbit:20"; sorted, without duplicates
+    min_opacity: float = 0.0  # fainter Gaussians are removed whatever that changes; the change is bounded and reported
+    stride: int = 1  # one Gaussian per stride x stride pixels: a different model, for which there is no bound
 
     def __post_init__(self) -> None:
         if isinstance(self.asked, str | bytes):
@@ -51,7 +47,7 @@ class Budget:
 
 
 def checked_budget(budget: Budget | None) -> Budget:
-    """The default one in place of None. Raises `InputError` for anything else."""
+    """`budget`, or the default one for None. Raises `InputError` for anything else."""
     if budget is not None and not isinstance(budget, Budget):
         cure = "give a Budget, or leave it out for the default one"
         raise InputError(f"is a {type(budget).__name__}, need a Budget", field="budget", cure=cure)
@@ -59,12 +55,12 @@ def checked_budget(budget: Budget | None) -> Budget:
 
 
 def checked_max_error(value: float) -> float:
-    """A budget on a change of colour, 0..1. Raises `InputError`."""
+    """`value` as a float in [0, 1]. Raises `InputError`."""
     return _share(value, "max_error", "1/255 = 0.0039 is one level of 8 bits; off keeps all")
 
 
 def parse_max_error(text: str) -> float | None:
-    """The budget that `text` names: a number, a fraction such as 1/255, or "off". Raises `InputError`."""
+    """Parse a number, a fraction such as 1/255, or "off" (None). Raises `InputError`."""
     if text.strip().lower() == "off":
         return None
     try:

@@ -1,4 +1,4 @@
-"""Which views a scene's bounds hold for: its inputs, views on the path between them, and those that were asked for."""
+"""The certified views, for which the bounds hold: the inputs, views interpolated between them, and requested ones."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from ..viewpoints.views import between
 
 
 def certified_views(cameras: Sequence[Camera], certify: int, asked: Sequence[Camera] = ()) -> list[Camera]:
-    """The inputs, then `certify` views at equal steps between each and the next, then those asked for."""
+    """The inputs `cameras`, then `certify` equidistant views between each and the next, then `asked`."""
     return [*cameras, *views_between(pairwise(cameras), certify), *asked]
 
 
 def views_between(ways: Iterable[tuple[Camera, Camera]], count: int) -> list[Camera]:
-    """`count` views at equal steps on each way from one camera to another.
+    """`count` equidistant views between the two cameras of each pair.
 
-    The middle of each way comes first among its views: where it shows that all is needed, the others are not drawn.
+    The views nearest to the middle come first: where these need every Gaussian, `prune` does not draw the others.
     """
     steps = sorted((step / (count + 1) for step in range(1, count + 1)), key=lambda share: abs(share - 0.5))
     ways = list(ways)

@@ -1,6 +1,6 @@
-"""What one reconstruction left out: a row for each kind, with how many of how many, at which error, and what it saved.
+"""Pruning of a reconstructed scene, and the report of everything that was left out: counts, errors, bytes.
 
-The order is that in which things are left out: routes and patches before the network's experts run, then Gaussians.
+Rows follow the order of the pipeline: patches and routes that the network's experts skip, then Gaussians.
 """
 
 from __future__ import annotations
@@ -28,8 +28,10 @@ from .pruning import largest_change, prune, removal_bound
 def leave_out(
     gaussians: Gaussians, may_go: NDArray[np.bool_], scene: SceneViews, budget: Budget, threads: int | None
 ) -> tuple[Gaussians, list[Render], dict[str, Any]]:
-    """The scene without what it does not need of `may_go` (N,), its pictures from the inputs' cameras (colour and
-    opacity), and what was done as plain JSON."""
+    """Prune `gaussians` within `budget`; only those of the mask `may_go` (N,) are candidates.
+
+    Returns the pruned set, its renders (colour and opacity) from the inputs' cameras, and a report of plain JSON.
+    """
     started = time.perf_counter()
     options: dict[str, Any] = {**scene.near_plane, "threads": threads}
     cameras, whole = scene.cameras, gaussians
@@ -76,7 +78,7 @@ def _drawn(gaussians: Gaussians, cameras: Sequence[Camera], options: Mapping[str
 
 
 def _seconds(gaussians: Gaussians, camera: Camera, options: Mapping[str, Any]) -> float:
-    """One picture, without what is done once for a set."""
+    """Time of one render, s, without the preparation that is done once per set."""
     stages = render(gaussians, camera, outputs=(), **options).stats["seconds"]
     return round(sum(seconds for name, seconds in stages.items() if name != "prepare"), 6)
 
@@ -90,8 +92,12 @@ def table(
     *,
     added: int = 0,
 ) -> list[dict[str, Any]]:
-    """Rows {what, count, of, error}; `error` is the largest change of a certified colour, 0 where nothing changes, None
-    where it is not a change of the same scene. `added` Gaussians are not the network's."""
+    """Rows {what, count, of, error} from the network's `outputs`, the `patch_mask` (V, P), the counts of Gaussians
+    `dropped` by reason and the report `pruned` of `leave_out`.
+
+    `error` bounds the change of colour in certified views: 0 where nothing changes, None where no bound applies.
+    `added` is the number of Gaussians beside the network's.
+    """
     rows: list[dict[str, Any]] = []
 
     def row(what: str, count: int, of: int, error: float | None = 0.0) -> None:

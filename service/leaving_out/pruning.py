@@ -1,9 +1,11 @@
-"""Leaving Gaussians out within a proved bound on the colours of certified views.
+"""Pruning of Gaussians within a proved bound on the change of colour in certified views.
 
-Colour at a pixel is a sum of weights times colours, and the weights with the background's add up to 1. Leaving out a
-set whose weights sum to `m` frees `m`, which reappears on what is kept: no channel moves by more than `m R`, with `R`
-the range of all colours and the background. The early stop of either picture adds at most its own share. The sum `m` is
-measured at every pixel of every certified view, so the bound holds there and is an estimate elsewhere.
+A pixel's colour is a convex combination: blending weights times colours, where the weights and that of the background
+sum to 1. Removing a set with the total weight `m` redistributes `m` over what remains, so no channel changes by more
+than `m R`, with `R` the range of all colours and the background. The pruned picture has at least the transmittance of
+the full one at every layer and stops no earlier, so early stopping adds what it hides once. Rounding of both pictures
+is added. The mass `m` is measured at every pixel of every certified view: there the bound holds, elsewhere it is an
+estimate.
 """
 
 from __future__ import annotations
@@ -24,33 +26,33 @@ from ..splat.footprint import RADIUS_SLACK
 from ..splat.options import checked_definition
 from .budget import checked_max_error
 
-SHARE = 1 / 8  # of what a pixel may lose: a Gaussian with a larger weight stays, so that sums seldom lose too much
-WORTH = 0.01  # share of the Gaussians below which leaving them out does not pay for deciding which
-ROUNDING = 1e-5  # of the measured sums: each alpha has the same bits in both pictures, float32 adds 3e-8 a layer
+SHARE = 1 / 8  # of the mass that a pixel may lose: Gaussians of larger weight are kept, so that sums rarely exceed it
+WORTH = 0.01  # share of the Gaussians below which pruning them costs more than it saves
+EPSILON = 2.0**-24  # unit roundoff of float32
 # Largest value of a band's basis functions for coefficients of norm 1: sqrt((2 l + 1) / (4 pi)), l = 1, 2, 3.
 BAND_NORMS = tuple(math.sqrt((2 * band + 1) / (4 * math.pi)) for band in (1, 2, 3))
 
 
 @dataclass(frozen=True, eq=False)
 class Pruning:
-    """Which Gaussians are kept, and what leaving the others out does to a pixel of the certified views at most."""
+    """Which Gaussians are kept, and the largest change of colour in the certified views."""
 
     keep: NDArray[np.bool_]  # (N,)
-    bound: float  # colour, proved; never above the budget
-    actual: float  # colour, the largest change that was found in `pictures`, over black
-    unseen: int  # of those left out: had no weight at any certified pixel
-    pictures: list[Render]  # with opacity, of the first cameras, after leaving out
+    bound: float  # proved bound on the change of a colour; never above the budget
+    actual: float  # largest change of a colour measured in `pictures`, over black
+    unseen: int  # removed Gaussians without weight at any certified pixel
+    pictures: list[Render]  # colour and opacity from the first cameras, after pruning
 
     @property
     def dropped(self) -> int:
-        """How many are left out."""
+        """Number of removed Gaussians."""
         return int((~self.keep).sum())
 
 
 def colour_range(gaussians: Gaussians) -> float:
-    """The largest difference of two colours among the Gaussians and any background in [0, 1], from any direction.
+    """Upper bound on the difference of two colours, over all Gaussians, directions and backgrounds in [0, 1].
 
-    Colours are not negative, and one is at most its constant band plus the norms of the others.
+    Colours are clamped at 0 from below; each is at most its constant band plus the norms of the others.
     """
     harmonics = gaussians.harmonics.astype(np.float64)
     if not len(harmonics):
@@ -76,24 +78,25 @@ def prune(
     definition: Definition | None = None,
     threads: int | None = None,
 ) -> Pruning:
-    """Leave out the Gaussians of `may_go` (N,) whose weight no pixel of `cameras` misses beyond `max_error`.
+    """Remove Gaussians of the mask `may_go` (N,) such that no pixel of `cameras` changes by more than `max_error`.
 
-    `max_error` is a change of colour, 0..1, over any background in [0, 1], in pictures that are drawn with `near` and
-    `definition`. With 0 only those go that have no weight at all: the pictures keep their bits. As soon as less than
-    the share `worth` is left to drop, everything is kept, and further views are not looked at. The result has the first
-    `pictures` views as they are drawn afterwards. Raises `InputError`, also for a definition whose stop is exclusive:
-    there a Gaussian without weight may end a pixel.
+    `max_error` bounds the change of a colour, 0..1, over any background in [0, 1], in pictures drawn with `near` and
+    `definition`. With 0 only Gaussians without any weight are removed, and pictures are equal to the bit. When fewer
+    than the share `worth` of all remain as candidates, everything is kept and no further view is drawn. The result has
+    renders of the first `pictures` views after pruning. Raises `InputError`, also for a definition with an exclusive
+    stop, under which a Gaussian without weight may end a pixel.
 
-    A drawing of a view yields the weights that candidates have there and, of those that are left from the views before,
-    the mass that each pixel would lose. Where that is too much, the candidates that reach the pixel stay. Leaving out
-    fewer loses less at every pixel, so what was measured for a larger set holds for the smaller one.
+    Rendering a view gives each candidate's peak weight and, for the candidates left by the views before, the mass that
+    each pixel would lose. Candidates that reach a pixel that would lose too much are kept. The lost mass decreases
+    monotonically with the set removed, so a value measured for a larger set bounds that of a subset.
     """
     max_error = checked_max_error(max_error)
     rule = _rule(definition, near)
     extent = colour_range(gaussians)
-    # What is left for the freed mass once both pictures' early stops and the rounding of the sums are paid; rounded
-    # down to float32, in which the masses are.
-    mass = float(np.nextafter(np.float32(max_error / extent - 2 * rule.stop - ROUNDING), np.float32(-1)))
+    stretch, rest = _beside_mass(rule, len(gaussians))
+    # What is left for the freed mass once the early stop and the rounding are paid; rounded down to float32, in which
+    # the masses are.
+    mass = float(np.nextafter(np.float32((max_error / extent - rest) / stretch), np.float32(-1)))
     mass = max(mass, 0.0)
     going = np.ones(len(gaussians), np.bool_) if may_go is None else may_go.copy()
     seen = np.zeros(len(gaussians), np.bool_)
@@ -123,7 +126,7 @@ def prune(
     after = [
         render(kept, camera, outputs=("alpha",), definition=rule, threads=threads) for camera in cameras[:pictures]
     ]
-    bound = (freed + ROUNDING + 2 * rule.stop) * extent
+    bound = (freed * stretch + rest) * extent
     return Pruning(~going, bound, largest_change(after, before), int(unseen.sum()), after)
 
 
@@ -137,7 +140,8 @@ def _settle(
     rule: Definition,
     threads: int | None,
 ) -> float:
-    """Take out of `going` what reaches a pixel that would lose more than `mass`; the most that a pixel loses then."""
+    """Remove from `going`, in place, what reaches a pixel that would lose more than `mass`; returns the largest loss of
+    any pixel afterwards. `losses` are the planes (H, W) known so far, None where one must be rendered."""
     freed = 0.0
     for camera, known in zip(cameras, losses, strict=True):
         lost = known
@@ -161,20 +165,42 @@ def removal_bound(
     definition: Definition | None = None,
     threads: int | None = None,
 ) -> float:
-    """The most that leaving out `gone` (N,) changes a colour of any pixel of `cameras`, over any background in [0, 1].
+    """Bound on the change of any colour in `cameras` when `gone` (N,) is removed, over any background in [0, 1].
 
     Raises `InputError` for a definition whose stop is exclusive.
     """
-    options: dict[str, Any] = {"definition": _rule(definition, near), "threads": threads}
+    rule = _rule(definition, near)
+    stretch, rest = _beside_mass(rule, len(gaussians))
+    options: dict[str, Any] = {"definition": rule, "threads": threads}
     lost = [render(gaussians, camera, outputs=("removed",), subset=gone, **options).removed for camera in cameras]
     freed = max((float(plane.max(initial=0.0)) for plane in lost), default=0.0)
     if freed == 0:
         return 0.0
-    return min(freed + ROUNDING + 2 * options["definition"].stop, 1.0) * colour_range(gaussians)
+    return min(freed * stretch + rest, 1.0) * colour_range(gaussians)
+
+
+def rounding(rule: Definition, count: int) -> float:
+    """Bound on the float32 rounding error of a colour blended from `count` Gaussians, as a share of `R`, for given
+    alphas.
+
+    A layer rounds the accumulated colour, at most (1 - T) R, and the transmittance T, which scales at most T R:
+    together `EPSILON` R. The weights, which sum to 1, and the background add as much again, and all layers behind a
+    transmittance of `EPSILON` no more than that. Alphas of at least `alpha_min`, within a relative error of 1e-4, limit
+    the number of layers in front of the stop.
+    """
+    fall = (1 - 1e-4) * rule.alpha_min - EPSILON  # of T, as a share, at least
+    layers = count if fall <= 0 else min(count, math.ceil(-math.log(max(rule.stop, EPSILON)) / fall) + 1)
+    return EPSILON * (layers + 4)
+
+
+def _beside_mass(rule: Definition, count: int) -> tuple[float, float]:
+    """Factor on a measured mass for its rounding and that of the weights, and the term that both pictures add."""
+    each = rounding(rule, count)
+    return 1 + 2 * each, (1 + each) * rule.stop + 2 * each
 
 
 def largest_change(after: Sequence[Render], before: Sequence[Render]) -> float:
-    """Of a colour between pairs of pictures."""
+    """Largest absolute difference of a colour between corresponding renders."""
     return max((float(np.abs(a.rgb - b.rgb).max()) for a, b in zip(after, before, strict=True)), default=0.0)
 
 
@@ -194,11 +220,12 @@ def _rule(definition: Definition | None, near: float | None) -> Definition:
 
 
 def reaches(gaussians: Gaussians, camera: Camera, pixels: NDArray[np.bool_], rule: Definition) -> NDArray[np.bool_]:
-    """(N,) whether any of `pixels` (H, W) lies in the square about a Gaussian that holds its footprint; True also where
-    it may not.
+    """(N,) conservative test: False only where no pixel of the mask `pixels` (H, W) lies in the bounding square of a
+    Gaussian's footprint.
 
-    With t the tangents of the centre's ray, the affine projection stretches by at most f / z sqrt(1 + |t|^2) (its rows
-    are f / z (1, 0, -t_x) and f / z (0, 1, -t_y)); t is taken at most `fov_margin` outside the picture.
+    With t the tangents of the centre's ray, the affine projection has a norm of at most f / z sqrt(1 + |t|^2) (its rows
+    are f / z (1, 0, -t_x) and f / z (0, 1, -t_y)); t is clamped to `fov_margin` outside the picture. The mask is summed
+    over squares by its integral image.
     """
     at, z = camera.project(gaussians.means)
     size = np.array([camera.width, camera.height])
@@ -208,7 +235,7 @@ def reaches(gaussians: Gaussians, camera: Camera, pixels: NDArray[np.bool_], rul
         stretch = focal.max() / z * math.sqrt(1 + float(np.square(widest).sum()))
         spread = np.sqrt(np.square(gaussians.scales.max(axis=1, initial=0.0) * stretch) + rule.dilation)
         opacity = np.maximum(gaussians.opacities.astype(np.float64) / rule.alpha_min, 1.0)
-        radius = np.sqrt(2 * np.log(opacity) + RADIUS_SLACK) * spread + 1.0  # and a pixel for rounding
+        radius = np.sqrt(2 * np.log(opacity) + RADIUS_SLACK) * spread + 1.0  # plus one pixel for rounding
         low = np.clip(np.nan_to_num(np.floor(at - radius[:, None]), nan=0.0), 0, size).astype(np.intp)
         high = np.clip(np.nan_to_num(np.ceil(at + radius[:, None]), nan=np.inf), 0, size).astype(np.intp)
     counts = np.zeros((camera.height + 1, camera.width + 1), np.intp)

@@ -1,4 +1,4 @@
-"""A Gaussian for every second or fourth pixel in place of each: smaller and quicker, and another model of the scene."""
+"""Subsampling to one Gaussian per 2 x 2 or 4 x 4 pixels: smaller and faster, and a different model of the scene."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ STRIDES = (1, 2, 4)
 def thinned(
     outputs: Mapping[str, NDArray], rows: NDArray[np.intp], shape: tuple[int, int, int], stride: int
 ) -> tuple[dict[str, NDArray], NDArray[np.intp]]:
-    """Outputs and rows (of those to keep) of a network for `shape` (V, H, W) with one Gaussian per square of `stride`
-    px: of those in `rows` the one nearest to its middle, of equally near ones the last, as many times as large and with
-    the mean colour of all of them. A square without any has none. Gaussians that belong to no pixel stay.
+    """Subsample a network's `outputs` for `shape` (V, H, W) to one Gaussian per square of `stride` px.
+
+    Of the kept `rows` in a square, the one nearest to its centre remains (the last of equally near ones), with its
+    scales multiplied by `stride` and the mean harmonics of all of them; an empty square stays empty. Gaussians that
+    belong to no pixel stay. Returns changed outputs and the remaining rows, in ascending order.
     """
     if stride == 1:
         return dict(outputs), rows
@@ -35,8 +37,8 @@ def thinned(
 
 
 def _nearest_to_middle(given: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Rows, in order, of the given pixel of each square that is nearest to its middle, for squares (V, h, s, w, s) with
-    any. Of equally near ones it is the last: where all are given, the one to the lower right of the middle."""
+    """Ascending rows of the `given` pixel nearest to the centre of each non-empty square, for `given` (V, h, s, w, s).
+    Of equally near ones it is the last: where all are given, the one to the lower right of the centre."""
     stride = given.shape[2]
     off = (np.arange(stride) - (stride - 1) / 2) ** 2
     outward = stride**2 - 1 - np.argsort(np.add.outer(off, off).ravel(), kind="stable")  # symmetric: the last first

@@ -1,4 +1,4 @@
-"""Small grey copies of the views, and one seen from another as if all lay at one depth."""
+"""Small grey copies of the views, and warping them onto fronto-parallel planes."""
 
 from __future__ import annotations
 
@@ -9,52 +9,60 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera
-from ..cameras.rotations import turned
+from ..cameras.rotations import rotated
 from ..photographs.images import FittedView
 
 F64 = NDArray[np.float64]
 
-MIN_BASELINE = 0.05  # of the largest distance; depth from less of a baseline is too coarse to check anything by
+MIN_BASELINE = 0.05  # of the largest distance: depth from a shorter baseline is too coarse to check anything
 COARSE_SIDE = 64  # px; enough to tell right poses from wrong ones and near from far
 ENOUGH = 0.25  # of a cell that a mask must keep: 4 px of 16 still have a mean, and a dithered mask leaves a picture
 
 
 @dataclass(frozen=True)
 class CoarseView:
-    grey: F64  # (h, w) in [0, 1], of what the mask keeps of a cell
+    """A view averaged over square blocks of pixels, its cells."""
+
+    grey: F64  # (h, w) in [0, 1], mean over the kept pixels of a cell
     kept: NDArray[np.bool_]  # (h, w) cells of which the mask keeps a quarter or more
     camera: Camera
 
 
 def coarse_view(view: FittedView) -> CoarseView:
-    """Grey, averaged over whole blocks down to about 64 px; mask and camera follow."""
+    """`view` in grey, averaged over whole blocks so that its shorter side has at least COARSE_SIDE px, where it has so
+    many, and less than twice that; mask and camera follow."""
     block = block_px(view)
     grey = view.image.mean(axis=0, dtype=np.float64)
     share = block_means(view.kept.astype(np.float64), block)
-    grey = block_means(np.where(view.kept, grey, 0.0), block) / np.where(share > 0, share, 1.0)
+    grey = kept_block_means(grey, view.kept, share, block)
     rows, columns = grey.shape
     camera = view.camera.cropped(0, 0, columns * block, rows * block).resized(columns, rows)
     return CoarseView(grey, share >= ENOUGH, camera)
 
 
 def block_px(view: FittedView) -> int:
-    """The side of the square that becomes a cell."""
+    """The side in px of the square that becomes a cell."""
     return max(1, min(view.image.shape[1:]) // COARSE_SIDE)
 
 
-def block_means(values: F64, block: int) -> F64:
+def block_means(values: NDArray, block: int) -> NDArray:
     """(h // block, w // block) means over whole blocks of (h, w) values."""
     rows, columns = values.shape[0] // block, values.shape[1] // block
     return values[: rows * block, : columns * block].reshape(rows, block, columns, block).mean(axis=(1, 3))
 
 
-def warp_to(shape: tuple[int, int], camera: Camera, source: CoarseView, depths: F64) -> tuple[F64, NDArray[np.bool_]]:
-    """`source` as `camera` would see it if all lay at one z-depth, for each of D depths: (D, h, w), and where seen.
+def kept_block_means(values: NDArray, kept: NDArray[np.bool_], share: F64, block: int) -> F64:
+    """(h // block, w // block) means of the `kept` ones of (h, w) values in each block, 0 where it has none; `share` is
+    the block's share of kept pixels."""
+    return block_means(np.where(kept, values, 0.0), block) / np.where(share > 0, share, 1.0)
 
-    What lies between four cells of `source` is seen if it keeps all of them.
+
+def warp_to(shape: tuple[int, int], camera: Camera, source: CoarseView, depths: F64) -> tuple[F64, NDArray[np.bool_]]:
+    """`source` warped to `camera` by the plane at each of the z-depths `depths` (D,): (D, h, w) grey, bilinear, and
+    (D, h, w) where it is seen: inside the picture, between four kept cells.
     """
     rows, columns = shape
-    rays = turned(source.camera.rotation.T, camera.rays(pixel_grid(shape)))
+    rays = rotated(source.camera.rotation.T, camera.rays(pixel_grid(shape)))
     offset = (camera.center - source.camera.center) @ source.camera.rotation
     points = offset + depths[:, None, None] * rays
     front = points[..., 2] > 0
@@ -81,9 +89,9 @@ def pixel_grid(shape: tuple[int, int]) -> F64:
 
 
 def nearest_neighbours(cameras: Sequence[Camera]) -> list[int]:
-    """Per camera the index of the closest one with parallax to it: at least 1/20 of the largest distance away.
+    """Per camera the index of the nearest other one at a distance of at least MIN_BASELINE times the largest distance.
 
-    Every camera has one: of the two that are farthest apart, one is at least half their distance away from it.
+    There always is one: of the two cameras that are farthest apart, one is at least half their distance away.
     """
     centers = np.stack([camera.center for camera in cameras])
     distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)

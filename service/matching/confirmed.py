@@ -1,4 +1,4 @@
-"""Which pixels two views confirm: their depths lead to each other, and the photographs match there."""
+"""Cross-view consistency: pixels whose depth and colour agree with those of another view."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from .window_match import contrast, correlations
 
 F64 = NDArray[np.float64]
 
-AGREEMENT_PX = 1.0  # of parallax between a pixel's depth and the other view's own at the place where it is seen
-SAME_COLOUR = 0.1  # of a channel, mean over the three; exposures and highlights differ as well
-GOOD_MATCH = 0.8  # correlation of the windows about both
-TEXTURE = 0.01  # standard deviation of grey in such a window; any depth matches where nothing is to be seen
+AGREEMENT_PX = 1.0  # of parallax between a pixel's depth and the other view's depth where the pixel reprojects
+SAME_COLOUR = 0.1  # mean absolute difference of the channels; exposures and highlights differ as well
+GOOD_MATCH = 0.8  # normalised cross-correlation of the two windows
+TEXTURE = 0.01  # standard deviation of grey in a window; below it any depth matches
 
 
 def confirmed(views: Sequence[FittedView], depths: F64) -> NDArray[np.bool_]:
-    """(V, H, W) which pixels at least one other view confirms; `depths` (V, H, W) are z-depths in the cameras' units.
+    """(V, H, W) pixels that at least one other view confirms; `depths` (V, H, W) are z-depths in the cameras' units.
 
-    A pixel, put at its depth, is seen by the other view at a place whose own depth differs by at most AGREEMENT_PX of
-    the PARALLAX_PX or more that it has to what is infinitely far, whose colour differs by at most SAME_COLOUR, and
-    where windows of 7 x 7 px of both photographs correlate by GOOD_MATCH or more, so far as masks keep them. A window
-    without texture confirms nothing, nor does what a mask leaves out.
+    Another view confirms a pixel if, where the pixel reprojects at its depth, (1) it has at least PARALLAX_PX of
+    parallax against infinity, (2) the view's own depth differs by less than AGREEMENT_PX of parallax, (3) the colour
+    differs by less than SAME_COLOUR, and (4) the 7 x 7 px windows of both photographs correlate by more than
+    GOOD_MATCH. Masked pixels and windows without texture are never confirmed.
     """
     found = np.zeros((len(views), *views[0].image.shape[1:]), np.bool_)
     for index, view in enumerate(views):
@@ -41,7 +41,7 @@ def confirmed(views: Sequence[FittedView], depths: F64) -> NDArray[np.bool_]:
 
 
 def _agrees(view: FittedView, grey: F64, depth: F64, other: FittedView, other_depth: F64) -> NDArray[np.bool_]:
-    """(H, W) where the other view's depth, colour and window are those that the view expects there."""
+    """(H, W) where `other` confirms `view`, whose grey (H, W) and z-depth (H, W) are given."""
     seen = seen_by(view, depth, other)
     colour = seen.value(other.image.transpose(1, 2, 0))
     agreed = seen.where & (parallax(view, seen, other) >= PARALLAX_PX)

@@ -1,4 +1,4 @@
-"""Where another view sees a view's pixels, once they have a depth."""
+"""Reprojection of one view's pixels into another by their depths, and the parallax that they have there."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera
-from ..cameras.rotations import turned
+from ..cameras.rotations import rotated
 from ..photographs.bilinear import bilinear
 from ..photographs.images import FittedView
 from .coarse_views import pixel_grid
@@ -18,23 +18,23 @@ from .place_kernels import sample_places, see_pixels
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-PARALLAX_PX = 4.0  # from what is infinitely far: with less any depth seems right
-LEAST_WAY = 0.05  # between two views, of the longest: another from nearly the same place tells nothing of depth
-KEPT = 0.999  # of a value's weight, up to rounding: none of it is of a masked pixel
+PARALLAX_PX = 4.0  # against infinity; with less any depth seems right
+LEAST_WAY = 0.05  # of the longest baseline: a view from nearly the same place says nothing about depth
+KEPT = 0.999  # bilinear weight of kept pixels above which, up to rounding, no masked pixel takes part
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The pixels of one view (H, W) in the picture of another."""
+    """The pixels (H, W) of one view, reprojected into another."""
 
-    column: F64  # (H, W) index of a pixel there, real-valued
-    row: F64
-    z: F64  # (H, W) z-depth there; 1 where it is not seen
-    inside: Mask  # (H, W) in front of the other view and inside its picture
-    where: Mask  # (H, W) of these in full on what its mask keeps
+    column: F64  # (H, W) real-valued pixel index: 0 is the centre of the first pixel
+    row: F64  # (H, W), likewise
+    z: F64  # (H, W) z-depth in the other view; 1 outside `where`
+    inside: Mask  # (H, W) in front of the other view and within its picture
+    where: Mask  # (H, W) `inside`, and no masked pixel among the four around it
 
     def value(self, picture: NDArray[np.floating]) -> NDArray[np.floating]:
-        """(H, W, C) what `picture` (h, w, C) of the other view has at these places, in its own precision."""
+        """(H, W, C) bilinear samples of a `picture` (h, w, C) of the other view, in its precision."""
         values = np.ascontiguousarray(picture)
         found = np.empty((*self.z.shape, picture.shape[2]), picture.dtype)
         sample_places(values, self.column, self.row, found)
@@ -42,7 +42,7 @@ class Seen:
 
 
 def seen_by(view: FittedView, depth: F64, other: FittedView) -> Seen:
-    """`depth` (H, W) are z-depths of the view's pixels in the cameras' units."""
+    """The pixels of `view` at z-depths `depth` (H, W), in the cameras' units, as `other` sees them."""
     column, row, z = (np.empty(depth.shape) for _ in range(3))
     inside = np.empty(depth.shape, np.bool_)
     (lens, pose), (other_lens, other_pose) = _parts(view.camera), _parts(other.camera)
@@ -60,19 +60,20 @@ def _parts(camera: Camera) -> tuple[F64, F64]:
 
 
 def disagreement(view: FittedView, seen: Seen, other: FittedView, other_depth: F64) -> F64:
-    """(H, W) px of parallax between the depth that a pixel has for the other view and that view's own (H, W) there."""
+    """(H, W) px of parallax between a pixel's depth in the other view and that view's own depth `other_depth` (h, w)
+    at the same place."""
     theirs = seen.value(other_depth[..., None])[..., 0]
     return np.abs(1 / seen.z - 1 / theirs) * pixels_per_inverse_depth(view, other)
 
 
 def parallax(view: FittedView, seen: Seen, other: FittedView) -> F64:
-    """(H, W) px in the other view from where a pixel would be seen that is infinitely far to where it is seen.
+    """(H, W) distance in px, in the other view, between a pixel's reprojection and that of its ray's point at infinity.
 
-    None along the way from one view to the other, however long it is; infinite where the other view would have what is
-    infinitely far behind it. With t the centre of the view and r the pixel's ray, both in the axes of the other view,
-    (t + d r) / z - r / r_z is (t r_z - r t_z) / (r_z z), where z is (t + d r)_z.
+    0 at the epipole, whatever the baseline; infinite where the point at infinity lies behind the other view. With t the
+    centre of `view` and r the pixel's ray, both in the axes of `other`, (t + d r) / z - r / r_z is
+    (t r_z - r t_z) / (r_z z), where z is (t + d r)_z.
     """
-    ray = turned(other.camera.rotation.T, view.camera.rays(pixel_grid(seen.z.shape))).reshape(*seen.z.shape, 3)
+    ray = rotated(other.camera.rotation.T, view.camera.rays(pixel_grid(seen.z.shape))).reshape(*seen.z.shape, 3)
     t = other.camera.rotation.T @ (view.camera.center - other.camera.center)
     ahead = ray[..., 2] > 0
     across = t[:2] * ray[..., 2:] - t[2] * ray[..., :2]
@@ -81,10 +82,10 @@ def parallax(view: FittedView, seen: Seen, other: FittedView) -> F64:
 
 
 def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:
-    """By how far the other view sees a point move where the way between the two lies across, per unit of 1/z.
+    """Disparity in px of the other view per unit of inverse depth, as if the baseline were perpendicular to its axis.
 
-    With t the way in the axes of the other view this is sqrt((fx t_x)^2 + (fy t_y)^2 + fx fy t_z^2): what leads forward
-    counts as if it lay across. It is written as fx |t| times a root that is exactly 1 where pixels are square.
+    With t the baseline in the axes of the other view this is sqrt((fx t_x)^2 + (fy t_y)^2 + fx fy t_z^2): the part
+    along the axis counts as if it were across. Computed as fx |t| times a root that is exactly 1 for square pixels.
     """
     lens, way = other.camera, view.camera.center - other.camera.center
     length = float(np.linalg.norm(way))
@@ -96,9 +97,11 @@ def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:
 
 
 def from_elsewhere(views: Sequence[FittedView], index: int, depth: F64) -> dict[int, float]:
-    """The other views by number, and for each the `pixels_per_inverse_depth`; none with less than LEAST_WAY of the
-    most, unless what has the view's middle z-depth, of `depth` (H, W), moves by PARALLAX_PX in it: an overview from far
-    away makes a pair of neighbours no worse. None at all where all are from the same place."""
+    """The other views that have parallax to view `index`: index -> `pixels_per_inverse_depth`.
+
+    Left out are those below LEAST_WAY of the largest, unless a point at the median of the z-depths `depth` (H, W) has
+    PARALLAX_PX in them: a distant overview does not make a pair of neighbours worse. Empty where all views are from one
+    place."""
     ways = {
         other: pixels_per_inverse_depth(views[index], views[other]) for other in range(len(views)) if other != index
     }

@@ -1,4 +1,4 @@
-"""Narrow a depth range to where the photographs match: a coarse plane sweep, checked in both directions."""
+"""Narrow a depth range to where the photographs match: a coarse plane sweep with a left-right consistency check."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from .window_match import contrast
 F64 = NDArray[np.float64]
 
 COARSE_PX = 7.0  # at 8 narrowing gave 0.3 to 1.7 dB on four of five scenes, at 14 on all of them
-CLOSER = 0.8  # as close or closer, or a given range stays: right ones of wide pairs lose as much as they gain
+CLOSER = 0.8  # of the spacing, or less, or a given range stays: right ones of wide pairs lose as much as they gain
 PLANES = 64  # at least
 GOOD_MATCH = 0.7  # correlation
-AGREEMENT_PX = 1.5  # there and back again, on the coarse grid
-MIN_MATCHED = 0.1  # share of the pixels kept; with fewer the range stays as it was
+AGREEMENT_PX = 1.5  # round trip error, on the coarse grid
+MIN_MATCHED = 0.1  # share of the kept pixels; with fewer matches the range stays as it was
 PERCENTILE = 0.03  # of the matched contrast, at either end; wrong matches make up a few per cent
 BEFORE = 0.6  # near = 0.6 x the 3rd percentile: room for what has no match, such as things at the border
 BEYOND = 1.5  # far = 1.5 x the 97th; what lies beyond differs by a fraction of a pixel of parallax
@@ -30,23 +30,24 @@ BEYOND = 1.5  # far = 1.5 x the 97th; what lies beyond differs by a fraction of 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """What of a view matches its nearest neighbour, there and back again."""
+    """The pixels of a coarse view that match its nearest neighbour, consistently in both directions."""
 
     other: int  # the neighbour
     depth: F64  # (h, w) z-depth of the best plane
+    score: F64  # (h, w) its correlation, NOT_SEEN where no plane is seen
     good: NDArray[np.bool_]  # (h * w,) the pixels that match
-    contrast: F64  # (h, w) of the windows about them
+    contrast: F64  # (h, w) of the windows around the pixels
 
 
 def narrowed(depths: DepthRange, views: Sequence[FittedView], planes: int = DEPTH_PLANES) -> DepthRange:
-    """A range narrowed to 0.6 z_3 .. 1.5 z_97; one without enough matches as it is.
+    """The range narrowed to 0.6 z_3 .. 1.5 z_97; unchanged where too few pixels match.
 
-    So is a given one in which the network's `planes` stand up to COARSE_PX of parallax apart, or would be hardly
-    closer. Else its near end is drawn in, and its far end only where they would still stand farther apart.
+    z_p is the depth below which p per cent of the matched pixels lie, weighted by contrast. A pixel is matched if its
+    best plane correlates by more than GOOD_MATCH with the nearest neighbour, and that view's best plane leads back to
+    within AGREEMENT_PX of the pixel. Masked pixels are not compared.
 
-    z_p are the depths below which p per cent of the matched pixels lie, weighted by contrast; a pixel is matched if its
-    best plane correlates by 0.7 with the nearest other view, and that view's best plane leads back to within 1.5 px.
-    What masks leave out is compared with nothing.
+    A given range stays where the network's `planes` are at most COARSE_PX of parallax apart in it, or narrowing would
+    hardly bring them closer. Else its near end is moved in first, and its far end only if they are still too far apart.
     """
     apart = planes_apart_px(depths, views, planes)
     if depths.source == "given" and apart <= COARSE_PX:
@@ -54,10 +55,8 @@ def narrowed(depths: DepthRange, views: Sequence[FittedView], planes: int = DEPT
     found, weights, share = matched_depths([coarse_view(view) for view in views], depths)
     if share < MIN_MATCHED:
         return depths
-    order = np.argsort(found)
-    reached = np.cumsum(weights[order]) / weights.sum()
-    first, last = (found[order][np.searchsorted(reached, p)] for p in (PERCENTILE, 1.0 - PERCENTILE))
-    near, far = max(depths.near, BEFORE * float(first)), min(depths.far, BEYOND * float(last))
+    first, last = outer_percentiles(found, weights)
+    near, far = max(depths.near, BEFORE * first), min(depths.far, BEYOND * last)
     if depths.source == "estimated":
         return DepthRange(near, far, "estimated")
     closer = DepthRange(near, depths.far, "narrowed")
@@ -66,8 +65,16 @@ def narrowed(depths: DepthRange, views: Sequence[FittedView], planes: int = DEPT
     return closer if planes_apart_px(closer, views, planes) <= CLOSER * apart else depths
 
 
+def outer_percentiles(depths: F64, weights: F64) -> tuple[float, float]:
+    """The depths (N,) below and above which PERCENTILE of the `weights` (N,) lies."""
+    order = np.argsort(depths)
+    reached = np.cumsum(weights[order]) / weights.sum()
+    first, last = (depths[order][np.searchsorted(reached, p)] for p in (PERCENTILE, 1.0 - PERCENTILE))
+    return float(first), float(last)
+
+
 def planes_apart_px(depths: DepthRange, views: Sequence[FittedView], planes: int) -> float:
-    """The parallax from one of the network's planes to the next, in its pixels."""
+    """Parallax between neighbouring planes of the network, in its pixels."""
     return swept_px([view.camera for view in views], depths) / (planes - 1)
 
 
@@ -80,7 +87,7 @@ def coarse_notices(given: DepthRange, found: DepthRange, views: Sequence[FittedV
         f"{planes_apart_px(given, views, planes):.3g} px of parallax apart, need some {COARSE_PX:g}: the scene is "
         f"looked for from {found.near:.4g} to {found.far:.4g}, where the photographs match"
     )
-    cure = "give near and far closer about the scene, near above all, or neither"
+    cure = "give near and far closer to the scene, near above all, or neither"
     return [{"code": "depth_range_coarse", "field": "near", "message": f"{message} ({cure})"}]
 
 
@@ -93,7 +100,7 @@ def matched_depths(views: Sequence[CoarseView], depths: DepthRange) -> tuple[F64
 
 
 def matches(views: Sequence[CoarseView], depths: DepthRange) -> list[Matches]:
-    """Of every view with its nearest neighbour."""
+    """The matches of every view with its nearest neighbour."""
     cameras = [view.camera for view in views]
     swept = planes(cameras, depths, PLANES, step_px(cameras, depths))
     neighbours = nearest_neighbours(cameras)
@@ -103,12 +110,12 @@ def matches(views: Sequence[CoarseView], depths: DepthRange) -> list[Matches]:
         weight = contrast(view.grey, view.kept)
         good = (view.kept & (score > GOOD_MATCH) & (weight > 0)).ravel()
         good &= _leads_back(view, depth, views[j], maps[j][1])
-        found.append(Matches(j, depth, good, weight))
+        found.append(Matches(j, depth, score, good, weight))
     return found
 
 
 def _leads_back(view: CoarseView, depth: F64, other: CoarseView, other_depth: F64) -> NDArray[np.bool_]:
-    """Per pixel whether the pixel of `other` that its depth leads to has a depth that leads back."""
+    """(h * w,) pixels whose match in `other` has a depth that leads back to them, within AGREEMENT_PX."""
     pixels = pixel_grid(depth.shape)
     there, z = other.camera.project(view.camera.unproject(pixels, depth.ravel()))
     height, width = other_depth.shape

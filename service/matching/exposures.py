@@ -1,7 +1,7 @@
-"""Photographs of one scene that were exposed differently: found by what matches, and brought to the middle one.
+"""Exposure differences between photographs: estimated per channel from matches, and corrected to the median exposure.
 
-The network, the matching of depths and the mending compare colours; a factor between two photographs is to them what a
-wrong depth is. Correlation, by which places are matched here, does not see it.
+The network and the stages after it compare colours and take a gain between two photographs for a wrong depth. The
+correlation that finds the matches here is invariant to gain.
 """
 
 from __future__ import annotations
@@ -13,13 +13,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cameras.depth_range import DepthRange
 from ..cameras.view_checks import Notice
-from ..photographs.bilinear import bilinear
 from ..photographs.fitting import FittedPhotos
 from ..photographs.images import FittedView, PackedView
-from .coarse_views import CoarseView, block_means, block_px, coarse_view, pixel_grid
-from .depth_sweep import MIN_MATCHED, matches
+from .coarse_views import block_means, block_px, kept_block_means
+from .depth_sweep import MIN_MATCHED
+from .pair_matches import PairMatches
 
 F64 = NDArray[np.float64]
 
@@ -30,20 +29,23 @@ F64 = NDArray[np.float64]
 BEYOND_DOUBT = ((0.08, 0.9), (0.2, 0.8))
 CHANNELS = ("red", "green", "blue")
 DARK, BRIGHT = 0.05, 0.95  # of white; beyond them noise and clipping hide the factor
+# A nearly black photograph has too few pixels above DARK: those above BLACK are compared then. Rounding and noise shift
+# such levels, so that only factors above LARGE are believed.
+BLACK, LARGE = 2 / 255, 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Exposures:
-    """How the views were exposed."""
+    """Gains that bring the views to one exposure."""
 
-    gains: F64  # (V, 3) by what each view's channels are to be multiplied for all to have the one in the middle
-    parts: list[list[int]]  # views that were compared, directly or by way of others; one part where all were
+    gains: F64  # (V, 3) factors for each view's channels, towards the median exposure
+    parts: list[list[int]]  # connected components of the views under comparison; one where all are connected
 
 
-def equalised(photos: FittedPhotos, depths: DepthRange, numbers: Sequence[int]) -> tuple[FittedPhotos, list[Notice]]:
-    """The photographs with colours as one exposure would have them, and what to tell; as they are where they have
-    that. `numbers` are what the caller calls the views."""
-    found = exposures(photos.seen, depths)
+def equalised(photos: FittedPhotos, pairs: PairMatches, numbers: Sequence[int]) -> tuple[FittedPhotos, list[Notice]]:
+    """The photographs corrected to one exposure, and the warning about it; unchanged, without one, where exposures do
+    not differ. `pairs` are of `photos.seen`; `numbers` are what the caller calls the views."""
+    found = exposures(pairs)
     if found is None:
         return photos, []
     gains = found.gains
@@ -67,14 +69,15 @@ def equalised(photos: FittedPhotos, depths: DepthRange, numbers: Sequence[int]) 
     return replace(photos, seen=seen, shown=shown, fine=fine), [{**notice, "gains": gains.round(4).tolist()}]
 
 
-def exposures(views: Sequence[FittedView], depths: DepthRange) -> Exposures | None:
-    """None where no two views that are compared differ beyond doubt.
+def exposures(pairs: PairMatches) -> Exposures | None:
+    """The gains, or None where no two compared views differ beyond doubt.
 
-    Pairs of views are compared, the nearest first, until all are joined, each where coarse windows of both match. The
-    median over the matches of log(one / other) is the difference of their exposures; the one that all are brought to is
-    the median over the views (of two the geometric mean), so that one odd photograph does not change the others.
+    Pairs of views are compared, nearest first, until all are connected. The difference of two log exposures is the
+    median of log(one / other) over their coarse matches. The target is the median over the views (of two their
+    geometric mean), so that one odd photograph does not change the others.
     """
-    coarse, colours = [coarse_view(view) for view in views], [_block_colours(view) for view in views]
+    views = pairs.views
+    colours = [_block_colours(view) for view in views]
     centers = np.stack([view.camera.center for view in views])
     part = list(range(len(views)))
     logs, differ = np.zeros((len(views), 3)), False
@@ -82,11 +85,11 @@ def exposures(views: Sequence[FittedView], depths: DepthRange) -> Exposures | No
     for one, other in sorted(combinations(part, 2), key=lambda pair: float(apart[pair])):
         if part[one] == part[other]:
             continue
-        ratios = _ratios([coarse[one], coarse[other]], [colours[one], colours[other]], depths)
-        if ratios is None:
+        compared = _compared(pairs, (one, other), colours)
+        if compared is None:
             continue
-        median, more = np.median(ratios, axis=0), (ratios > 0).mean(axis=0)
-        size, share = np.abs(median), np.maximum(more, 1 - more)
+        median, shares = compared
+        size, share = np.abs(median), np.maximum(shares.min(axis=0), (1 - shares).min(axis=0))
         differ |= any(bool(((size > least) & (share > agreed)).any()) for least, agreed in BEYOND_DOUBT)
         joined = [view for view in range(len(views)) if part[view] == part[other]]
         logs[joined] += logs[one] - median - logs[other]
@@ -100,27 +103,47 @@ def exposures(views: Sequence[FittedView], depths: DepthRange) -> Exposures | No
     return Exposures(np.exp(-logs), parts)
 
 
-def _ratios(pair: Sequence[CoarseView], colours: Sequence[F64], depths: DepthRange) -> F64 | None:
-    """(M, 3) log(first / second) of what matches and is neither too dark nor too bright in either; None where that is
-    little."""
-    found = []
-    for index, match in enumerate(matches(pair, depths)):
-        view, other = pair[index], pair[match.other]
-        pixels, depth = pixel_grid(match.depth.shape)[match.good], match.depth.ravel()[match.good]
-        there, _ = other.camera.project(view.camera.unproject(pixels, depth))
-        own, theirs = colours[index].reshape(-1, 3)[match.good], bilinear(colours[match.other], *(there - 0.5).T)
-        usable = (np.minimum(own, theirs) > DARK).all(axis=1) & (np.maximum(own, theirs) < BRIGHT).all(axis=1)
-        found.append((1 - 2 * index) * np.log(own[usable] / theirs[usable]))
-    ratios = np.concatenate(found)
-    return ratios if len(ratios) > MIN_MATCHED * sum(view.kept.sum() for view in pair) else None  # few are by chance
+def _compared(pairs: PairMatches, pair: tuple[int, int], colours: Sequence[F64]) -> tuple[F64, F64] | None:
+    """(3,) median of log(first / second) over matches that are neither too dark nor too bright in either view, and
+    (2, 3) shares of matches in which the first is brighter: among those, and among those that are too bright in at most
+    one view. None where few match.
+
+    The second share corrects a selection bias: where both are overexposed, the few matches that are too bright in
+    neither depend on which of the two is darker. If nearly everything is too dark in one view, matches above BLACK
+    decide, and only a factor above LARGE counts.
+    """
+    matched = [(1 - 2 * place, own, theirs) for place, own, theirs in pairs.values(pair, colours)]
+    few = MIN_MATCHED * sum(pairs.coarse[view].kept.sum() for view in pair)  # so few match by chance
+    compared = _compared_above(DARK, matched, few)
+    if compared is not None:
+        return compared
+    compared = _compared_above(BLACK, matched, few)
+    return None if compared is None or np.abs(compared[0]).min() < np.log(LARGE) else compared
+
+
+def _compared_above(dark: float, matched: Sequence[tuple[int, F64, F64]], few: float) -> tuple[F64, F64] | None:
+    """As `_compared`, over matches lighter than `dark` in both views; None for `few` of them or fewer. `matched` holds,
+    per direction, its sign (1 for the pair's first view, -1 for the second), the view's colours (M, 3) and the matching
+    ones (M, 3) of the other view."""
+    ratios, differences = [], []
+    for sign, own, theirs in matched:
+        least, most = np.minimum(own, theirs), np.maximum(own, theirs)
+        lit = (least > dark).all(axis=1)
+        usable = lit & (most < BRIGHT).all(axis=1)
+        ratios.append(sign * np.log(own[usable] / theirs[usable]))
+        differences.append(sign * np.where(least < BRIGHT, own - theirs, 0.0)[lit])
+    logs, signs = np.concatenate(ratios), np.sign(np.concatenate(differences))
+    if len(logs) <= few:
+        return None
+    more = np.count_nonzero(signs > 0, axis=0) / np.maximum(np.count_nonzero(signs, axis=0), 1)
+    return np.median(logs, axis=0), np.stack([(logs > 0).mean(axis=0), more])
 
 
 def _block_colours(view: FittedView) -> F64:
-    """(h, w, 3) means over the cells of the coarse view, of what the mask keeps."""
+    """(h, w, 3) mean colours of the kept pixels of each cell of the coarse view."""
     block = block_px(view)
     share = block_means(view.kept.astype(np.float64), block)
-    channels = [block_means(np.where(view.kept, channel, 0.0), block) for channel in view.image]
-    return np.stack(channels, axis=-1) / np.where(share > 0, share, 1.0)[..., None]
+    return np.stack([kept_block_means(channel, view.kept, share, block) for channel in view.image], axis=-1)
 
 
 def _exposed(view: FittedView, gain: F64) -> FittedView:

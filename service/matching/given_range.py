@@ -1,4 +1,4 @@
-"""A range of depths that was given and misses the scene: the photographs match better in the one that is estimated."""
+"""The warning about a given depth range in which the photographs match worse than in the estimated one."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .depth_sweep import narrowed
 from .plane_sweep import best_planes
 from .window_match import NOT_SEEN, contrast
 
-AT_END = 0.2  # of what has contrast: right ranges of 170 pairs have at most 0.05 of it at near and 0.11 at far
-END = 2  # planes of an end
+AT_END = 0.2  # share of contrast whose best plane is at an end; right ranges of 170 pairs: near <= 0.05, far <= 0.11
+END = 2  # planes that count as an end
 
 
 def as_if_none_given(cameras: Sequence[Camera], depths: DepthRange) -> DepthRange | None:
-    """The estimate in place of a given range; None where none was given, or none can be estimated."""
+    """The range as estimated from the cameras; None if `depths` is an estimate already, or none can be made."""
     if depths.source == "estimated":
         return None
     return depth_range_of_reading(cameras, replace(depths, source="estimated"))
@@ -36,7 +36,8 @@ def range_doubtful(
     estimate: DepthRange,
     scores: tuple[float, float],
 ) -> Notice:
-    """The warning, with both ranges and the `scores` in them; `swept` (D,) are the planes of the given one."""
+    """The warning, with both ranges and the match `scores` in the given and in the estimated one; `swept` (D,) are the
+    z-depths of the given range's planes."""
     found, (inside, elsewhere) = narrowed(estimate, views), scores
     message = (
         f"the photographs match with score {inside:.2f} at depths from the given near = {depths.near:.4g} to far = "
@@ -46,12 +47,13 @@ def range_doubtful(
     if max(at_near, at_far) > AT_END:
         share, end, where = (at_near, "near", "nearer") if at_near > at_far else (at_far, "far", "farther")
         message += f"; {100 * share:.0f} % match best at {end}: what they show may be {where}"
-    cure = "give near and far in the unit of the poses, about all of the scene, or neither"
+    cure = "give near and far in the unit of the poses, around the whole scene, or neither"
     return {"code": "depth_range_doubtful", "field": "near", "message": f"{message} ({cure})", "score": inside}
 
 
 def _at_ends(views: Sequence[CoarseView], swept: NDArray[np.float64]) -> tuple[float, float]:
-    """Share of what is seen at any plane, by contrast, whose best plane is one of the first END, and of the last."""
+    """Shares, weighted by contrast, of the pixels seen at any plane whose best plane is among the first END, and among
+    the last END."""
     near, far, total = 0.0, 0.0, 0.0
     for view, neighbour in zip(views, nearest_neighbours([view.camera for view in views]), strict=True):
         best, depth = best_planes(view, views[neighbour], swept)

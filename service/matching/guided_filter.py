@@ -1,4 +1,4 @@
-"""Planes smoothed within the surfaces of a picture (guided filter, He et al. 2010)."""
+"""Edge-aware smoothing of planes, guided by a picture (guided filter, He et al. 2010)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ RADIUS, EPSILON = 2, 1e-3  # px and variance of the guide: weaker edges are smoo
 
 
 class GuidedFilter:
-    """Of any number of planes by one picture, whose statistics are computed once."""
+    """Filters any number of planes with one guide, whose window statistics are computed once."""
 
     def __init__(self, guide: F64) -> None:
-        """`guide` (H, W)."""
+        """`guide` (H, W), grey in [0, 1]."""
         self.guide = guide
         self.mean = _means(guide)
         self.variance = _means(guide**2)
@@ -24,7 +24,7 @@ class GuidedFilter:
         self.variance += EPSILON
 
     def of(self, plane: F64) -> F64:
-        """(H, W) of `plane` (H, W)."""
+        """`plane` (H, W), filtered."""
         level, slope = _means(plane), _means(self.guide * plane)
         slope -= self.mean * level
         slope /= self.variance
@@ -36,5 +36,5 @@ class GuidedFilter:
 
 
 def _means(plane: F64) -> F64:
-    """(H, W) over windows of RADIUS."""
+    """(H, W) means over windows of RADIUS."""
     return plane_means(plane, RADIUS)

@@ -1,7 +1,7 @@
 """Do the photographs agree with their cameras? A coarse plane sweep scores the poses against other readings of them.
 
-Frusta alone cannot tell a capture that faces one way from its mirrored reading; the photographs can, since under wrong
-poses no depth makes them match.
+Frusta alone cannot distinguish a forward-facing capture from its mirrored reading; photographs can, since under wrong
+poses they match at no depth.
 """
 
 from __future__ import annotations
@@ -9,13 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..cameras.camera import Camera
 from ..cameras.depth_range import DepthRange, depth_range_of_reading
 from ..cameras.pose_readings import Reading, other_orders, other_readings, turned_photographs
-from ..cameras.view_checks import Notice
+from ..cameras.view_checks import MIN_VIEWS, Notice
 from ..errors import ContradictionError
 from ..photographs.images import FittedView
-from ..photographs.upright import UPSIDE_DOWN, upright
+from ..photographs.upright import ON_ITS_SIDE, UPSIDE_DOWN, upright
 from .coarse_views import CoarseView, coarse_view, nearest_neighbours
 from .given_range import as_if_none_given, range_doubtful
 from .plane_sweep import STEP_PX, best_planes, planes, step_px
@@ -37,6 +40,9 @@ MARGIN = 0.06  # another reading that wins by this much: a warning
 RANGE_MARGIN = 0.08
 TIE = 0.03  # of the best: readings that match about equally are all named
 HARDLY = 0.55  # no reading matches better than this: a warning
+# A view of three or more that matches none of the others better: a warning. Of 48 right triples of six captures every
+# view has 0.73 or more, photographs of another scene in their midst 0.28 to 0.67.
+ODD = 0.68
 
 
 def check_photos(
@@ -46,11 +52,10 @@ def check_photos(
     trust_poses: bool = False,
     numbers: Sequence[int] | None = None,
 ) -> list[Notice]:
-    """Compare how well the photographs match under the poses and under other readings of them.
+    """Warnings from how well the photographs match under the poses, compared with other readings of them.
 
-    Returns warnings; raises `ContradictionError` where another reading is right beyond doubt, or where two photographs
-    of different poses are one, unless the caller says that the poses are to be trusted. What masks leave out is not
-    compared. `numbers` are what the caller calls the views.
+    Raises `ContradictionError`, unless `trust_poses`, where another reading is right beyond doubt or two photographs of
+    different poses are identical. Masked pixels are not compared. `numbers` are what the caller calls the views.
     """
     numbers = range(len(views)) if numbers is None else numbers
     return twins(views, depths, numbers, trust_poses) + _matching(views, depths, numbers, trust_poses)
@@ -62,7 +67,8 @@ def _matching(
     coarse = [coarse_view(view) for view in views]
     cameras = [view.camera for view in coarse]
     step = step_px(cameras, depths)  # for other readings as well: none wins by finer ones
-    given = consistency(coarse, cameras, depths, step)
+    scores = view_scores(coarse, cameras, depths, step)
+    given = _mean(scores)
     doubts: list[Notice] = []
     floor, estimate = given, as_if_none_given(cameras, depths)
     if estimate is not None:
@@ -84,8 +90,9 @@ def _matching(
         if score > floor + MARGIN:
             found.append((score, other))
     if not found:
-        if doubts or given >= HARDLY:
-            return doubts
+        odd = [] if doubts else _odd(coarse, scores, planes(cameras, depths, PLANES, step), numbers)
+        if doubts or given >= HARDLY or 0 < len(odd) < len(views) - 1:  # the others match each other
+            return doubts or odd
         message = f"the photographs hardly match under these cameras: score {given:.2f}, usual is 0.7 to 0.95"
         cure = "is each pose the one of its own photograph, and are near and far right?"
         return [{"code": "photos_hardly_match", "field": "cameras", "message": f"{message} ({cure})", "score": given}]
@@ -103,26 +110,63 @@ def _matching(
 def consistency(
     views: Sequence[CoarseView], cameras: Sequence[Camera], depths: DepthRange, step: float = STEP_PX
 ) -> float | None:
-    """Mean match score of every view with its nearest neighbour, None where nothing overlaps or has texture.
+    """Mean match score of the views with their nearest neighbours, under `cameras`; None without overlap or texture.
 
-    The planes are about `step` px of parallax apart, unless they become too many.
+    The planes are at most about `step` px of parallax apart, within the limit of `planes`.
     """
+    return _mean(view_scores(views, cameras, depths, step))
+
+
+def view_scores(
+    views: Sequence[CoarseView], cameras: Sequence[Camera], depths: DepthRange, step: float = STEP_PX
+) -> list[tuple[float, float]]:
+    """Per view its match score with its nearest neighbour, and the score's weight; arguments as for `consistency`."""
     views = [replace(view, camera=camera) for view, camera in zip(views, cameras, strict=True)]
     swept = planes(cameras, depths, PLANES, step)
-    total, weight = 0.0, 0.0
-    for view, neighbour in zip(views, nearest_neighbours(cameras), strict=True):
-        best, _ = best_planes(view, views[neighbour], swept)
-        score, amount = match_score(view.grey, best, view.kept)
-        total, weight = total + score * amount, weight + amount
-    return total / weight if weight > 0 else None
+    return [_score(view, views[near], swept) for view, near in zip(views, nearest_neighbours(cameras), strict=True)]
+
+
+def _score(view: CoarseView, other: CoarseView, swept: NDArray[np.float64]) -> tuple[float, float]:
+    return match_score(view.grey, best_planes(view, other, swept)[0], view.kept)
+
+
+def _mean(scores: Sequence[tuple[float, float]]) -> float | None:
+    weight = sum(amount for _, amount in scores)
+    return sum(score * amount for score, amount in scores) / weight if weight > 0 else None
+
+
+def _odd(
+    views: Sequence[CoarseView],
+    scores: Sequence[tuple[float, float]],
+    swept: NDArray[np.float64],
+    numbers: Sequence[int],
+) -> list[Notice]:
+    """Of three views or more, a warning about each that matches none of the others; `scores` are `view_scores`, `swept`
+    (D,) the z-depths of the planes."""
+    notices: list[Notice] = []
+    nearest = nearest_neighbours([view.camera for view in views])
+    for index, (score, amount) in enumerate(scores):
+        if len(views) <= MIN_VIEWS or score >= ODD or amount == 0:
+            continue
+        best = max(_score(views[index], other, swept)[0] for place, other in enumerate(views) if place != index)
+        if best < ODD:
+            message = f"view {numbers[index]} hardly matches any of the others: score {best:.2f}, usual is 0.7 to 0.95"
+            cure = (
+                f"is it a photograph of this scene, and are its pose and that of view {numbers[nearest[index]]}, the "
+                "nearest, right? leave out which is not"
+            )
+            where: Notice = {"field": "images", "index": numbers[index], "score": best}
+            notices.append({"code": "view_hardly_matches", "message": f"{message} ({cure})", **where})
+    return notices
 
 
 def _readings(
     views: Sequence[FittedView], coarse: Sequence[CoarseView], numbers: Sequence[int], given: float
 ) -> Iterator[tuple[Reading, Sequence[CoarseView]]]:
-    """Other readings with what is seen under them, in the order in which they are named."""
+    """Other readings, each with the coarse views under it, in the order in which a cure names them; `given` is the
+    score that they have to beat."""
     cameras = [view.camera for view in coarse]
-    told = [number for number, view in zip(numbers, views, strict=True) if view.orientation in UPSIDE_DOWN]
+    told = [number for number, view in zip(numbers, views, strict=True) if _may_be_turned(view)]
     if told:
         yield turned_photographs(cameras, told), [coarse_view(_turned(view)) for view in views]
     pair = len(cameras) == 2
@@ -131,9 +175,15 @@ def _readings(
         yield reading, coarse
 
 
+def _may_be_turned(view: FittedView) -> bool:
+    """Whether the EXIF orientation would turn the photograph without changing its size."""
+    square = view.image.shape[1] == view.image.shape[2]
+    return view.orientation in UPSIDE_DOWN or (square and view.orientation in ON_ITS_SIDE)
+
+
 def _turned(view: FittedView) -> FittedView:
-    """As EXIF says, where that leaves the size."""
-    if view.orientation not in UPSIDE_DOWN:
+    """`view` turned as EXIF says, if that keeps its size."""
+    if not _may_be_turned(view):
         return view
     image = upright(view.image.transpose(1, 2, 0), view.orientation).transpose(2, 0, 1)
     return replace(view, image=image, mask=None if view.mask is None else upright(view.mask, view.orientation))

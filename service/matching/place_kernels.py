@@ -1,4 +1,4 @@
-"""Loops over pixels: where another view sees them, and what its picture has there."""
+"""Compiled loops over pixels: reprojection into another view, and bilinear sampling there."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ FARTHEST = np.finfo(np.float64).max
 
 @kernel()
 def see_pixels(depth, lens, pose, other_lens, other_pose, size, column, row, z, inside):
-    """Where pixels with z-depths `depth` (H, W) stand in another view: `column`, `row` and `z` (H, W), and `inside`
-    (H, W) whether in front of it and in its picture.
+    """Reproject pixels with z-depths `depth` (H, W) into another view: writes `column`, `row` (pixel indices), `z` and
+    `inside` (in front of it and within its picture), each (H, W).
 
-    Each `lens` is fx, fy, cx, cy in px; `pose` and `other_pose` (3, 4) lead from a camera's axes to the world; `size`
-    is the other's width and height. As `Camera.unproject` and `Camera.project` compute it, to the bit.
+    `lens` and `other_lens` are fx, fy, cx, cy in px; `pose` and `other_pose` (3, 4) are camera-to-world; `size` is the
+    other view's width and height. The same bits as `Camera.unproject` and `Camera.project`.
     """
     height, width = depth.shape
     across, down, middle_x, middle_y = _four(lens)
@@ -49,7 +49,7 @@ def _four(lens):
 
 @kernel()
 def _twelve(pose):
-    """A pose row by row."""
+    """The entries of a (3, 4) pose, row by row."""
     return (
         get(pose, 0), get(pose, 1), get(pose, 2), get(pose, 3),
         get(pose, 4), get(pose, 5), get(pose, 6), get(pose, 7),
@@ -59,14 +59,14 @@ def _twelve(pose):
 
 @kernel()
 def _finite(place):
-    """Next to the camera's own plane a point is infinitely far off the picture."""
+    """A pixel position, clamped to the finite numbers, which it leaves at z next to 0; -1, off the picture, for NaN."""
     return -1.0 if place != place else smaller(larger(place, -FARTHEST), FARTHEST)
 
 
 @kernel()
 def sample_places(values, column, row, found):
-    """`found` (N, C) of `values` (H, W, C) between its pixels at `column` and `row` (N,); beyond the border the
-    outermost go on. As `bilinear.py` computes it, to the bit."""
+    """Bilinear samples `found` (N, C) of `values` (H, W, C) at real-valued pixel indices `column` and `row` (N,),
+    clamped to the border. The same bits as `bilinear.py`."""
     height, width, channels = values.shape
     for at in range(column.size):
         x = smaller(larger(get(column, at), 0.0), width - 1.0)

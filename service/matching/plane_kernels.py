@@ -1,5 +1,5 @@
-"""Loops over pixels that numpy would take many passes for: window means, comparison of warped features, edge-aware
-sums."""
+"""Compiled loops over pixels that would take numpy many passes: box filter, matching costs, recursive edge-aware
+filter."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ ROWS = 4  # as many as `_sum_along` has sums
 
 @kernel()
 def mean_planes(planes, radius, means):
-    """`means` (D, H, W) of `planes` (D, H, W) over windows of 2 * radius + 1 px, cut off at the border; by running sums
-    down the columns, then along the rows, of which ROWS are summed side by side: each waits for its own sum alone."""
+    """Write `means` (D, H, W) of `planes` (D, H, W) over windows of 2 * radius + 1 px, clipped at the border; by
+    running sums down the columns, then along the rows. ROWS rows are summed together, so that their chains of additions
+    overlap."""
     height, width = planes.shape[1], planes.shape[2]
     sums, along = np.zeros((height + 1) * width), np.zeros(ROWS * (width + 1))
     rows = np.zeros(ROWS * width)
@@ -44,7 +45,7 @@ def mean_planes(planes, radius, means):
 
 @kernel()
 def _sum_along(rows, width, along):
-    """`along` (ROWS, width + 1), 0 at first in each, of `rows` (ROWS, width)."""
+    """Write running sums `along` (ROWS, width + 1), each starting with 0, of `rows` (ROWS, width)."""
     one = two = three = four = 0.0
     for x in range(width):
         one += get(rows, x)
@@ -59,15 +60,15 @@ def _sum_along(rows, width, along):
 
 @kernel()
 def _cut_off(along, begin, x, radius, width):
-    """The mean about x of a row whose running sums begin there."""
+    """The mean around column x of the row whose running sums start at `begin`, over a window clipped at the border."""
     low, high = larger(x - radius, 0), smaller(x + radius + 1, width)
     return (get(along, begin + high) - get(along, begin + low)) / (high - low)
 
 
 @kernel()
 def _apart(own, others, at, column, row):
-    """Mean absolute difference of pixel `at` of `own` and what `others` has at `column` and `row`, between its pixels;
-    beyond the border the outermost go on."""
+    """Mean absolute difference of pixel `at` of `own` and the bilinear sample of `others` at pixel index `column`,
+    `row`, clamped to the border."""
     height, width, channels = others.shape
     x = smaller(larger(column, 0.0), width - 1.0)
     y = smaller(larger(row, 0.0), height - 1.0)
@@ -87,8 +88,8 @@ def _apart(own, others, at, column, row):
 
 @kernel()
 def compare_planes(own, others, column, row, seen, limit, found):
-    """`found` (H, W) mean absolute difference of `own` (H, W, C) and `others` (h, w, C) between its pixels at `column`
-    and `row` (H, W), at most `limit`; `limit` where `seen` (H, W) is 0."""
+    """Write `found` (H, W): the mean absolute difference of `own` (H, W, C) and bilinear samples of `others` (h, w, C)
+    at pixel indices `column` and `row` (H, W), truncated at `limit`; `limit` where `seen` (H, W) is 0."""
     for at in range(found.size):
         put(found, at, limit)
         if get(seen, at) != 0:
@@ -97,10 +98,10 @@ def compare_planes(own, others, column, row, seen, limit, found):
 
 @kernel()
 def compare_level(own, others, rays, way, lens, level, limit, found):
-    """`found` (H, W) mean absolute difference of `own` (H, W, C) and `others` (h, w, C), at most `limit`, where all
-    pixels have the inverse z-depth `level`: seen along ray + level * way, `rays` (H, W, 3) and `way` (3,) in the axes
-    of the other view, whose `lens` is fx, fy, cx, cy in px. `limit` where it is behind that or beside it, and where
-    one of the four pixels about the place has a NaN."""
+    """Write `found` (H, W): the mean absolute difference of `own` (H, W, C) and `others` (h, w, C), truncated at
+    `limit`, with all pixels at the inverse z-depth `level`. A pixel then lies along ray + level * way, with `rays` (H,
+    W, 3) and the baseline `way` (3,) in the axes of the other view, whose `lens` is fx, fy, cx, cy in px. `limit` where
+    the point is behind the other view or outside its picture, and where one of the four pixels around it is NaN."""
     height, width, _ = others.shape
     x_way, y_way, z_way = level * get(way, 0), level * get(way, 1), level * get(way, 2)
     for at in range(found.size):
@@ -114,8 +115,8 @@ def compare_level(own, others, rays, way, lens, level, limit, found):
 
 @kernel()
 def spread_along_rows(planes, weights, sums):
-    """`sums` (K, H, W) of `planes` (K, H, W) over each row, where a step from one pixel to the next multiplies by its
-    `weights` (H, W - 1)."""
+    """Write weighted `sums` (K, H, W) of `planes` (K, H, W) along each row, by a recursive filter in both directions:
+    a weight is the product of the step factors `weights` (H, W - 1) between the two pixels."""
     height, width = planes.shape[1], planes.shape[2]
     for plane_row in range(planes.shape[0] * height):
         start, edge = plane_row * width, (plane_row % height) * (width - 1)
@@ -131,7 +132,7 @@ def spread_along_rows(planes, weights, sums):
 
 @kernel()
 def spread_down_columns(planes, weights, sums):
-    """The same over each column, with `weights` (H - 1, W)."""
+    """As `spread_along_rows`, along each column, with `weights` (H - 1, W)."""
     height, width = planes.shape[1], planes.shape[2]
     total = np.zeros(width)
     for plane in range(planes.shape[0]):

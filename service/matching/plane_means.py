@@ -1,4 +1,4 @@
-"""Means over windows by compiled loops, for what comes after the network: those of `window_mean`, to the bit."""
+"""Box filter by compiled loops, for use after the network; the same bits as `window_mean`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ F64 = NDArray[np.float64]
 
 
 def plane_means(planes: F64, radius: int = RADIUS) -> F64:
-    """(..., H, W) means over windows of 2 * radius + 1 px of float64 planes, cut off at the border."""
+    """(..., H, W) means of float64 planes over square windows of 2 * radius + 1 px, clipped at the border."""
     given = np.require(planes, np.float64, ["C", "W"]).reshape(-1, *planes.shape[-2:])
     means = np.empty_like(given)
     mean_planes(given, radius, means)

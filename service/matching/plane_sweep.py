@@ -1,4 +1,4 @@
-"""A coarse plane sweep: as many planes as their parallax needs, and for every pixel the one that matches best."""
+"""A coarse plane sweep: as many planes as the parallax requires, and per pixel the one that matches best."""
 
 from __future__ import annotations
 
@@ -16,32 +16,30 @@ from .window_match import NOT_SEEN, correlations
 
 F64 = NDArray[np.float64]
 
-STEP_PX = 1.5  # of parallax from plane to plane; what lies between two is then off by about 0.75 px in windows of 7 px
-MOST_PLANES = 256  # of pictures of up to CELLS px, of larger ones so many fewer: bounds the time
+STEP_PX = 1.5  # of parallax between planes: a surface is at most about 0.75 px off the nearest one, in 7 px windows
+MOST_PLANES = 256  # for pictures of up to CELLS px, proportionally fewer for larger ones: bounds the time
 CELLS = 2 * COARSE_SIDE**2
-FEWEST = 64  # whatever the size
+FEWEST = 64  # lower bound of that limit, whatever the size
 _BATCH = 32  # planes at a time, which bounds the memory: 1 MB per array of 64 x 64 px
 
 
 def step_px(cameras: Sequence[Camera], depths: DepthRange) -> float:
-    """The parallax from plane to plane: STEP_PX, or more where there would be too many."""
+    """Parallax in px between neighbouring planes: STEP_PX, or more where that would take too many planes."""
     return max(STEP_PX, swept_px(cameras, depths) / (_most(cameras) - 1))
 
 
 def planes(cameras: Sequence[Camera], depths: DepthRange, least: int, step: float) -> F64:
-    """(D,) z-depths from near to far, `step` px of parallax apart or less where cameras look the same way (twice as far
-    where they look 45 degrees apart): `least` of them or more, unless there would be too many.
-
-    The cameras are those of the coarse views.
+    """(D,) z-depths from near to far, uniform in inverse depth: at most `step` px of parallax apart for cameras that
+    look the same way (up to twice that where they look 45 degrees apart), and at least `least` planes, within the limit
+    of MOST_PLANES. `cameras` are those of the coarse views.
     """
     count = math.ceil(swept_px(cameras, depths) / step) + 1
     return inverse_depth_steps(depths.near, depths.far, min(max(count, least), _most(cameras)))
 
 
 def best_planes(view: CoarseView, other: CoarseView, depths: F64) -> tuple[F64, F64]:
-    """(h, w) the best correlation of `view` with `other`, seen at the planes of these depths (D,), and its depth.
-
-    Where no plane is seen they are NOT_SEEN and the first depth.
+    """(h, w) the best correlation of `view` with `other` over planes at z-depths `depths` (D,), and (h, w) its depth;
+    NOT_SEEN and the first depth where no plane is seen.
     """
     best, found = np.full(view.grey.shape, NOT_SEEN), np.full(view.grey.shape, depths[0])
     for first in range(0, len(depths), _BATCH):
@@ -59,11 +57,11 @@ def best_planes(view: CoarseView, other: CoarseView, depths: F64) -> tuple[F64, 
 
 
 def swept_px(cameras: Sequence[Camera], depths: DepthRange) -> float:
-    """How far a place of a picture moves between near and far in the cameras' pixels, the most of all views and their
-    nearest neighbours, as if these looked the same way.
+    """The largest disparity in px between near and far, over all views and their nearest neighbours, for cameras that
+    look the same way.
 
-    With the camera at t = (t_x, t_y, t_z) in its neighbour's axes, what is equally far from both moves there by
-    (fx t_x - u t_z, fy t_y - v t_z) per inverse depth at (u, v) from the principal point; a corner moves farthest.
+    With the camera at t = (t_x, t_y, t_z) in its neighbour's axes, the point at (u, v) from the principal point moves
+    by (fx t_x - u t_z, fy t_y - v t_z) per unit of inverse depth; the largest displacement is at a corner.
     """
     largest = 0.0
     for camera, neighbour in zip(cameras, nearest_neighbours(cameras), strict=True):

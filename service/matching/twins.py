@@ -1,4 +1,4 @@
-"""Photographs that are one picture under poses that differ: equal to the bit, or but for their encoding."""
+"""Duplicate photographs under different poses: equal to the bit, or up to their encoding."""
 
 from __future__ import annotations
 
@@ -16,24 +16,26 @@ from ..errors import ContradictionError
 from ..photographs.images import FittedView
 from .coarse_views import pixel_grid
 
-PLAIN = 0.05  # of white; pictures whose values differ by less show nothing that could tell them apart
+PLAIN = 0.05  # of white: least range of values; a plain picture has nothing to tell it from another
 # One photograph as JPEG of quality 95 and of 90 differs by 1.2 to 2.7 of 255 on seven scenes, neighbouring views of
 # these by 10.9 to 66, which is 1.4 times and more of what the least motion makes of one of them.
 NEARLY = 3 / 255  # mean difference of the channels
-OF_MOTION = 0.5  # of what the least motion that the poses allow makes of a photograph
-STEP = 2  # px by which a photograph is moved to see what motion makes of it; less makes about as much less
-MOVED = 1.0  # px at least; less is next to nothing
+OF_MOTION = 0.5  # of the difference that the least motion under the poses would make
+STEP = 2  # px by which a photograph is shifted to measure the effect of motion, which is about linear below
+MOVED = 1.0  # px: least motion that can be told from none
 ANY_FAR = 1000.0  # times an estimated far: things may be farther than that
 _GRID = 8  # places of a picture, each way
 _DEPTHS = 32
 
 
 def twins(views: Sequence[FittedView], depths: DepthRange, numbers: Sequence[int], trust_poses: bool) -> list[Notice]:
-    """Those that are equal to the bit, and not of one colour, are refused: their poses are not, or the cameras were.
+    """Warnings about duplicates. Raises `ContradictionError` for photographs that are equal to the bit and not plain,
+    unless `trust_poses`; cameras of equal poses were refused before.
 
-    A warning, as with `trust_poses`, are those that differ by less than NEARLY and by less than OF_MOTION of what a
-    motion makes of them that is the least from near to far: another encoding of one file. Where the range is estimated
-    it has no end, so that frames of a clip that hardly moved are none.
+    Also a duplicate, but only warned of, is a photograph in another encoding: one that differs by less than NEARLY, and
+    by less than OF_MOTION of the difference that the least motion over the depth range would make. An estimated range
+    is extended to ANY_FAR times far, so that frames of a clip that hardly moved are not taken for duplicates. `numbers`
+    are what the caller calls the views.
     """
     notices: list[Notice] = []
     for (i, one), (j, other) in combinations(zip(numbers, views, strict=True), 2):
@@ -59,7 +61,7 @@ def twins(views: Sequence[FittedView], depths: DepthRange, numbers: Sequence[int
 
 
 def least_motion_px(one: Camera, other: Camera, depths: DepthRange) -> float:
-    """How far half of the picture moves or more if all of it lies at the depth at which that is the least."""
+    """The median displacement in px over a grid of pixels, at the depth of the range where it is least."""
     far = depths.far if depths.source == "given" else ANY_FAR * depths.far
     places = pixel_grid((_GRID, _GRID)) * (one.width / _GRID, one.height / _GRID)
     least = np.inf
@@ -71,12 +73,12 @@ def least_motion_px(one: Camera, other: Camera, depths: DepthRange) -> float:
 
 
 def _difference(one: FittedView, other: FittedView) -> float:
-    """Mean of the channels over what both masks keep; infinite where that is nothing."""
+    """Mean absolute difference over the pixels that both masks keep; infinite where there are none."""
     return _mean(np.abs(one.image - other.image), one.kept & other.kept)
 
 
 def _made_by_motion(view: FittedView) -> float:
-    """Mean difference of a photograph and itself STEP px on, in the direction of four that makes the least of it."""
+    """Mean absolute difference of a photograph from itself shifted by STEP px, the least over four directions."""
     image, kept, height, width = view.image, view.kept, *view.image.shape[1:]
     least = np.inf
     for down, right in ((0, STEP), (STEP, 0), (STEP, STEP), (STEP, -STEP)):

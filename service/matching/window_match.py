@@ -1,4 +1,4 @@
-"""How well a picture matches several warped pictures: zero-mean normalised correlation in small windows."""
+"""Zero-mean normalised cross-correlation (ZNCC) of a picture with warped pictures, in small windows."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _NOISE = 1e-8  # variance below which a window has no texture; (0.03 of an 8-bit
 
 
 def window_mean(values: F64, radius: int = RADIUS) -> F64:
-    """(..., h, w) means over windows of 2 * radius + 1 px, cut off at the border; by running sums.
+    """(..., h, w) means over square windows of 2 * radius + 1 px, clipped at the border; by running sums.
 
-    `plane_means` takes a twentieth of the time, but photographs are checked before the network runs, and loading
-    compiled loops takes 60 MB that would be in memory beside it.
+    `plane_means` is 20 times as fast, but its compiled loops take 60 MB: photographs are checked before the network
+    runs, and those would be in memory beside it.
     """
     for axis in (-2, -1):
         count = values.shape[axis]
@@ -35,10 +35,10 @@ def window_mean(values: F64, radius: int = RADIUS) -> F64:
 
 
 def correlations(picture: F64, warped: F64, seen: NDArray[np.bool_], mean: WindowMean = window_mean) -> F64:
-    """(D, h, w) in -1..1: windows of `picture` (h, w) against those of each `warped` picture (D, h, w), where seen;
-    `mean` is `window_mean`, or another that gives the same.
+    """(D, h, w) ZNCC in -1..1 of windows of `picture` (h, w) and of each `warped` picture (D, h, w), over the pixels
+    `seen` (D, h, w); NOT_SEEN for windows of which less than MIN_SEEN is. `mean` is `window_mean` or an equivalent.
 
-    Brightness and contrast do not matter as long as the latter is above the rounding to 8 bits: a window of variance v
+    Invariant to gain and offset as long as the contrast is above the rounding to 8 bits: a window of variance v
     correlates with itself by v / (v + 1.3e-6).
     """
     mask = seen.astype(np.float64)
@@ -53,7 +53,7 @@ def correlations(picture: F64, warped: F64, seen: NDArray[np.bool_], mean: Windo
 
 
 def contrast(picture: F64, kept: NDArray[np.bool_] | None = None, mean: WindowMean = window_mean) -> F64:
-    """(h, w) standard deviation of each window, of what is `kept` (h, w) of it; 0 where it is noise. `mean` as for
+    """(h, w) standard deviation over the `kept` (h, w) pixels of each window; 0 where it is noise. `mean` as for
     `correlations`."""
     weight = np.ones_like(picture) if kept is None else kept.astype(np.float64)
     share = np.maximum(mean(weight), 1e-9)
@@ -62,9 +62,8 @@ def contrast(picture: F64, kept: NDArray[np.bool_] | None = None, mean: WindowMe
 
 
 def match_score(picture: F64, best: F64, kept: NDArray[np.bool_]) -> tuple[float, float]:
-    """Mean of the best correlations (h, w) over windows about what is `kept` (h, w) of `picture`, by their contrast.
-
-    Windows that are seen in no warped picture do not count. Returns the mean, in [0, 1], and the sum of the weights.
+    """Contrast-weighted mean, in [0, 1], of the `best` correlations (h, w) at the `kept` (h, w) pixels, and the sum of
+    the weights. Windows that are seen in no warped picture do not count; (0, 0) where none counts.
     """
     weights = np.where(kept & (best > NOT_SEEN), contrast(picture, kept), 0.0)
     total = float(weights.sum())

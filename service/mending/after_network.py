@@ -1,4 +1,4 @@
-"""What is done after the network: depths move, a backdrop stands behind them, opacities and colours are corrected."""
+"""The stages after the network: refine depths, add a backdrop, fit opacities and colours to the photographs."""
 
 from __future__ import annotations
 
@@ -31,31 +31,31 @@ from .fading import Fading, faded
 from .refined import refined
 from .searched import searched
 
-MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # once they stand in the world, the network's need no memory
-CONTINUED_VIEWS = 3  # of more, others confirm nearly all that is seen, and planes lose
-ANCHORED_VIEWS = 3  # of more, photographs contradict what floats, and things that none of them confirms would fade
-SMOOTHING = 0.1  # px^2 in the input, added to all three variances
+MOVED = frozenset(GAUSSIAN_OUTPUTS) - {"opacities"}  # outputs that are no longer needed once `placed`
+CONTINUED_VIEWS = 3  # with more, nearly everything is confirmed, and plane continuation makes it worse
+ANCHORED_VIEWS = 3  # with more, photographs contradict floaters, and anchors would fade unconfirmed surfaces
+SMOOTHING = 0.1  # px^2 in the input view, added to all three variances
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Gaussians in the caller's world, and what each of them is."""
+    """Gaussians in the caller's world, and which pixel each belongs to."""
 
-    gaussians: Gaussians  # with the positions that the .ply will hold
-    rows: NDArray[np.intp]  # (N,) the pixels' in order, then those of what stands behind the scene;
-    around: int  # and from this row on of what stands around the photographs
+    gaussians: Gaussians  # positions rounded as the .ply stores them
+    rows: NDArray[np.intp]  # (N,) < V * H * W: index of its pixel; from there on Gaussians behind the scene,
+    around: int  # and from this row on those around the photographs
     depths: NDArray[np.float64]  # (V, H, W) z-depths of the pixels, in the cameras' units
     dropped: dict[str, int]  # of the network's Gaussians, by reason
     added: int  # that are not the network's
 
     @property
     def of_pixel(self) -> NDArray[np.bool_]:
-        """(N,) which belong to a pixel."""
+        """(N,) whether each belongs to a pixel."""
         return self.rows < self.depths.size
 
     @property
     def owner(self) -> NDArray[np.intp]:
-        """(N,) the view whose pixel it is, V for one of none."""
+        """(N,) index of the view whose pixel each belongs to, V for none."""
         return np.minimum(self.rows // self.depths[0].size, len(self.depths))
 
 
@@ -63,9 +63,9 @@ class Placed:
 def at_mended_depths(
     outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], far: float, threads: int | None = None
 ) -> Arrays:
-    """The network's outputs with every pixel's Gaussian where the photographs match best: close to its depth, then
-    anywhere in the scene's range, then on the planes of what is confirmed; what nothing confirms where a small network
-    that was trained for it prefers it; a blank backdrop at `far`, the scene's end, a z-depth in the caller's units."""
+    """The network's outputs with every pixel's Gaussian moved to a refined depth: `matched_depths`, for two views the
+    choice network among candidates (`choice/`), then blank backdrops to `far`, the z-depth at which the scene ends, in
+    the caller's units. `threads` does not change the bits."""
     network = frame.depths(outputs)
     matched, depths = matched_depths(views, network, threads)
     if len(views) == 2:  # of more, others confirm most of what is seen, and photographs lose by it
@@ -76,7 +76,8 @@ def at_mended_depths(
 def matched_depths(
     views: Sequence[FittedView], depths: NDArray[np.float64], threads: int | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(V, H, W) z-depths from those of the network, as photographs match and then as planes go on."""
+    """(V, H, W) z-depths from the network's `depths` (V, H, W): after matching, and after plane continuation as
+    well."""
     count = len(views)
     if count == 2:  # of more, others confirm most of what is seen, and planes gain nothing before the search
         depths = continued(views, depths)
@@ -88,8 +89,8 @@ def matched_depths(
 
 @freed_blocks_reused()
 def at_finer_depths(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], far: float) -> Arrays:
-    """The same where outputs at mended depths were made finer (`detail.py`): only close to their depths, and on planes
-    of two views; a blank backdrop stays at `far`."""
+    """As `at_mended_depths`, for outputs that were mended and then upsampled (`detail.py`): local refinement alone, for
+    two views after plane continuation; blank backdrops stay at `far`."""
     before = frame.depths(outputs)
     depths = refined(views, continued(views, before) if len(views) == 2 else before)
     return frame.at_depths(outputs, [view.camera for view in views], blank_held(views, before, depths, far))
@@ -105,9 +106,10 @@ def placed(
     moved: bool,
     coarse: Sequence[FittedView] | None = None,
 ) -> Placed:
-    """The network's Gaussians that belong into the scene, one for a square of `stride` px; where depths have `moved`, a
-    backdrop of these depths instead of the network's own. Where `views` are finer than what the network saw, `coarse`
-    are that: the backdrop's cells are as wide as so many of its pixels, and stand behind the farthest of the fine."""
+    """The Gaussians of the scene in the caller's world: those of the network that masks and opacity keep, one per
+    square of `stride` px. If depths have `moved`, they are smoothed, and a backdrop made from the new depths replaces
+    the network's own. If `views` have more pixels than the network saw, `coarse` are the views at its size: they set
+    the width of the backdrop's cells, each of which stands behind the farthest of the finer depths in it."""
     rows, dropped = kept_rows(outputs, views, frame)
     depths = frame.depths(outputs)
     thin, rows = thinned(outputs, rows, depths.shape, stride)
@@ -124,7 +126,7 @@ def placed(
 
 
 def _farthest(depths: NDArray[np.float64], views: Sequence[FittedView]) -> NDArray[np.float64]:
-    """(V, h, w) for the pixels of `views`, of depths (V, k h, k w)."""
+    """(V, h, w), the size of `views`: the largest of the `depths` (V, k h, k w) in each pixel."""
     height, width = views[0].image.shape[1:]
     squares = (len(views), height, depths.shape[1] // height, width, depths.shape[2] // width)
     return depths.reshape(squares).max(axis=(2, 4))
@@ -133,8 +135,9 @@ def _farthest(depths: NDArray[np.float64], views: Sequence[FittedView]) -> NDArr
 def _smoothed(
     gaussians: Gaussians, depths: NDArray[np.float64], owner: NDArray[np.intp], views: Sequence[FittedView]
 ) -> Gaussians:
-    """Wider by SMOOTHING of its view's pixel each, so that a larger picture shows surfaces, not the grid of the pixels
-    (the 3D smoothing filter of Yu et al., Mip-Splatting, 2024); `depths` (N,) times the stride and `owner` (N,)."""
+    """Gaussians convolved with an isotropic one of SMOOTHING px^2 of their view, so that larger renders show surfaces
+    and not the pixel grid (3D smoothing filter, Yu et al., Mip-Splatting, 2024). `depths` (N,) are z-depths times the
+    stride, `owner` (N,) the indices of their views."""
     focal = np.array([np.sqrt(view.camera.fx * view.camera.fy) for view in views])
     pixel = depths / focal[owner]
     squares = gaussians.scales.astype(np.float64) ** 2 + SMOOTHING * pixel[:, None] ** 2
@@ -151,9 +154,9 @@ def mended(
     *,
     resized: Sequence[PackedView] = (),
 ) -> Fading:
-    """Faded and recoloured by `views`, in the end by the same at another size too (`resized`, as for `faded`); what
-    stands behind the scene keeps more than half of its opacity, since it is there for views that nobody has asked for,
-    what stands around it nothing."""
+    """The scene after `faded`, with targets `views` and `resized`, and with anchors for up to ANCHORED_VIEWS views.
+    Gaussians behind the scene keep a minimum opacity (`fading.BEHIND_KEEPS`); those around the photographs may vanish.
+    `passes`, `threads` and `done` are those of `faded`."""
     options: dict[str, Any] = {"threads": threads, **cameras.near_plane}
     of_pixel = scene.of_pixel
     sure = np.zeros(len(scene.rows), np.bool_)

@@ -1,7 +1,7 @@
-"""Pictures that new views should show at least: what two views confirm, seen from cameras between the inputs.
+"""Anchors: renders of the confirmed surfaces from cameras between the inputs, which novel views must still show.
 
-A Gaussian of a dark or plain surface matches the photographs at many depths, and one that only one photograph shows at
-all of them. Too near it contradicts no input, but from between them it hides what two of them have confirmed.
+A Gaussian of a dark or plain surface matches the photographs at many depths, and one that a single photograph shows at
+any depth. Too near, it contradicts no input, but from between them it occludes what two of them have confirmed.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera
-from ..cameras.shortest_ways import shortest_ways
+from ..cameras.spanning_tree import minimum_spanning_tree
 from ..gaussians import Gaussians
 from ..leaving_out.certified import views_between
 from ..photographs.images import FittedView
 from ..splat import render
 
 BETWEEN = 2  # cameras between two inputs that are neighbours
-COVERED = 0.9  # opacity from which a pixel's colour is taken for what should be seen there
+COVERED = 0.9  # opacity above which a pixel is part of an anchor
 
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """Pictures of what is sure, and which Gaussians must not hide it."""
+    """Renders of the confirmed Gaussians, and which Gaussians must not occlude them."""
 
-    pictures: tuple[FittedView, ...]  # each with the mask of where it shows anything
-    may_fade: NDArray[np.bool_]  # (N,)
+    pictures: tuple[FittedView, ...]  # masked where they are not covered
+    may_fade: NDArray[np.bool_]  # (N,) Gaussians that may lose opacity for them
 
 
 def anchors(
@@ -40,14 +40,15 @@ def anchors(
     near: float | None = None,
     threads: int | None = None,
 ) -> Anchors:
-    """Draw the `sure` (N,) Gaussians alone from BETWEEN cameras at equal steps on each of the shortest ways that join
-    all `cameras`, so that in whatever order the inputs come the pictures are from the same places.
+    """Render the `sure` (N,) Gaussians alone from BETWEEN cameras at equal steps along each edge of the minimum
+    spanning tree of `cameras`, so that the order of the inputs does not change the viewpoints.
 
     Pictures in which nothing is covered are left out; `near` and `threads` are those of `render`.
     """
     subset = gaussians[np.flatnonzero(sure)]
     pictures = []
-    for camera in views_between(shortest_ways(cameras), BETWEEN) if sure.any() and may_fade.any() else ():
+    edges = [(cameras[i], cameras[j]) for i, j in minimum_spanning_tree(cameras)]
+    for camera in views_between(edges, BETWEEN) if sure.any() and may_fade.any() else ():
         image = render(subset, camera, outputs=("alpha",), near=near, threads=threads)
         covered = image.alpha > COVERED
         if covered.any():

@@ -1,7 +1,7 @@
-"""Coarse sheets behind the depths of each photograph and around it: gaps and what lies beyond show colour, no hole.
+"""The backdrop: coarse sheets of flat Gaussians behind and around each photograph, so that disocclusions show no hole.
 
-What they show is a guess: the colour of the farthest surface nearby. The network has such a sheet too, behind depths
-that have moved since; these take its place.
+Their colour is a guess, that of the farthest surface nearby. They replace the network's own backing layer, which stands
+behind depths that have moved since.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from ..photographs.images import FittedView
 F64 = NDArray[np.float64]
 
 CELL = 8  # px
-MARGIN = (1, 1)  # width in cells of what still belongs to the sheet, beyond the border
-RINGS = (2, 4, 8)  # and of what stands around it: 128 px to each side in all
-BEYOND = 4  # cells to each side of one, of whose sheet the second one has the farthest depth
-DEEPER = 0.85  # of the sheet's own inverse depth: where the second one has less it stands
-PUSH_BACK = 0.93  # on inverse depth: 7 % farther, so that a sheet never hides the surface, or the sheet, that it backs
+MARGIN = (1, 1)  # widths in cells of the sheet's rows and columns beyond the border
+RINGS = (2, 4, 8)  # widths in cells of the rings around it; with the margin 128 px to each side
+BEYOND = 4  # radius in cells of the neighbourhood whose farthest depth the second sheet takes
+DEEPER = 0.85  # a cell of the second sheet needs less than this share of the first one's inverse depth
+PUSH_BACK = 0.93  # on inverse depth: 7 % farther, so that a sheet never occludes what it stands behind
 FAR_PREFERENCE = 12.0  # weight e^-12 of a pixel's colour at half the distance
-NEIGHBOUR = 0.7  # cells: standard deviation of the weight of the cells around, whose colours count as well
+NEIGHBOUR = 0.7  # cells: standard deviation of the weights of neighbouring cells' colours
 SPREAD = 0.6  # standard deviation, of a cell
 FLATNESS = 0.1  # thickness over spread
 OPACITY = 0.9
@@ -33,15 +33,15 @@ KEPT = 0.5  # share of a cell's pixels that a mask must keep
 
 
 def backdrop(views: Sequence[FittedView], depths: F64, coefficients: int) -> tuple[Gaussians, int]:
-    """Flat Gaussians behind and, from the returned index on, around the photographs; none, one or two for each cell.
+    """Flat Gaussians behind and, from the returned index on, around the photographs; none, one or two per cell.
 
     `depths` (V, H, W) are z-depths in the cameras' units, H and W multiples of CELL; of the `coefficients` harmonics
-    all but the first are 0. A cell stands behind the farthest depth of the 3 x 3 cells about it and has the mean colour
-    of what lies as far away there. Where the sheet of BEYOND cells more to each side is farther somewhere, at less than
-    DEEPER of this inverse depth, a second one stands behind that, in its colour. Beyond the border a cell has the
-    colour of the nearest one, and its depth; on a ring it stands behind all cells that are as near to that one as the
-    ring reaches out. Where a mask keeps less than KEPT of the cell none stands, and a masked photograph has no second
-    one and no ring: what its mask leaves out is not to be seen.
+    all but the first are 0. The first sheet: a cell stands behind the farthest depth of the 3 x 3 cells around it, in
+    the mean colour of the pixels of about that depth there. The second sheet: where the first one, within BEYOND cells,
+    is at less than DEEPER of this inverse depth, a cell stands behind the farthest of it, in its colour. Cells of the
+    margin take depth and colour of the nearest cell; those of a ring take its colour, and stand behind all cells within
+    the ring's outer distance of it. No cell stands where a mask keeps less than KEPT of it, and a masked photograph has
+    neither second sheet nor rings: what its mask leaves out must stay invisible.
     """
     sets = [_of_view(view, 1 / depth, coefficients) for view, depth in zip(views, depths, strict=True)]
     behind, around = (joined(*parts) for parts in zip(*sets, strict=True))
@@ -49,7 +49,7 @@ def backdrop(views: Sequence[FittedView], depths: F64, coefficients: int) -> tup
 
 
 def _of_view(view: FittedView, inverse: F64, coefficients: int) -> tuple[Gaussians, Gaussians]:
-    """Behind and around one view."""
+    """The Gaussians behind and those around one view, from its inverse depths (H, W)."""
     camera = view.camera
     mask = view.kept
     cells = _blocks(np.where(mask, inverse, np.inf)).min(axis=(1, 3))
@@ -65,7 +65,7 @@ def _of_view(view: FittedView, inverse: F64, coefficients: int) -> tuple[Gaussia
         least = np.where(out == distance, _least_within(cells, distance)[row, column], least)
 
     def chosen(which: NDArray[np.bool_], inverse: F64, colours: F64) -> Gaussians:
-        """One for each that is chosen, of its inverse depth and its colour."""
+        """One Gaussian per cell in `which`, with its `inverse` depth and colour."""
         z = 1 / inverse[which]
         y, x = (CELL * axis[which] for axis in middles)
         high, wide = (SPREAD * CELL * axis[which] * z for axis in widths)
@@ -89,8 +89,9 @@ def _of_view(view: FittedView, inverse: F64, coefficients: int) -> tuple[Gaussia
 
 
 def _grid(count: int) -> tuple[F64, F64, NDArray[np.intp], NDArray[np.intp]]:
-    """Along one side of `count` cells: widths and middles of all with those beyond both ends, in cells; the nearest
-    cell of the photograph; and how far the outer edge lies beyond the border, 0 inside."""
+    """Along one axis of `count` cells, for these and the margin and rings beyond both ends: widths and centres in
+    cells; index of the nearest cell of the photograph; distance of the outer edge from the border in cells, 0
+    inside."""
     beyond = np.array([*MARGIN, *RINGS])
     widths = np.concatenate([beyond[::-1], np.ones(count, int), beyond])
     edges = np.concatenate([[0], np.cumsum(widths)]) - beyond.sum()
@@ -100,7 +101,8 @@ def _grid(count: int) -> tuple[F64, F64, NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _colours(view: FittedView, inverse: F64, far: F64) -> F64:
-    """(rows, columns, 3) mean colour about each cell of what lies as far away as `far` (rows, columns) says."""
+    """(rows, columns, 3) weighted mean colour around each cell of the pixels near the inverse depth `far` (rows,
+    columns)."""
     weighed, weights = np.zeros((3, *far.shape)), np.zeros(far.shape)
     kept = view.kept.astype(np.float64)
     edge = np.pad(view.image.astype(np.float64), ((0, 0), (CELL, CELL), (CELL, CELL)), mode="edge")
@@ -119,7 +121,8 @@ def _colours(view: FittedView, inverse: F64, far: F64) -> F64:
 
 
 def _farther(far: F64, colours: F64) -> tuple[F64, F64]:
-    """(rows, columns) least of `far` within BEYOND cells, and (rows, columns, 3) mean of the colours of what has it."""
+    """(rows, columns) the least of `far` within BEYOND cells, and (rows, columns, 3) the weighted mean colour of the
+    cells near it."""
     depths = _about(far, BEYOND)
     least = depths.min(axis=(-2, -1))
     here = np.where(np.isfinite(least), least, 1.0)[..., None, None]
@@ -135,13 +138,13 @@ def _blocks(values: NDArray) -> NDArray:
 
 
 def _least_within(cells: F64, distance: int) -> F64:
-    """(rows, columns) least value of the cells up to `distance` away in both directions."""
+    """(rows, columns) least value within `distance` cells along both axes."""
     return _about(cells, distance).min(axis=(-2, -1))
 
 
 def _about(cells: F64, distance: int) -> F64:
-    """(rows, columns, ..., side, side) the cells (rows, columns, ...) up to `distance` away in both directions, beyond
-    the border the last ones."""
+    """(rows, columns, ..., side, side) windows of the `cells` (rows, columns, ...) within `distance` along both axes,
+    border cells repeated outwards."""
     sides = (distance, distance)
     padded = np.pad(cells, (sides, sides, *((0, 0),) * (cells.ndim - 2)), mode="edge")
     return np.lib.stride_tricks.sliding_window_view(padded, (2 * distance + 1,) * 2, axis=(0, 1))

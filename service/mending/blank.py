@@ -1,4 +1,4 @@
-"""Black or white up to the border of a photograph: a backdrop without light or texture, as far as the scene goes."""
+"""Blank backdrops: black or white regions that reach the border of a photograph, moved to the far end of the scene."""
 
 from __future__ import annotations
 
@@ -16,25 +16,26 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-BLANK = 0.06  # from black or from white, of the channel that is farthest from it
-EVEN = 2 / 3  # of what is blank up to twice that, this share at least is so up to half of it: things have shades
-FALL = 0.5  # of the contradictions, to at most so much where that share is reached only above a backdrop's own level
+BLANK = 0.06  # largest distance of any channel from black, or from white
+EVEN = 2 / 3  # least share of pixels within twice BLANK that are within half of it: objects have shading
+FALL = 0.5  # contradictions left at the far end, at most, if EVEN is reached only above a backdrop's own level
 LEAST_SHARE = 0.02  # of all pixels: less changes little
 CONTRADICTED = 0.015  # share of the blank pixels; on generated scenes, whose backdrops are found right, at most 0.011
 ROUNDED = 1e-6  # of a depth, when it has been float32
 
 
 def blank_moved(views: Sequence[FittedView], depths: F64, far: float) -> F64:
-    """(V, H, W) z-depths from `depths` (V, H, W), where what is black up to the border of its picture is moved to `far`
-    or stays, all of it, and so what is white; in the cameras' units.
+    """(V, H, W) z-depths in the cameras' units: `depths` (V, H, W) with black regions that reach the border of their
+    picture moved to `far`, all of them or none, and likewise white ones.
 
-    Any depth matches what is blank, and the network may take one close to what stands before it; from elsewhere it then
-    covers that. Dark and bright things are told from a backdrop by their shades (EVEN), and by the other photographs:
-    CONTRADICTED of the blank pixels or more must contradict their depths, and no more than that share in addition the
-    far end. A backdrop that is lifted or noisy is even from its own level on, the median along the border, up to half
-    of BLANK; then the far end must contradict at most FALL of what the depths do. A pixel contradicts a depth at which
-    another view has it in its picture, with another colour there and no surface before it. What stands close and is
-    evenly black, such as a window frame against the light, goes as well where its depths are contradicted.
+    A blank region matches at any depth, and the network may place it close to the object in front of it, which it then
+    occludes in other views. Two tests tell a backdrop from dark and bright objects. It is even: at least EVEN of the
+    pixels within twice BLANK are within half of it, counted from black or white or, for a lifted or noisy backdrop,
+    from its own level: the median along the border, up to half of BLANK. And the other photographs contradict its
+    depths, in a share of CONTRADICTED or more, but not the far end: there at most CONTRADICTED more, or, if it is only
+    even from its own level, at most FALL times as many. A pixel is contradicted where another view sees its point with
+    another colour and no surface in front of it. An evenly black object close by, such as a window frame against the
+    light, moves as well if its depths are contradicted.
     """
     for shades in _shades(views):
         depths = _backdrop_moved(views, shades, depths, far)
@@ -42,18 +43,18 @@ def blank_moved(views: Sequence[FittedView], depths: F64, far: float) -> F64:
 
 
 def blank_held(views: Sequence[FittedView], before: F64, after: F64, far: float) -> F64:
-    """(V, H, W) z-depths `after` a step, but as `before` it where what is blank up to the border stood at `far`."""
+    """(V, H, W) z-depths `after` a step, except where a blank region that reaches the border was at `far` `before`."""
     blank = np.logical_or(*(_joined(views, shades, BLANK) for shades in _shades(views)))
     return np.where(blank & (before >= far * (1 - ROUNDED)), before, after)
 
 
 def _shades(views: Sequence[FittedView]) -> tuple[Sequence[F32], Sequence[F32]]:
-    """(H, W) of each view: how far the channel that is farthest is from black, and from white."""
+    """Per view (H, W): the largest distance of a channel from black; and likewise from white."""
     return [view.image.max(axis=0) for view in views], [1 - view.image.min(axis=0) for view in views]
 
 
 def _backdrop_moved(views: Sequence[FittedView], shades: Sequence[F32], depths: F64, far: float) -> F64:
-    """The same of what is blank where `shades`, (H, W) of each view, are next to 0."""
+    """As `blank_moved`, for the regions in which `shades`, (H, W) per view, are near 0."""
     blank = _joined(views, shades, BLANK)
     if blank.mean() < LEAST_SHARE:
         return depths
@@ -77,18 +78,19 @@ def _border_level(shades: Sequence[F32], joined: Mask) -> float:
 
 
 def _joined(views: Sequence[FittedView], shades: Sequence[F32], level: float) -> Mask:
-    """(V, H, W) kept pixels of at most that shade, joined by others to one at the border."""
+    """(V, H, W) kept pixels of a shade of at most `level`, connected to the border of their picture by such pixels."""
     return np.stack([from_border(view.kept & (shade <= level)) for view, shade in zip(views, shades, strict=True)])
 
 
 def _contradicted(views: Sequence[FittedView], ways: Sequence[Mapping[int, float]], depths: F64, blank: Mask) -> float:
-    """Share of the blank pixels whose depth another view contradicts; `ways` to others as of `from_elsewhere`."""
+    """Share of the blank pixels (V, H, W) whose depth another view contradicts; `ways` are `from_elsewhere` per
+    view."""
     found = [_contradictions(views, index, ways[index], depths) for index in range(len(views))]
     return int((blank & np.stack(found)).sum()) / int(blank.sum())
 
 
 def _contradictions(views: Sequence[FittedView], index: int, ways: Mapping[int, float], depths: F64) -> Mask:
-    """(H, W) where at least one other view does."""
+    """(H, W) pixels of view `index` whose depth at least one other view contradicts."""
     found, colours = np.zeros(depths[index].shape, np.bool_), views[index].image.transpose(1, 2, 0)
     for other, way in ways.items():
         seen = seen_by(views[index], depths[index], views[other])

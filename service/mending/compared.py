@@ -1,4 +1,4 @@
-"""Pictures that a scene should show, compared with what it shows: what each Gaussian does to the differences."""
+"""Photometric residuals of a scene against target pictures, and the sensitivity of each Gaussian to them."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from ..gaussians import Gaussians
 from ..photographs.images import FittedView, PackedView
 from ..splat import Leverage, Planes, Render, leverage
 
-ROBUST = 0.05  # of a channel: difference at which a pixel counts half; exposures, highlights and noise differ as well
-COVERED = 1e-3  # opacity below which a pixel shows no colour that could be right or wrong
+ROBUST = 0.05  # residual of a channel at which a pixel's weight is halved: exposures, highlights and noise differ too
+COVERED = 1e-3  # opacity below which a pixel has no colour to compare
 
 
 @dataclass(eq=False)
 class Compared:
-    """Views whose pictures the scene should show, and how much of each the scene covered when it was first compared.
+    """Target views, and how much of each the scene covered when it was first compared.
 
-    A pixel whose difference has the mean size d over the channels weighs 1 / (1 + d / ROBUST) (Fair's weight of robust
-    regression), one that a mask leaves out nothing. Where a pixel is not covered in full, its own mean colour stands
-    behind it: no Gaussian is wrong for being brighter than a background that nobody knows. Behind what was covered at
-    first and no longer is stands in each channel black or white, whichever is farther from what should be shown: no
-    colour that can be shown comes closer by letting the void through.
+    A pixel with mean absolute residual d over the channels has the weight 1 / (1 + d / ROBUST) (Fair's function of
+    robust regression), a masked one 0. The background of a partly covered pixel is the pixel's own mean colour: the
+    true one is unknown, and must not make a Gaussian seem too bright. Where coverage was lost since the first
+    comparison, the lost part is filled, per channel, with black or white, whichever is farther from the target: opening
+    a hole can never reduce a residual.
     """
 
     views: Sequence[FittedView | PackedView]
-    _covered: dict[int, NDArray[np.float32]] = field(default_factory=dict, init=False)  # (H, W) by the view's number
+    _covered: dict[int, NDArray[np.float32]] = field(default_factory=dict, init=False)  # index -> (H, W) first opacity
 
     def sums(
         self,
@@ -40,8 +40,8 @@ class Compared:
         share: float = 1.0,
         onto: Leverage | None = None,
     ) -> Leverage:
-        """Over all views, of each pixel `share`, added to `onto` where that is given; the first set that is compared
-        tells what was covered. `near` is that of `render`."""
+        """The sums over all views, with weights scaled by `share`, added to `onto` if given. The first call fixes what
+        counts as covered. `near` and `threads` are those of `render`."""
         sums = Leverage.of(len(now)) if onto is None else onto
         for number, view in enumerate(self.views):
             judge = partial(self._judged, number, share)
@@ -49,13 +49,13 @@ class Compared:
         return sums
 
     def _judged(self, number: int, share: float, image: Render) -> Planes:
-        """What is drawn with what stands behind it (H, W, 3), its difference (H, W, 3), each pixel's weight (H, W)."""
+        """The picture over its background (H, W, 3), its residual (H, W, 3) against the target, and weights (H, W)."""
         view = self.views[number]
         wanted = view.image.transpose(1, 2, 0)
         weight = np.where(image.alpha > COVERED, np.float32(share), np.float32(0))
         if view.mask is not None:
             weight *= view.mask
-        drawn = image.rgb  # nobody else's
+        drawn = image.rgb  # changed in place: nothing else holds it
         drawn /= np.maximum(image.alpha, np.float32(COVERED))[..., None]
         lost = np.maximum(self._covered.setdefault(number, image.alpha) - image.alpha, 0)[..., None]
         difference = np.subtract(wanted < 0.5, drawn, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Depths that no other view confirms, on surfaces through confirmed pixels where photographs match better there."""
+"""Plane continuation: unconfirmed pixels move to planes through confirmed ones where the photographs match better."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 REACHES = (6.0, 24.0)  # px, of a `surface`
-SURE_MATCH = 0.05  # of a difference: below it a place is found again that the other view does not see as it is
+SURE_MATCH = 0.05  # cost of the current depth where the other view does not see it: a plane must match better
 
 
 def continued(views: Sequence[FittedView], depths: F64) -> F64:
-    """(V, H, W) z-depths, from those of the network, in the cameras' units.
+    """(V, H, W) z-depths in the cameras' units, from `depths` (V, H, W).
 
-    For each unconfirmed pixel (`confirmed.py`) and each of REACHES there is a plane through the confirmed ones about it
-    (`surfaces.py`). Its inverse depth, within the range of the view, is taken where another photograph differs less
-    there than at the depth as it is (`match_cost.py`), by GAIN and by NOTHING more; of several that with the largest
-    gain. At a depth at which that photograph does not see the pixel it would differ by SURE_MATCH. What is confirmed,
-    what a mask leaves out and a view without a confirmed pixel stay.
+    For each unconfirmed pixel (`confirmed.py`) and each of REACHES a plane is fitted through the confirmed pixels
+    around it (`surfaces.py`); its inverse depth is clipped to the range of the view. The pixel takes it where the
+    matching cost with another view (`match_cost.py`) is below GAIN times that of its current depth, by a margin of
+    NOTHING; of several, the one with the largest relative gain. Where the other view does not see the pixel at its
+    current depth, that costs at most SURE_MATCH. Confirmed and masked pixels keep their depth, as do views without a
+    confirmed pixel.
     """
     sure, pictures = confirmed(views, depths), [features(view) for view in views]
     found = [_of_view(views, pictures, depths[index], index, sure[index]) for index in range(len(views))]
@@ -36,7 +37,7 @@ def continued(views: Sequence[FittedView], depths: F64) -> F64:
 
 
 def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depth: F64, index: int, sure: Mask) -> F64:
-    """(H, W) z-depths of the view `index`, with `depth` as they are and `sure` which are confirmed (H, W)."""
+    """(H, W) z-depths of view `index`, from the current `depth` (H, W) and the mask `sure` (H, W) of confirmed ones."""
     if not sure.any():
         return depth
     view = views[index]

@@ -1,4 +1,4 @@
-"""Planes continued on a grid finer than the photographs' pixels, with windows and steps so much narrower."""
+"""Plane continuation at a finer resolution than the photographs', so that all windows and reaches are smaller."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from .depth_grid import coarser_depths, finer_depths
 
 F64 = NDArray[np.float64]
 
-FINER = 2  # pixels in the place of one, each way
+FINER = 2  # upsampling factor per axis
 
 
 def continued_finely(views: Sequence[FittedView], depths: F64) -> F64:
-    """(V, H, W) z-depths after `continued` on photographs enlarged by FINER; of each pixel's the median."""
+    """(V, H, W) z-depths after `continued` on photographs upsampled by FINER, reduced by `coarser_depths`."""
     fine = [_enlarged(view) for view in views]
     moved = continued(fine, np.stack([finer_depths(depth, FINER) for depth in depths]))
     return coarser_depths(moved, FINER)
 
 
 def _enlarged(view: FittedView) -> FittedView:
-    """Between its pixels by cubic convolution, of what the mask keeps alone; the mask keeps whole pixels."""
+    """`view` upsampled by FINER, bicubic, from kept pixels alone; the mask is repeated without interpolation."""
     camera = view.camera.resized(FINER * view.camera.width, FINER * view.camera.height)
     step = view.step / FINER
     if view.mask is None:
@@ -40,7 +40,7 @@ def _enlarged(view: FittedView) -> FittedView:
 
 
 def _resized(channels: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """(C, H, W) at the size of `camera`."""
+    """`channels` (C, h, w) resampled to (C, H, W), the size of `camera`; bicubic."""
     size = camera.width, camera.height
     large = [Image.fromarray(channel).resize(size, Image.Resampling.BICUBIC) for channel in channels]
     return np.stack([np.asarray(channel) for channel in large])

@@ -1,4 +1,4 @@
-"""Depths on a finer grid of pixels, and back."""
+"""Depth maps upsampled to a finer pixel grid, and reduced again."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ F64 = NDArray[np.float64]
 
 
 def finer_depths(depth: NDArray, k: int) -> F64:
-    """(kH, kW) z-depths of k x k pixels in the place of each of (H, W), on the plane that the inverse depths of its
-    neighbours make: of the differences to both sides the smaller one, and 0 where they differ in sign or at the
-    border, so that nothing lies across an edge."""
+    """(kH, kW) z-depths of k x k pixels in place of each of (H, W), on a plane in inverse depth through the pixel.
+
+    The plane's slope along each axis is the difference to the neighbour on that side which is smaller, and 0 where the
+    two differ in sign (minmod limiter) or at the border, so that no plane bridges a depth edge."""
     inverse = 1 / depth.astype(np.float64)
     down, right = (_slope(inverse, axis)[:, None, :, None] for axis in (0, 1))
     steps = pixel_steps(k)
@@ -20,14 +21,14 @@ def finer_depths(depth: NDArray, k: int) -> F64:
 
 
 def coarser_depths(depths: F64, k: int) -> F64:
-    """(V, H, W) of (V, kH, kW): of each square the depth of the median inverse depth."""
+    """(V, H, W) z-depths from (V, kH, kW): per square of k x k the reciprocal of the median inverse depth."""
     count, height, width = len(depths), depths.shape[1] // k, depths.shape[2] // k
     squares = (1 / depths).reshape(count, height, k, width, k).transpose(0, 1, 3, 2, 4)
     return 1 / np.median(squares.reshape(count, height, width, k * k), axis=3)
 
 
 def pixel_steps(k: int) -> F64:
-    """(k,) px from a pixel's centre to those of the k finer ones in it, along one axis."""
+    """(k,) offsets in px, along one axis, from a pixel's centre to the centres of the k finer pixels in it."""
     return (np.arange(k) + 0.5) / k - 0.5
 
 

@@ -1,4 +1,5 @@
-"""A scene on a grid finer than the network's: on the same surfaces, in the colours of the photographs' own pixels."""
+"""A scene at a finer resolution than the network's: Gaussians subdivided and coloured by the photographs' own
+pixels."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera
-from ..cameras.rotations import turned
+from ..cameras.rotations import rotated
 from ..cameras.world_frame import WorldFrame
 from ..harmonics import C0
 from ..network.engine import Arrays
@@ -19,11 +20,12 @@ F64 = NDArray[np.float64]
 
 
 def finer(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], fine: Sequence[FittedView]) -> Arrays:
-    """The network's outputs for `views` (V, H, W) as if for `fine`, the same crops with k times the pixels each way.
+    """The network's outputs for `views` (V, H, W), upsampled to `fine`, the same crops with k times the pixels per
+    axis.
 
-    Every pixel's Gaussian becomes k x k of them, k times smaller, on the rays of the fine pixels and on the plane of
-    its neighbours (`depth_grid.py`). To its base colour each adds by how much its pixel of the fine photograph differs
-    from the mean of the k x k, so that their mean colour stays. Gaussians that belong to no pixel stay as they are.
+    Every pixel's Gaussian is split into k x k, k times smaller, on the rays of the fine pixels and on the plane through
+    its neighbours (`depth_grid.py`). Each adds to the base colour the difference of its fine pixel from the mean of the
+    k x k, so that their mean colour stays. Gaussians that belong to no pixel are unchanged.
     """
     count, height, width = outputs["depth"].shape
     k = fine[0].camera.width // width
@@ -60,24 +62,25 @@ def finer(outputs: Arrays, frame: WorldFrame, views: Sequence[FittedView], fine:
 
 
 def _on_rays(means: NDArray, depth: NDArray, camera: Camera, pose: F64, k: int) -> tuple[F64, F64]:
-    """(kH, kW) depths and (kH, kW, 3) places for the Gaussians at `means` (H, W, 3) of a view with `depth` (H, W);
-    all in the network's frame, in which `pose` (4, 4) is the camera's. A Gaussian beside its pixel's ray, or before or
-    behind its depth, is so by as many px and by the same share afterwards."""
+    """(kH, kW) z-depths and (kH, kW, 3) means of the finer Gaussians, from `means` (H, W, 3) and `depth` (H, W) of a
+    view; all in the network's frame, in which `pose` (4, 4) is the camera's. A Gaussian's offset from its pixel's ray,
+    in px, and its depth relative to the pixel's are preserved."""
     rotation, center = pose[:3, :3], pose[:3, 3]
     height, width = depth.shape
     depths = finer_depths(depth, k)
-    here = turned(rotation.T, means.astype(np.float64) - center)
+    here = rotated(rotation.T, means.astype(np.float64) - center)
     places = np.empty((height, k, width, k, 3))
     for row, dy in enumerate(pixel_steps(k)):
         for column, dx in enumerate(pixel_steps(k)):
             ratio = (depths[row::k, column::k] / depth)[..., None]
             aside = here[..., 2:] * np.array([dx / camera.fx, dy / camera.fy, 0.0])
-            places[:, row, :, column] = turned(rotation, ratio * (here + aside)) + center
+            places[:, row, :, column] = rotated(rotation, ratio * (here + aside)) + center
     return depths, places.reshape(k * height, k * width, 3)
 
 
 def _detail(view: FittedView, k: int) -> NDArray[np.float32]:
-    """(kH, kW, 3) what each pixel that the mask keeps has more than the mean of those in its square of k x k."""
+    """(kH, kW, 3) difference of each kept pixel from the mean of the kept pixels in its square of k x k; 0 if
+    masked."""
     image = view.image.transpose(1, 2, 0)
     kept = view.kept.astype(np.float32)
     squares = (image.shape[0] // k, k, image.shape[1] // k, k)
@@ -87,5 +90,5 @@ def _detail(view: FittedView, k: int) -> NDArray[np.float32]:
 
 
 def _enlarged(values: NDArray, k: int) -> NDArray:
-    """(V, H, W, ...) -> (V, kH, kW, ...), each value k x k times."""
+    """(V, H, W, ...) -> (V, kH, kW, ...), each value repeated k x k times."""
     return values.repeat(k, axis=1).repeat(k, axis=2)

@@ -1,4 +1,4 @@
-"""How fine a scene may be beside the network's grid; apart from `detail.py`, which loads what makes it so."""
+"""The level of detail of a scene, checked without importing `detail.py`, which loads the network's engine."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ DETAILS = (1, 2)  # Gaussians per pixel of the network, each way
 
 
 def checked_detail(detail: int, stride: int = 1, most: int = max(DETAILS)) -> int:
-    """As `int`. Raises `InputError` unless it is one of `DETAILS`, `most` at most, and 1 where a `stride` thins the
-    scene."""
+    """As `int`. Raises `InputError` unless it is one of DETAILS, at most `most`, and 1 if `stride` is above 1."""
     level = whole_number(detail)
     if level not in DETAILS:
         raise InputError(f"is {shown(detail)}, need one of {DETAILS}", field="detail", cure="leave it out for 1")

@@ -1,5 +1,4 @@
-"""How often a scene is corrected where the photographs contradict it; apart from `fading.py`, which loads the
-splatter."""
+"""The number of passes of `fading.py`, checked without importing that module, which loads the splatter."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ MAX_PASSES = 8
 
 
 def checked_passes(passes: int) -> int:
-    """As `int`. Raises `InputError` unless it is a whole number from 0, which leaves the scene as it is, to 8."""
+    """As `int`. Raises `InputError` unless it is a whole number from 0 (no fading) to MAX_PASSES."""
     count = whole_number(passes)
     if count is None or not 0 <= count <= MAX_PASSES:
         raise InputError(f"is {shown(passes)}, need a whole number from 0 to {MAX_PASSES}", field="fade")

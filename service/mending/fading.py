@@ -1,11 +1,10 @@
-"""Fading what the photographs contradict: each view's Gaussians stand in the other views' pictures too, often wrongly.
+"""Optimise opacities and base colours so that the scene, rendered from its inputs' cameras, matches the photographs.
 
-A Gaussian of one view whose depth is wrong hides in another view what that one shows rightly. The scene is drawn from
-its inputs' cameras; where a picture differs from its photograph, the Gaussians whose absence would mend that lose
-opacity. None rises above the network's own: no splat that nothing else supports becomes opaque for the one photograph
-that it fits. Colours follow one pass behind: what should go is not first given the colour that it hides. Between the
-inputs, where there is no photograph, pictures of what two views confirm (`anchors.py`) stand in for one. At the end the
-photographs are compared at another size as well: what suits one grid of pixels alone shows in every other picture.
+A Gaussian of one view whose depth is wrong occludes, in another view, what that one shows correctly: it should lose
+opacity. Opacities never rise above the network's, so that no Gaussian becomes opaque to fit a single photograph.
+Colours follow one pass later: what is about to fade is not first given the colour that it hides. Between the inputs,
+where there is no photograph, renders of what two views confirm (`anchors.py`) are the targets. The last passes compare
+with the photographs at a second resolution as well, against overfitting to one pixel grid.
 """
 
 from __future__ import annotations
@@ -26,29 +25,29 @@ from .compared import Compared
 from .fade_passes import DEFAULT_PASSES, checked_passes
 from .heavy_ball import HeavyBall
 
-STEP = 0.6  # of Newton's, which takes each Gaussian for the only one that moves
-DAMPING = 0.05  # of one channel of one pixel; a Gaussian that moves the pictures less hardly fades
-# Of its opacity, at least: it is there for views that nobody has asked for. One sheet of 0.97 alone then stops more
-# than half of the light, and is no hole.
+STEP = 0.6  # of the Newton step that treats each Gaussian as the only variable
+DAMPING = 0.05  # in units of one channel of one pixel: Gaussians that change the pictures less hardly fade
+# Least share of its opacity that a Gaussian behind the scene keeps, for views between the inputs: a sheet of 0.97 then
+# still stops more than half of the light, and is no hole.
 BEHIND_KEEPS = 0.55
-ANCHORED = 1.5  # weight of a pixel of what is sure: between the inputs a few pictures stand for all views there
-COLOUR_STEP = 1.6  # of the mean that the pixels which show a Gaussian have too much: those share it with others
-COLOUR_DAMPING = 0.05  # of a pixel; a Gaussian of which less is to be seen in all keeps most of its colour
-RESIZED_ROUNDS = 3  # of the drawing, the last: as good as all of them, and the others cost less
-RESIZED_SHARE = 0.25  # of the sums, what the photographs at another size have at least
-OWN_SHARE = 0.4  # where all pixels of a larger size are the photographs' own: they then tell something new
+ANCHORED = 1.5  # weight of a pixel of an anchor: a few pictures stand for all views between the inputs
+COLOUR_STEP = 1.6  # of the mean residual over the pixels that show a Gaussian, which share it with other Gaussians
+COLOUR_DAMPING = 0.05  # in pixels: a Gaussian of which less is visible in all keeps most of its colour
+RESIZED_ROUNDS = 3  # last rounds that use the second resolution: as good as in all rounds, and cheaper
+RESIZED_SHARE = 0.25  # least share of the weight for the second resolution
+OWN_SHARE = 0.4  # share for a larger one to which the photographs were not enlarged: it has new information
 
 
 @dataclass(frozen=True, eq=False)
 class Fading:
-    """The scene with lower opacities and other base colours, nothing else changed."""
+    """The scene with changed opacities and base colours, and statistics of the changes."""
 
     gaussians: Gaussians
     passes: int
     halved: int  # lost half of their opacity or more
-    gone: NDArray[np.bool_]  # (N,) too faint by now to be drawn, and were not at first
+    gone: NDArray[np.bool_]  # (N,) became too faint to be drawn
     mean_opacity: tuple[float, float]  # before, after
-    recoloured: float  # mean change of a base colour's channel, of 1
+    recoloured: float  # mean absolute change of a base colour's channel, in [0, 1]
 
     def document(self) -> dict[str, Any]:
         """Plain JSON values."""
@@ -73,25 +72,24 @@ def faded(
     threads: int | None = None,
     done: Callable[[int], None] | None = None,
 ) -> Fading:
-    """Lower opacities and correct colours so that the scene, drawn from the cameras of `views`, comes closer to their
-    photographs.
+    """Fit opacities and base colours to the photographs of `views`.
 
-    A pass draws every view once and moves each opacity o by -STEP sum(w r J) / (sum(w J^2) + DAMPING), to what it was
-    at first at most and to 0 at least, or to BEHIND_KEEPS of what it was where it stands `behind` (N,) the scene:
-    J = dC/do, r the picture (clipped to [0, 1]) less the photograph, sums over all pixels and channels of all views,
-    with their weights w and what stands behind them as `Compared` says. The next pass, or one more after the last,
-    moves the base colour by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING) in each channel, with s = T a of
-    `leverage`, and not beyond [0, 1] where the network's own was within (simultaneous iterative reconstruction,
-    Gilbert 1972): also of what stands behind, which new views see past the edges of what hides it. Both keep some of
-    their way (`HeavyBall`). A Gaussian too faint to be drawn is not seen again, and stays so.
+    A pass renders every view once and changes each opacity o by -STEP sum(w r J) / (sum(w J^2) + DAMPING), clipped to
+    between 0 and its initial value, or from BEHIND_KEEPS of that for Gaussians `behind` (N,) the scene. J = dC/do; r is
+    the residual, the render clipped to [0, 1] minus the photograph; sums run over all pixels and channels of all views,
+    with weights w and backgrounds as in `Compared`. One pass later (after the last pass in a round of its own) each
+    channel of the base colour changes by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING), with s = T a of
+    `leverage`, clipped to [0, 1] unless it was outside (simultaneous iterative reconstruction, Gilbert 1972); this
+    includes Gaussians behind the scene, which novel views see past occluding edges. Both updates have momentum
+    (`HeavyBall`). A Gaussian that became too faint to be drawn has no gradient, and stays so.
 
-    In the last RESIZED_ROUNDS of the drawing the sums go over `resized` as well: the same photographs on another grid,
-    one size for all. They then have RESIZED_SHARE of the weight, those of `views` the rest, by area; up to OWN_SHARE
-    where they are larger and the photographs were not enlarged to that (`FittedView.step`).
+    In the last RESIZED_ROUNDS rounds the sums also run over `resized`, the same photographs at another resolution, one
+    for all. These get RESIZED_SHARE of the weight, normalised by area, and `views` the rest; up to OWN_SHARE if they
+    are larger and the photographs were not enlarged to that size (`FittedView.step`).
 
-    For the Gaussians that `anchors` says, the sums of a pass go over its pictures as well, with ANCHORED as their
-    weight; colours follow photographs alone. `near` is that of `render`; `done` hears how many rounds of drawing are
-    done, passes + 1 in all. The bits do not depend on the number of threads.
+    For the opacities of `anchors.may_fade` the sums also run over the anchors' pictures, with weight ANCHORED. `near`
+    and `threads` are those of `render`; `done` receives the number of rounds done, passes + 1 in all. The bits do not
+    depend on the number of threads.
 
     Raises `InputError` for a number of passes that is out of range.
     """
@@ -126,16 +124,16 @@ def faded(
 
 
 class _Photographs:
-    """What the scene should show from its inputs' cameras, at one size or at both."""
+    """The photographs as targets, at one or two resolutions."""
 
     def __init__(self, views: Sequence[FittedView], resized: Sequence[PackedView]) -> None:
         self._given, self._resized = Compared(views), Compared(resized)
-        # Of one pixel there, so that both sizes have the same sums for the same differences
+        # weight of a resized pixel, so that equal residuals give equal sums at both resolutions
         self._area = _pixels(views[0]) / _pixels(resized[0]) if views and resized else 0.0
         self._share = _share(views, resized)
 
     def sums(self, now: Gaussians, near: float | None, threads: int | None, *, at_both: bool) -> Leverage:
-        """Over the photographs, and those of the other size where there are any and `at_both` asks for them."""
+        """Sums over the photographs, with `at_both` also over the resized ones, if there are any."""
         if not (at_both and self._resized.views):
             return self._given.sums(now, near, threads)
         sums = self._given.sums(now, near, threads, share=1 - self._share)
@@ -143,7 +141,7 @@ class _Photographs:
 
 
 def _share(views: Sequence[FittedView], resized: Sequence[PackedView]) -> float:
-    """Of the weight, what `resized` has: more, the farther the photographs' own pixels reach towards a finer grid."""
+    """The share of `resized` in the weight: the larger, the less the photographs were enlarged to their size."""
     larger = resized[0].camera.width / views[0].camera.width if views and resized else 1.0
     if larger <= 1:
         return RESIZED_SHARE
@@ -156,19 +154,19 @@ def _pixels(view: FittedView | PackedView) -> int:
 
 
 def _base_colours(gaussians: Gaussians) -> NDArray[np.float32]:
-    """(N, 3) what is the same from all sides."""
+    """(N, 3) colours of the constant harmonic."""
     return np.float32(0.5) + np.float32(C0) * gaussians.harmonics[:, 0]
 
 
 def _changed(gaussians: Gaussians, opacities: NDArray[np.float32], change: NDArray[np.float32]) -> Gaussians:
-    """With these opacities, and base colours that have moved by `change` (N, 3): the same values where it is 0."""
+    """`gaussians` with these opacities (N,) and base colours changed by `change` (N, 3)."""
     harmonics = gaussians.harmonics.copy()
     harmonics[:, 0] += change / np.float32(C0)
     return replace(gaussians, opacities=opacities, harmonics=harmonics)
 
 
 def _finite(over: NDArray[np.float64], under: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The quotient; 0 where a sum was not finite, of colours near the end of float32."""
+    """The quotient, 0 where it is not finite: sums overflow for colours near the largest float32."""
     with np.errstate(invalid="ignore", over="ignore"):
         return np.nan_to_num(over / under, nan=0.0, posinf=0.0, neginf=0.0)
 
@@ -176,7 +174,7 @@ def _finite(over: NDArray[np.float64], under: NDArray[np.float64]) -> NDArray[np
 def _between(
     now: Gaussians, anchors: Anchors | None, sure: Compared, near: float | None, threads: int | None
 ) -> tuple[NDArray[np.float64] | float, NDArray[np.float64] | float]:
-    """What the pictures of what is sure add to `slope` and `moved` (N,) of the Gaussians that must not hide it."""
+    """What the anchors' pictures add to `slope` and `moved` (N,), for the Gaussians that may fade for them."""
     if anchors is None or not sure.views:
         return 0.0, 0.0
     sums = sure.sums(now, near, threads)

@@ -1,7 +1,7 @@
-"""Depths moved to where the photographs match best, within a pixel of parallax.
+"""Local depth refinement: each pixel moves to where the photographs match best, within a pixel of parallax.
 
-The network decides on a depth at half the resolution of the photographs and matches small windows; here the whole
-pictures are compared, edges included, close to what it found.
+The network estimates depth at half the resolution of the photographs and matches small windows; here costs at full
+resolution are aggregated with respect to edges, close to the depth that it found.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from ..photographs.images import FittedView
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-OFFSETS_PX = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of parallax, in the view that is farthest away
-VISIBLE_PX = 3.0  # between the depths of both views; beyond, the other one sees something else
-RANGE = 2.0  # most by which a depth changes: with little parallax a pixel of it is all there is
+OFFSETS_PX = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of parallax, in the other view with the longest baseline
+VISIBLE_PX = 3.0  # of parallax between both views' depths; beyond it the pixel is occluded in the other view
+RANGE = 2.0  # largest factor by which a depth changes: with little parallax a pixel of it may span the whole range
 
 
 def refined(views: Sequence[FittedView], depths: F64) -> F64:
-    """(V, H, W) z-depths, from those of the network, in the cameras' units.
+    """(V, H, W) z-depths in the cameras' units, from `depths` (V, H, W).
 
-    For each of OFFSETS_PX a pixel is compared with where the other views would see it (`match_cost.py`), over the views
-    whose own depth there lies within VISIBLE_PX. The least of the gathered costs is refined by a parabola, and taken if
-    it is less than GAIN times that of the depth as it is, by NOTHING more. What no other view sees and what a mask
-    leaves out stays as it is; a view from nearly the same place is not compared.
+    For each of OFFSETS_PX the matching cost (`match_cost.py`) is averaged over the other views in which the pixel is
+    visible: whose own depth there lies within VISIBLE_PX. The minimum of the aggregated costs, interpolated by a
+    parabola, is taken if it is below GAIN times the cost of the current depth, by a margin of NOTHING. Masked pixels
+    and those visible in no other view keep their depth. Views without parallax are not compared (`from_elsewhere`).
     """
     pictures = [features(view) for view in views]
     return np.stack([_of_view(views, pictures, depths, index) for index in range(len(views))])
@@ -62,7 +62,8 @@ def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depths: F64, 
 
 
 def _least(costs: F64) -> tuple[F64, NDArray[np.bool_]]:
-    """(H, W) the offset of the least of (D, H, W) costs, between the steps, in px; and whether it gains enough."""
+    """(H, W) offset in px of the minimum of `costs` (D, H, W), to sub-step precision, and (H, W) whether it gains
+    enough over the current depth."""
     best = costs.argmin(axis=0)[None]
     inner = np.clip(best, 1, len(costs) - 2)
     before, at, after = (np.take_along_axis(costs, inner + step, axis=0)[0] for step in (-1, 0, 1))

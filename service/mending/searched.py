@@ -1,7 +1,7 @@
-"""Depths that no other view confirms, searched over the whole range of the scene where photographs match far better.
+"""Global depth search: unconfirmed pixels move to any depth of the scene at which the photographs match far better.
 
-The network sees windows of few pixels at half the resolution and may settle on a wrong surface altogether, which a
-pixel of parallax to either side (`refined.py`) does not mend.
+The network matches small windows at half the resolution and may settle on a wrong surface altogether, which a local
+refinement by a pixel of parallax (`refined.py`) cannot correct.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cameras.rotations import turned
+from ..cameras.rotations import rotated
 from ..matching.coarse_views import pixel_grid
 from ..matching.confirmed import AGREEMENT_PX, TEXTURE, confirmed
 from ..matching.correspondence import disagreement, from_elsewhere, seen_by
@@ -28,31 +28,32 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-STEP_PX = 1.0  # of parallax between two levels, about, in the view that is farthest away
-LEVELS = 160  # at most, in wider steps; up to 640 gave no better pictures
-TAIL = 0.001  # of the inverse depths at either end, which may be the network's worst
-ROOM = 0.1  # of an inverse depth, by which the range goes on beyond them
-OTHERS = 3  # that a view is compared with, those of least parallax: all six views would take 30 comparisons
-TIED = 1e-6  # of a way: views as near as the last of them are compared as well, whatever their order
-PAIR_PX = 16.0  # that a depth moves at most where all others are from one place: farther, repetitions cost as much
+STEP_PX = 1.0  # of parallax between levels, about, in the compared view with the longest baseline
+LEVELS = 160  # at most, then with wider steps; up to 640 gave no better pictures
+TAIL = 0.001  # quantile of the inverse depths ignored at either end: outliers
+ROOM = 0.1  # of these quantiles, by which the range extends beyond them
+OTHERS = 3  # views that each is compared with, of the least parallax: all pairs of six views would be 30
+TIED = 1e-6  # relative: views tied with the last of these are compared as well, so that their order does not matter
+PAIR_PX = 16.0  # largest move if all others are from one place: farther away, repeated texture matches as well
 
 
 class _Best(NamedTuple):
-    """Where a view matches best."""
+    """The best level of each pixel of a view."""
 
     depth: F64  # (H, W) z-depth
-    gains: Mask  # (H, W) by GAIN and by NOTHING more than at the depth as it is
+    gains: Mask  # (H, W) whether its cost is below GAIN times that of the current depth, by a margin of NOTHING
 
 
 def searched(views: Sequence[FittedView], depths: F64, threads: int | None = None) -> F64:
-    """(V, H, W) z-depths, from those of the network, in the cameras' units.
+    """(V, H, W) z-depths in the cameras' units, from `depths` (V, H, W).
 
-    Each view is compared with the nearest ones from elsewhere (`match_cost.py`) at levels of inverse depth, STEP_PX
-    apart, over the range of all `depths`; the least of the gathered costs over the others counts, so that a surface is
-    found that one of them sees. It is taken by textured pixels that nothing confirms (`confirmed.py`), where it is less
-    than GAIN times that of the depth as it is, by NOTHING more, and where the place that it leads to in one of the
-    others has a depth or a best level within AGREEMENT_PX of it. Where the others are all from one place it must lie
-    within PAIR_PX. What a mask leaves out stays. `threads` (all that are available) do not change a bit.
+    Each view is compared with the nearest ones that have parallax to it, at levels of inverse depth STEP_PX apart over
+    the range of all `depths`. A level's cost is the least of the aggregated costs (`match_cost.py`) over these views,
+    so that one view that sees the surface suffices. A pixel takes its best level if it is textured and unconfirmed
+    (`confirmed.py`), if the cost gains enough (`_Best`), and if one of the views has, where the pixel reprojects, a
+    depth or a best level within AGREEMENT_PX. If the views compared with are all from one place, it must also lie
+    within PAIR_PX of the current depth. Masked pixels keep their depth. The bits do not depend on `threads` (default:
+    all).
     """
     inverse = 1 / depths[np.stack([view.kept for view in views])]
     places = [from_elsewhere(views, index, depth) for index, depth in enumerate(depths)]
@@ -87,7 +88,7 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
 
 
 def _nearest(elsewhere: dict[int, float]) -> dict[int, float]:
-    """OTHERS of them, and those as near as the last."""
+    """The OTHERS of least parallax, and those tied with the last of them."""
     last = sorted(elsewhere.values())[:OTHERS][-1:]
     return {other: way for other, way in elsewhere.items() if last and way <= (1 + TIED) * last[0]}
 
@@ -100,8 +101,9 @@ def _best(
     elsewhere: dict[int, float],
     ends: tuple[float, float],
 ) -> _Best:
-    """Of the view `index`, whose z-depths are `depth` (H, W), over inverse depths between the `ends`; `pictures` are
-    the features of all views, `elsewhere` has those that it is compared with, and px of parallax per unit of 1/z."""
+    """The best levels of view `index` between the `ends` of inverse depth; `depth` (H, W) are its current z-depths,
+    `pictures` the features of all views, and `elsewhere` maps the views that it is compared with to px per unit of
+    1/z."""
     view, own = views[index], pictures[index]
     kept = view.kept
     steps = np.ceil((ends[1] - ends[0]) * max(elsewhere.values()) / STEP_PX)
@@ -119,13 +121,13 @@ def _best(
 
 
 class _Sweep(NamedTuple):
-    """What it takes to compare a view with another one."""
+    """A plane sweep of one view against another."""
 
     own: F32  # (H, W, C) features
-    others: F32  # (h, w, C), NaN where a mask hides it
+    others: F32  # (h, w, C) features of the other view, NaN where it is masked
     rays: F64  # (H, W, 3) of the view's pixels, in the axes of the other view
-    way: F64  # (3,) from the other view's centre to that of the view, in the same axes
-    lens: F64  # (4,) of the other view
+    way: F64  # (3,) baseline from the other view's centre to the view's, in the same axes
+    lens: F64  # (4,) fx, fy, cx, cy of the other view, px
 
     @classmethod
     def of(cls, view: FittedView, own: F32, other: FittedView, others: F32) -> _Sweep:
@@ -133,13 +135,13 @@ class _Sweep(NamedTuple):
         return cls(
             own,
             np.where(other.kept[..., None], others, np.float32(np.nan)),
-            turned(camera.rotation.T, view.camera.rays(pixel_grid(shape))).reshape(*shape, 3),
+            rotated(camera.rotation.T, view.camera.rays(pixel_grid(shape))).reshape(*shape, 3),
             camera.rotation.T @ (view.camera.center - camera.center),
             np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
         )
 
     def cost(self, level: float) -> F64:
-        """(H, W) mean absolute difference at the inverse z-depth `level`; LIMIT at most, and where not seen."""
+        """(H, W) mean absolute difference at the inverse z-depth `level`, truncated at LIMIT; LIMIT where not seen."""
         found = np.empty(self.own.shape[:2])
         compare_level(self.own, self.others, self.rays, self.way, self.lens, level, LIMIT, found)
         return found

@@ -1,7 +1,7 @@
-"""Planes through what is confirmed about each pixel of a view, and how sure they are.
+"""Planes fitted through the confirmed pixels around each pixel of a view, with their residuals.
 
-A wall or a floor goes on where its texture ends, or where one view alone shows it. The inverse depth of a plane is
-linear in the pixel's position, so that what is confirmed about it tells the rest.
+A wall or a floor continues where its texture ends, or where only one view shows it. The inverse depth of a plane is
+linear in the pixel position, so that a linear fit to the confirmed pixels extends it.
 """
 
 from __future__ import annotations
@@ -16,54 +16,55 @@ from ..matching.plane_kernels import spread_along_rows, spread_down_columns
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-EDGE = 0.2  # sum over a change in the three channels that is as far as a reach is
-RIDGE = 0.02  # of the reach squared: variance of positions below which slopes fade
-LEAST = 1e-9  # weight below which nothing that is confirmed is near
+EDGE = 0.2  # change of colour, summed over the channels, that counts like a distance of one reach
+RIDGE = 0.02  # of the reach squared, added to the variances of positions: regularises the slopes
+LEAST = 1e-9  # total weight below which no confirmed pixel is near enough
 
 
 class Surface(NamedTuple):
-    """For every pixel a plane through what is confirmed about it."""
+    """The local plane of every pixel, evaluated at the pixel."""
 
     inverse: F64  # (H, W) inverse depth at the pixel
-    weight: F64  # (H, W) of all that is confirmed
+    weight: F64  # (H, W) total weight of the confirmed pixels
 
     @property
     def known(self) -> Mask:
-        """(H, W) where anything confirmed is near enough."""
+        """(H, W) where confirmed pixels are near enough."""
         return self.weight > LEAST
 
     def within(self, inverse: F64, kept: Mask) -> F64:
-        """(H, W) inverse depth within the range of what is `kept` of `inverse` (H, W), and that where none is known."""
+        """(H, W) the surface, clipped to the range of `inverse` (H, W) over the `kept` pixels; `inverse` where it is
+        not known."""
         return np.where(self.known, np.clip(self.inverse, inverse[kept].min(), inverse[kept].max()), inverse)
 
 
 class Described(NamedTuple):
-    """A surface, and how far what it goes through is from it."""
+    """A surface, the residual of its fit, and how far away its support lies."""
 
     surface: Surface
     spread: F64  # (H, W) standard deviation of the confirmed inverse depths from the plane
-    away: F64  # (H, W) from the pixel to their middle, in reaches
+    away: F64  # (H, W) distance from the pixel to the centroid of the confirmed pixels, in reaches
 
 
 class _Moments(NamedTuple):
-    """(H, W) each, of the confirmed pixels about every one, but for the steps."""
+    """Weighted moments of the confirmed pixels around each pixel: (H, W) each, but for the steps."""
 
-    steps: tuple[F64, F64]
+    steps: tuple[F64, F64]  # see `_steps`: along rows, along columns
     level: F64  # mean of their inverse depths
-    beside: F64  # from their middle to the pixel, px
-    below: F64
-    across: F64  # slopes of the plane, times `size`
-    down: F64
-    size: F64
-    along_x: F64  # how inverse depths vary with positions
-    along_y: F64
+    beside: F64  # from their centroid to the pixel, px: x,
+    below: F64  # and y
+    across: F64  # slope of the plane along x, times `size`
+    down: F64  # and along y
+    size: F64  # determinant of the covariance of their positions
+    along_x: F64  # covariance of inverse depth and x
+    along_y: F64  # and y
 
 
 def surface(picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: float) -> Surface:
-    """Planes fitted to the inverse depths (H, W) of the pixels that are `sure` (H, W), by least squares.
+    """Weighted least-squares planes through the inverse depths `inverse` (H, W) of the confirmed pixels `sure` (H, W).
 
-    They weigh by their distance along rows and columns, with `reach` px as the standard deviation; edges of `picture`
-    (3, H, W) lengthen the way (domain transform, Gastal and Oliveira 2011).
+    Weights fall off with the distance along rows and columns, with a standard deviation of `reach` px; edges of
+    `picture` (3, H, W) lengthen that distance (domain transform, Gastal and Oliveira 2011).
     """
     return _fitted(picture, inverse, sure, reach, edges=True)[0]
 
@@ -71,7 +72,8 @@ def surface(picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: floa
 def described_surface(
     picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: float, *, edges: bool = True
 ) -> Described:
-    """The same with what it goes through, where `edges` need not matter; the unit of `spread` is that of `inverse`."""
+    """As `surface`, with the quality of the fit; without `edges` the picture does not matter. `spread` is in the unit
+    of `inverse`."""
     found, moments = _fitted(picture, inverse, sure, reach, edges)
     squares = _spread(inverse * inverse * sure, *moments.steps)
     squares /= np.maximum(found.weight, LEAST)
@@ -106,8 +108,8 @@ def _fitted(
 
 
 def _spread(plane: F64, across: F64, down: F64) -> F64:
-    """(H, W) weighted sums of `plane` over the pixels about each, along its row, then along columns, where `across`
-    (H, W - 1) and `down` (H - 1, W) are what a step multiplies a weight by."""
+    """(H, W) weighted sums of `plane` (H, W) around each pixel, by a recursive filter along rows, then columns;
+    `across` (H, W - 1) and `down` (H - 1, W) are its factors per step."""
     along, sums = np.empty_like(plane[None]), np.empty_like(plane[None])
     spread_along_rows(plane[None], across, along)
     spread_down_columns(along, down, sums)
@@ -115,7 +117,7 @@ def _spread(plane: F64, across: F64, down: F64) -> F64:
 
 
 def _steps(picture: NDArray[np.floating], axis: int, reach: float, edges: bool) -> F64:
-    """(H, W - 1) or (H - 1, W) what a step to the next pixel of a row or column of (3, H, W) multiplies a weight by:
-    exp(-sqrt(2) d / reach) for a way d, in which, with `edges`, a change of EDGE counts like `reach` px."""
+    """(H, W - 1) for axis 2 or (H - 1, W) for axis 1: the factor exp(-sqrt(2) d / reach) by which a weight falls from a
+    pixel to the next, at a distance d of 1 px, to which with `edges` a change of colour of EDGE adds `reach` px."""
     change = np.abs(np.diff(picture.astype(np.float64), axis=axis)).sum(axis=0)
     return np.ascontiguousarray(np.exp(-np.sqrt(2) / reach * (1 + edges * reach / EDGE * change)))

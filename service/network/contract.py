@@ -13,8 +13,8 @@ TASK_OUTPUTS = ("task_weight",)
 MARGIN_OUTPUTS = ("route_margin",)
 OPTIONAL_OUTPUTS = EXPERT_OUTPUTS + TASK_OUTPUTS + MARGIN_OUTPUTS
 
-# Where the margin is smaller, another runtime may route otherwise: onnxruntime's and torch's margins of the shipped
-# network differ by at most 2.9e-4 (by 9e-5 for 99 % of the patches) on the verification's scenes that have texture.
+# Below this margin another runtime may choose another route: the margins of the shipped network in onnxruntime and in
+# torch differ by at most 2.9e-4 (by 9e-5 for 99 % of the patches) on the verification's scenes that have texture.
 AMBIGUOUS_MARGIN = 3e-4
 
 FORMAT = "1"  # gapmes.format: bumped when names or meanings change

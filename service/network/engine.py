@@ -1,4 +1,4 @@
-"""The network as an ONNX file: load it into a runtime, check that it is one of ours, run it, check what comes out."""
+"""The network as an ONNX file: loaded into a runtime, checked against the contract, and run with checked outputs."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Engine:
     ) -> None:
         """Load `model` (default: the one in the package) for `threads` threads (default: the CPUs of this process).
 
-        `prepare` is a folder for the model as onnxruntime has optimised it, whose weights all processes share; without
-        it each has its own. `engine` is what computes it, and in which precision. Raises `ModelError` where the file
-        or its weights are missing, are not what they should be, or are no gapmes model of this format, and where its
-        graph takes other shapes than its metadata say.
+        `prepare` is a folder for the model as optimised by onnxruntime, whose weights all processes share; without it
+        each process has its own. `engine` chooses runtime and precision. Raises `ModelError` for a file or weights
+        that are missing or damaged, for one that is no gapmes model of this format, and for a graph whose input shapes
+        contradict its metadata.
         """
         engine = checked_engine(engine)
         file = model_file(shipped_model() if model is None else Path(model))
@@ -62,13 +62,12 @@ class Engine:
         """Run the network on V views.
 
         images (V, 3, H, W) float32 in [0, 1]; intrinsics (V, 3, 3) float32, rows normalised by width and height;
-        world_from_cam (V, 4, 4) float32 relative to camera 0; near_far (2,) float32; patch_mask (V, P) bool, False
-        leaves a patch out. Returns means (N, 3), scales (N, 3), rotations_wxyz (N, 4), opacities (N,), harmonics
-        (N, K, 3), depth and confidence (V, H, W), expert_index (V, P, k) int64, expert_weight (V, P, k), task_weight
-        (V, P, 4), route_margin (V, P); of the last four those are missing that the network does not have. The first
-        V * H * W Gaussians belong to the pixels, view by view, row by row; others may follow.
-        Same bits for the same input, thread count and engine. Raises `ModelError` for other shapes and for outputs that
-        are not finite.
+        world_from_cam (V, 4, 4) float32 relative to camera 0; near_far (2,) float32, z-depths; patch_mask (V, P) bool,
+        False leaves a patch out. Returns means (N, 3), scales (N, 3), rotations_wxyz (N, 4), opacities (N,), harmonics
+        (N, K, 3), depth and confidence (V, H, W), and where the network has them expert_index (V, P, k) int64,
+        expert_weight (V, P, k), task_weight (V, P, 4) and route_margin (V, P). The first V * H * W Gaussians belong to
+        the pixels, view by view, row by row; others may follow. Deterministic for a given input, thread count and
+        engine. Raises `ModelError` for other shapes or types and for outputs that are not finite or out of range.
         """
         info, views = self.info, len(images)
         values = (images, intrinsics, world_from_cam, near_far, patch_mask)
@@ -92,7 +91,7 @@ class Engine:
 
 
 def _input_shapes(info: ModelInfo, views: int | None) -> dict[str, Sides]:
-    """Of the contract, by name."""
+    """Input shapes of the contract by name; None where `views` is None, which leaves the number open."""
     return {
         "images": (views, 3, info.height, info.width),
         "intrinsics": (views, 3, 3),
@@ -103,9 +102,9 @@ def _input_shapes(info: ModelInfo, views: int | None) -> dict[str, Sides]:
 
 
 def _checked_signature(session: Session, path: Path, info: ModelInfo) -> tuple[str, ...]:
-    """The contract's outputs that this file has; further ones are allowed.
+    """The names of the contract's outputs that this file has; it may have others besides.
 
-    Raises `ModelError` for missing names, and for an input of a shape that its metadata do not say.
+    Raises `ModelError` for missing inputs or outputs, and for an input whose shape contradicts the metadata.
     """
     if set(session.inputs) != set(INPUTS):
         raise ModelError(f"{path} has the inputs {sorted(session.inputs)}, need {sorted(INPUTS)}", field="model")
@@ -124,7 +123,7 @@ def _checked_signature(session: Session, path: Path, info: ModelInfo) -> tuple[s
 
 
 def _fits(taken: Sides, need: Sides) -> bool:
-    """Where neither leaves a side open they are equal."""
+    """Whether two shapes are compatible: equal on every side that neither leaves open."""
     return len(taken) == len(need) and all(None in pair or pair[0] == pair[1] for pair in zip(taken, need, strict=True))
 
 
@@ -133,7 +132,7 @@ def _shown(sides: Sides) -> str:
 
 
 def _check_outputs(outputs: Arrays, views: int, info: ModelInfo) -> None:
-    """Shapes against the contract, then finiteness, naming output, first row and count."""
+    """Check shapes, then finiteness and ranges; the `ModelError` names output, count and first index."""
     count = len(outputs["means"])
     coefficients = outputs["harmonics"].shape[1:2]
     chosen = outputs["expert_index"].shape[2:3] if "expert_index" in outputs else ()

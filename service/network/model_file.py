@@ -1,4 +1,4 @@
-"""A model on disk: what it says of itself, the file of weights beside it, its size and its sum; nothing is loaded."""
+"""A model on disk, without loading it: its metadata, its external weights, its size and its sha256."""
 
 from __future__ import annotations
 
@@ -12,19 +12,18 @@ from ..errors import ModelError
 from .model_info import ModelInfo, parse_model_info
 from .onnx_file import OnnxHeader, read_header
 
-EXTERNAL_SHA256 = "gapmes.external_sha256"  # metadata: the sum of the weights, so that the graph's sum names them too
+EXTERNAL_SHA256 = "gapmes.external_sha256"  # of the external weights, so that the graph's own sha256 covers them too
 
 
 @dataclass(frozen=True)
 class Weights:
-    """A file of weights beside the graph, of which the graph says what it must be."""
+    """A file of external weights beside the graph, and the sha256 that the graph records for it."""
 
     path: Path
     sha256: str
 
     def check(self) -> None:
-        """Raises `ModelError` where the content is another one. Reads all of it, once for as long as it is the same
-        file."""
+        """Raises `ModelError` unless the file has the recorded sha256; it is read once per state of the file."""
         found = sha256_of(self.path)
         if found != self.sha256:
             raise ModelError(
@@ -36,7 +35,7 @@ class Weights:
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A model of ours that could be loaded."""
+    """A gapmes model that has been looked at but not loaded."""
 
     path: Path
     info: ModelInfo
@@ -45,8 +44,8 @@ class ModelFile:
 
 
 def model_file(path: Path) -> ModelFile:
-    """Look at the model at `path`; the weights beside it are there and long enough, `Weights.check` tells whether they
-    are the right ones. Raises `ModelError`."""
+    """Read the header and metadata of the model at `path`, and check that its external weights exist and are long
+    enough; `Weights.check` compares their content. Raises `ModelError`."""
     try:
         header = read_header(path)
         size = path.stat().st_size
@@ -60,7 +59,7 @@ def model_file(path: Path) -> ModelFile:
 
 
 def sha256_of(path: Path) -> str:
-    """The file's sum, read in pieces, and anew only where size or time of the file have changed. Raises
+    """The file's sha256 in hexadecimal, cached until its inode, size or modification time change. Raises
     `ModelError`."""
     try:
         stat = path.stat()

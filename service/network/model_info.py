@@ -1,4 +1,4 @@
-"""What an exported model says about itself: its `gapmes.*` ONNX metadata, parsed and checked once."""
+"""The `gapmes.*` ONNX metadata of an exported model, parsed and checked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _REQUIRED = ("preset", "config", "weights_sha256", "opset", "height", "width", "
 
 @dataclass(frozen=True)
 class ModelInfo:
-    """What an exported model says about itself (ONNX metadata `gapmes.*`), and the hash of its file."""
+    """The metadata of an exported model, and the sha256 of its file."""
 
     preset: str
     config: dict[str, Any]
@@ -34,17 +34,19 @@ class ModelInfo:
 
     @property
     def depth_planes(self) -> int | None:
-        """How many depths the network compares; None where it does not say so."""
+        """Number of planes of the network's plane sweep; None where the configuration does not state it."""
         planes = self.config.get("depth_planes")
         return planes if isinstance(planes, int) and planes >= 2 else None
 
     @property
     def patches(self) -> int:
+        """Patches of one view."""
         return (self.height // self.patch) * (self.width // self.patch)
 
 
 def parse_model_info(metadata: Mapping[str, str], path: Path, file_sha256: str) -> ModelInfo:
-    """Parse the metadata of the model at `path`. Raises `ModelError` where it is not ours, or not of this format."""
+    """Parse the ONNX `metadata` of the model at `path`. Raises `ModelError` for one that is no gapmes model, of another
+    format, incomplete or malformed."""
     if "gapmes.format" not in metadata:
         raise ModelError(f"{path} is an ONNX file, but not a gapmes model: it has no gapmes.format", field="model")
     if metadata["gapmes.format"] != FORMAT:
@@ -84,7 +86,7 @@ def parse_model_info(metadata: Mapping[str, str], path: Path, file_sha256: str) 
 
 
 def _object(name: str, text: str) -> dict[str, Any]:
-    """Raises `ValueError` for what is no JSON object."""
+    """Parse a JSON object. Raises `ValueError` for any other text."""
     try:
         found = json.loads(text)
     except RecursionError:

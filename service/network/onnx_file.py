@@ -1,7 +1,7 @@
-"""What an .onnx file says before any runtime loads it: its metadata, and which bytes lie in files beside it.
+"""The metadata and external data references of an .onnx file, read without a runtime.
 
-Of the protobuf only the few fields that tell this are read; the weights themselves are stepped over, not read, so that
-looking at a file of any size takes the time of its graph alone.
+Only the protobuf fields that hold these are parsed; weights are skipped, so the time depends on the graph alone, not on
+the size of the file.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _VARINT, _EIGHT_BYTES, _BYTES, _FOUR_BYTES = 0, 1, 2, 5
 
 @dataclass(frozen=True)
 class OnnxHeader:
-    """`metadata` as the file has it; `external` maps each file beside it to the bytes that its tensors reach up to."""
+    """What an ONNX file says about itself."""
 
     metadata: dict[str, str]
-    external: dict[str, int]
+    external: dict[str, int]  # name of each external file -> bytes that it must have at least
 
 
 def read_header(path: Path) -> OnnxHeader:
-    """Raises `OSError` where the file cannot be read, and `ValueError` where it is no ONNX file."""
+    """Parse the file at `path`. Raises `OSError` where it cannot be read and `ValueError` where it is no ONNX file."""
     with path.open("rb") as file:
         if not file.seek(0, 2):
             raise ValueError("it is empty")
@@ -45,6 +45,8 @@ def read_header(path: Path) -> OnnxHeader:
 
 
 class _Reader:
+    """Walks the fields of a ModelProto; positions are byte offsets in the file."""
+
     def __init__(self, data: mmap.mmap) -> None:
         self._data = data
         self._external: dict[str, int] = {}
@@ -78,7 +80,7 @@ class _Reader:
                 self._node(first, last)
 
     def _node(self, start: int, end: int) -> None:
-        """Bodies of If, Loop and Scan have tensors of their own."""
+        """Collect from attributes: tensors, and the graphs of If, Loop and Scan."""
         for number, first, last in self._parts(start, end):
             if number != _ATTRIBUTE:
                 continue
@@ -104,16 +106,16 @@ class _Reader:
             self._external[name] = max(reach, self._external.get(name, 0))
 
     def _entry(self, start: int, end: int) -> tuple[str, str]:
-        """A StringStringEntryProto."""
+        """Key and value of a StringStringEntryProto."""
         texts = {number: self._data[first:last].decode("utf-8") for number, first, last in self._parts(start, end)}
         return texts.get(1, ""), texts.get(2, "")
 
     def _parts(self, start: int, end: int) -> Iterator[tuple[int, int, int]]:
-        """The fields that hold bytes: number, and where these begin and end."""
+        """Number, start and end of the length-delimited fields."""
         return ((number, first, last) for number, wire, first, last in self._fields(start, end) if wire == _BYTES)
 
     def _fields(self, start: int, end: int) -> Iterator[tuple[int, int, int, int]]:
-        """Number, wire type, and begin and end of the bytes; of a varint its value instead of the begin."""
+        """Number, wire type, start and end of every field; for a varint its value instead of the start."""
         at = start
         while at < end:
             tag, at = self._varint(at, end)
@@ -133,6 +135,7 @@ class _Reader:
             yield number, wire, value, at
 
     def _varint(self, at: int, end: int) -> tuple[int, int]:
+        """The base-128 varint at `at`, and the offset behind it. Raises `ValueError` where it does not end."""
         value = shift = 0
         while at < end and shift < 64:
             byte = self._data[at]

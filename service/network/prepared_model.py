@@ -1,7 +1,7 @@
-"""A model as onnxruntime has optimised it for this processor, weights in a file beside it that all processes map.
+"""A cache of models as optimised by onnxruntime for this processor, with external weights that all processes map.
 
-Loading it takes less time, and the weights are in memory once however many processes use them: a session of the
-packaged network has 17 MB less of its own.
+They load faster, and their weights are in memory once for any number of processes: a session of the packaged network
+needs 17 MB less of its own.
 """
 
 from __future__ import annotations
@@ -20,14 +20,17 @@ from ..process.file_lock import exclusive
 
 MODEL, WEIGHTS, DIGEST = "model.onnx", "model.weights", "sha256"
 INCOMING = ".incoming-"
-LEAST_BYTES = "1024"  # of a table that goes into the file beside the graph
+LEAST_BYTES = "1024"  # smaller tensors stay in the graph
 
 _log = logging.getLogger("gapmes")
 
 
 def prepared(path: Path, file_sha256: str, folder: Path, options: Callable[[], Any]) -> Path | None:
-    """The optimised file in `folder`, made if it is not there; None where it cannot be made. `options` makes those of a
-    session; nothing in `folder` is used that another version, processor or model file has left."""
+    """The path of the optimised model in `folder`, which is made if it is missing; None where it cannot be made.
+
+    `options` makes the session options. Entries are keyed by the model's sha256, the version of onnxruntime and the
+    processor, so that none of another kind is used.
+    """
     import onnxruntime as ort
 
     target = folder / _key(file_sha256, ort.__version__)
@@ -47,7 +50,7 @@ def prepared(path: Path, file_sha256: str, folder: Path, options: Callable[[], A
 
 
 def forget(optimised: Path) -> None:
-    """Remove a file that turned out to be damaged."""
+    """Remove an optimised model that turned out to be damaged."""
     _log.warning("the optimised model is damaged, and will be made again")
     shutil.rmtree(optimised.parent, ignore_errors=True)
 
@@ -74,14 +77,14 @@ def _make(path: Path, target: Path, options: Any) -> None:
 
 
 def _whole(folder: Path) -> bool:
-    """Whether all parts are there, as they were made."""
+    """Whether all files exist and have the recorded sha256."""
     return all((folder / name).is_file() for name in (MODEL, WEIGHTS, DIGEST)) and _digest(folder) == (
         folder / DIGEST
     ).read_text(errors="replace")
 
 
 def _digest(folder: Path) -> str:
-    """Of graph and weights: a power cut may leave files of the right length."""
+    """The sha256 of graph and weights: after a power failure a file may have the right size and wrong content."""
     digest = hashlib.sha256()
     for name in (MODEL, WEIGHTS):
         with (folder / name).open("rb") as file:
@@ -90,7 +93,7 @@ def _digest(folder: Path) -> str:
 
 
 def _key(file_sha256: str, runtime: str) -> str:
-    """What the optimised graph depends on: kernels are chosen by the processor's instructions."""
+    """The cache key: onnxruntime chooses kernels by the processor's instruction sets."""
     flags = ""
     info = Path("/proc/cpuinfo")
     if info.is_file():

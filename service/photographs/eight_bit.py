@@ -1,4 +1,4 @@
-"""Pixels of opened images, of whatever mode, as 8-bit RGB, and what is transparent in them as a fourth channel."""
+"""Conversion of PIL images of any mode to 8-bit RGB, or RGBA where they have transparency."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from PIL import Image
 from ..errors import ImageError
 
 _STRIP = 64  # rows of a 16-bit image that are converted at a time
-_PNG_BIT_DEPTH = 24  # place in the file: behind its signature, the header's length and name, width and height
-_NO_COLOURS = ("F", "I", "LAB", "La")  # modes of Pillow's: numbers of any range, and what it does not convert
-_OF_A_DEPTH = ("L", "RGB")  # modes whose transparent level or colour has the bits of the file, not of the pixels
+_PNG_BIT_DEPTH = 24  # byte offset: behind the signature, the length and name of the header, width and height
+_NO_COLOURS = ("F", "I", "LAB", "La")  # modes of Pillow without a known range, or that it does not convert
+_OF_A_DEPTH = ("L", "RGB")  # modes whose transparent level or colour has the file's bit depth, not the pixels'
 
 
 def eight_bit(image: Image.Image) -> NDArray[np.uint8]:
-    """(H, W, 3 or 4) uint8 of an opened image of any mode that JPEG, PNG and WEBP can have."""
+    """(H, W, 3) RGB or (H, W, 4) RGBA uint8 pixels of an image of any mode that JPEG, PNG and WEBP can have."""
     if image.mode.startswith("I"):  # 16-bit greyscale; Pillow's own conversion would clip it at 255
         return _eight_bit_grey(image)
     transparent = image.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in image.info
@@ -24,7 +24,7 @@ def eight_bit(image: Image.Image) -> NDArray[np.uint8]:
 
 
 def check_mode(image: Image.Image, index: int | None) -> None:
-    """Raises `ImageError` for a PIL image that `eight_bit` would misread without the file that it is of."""
+    """Raises `ImageError` for a PIL image that `eight_bit` would misinterpret without its file."""
     what, cure = None, "give 8-bit RGB, such as Image.fromarray makes of uint8 (H, W, 3)"
     if image.mode in _NO_COLOURS:
         what = f"is a PIL image of mode {image.mode}, need one that becomes 8-bit RGB"
@@ -36,10 +36,10 @@ def check_mode(image: Image.Image, index: int | None) -> None:
 
 
 def narrow_transparency(image: Image.Image, data: bytes) -> None:
-    """Bring a PNG's transparent level or colour to the eight bits that Pillow gives its pixels, which it leaves to us.
+    """Convert a PNG's transparent level or colour to the 8 bits of the decoded pixels, which Pillow does not do.
 
-    Levels of 2 and 4 bits are spread over 8. Of colours of 16 bits Pillow keeps the upper eight, which is all that can
-    be compared.
+    Levels of 2 and 4 bits are scaled to 8. Of 16-bit colours the upper eight bits are compared, which is all that
+    Pillow keeps.
     """
     if image.format != "PNG":
         return
@@ -51,8 +51,8 @@ def narrow_transparency(image: Image.Image, data: bytes) -> None:
 
 
 def _eight_bit_grey(image: Image.Image) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 of 16-bit levels, strip by strip: round(level / 257), which has no ties; (H, W, 4) where one
-    level is transparent, compared as it is in the file."""
+    """(H, W, 3) uint8 from 16-bit grey levels: round(level / 257), which has no ties; (H, W, 4) where one level is
+    transparent, which is compared in 16 bits. Converted strip by strip to save memory."""
     transparent = image.info.get("transparency")
     pixels = np.empty((image.height, image.width, 3 if transparent is None else 4), np.uint8)
     for top in range(0, image.height, _STRIP):

@@ -1,4 +1,4 @@
-"""Photographs on the network's grid: resampled to a pinhole, matched with their cameras, cropped; and what to tell."""
+"""Photographs on the network's grid: undistorted, matched with their cameras and cropped, with the warnings due."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..cameras.camera import Camera
-from ..cameras.distortion import Lens, PinholeWindow, pinhole_window
+from ..cameras.distortion import Lens, pinhole_window
 from ..cameras.view_checks import Notice
 from ..errors import ImageError
 from ..network.model_info import ModelInfo
-from .images import EncodedPhoto, FittedView, PackedView, Photo, fit_view, match_photo
+from .borders import Bars, bars_notice, without_bars
+from .images import EncodedPhoto, FittedView, PackedView, Photo, check_aspect, fit_view, match_photo
 from .masks import check_kept
-from .undistort import match_lens, undistorted
+from .undistort import match_lens, undistorted, undistorted_size
 
 Bytes = bytes | bytearray | memoryview  # of a file
 Picture = NDArray[np.uint8] | Photo | EncodedPhoto | Image.Image | str | PathLike[str] | Bytes
@@ -27,11 +28,11 @@ Picture = NDArray[np.uint8] | Photo | EncodedPhoto | Image.Image | str | PathLik
 
 @dataclass(frozen=True, eq=False)
 class FittedPhotos:
-    """Photographs by what looks at them, one crop of each, and the warnings that belong to them."""
+    """One crop of each photograph at the resolutions that are needed, and the warnings about them."""
 
-    seen: list[FittedView]  # by the network
-    shown: list[FittedView]  # by the scene: with `detail` times as many pixels each way
-    fine: list[PackedView]  # with `finer` times as many, whatever the detail
+    seen: list[FittedView]  # at the network's resolution
+    shown: list[FittedView]  # at the scene's, `detail` times as many pixels per axis
+    fine: list[PackedView]  # at `finer` times as many per axis, whatever the detail
     notices: list[Notice]
 
 
@@ -45,8 +46,8 @@ def fitted_photos(
     finer: int,
     done: Callable[[int], None],
 ) -> FittedPhotos:
-    """Each as `fitted` has it, one after the other, so that one is in memory at full size; `finer` is 1 or more and
-    `detail` 1 or that; `done` hears how many are fitted. Raises as `fitted`."""
+    """`fitted` for each photograph in turn, so that one at a time is in memory at full size; `finer` is at least 1, and
+    `detail` is 1 or `finer`. `done` receives the number of photographs done. Raises as `fitted`."""
     found = FittedPhotos([], [], [], [])
     for number, image, camera in zip(numbers, images, cameras, strict=True):
         small, large, notices = fitted(image, camera, number, info, detail, finer=finer)
@@ -64,8 +65,8 @@ def fitted(
     """The photograph of view `index` as the network of `info` sees it, the same crop with `finer` times the pixels
     each way, and the warnings that belong to it in a scene of this `detail`.
 
-    A path is read, bytes are those of a file; a view of memory is bytes unless it has the shape of pixels. At full size
-    it lives in here only. Raises `ImageError` where it is none, too small, of another shape than its camera, or its
+    A path is read, and bytes are an encoded file; a memoryview is either that, if it has one axis, or pixels. Raises
+    `ImageError` for what is no photograph, one that is too small or differs from its camera in aspect, and one whose
     mask keeps nothing of the crop.
     """
     if isinstance(image, str | PathLike):
@@ -94,26 +95,39 @@ def _read(path: str | PathLike[str], index: int) -> bytes:
 def fit_notices(
     photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo, detail: int = 1
 ) -> list[Notice]:
-    """The warnings and refusals of `fitted`, without the resampling of a photograph that has no mask."""
-    if photo.mask is not None:
+    """The warnings and errors of `fitted`; a photograph without a mask is not resampled for them."""
+    bounded, _ = _bounded(photo, camera, lens, index)
+    if bounded.mask is not None:
         return _fitted(photo, camera, lens, index, info, detail)[2]
+    width, height = (bounded.width, bounded.height) if lens is None else undistorted_size(bounded, lens)
+    return _notices(bounded, camera, lens, index) + _too_small(width, height, info, detail, index)
+
+
+def _bounded(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> tuple[Photo, list[Bars]]:
+    """The photograph turned as its camera or lens has it, with the bars at its borders masked, and these. Bars are
+    looked for before a lens is undistorted, while they are straight, and after turning, so that their sides are named
+    right."""
     if lens is None:
-        size: Photo | PinholeWindow = match_photo(photo, camera, index=index)[0]
-    else:
-        match_lens(photo, lens, index=index)
-        size = pinhole_window(lens)
-    return _notices(photo, camera, lens, index) + _too_small(size.width, size.height, info, detail, index)
+        return without_bars(match_photo(photo, camera, index=index)[0])
+    window = pinhole_window(lens)
+    check_aspect(window.width, window.height, camera, index=index)
+    return without_bars(match_lens(photo, lens, index=index))
 
 
 def _fitted(
     photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo, detail: int, finer: int = 1
 ) -> tuple[FittedView, FittedView, list[Notice]]:
+    photo, bars = _bounded(photo, camera, lens, index)
     notices = _notices(photo, camera, lens, index)
-    if lens is not None:
+    told = [bars_notice(bars, photo, index)] if bars else []
+    if lens is None:
+        photo, camera = match_photo(photo, camera, index=index)
+    else:
         photo = undistorted(photo, lens, index=index)
-    photo, camera = match_photo(photo, camera, index=index)
+        camera = camera.resized(photo.width, photo.height)  # whole pixels, whatever aspect these have
     view = fit_view(photo, camera, info.height, info.width)
     check_kept(view, index)
+    notices += told if view.mask is not None else []  # what lies outside the crop is nothing to tell
     notices += _too_small(photo.width, photo.height, info, detail, index)
     if finer == 1:
         return view, view, notices
@@ -121,13 +135,14 @@ def _fitted(
 
 
 def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> list[Notice]:
+    """Warnings about a photograph that is turned as its camera or lens has it."""
     if lens is None:
         return _photo_notices(photo, camera.width, camera.height, index)
     return [*_photo_notices(photo, lens.width, lens.height, index), _lens_notice(lens, index)]
 
 
 def _within(fine: FittedView, mask: NDArray[np.bool_] | None) -> FittedView:
-    """Without the pixels that the network's view (H, W) of them leaves out: it has neither colour nor depth there."""
+    """`fine` without the pixels that the network's `mask` (H, W) leaves out, where it has neither colour nor depth."""
     if mask is None:
         return fine
     k = fine.image.shape[1] // len(mask)
@@ -136,7 +151,7 @@ def _within(fine: FittedView, mask: NDArray[np.bool_] | None) -> FittedView:
 
 
 def _too_small(width: int, height: int, info: ModelInfo, detail: int, index: int) -> list[Notice]:
-    """A photograph of this size has fewer pixels in its crop than the scene shows of it."""
+    """The warning about a photograph whose crop has fewer pixels than the scene has with this detail."""
     crop, shown = min(width, height * info.width / info.height), detail * info.width
     if detail == 1 or crop >= shown:
         return []
@@ -148,7 +163,7 @@ def _too_small(width: int, height: int, info: ModelInfo, detail: int, index: int
 
 
 def _lens_notice(lens: Lens, index: int) -> Notice:
-    """The photograph is not what the network saw: how much it was bent, and what is left of it."""
+    """The warning that the photograph was undistorted: by how much, and which share of its pixels is left."""
     window = pinhole_window(lens)
     message = (
         f"the lens moves points by up to {lens.largest_shift():.3g} px: resampled to a pinhole of {window.width} x "
@@ -158,8 +173,8 @@ def _lens_notice(lens: Lens, index: int) -> Notice:
 
 
 def _photo_notices(photo: Photo, width: int, height: int, index: int) -> list[Notice]:
-    """EXIF says turned, but the camera has the stored size: the pixels are left as stored, which is worth knowing."""
-    if photo.orientation == 1 or abs(photo.width / photo.height - width / height) > 0.01:
+    """The warning that an EXIF orientation is ignored, as the camera has the size of the pixels as stored."""
+    if photo.orientation == 1:  # also where it was turned
         return []
     message = f"EXIF orientation {photo.orientation} is not applied: the camera has the stored size {width} x {height}"
     return [{"code": "exif_orientation_ignored", "field": "images", "index": index, "message": message}]

@@ -1,4 +1,4 @@
-"""Which pixels of a mask are joined to the border of the picture by others of it."""
+"""The connected components of a mask that touch the border of the picture."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ Mask = NDArray[np.bool_]
 
 
 def from_border(mask: Mask) -> Mask:
-    """(H, W) which pixels of `mask` (H, W) are joined to one at the border, along rows and columns.
+    """(H, W) pixels of `mask` (H, W) in a 4-connected component that touches the border.
 
-    Runs of a row are trees that hang themselves on touching ones with smaller numbers, and then on their roots, until
-    none is left (Shiloach and Vishkin 1982): a few rounds, however long a way winds.
+    Union-find over the runs of each row, in parallel rounds: roots are hooked onto smaller touching roots, then paths
+    are compressed (Shiloach and Vishkin 1982). Few rounds suffice, however a component winds.
     """
     starts = mask.copy()
     starts[:, 1:] &= ~mask[:, :-1]
     run = np.cumsum(starts).reshape(mask.shape) * mask
     root = np.arange(run.max(initial=0) + 1)
     for edge in (run[0], run[-1], run[:, 0], run[:, -1]):
-        root[edge] = 0  # the border's
+        root[edge] = 0  # the border's component
     touching = mask[:-1] & mask[1:]
     above, below = run[:-1][touching], run[1:][touching]
     while (apart := root[above] != root[below]).any():

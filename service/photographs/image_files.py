@@ -1,4 +1,4 @@
-"""Encoded photographs: opened within bounds, their size read, before any pixel of them is decoded."""
+"""Encoded photographs: header, size and structure checked before any pixel is decoded."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..errors import ImageError, ImageTooLarge, ImageUnreadable
 FORMATS = ("JPEG", "PNG", "WEBP")
 MAX_PIXELS = 64_000_000  # 192 MB once decoded; the largest phone photographs have 50 to 60 million
 MAX_SCANS = 100  # of one JPEG; encoders write about ten, and each costs a pass over all coefficients
-MAX_SEGMENTS = 10_000  # of one JPEG; a photograph has some dozens, and each costs a turn of the header's parser
+MAX_SEGMENTS = 10_000  # of one JPEG; a photograph has some dozens, and each costs an iteration of the header's parser
 DAMAGED = (OSError, SyntaxError, ValueError, EOFError, struct.error)  # what Pillow's decoders raise on damaged files
 
 _START_OF_SCAN, _END_OF_IMAGE, _START_OF_IMAGE = 0xDA, 0xD9, 0xD8
@@ -26,7 +26,7 @@ _quiet = threading.Lock()  # the filters of `warnings` belong to the whole proce
 
 
 def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Image.Image:
-    """The image with its header read and its size bounded, no pixel decoded.
+    """Open an image lazily: its header is read and its size checked, no pixel is decoded.
 
     Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (a JPEG of too many parts).
     """
@@ -44,8 +44,9 @@ def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Imag
             cure="save the photograph in one of these formats; its content counts, not its name",
         ) from error
     except Image.DecompressionBombError as error:
+        limit = min(max_pixels, 2 * (Image.MAX_IMAGE_PIXELS or max_pixels))  # Pillow refuses twice its own limit
         raise ImageTooLarge(
-            f"has more pixels than the limit of {max_pixels}", field="images", index=index, cure="scale it down"
+            f"has more pixels than the limit of {limit}", field="images", index=index, cure="scale it down"
         ) from error
     except DAMAGED as error:
         raise damaged(error, index) from error
@@ -69,9 +70,9 @@ def image_size(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> tupl
 def check_total(
     photos: Sequence[bytes], *, max_pixels: int, max_total: int, numbers: Sequence[int] | None = None
 ) -> None:
-    """Refuse photographs that are small enough each, but have more than `max_total` pixels together.
+    """Refuse photographs with more than `max_total` pixels together.
 
-    Raises `ImageTooLarge`, and what `open_image` raises for a single one, under its place or what `numbers` calls it.
+    Raises `ImageTooLarge`, and what `open_image` raises for a single one, with its index or its entry of `numbers`.
     """
     numbers = range(len(photos)) if numbers is None else numbers
     sizes = [
@@ -99,9 +100,9 @@ def _check_jpeg(data: bytes, index: int) -> None:
 
 
 def jpeg_parts(data: bytes) -> tuple[int, int]:
-    """How many scans and segments a JPEG has before its end; counting stops just above the limits.
+    """Numbers of scans and segments of a JPEG up to its end marker; counting stops just above the limits.
 
-    What lies in metadata or behind the end does not count.
+    Thumbnails inside metadata segments and data behind the end marker are not counted.
     """
     scans = segments = place = 0
     while scans <= MAX_SCANS and segments <= MAX_SEGMENTS and (match := _MARKER.search(data, place)) is not None:
@@ -117,4 +118,5 @@ def jpeg_parts(data: bytes) -> tuple[int, int]:
 
 
 def damaged(error: Exception, index: int | None) -> ImageUnreadable:
+    """The refusal of photograph `index` whose decoder raised `error`."""
     return ImageUnreadable(f"cannot be decoded: {error}", field="images", index=index, cure="is the upload complete?")

@@ -1,8 +1,8 @@
-"""Photographs: decode uploaded bytes within bounds, match them with their camera, fit them to the network's grid."""
+"""Photographs: decoding within bounds, matching with their camera, resampling to the network's grid."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ class Photo:
     rgb: NDArray[np.uint8]  # (H, W, 3), sRGB
     mask: NDArray[np.bool_] | None = None  # (H, W), True keeps; None keeps everything
     orientation: int = 1  # EXIF 1..8
+    own_mask: bool = False  # it came with an alpha channel, perhaps opaque everywhere: no bars are masked
 
     @property
     def height(self) -> int:
@@ -44,8 +45,8 @@ class Photo:
             return cls.from_image(array, index=index)
         pixels = _checked_pixels(array, index)
         _check_smallest(pixels.shape[1], pixels.shape[0], index)
-        mask = None
-        if pixels.shape[2] == 4:
+        mask, own_mask = None, pixels.shape[2] == 4
+        if own_mask:
             mask = pixels[:, :, 3] >= OPAQUE
             if not mask.any():
                 raise ImageError(
@@ -54,12 +55,13 @@ class Photo:
                     index=index,
                     cure="save the photograph without transparency, or with what is to be kept opaque",
                 )
-        return cls(np.ascontiguousarray(pixels[:, :, :3]), None if mask is None or mask.all() else mask)
+        mask = None if mask is None or mask.all() else mask
+        return cls(np.ascontiguousarray(pixels[:, :, :3]), mask, own_mask=own_mask)
 
     @classmethod
     def from_image(cls, image: Image.Image, *, index: int | None = None) -> Photo:
-        """An image that Pillow has opened or made, as `decode_image` has that of a file. Raises `ImageError`, also
-        where its colours, or what is transparent, cannot be told without the file."""
+        """Convert a PIL image as `decode_image` does that of a file. Raises `ImageError`, also for modes whose colours
+        or transparency cannot be interpreted without the file."""
         check_mode(image, index)
         try:
             pixels, orientation = eight_bit(image), _orientation(image)
@@ -75,17 +77,17 @@ class FittedView:
     image: NDArray[np.float32]  # (3, H, W) in [0, 1]
     mask: NDArray[np.bool_] | None  # (H, W), True keeps
     camera: Camera
-    kept_share: float  # of the photograph's area inside the crop
-    step: float = 1.0  # of the photograph's pixels, from one of these to the next; below 1 it was enlarged
-    orientation: int = 1  # EXIF's of the photograph, which is not applied
+    kept_share: float  # share of the photograph's area inside the crop
+    step: float = 1.0  # pixel pitch in pixels of the photograph; below 1 it was upsampled
+    orientation: int = 1  # EXIF orientation that was not applied though it fits the camera as well; else 1
 
     @property
     def kept(self) -> NDArray[np.bool_]:
-        """(H, W) what the mask keeps: all where there is none."""
+        """(H, W) the mask, all True where there is none."""
         return np.ones(self.image.shape[1:], np.bool_) if self.mask is None else self.mask
 
     def pixels(self) -> NDArray[np.uint8]:
-        """(H, W, 3) bytes, or (H, W, 4) with the mask as the last."""
+        """(H, W, 3) uint8, or (H, W, 4) with the mask as alpha."""
         rgb = np.rint(self.image.transpose(1, 2, 0) * 255).astype(np.uint8)
         if self.mask is None:
             return rgb
@@ -94,13 +96,14 @@ class FittedView:
 
 @dataclass(frozen=True, eq=False)
 class PackedView:
-    """A `FittedView` of 8-bit colours in a quarter of its memory; its `image` is made anew whenever it is asked for."""
+    """A `FittedView` in 8 bits, a quarter of its memory; `image` and `mask` are computed at every access."""
 
-    pixels: NDArray[np.uint8]  # (H, W, 3), or (H, W, 4) with the mask as the last, as `FittedView.pixels` has them
+    pixels: NDArray[np.uint8]  # as of `FittedView.pixels`
     camera: Camera
 
     @classmethod
     def of(cls, view: FittedView) -> PackedView:
+        """`view`, rounded to 8 bits."""
         return cls(view.pixels(), view.camera)
 
     @property
@@ -115,7 +118,7 @@ class PackedView:
 
 
 def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Photo:
-    """Decode JPEG, PNG or WEBP bytes; the size is read and bounded before any pixel is decoded.
+    """Decode JPEG, PNG or WEBP bytes; the size is checked before any pixel is decoded.
 
     Greyscale, palette, CMYK and 16-bit images become 8-bit RGB; an alpha channel or the transparent level, colour or
     palette entry of a PNG becomes the mask. 16-bit grey is rounded to eight; of colours, and of grey with an alpha
@@ -145,22 +148,22 @@ def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Ph
 
 @dataclass(frozen=True, eq=False)
 class EncodedPhoto:
-    """A photograph still in its file: decoded when it is its turn, so that only one lies in memory at full size."""
+    """A photograph that is still encoded: decoded when it is needed, so that one at a time is in memory."""
 
-    data: bytes
+    data: bytes = field(repr=False)
     max_pixels: int = MAX_PIXELS
-    lens: Lens | None = None  # what it is resampled from to its camera; None where it shows that pinhole's picture
+    lens: Lens | None = None  # distortion to remove when it is resampled to its camera; None: it is a pinhole's picture
 
     def decode(self, *, index: int) -> Photo:
-        """Raises as `decode_image`."""
+        """Decode it. Raises as `decode_image`."""
         return decode_image(self.data, index=index, max_pixels=self.max_pixels)
 
 
 def match_photo(photo: Photo, camera: Camera, *, index: int | None = None) -> tuple[Photo, Camera]:
-    """The photograph and its camera on one pixel grid.
+    """The photograph and its camera at the same size.
 
-    Sizes that agree in aspect within 1 px (of the coarser grid) are one view at two resolutions: the camera is resized
-    to the photograph. EXIF orientation is applied only where the camera has the upright size and not the stored one.
+    Sizes whose aspects agree within 1 px (of the coarser grid) are taken for one view at two resolutions, and the
+    camera is resized. EXIF orientation is applied only where the camera has the upright aspect and not the stored one.
     Raises `ImageError` with both sizes.
     """
     if _same_aspect(photo.width, photo.height, camera):
@@ -168,23 +171,20 @@ def match_photo(photo: Photo, camera: Camera, *, index: int | None = None) -> tu
     if photo.orientation in ON_ITS_SIDE and _same_aspect(photo.height, photo.width, camera):
         turned = _turned_upright(photo)
         return turned, camera.resized(turned.width, turned.height)
-    cure = "the camera must describe this very image: crop neither alone"
-    if _same_aspect(photo.height, photo.width, camera):
-        cure = "one of them is turned by 90 degrees"
-    raise ImageError(
-        f"the photograph is {photo.width} x {photo.height} px, its camera {camera.width} x {camera.height} px: "
-        "the aspects differ",
-        field="images",
-        index=index,
-        cure=cure,
-    )
+    raise _aspects_differ(photo.width, photo.height, camera, index)
+
+
+def check_aspect(width: int, height: int, camera: Camera, *, index: int | None = None) -> None:
+    """Raises `ImageError` unless the size and the camera's agree in aspect, as `match_photo` requires."""
+    if not _same_aspect(width, height, camera):
+        raise _aspects_differ(width, height, camera, index)
 
 
 def fit_view(photo: Photo, camera: Camera, height: int, width: int) -> FittedView:
-    """Centre crop to the aspect of `height` x `width`, then resample; `camera` must have the photograph's size.
+    """Centre-crop to the aspect of `height` x `width` and resample; `camera` must have the photograph's size.
 
-    The crop window is real-valued, so that nothing is rounded: a pixel position p of the photograph lands at
-    (p - corner) * (new size / window size), and the intrinsics follow by the same map.
+    The crop window is real-valued, without rounding: a pixel position p maps to (p - corner) * (new size / window
+    size), and the intrinsics are mapped alike.
     """
     window_w = min(photo.width, photo.height * width / height)
     window_h = min(photo.height, photo.width * height / width)
@@ -203,13 +203,13 @@ def fit_view(photo: Photo, camera: Camera, height: int, width: int) -> FittedVie
     rgb, mask = resampled(photo.rgb, photo.mask, (width, height), box)
     image = np.ascontiguousarray(rgb.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
     kept_share = window_w * window_h / (photo.width * photo.height)
-    return FittedView(image, mask, fitted, kept_share, window_w / width, photo.orientation)
+    return FittedView(image, mask, fitted, kept_share, window_w / width, _untold(photo))
 
 
 def resized(photo: Photo, width: int, height: int) -> Photo:
-    """The whole photograph at another size, as it is stored: its orientation stays."""
+    """The photograph resampled to another size without cropping; EXIF orientation is not applied."""
     rgb, mask = resampled(photo.rgb, photo.mask, (width, height), (0, 0, photo.width, photo.height))
-    return Photo(rgb, mask, photo.orientation)
+    return replace(photo, rgb=rgb, mask=mask)
 
 
 def _checked_pixels(array: object, index: int | None) -> NDArray[np.uint8]:
@@ -233,14 +233,20 @@ def _orientation(image: Image.Image) -> int:
     return orientation if orientation in range(1, 9) else 1
 
 
+def _untold(photo: Photo) -> int:
+    """The EXIF orientation where the aspect does not tell whether to apply it; else 1."""
+    lying = photo.orientation in ON_ITS_SIDE
+    return photo.orientation if not lying or abs(photo.width - photo.height) <= 1 else 1
+
+
 def _turned_upright(photo: Photo) -> Photo:
-    """Undo what EXIF says, which is done then."""
+    """Apply the EXIF orientation to pixels and mask."""
     mask = None if photo.mask is None else upright(photo.mask, photo.orientation)
-    return Photo(upright(photo.rgb, photo.orientation), mask)
+    return replace(photo, rgb=upright(photo.rgb, photo.orientation), mask=mask, orientation=1)
 
 
 def _same_aspect(width: int, height: int, camera: Camera) -> bool:
-    """Whether one size is the other at another resolution, up to rounding one side by at most 1 px."""
+    """Whether one size is the other at another resolution, with one side off by at most 1 px of the smaller."""
     if width > camera.width:
         small, large = (camera.width, camera.height), (width, height)
     else:
@@ -248,6 +254,16 @@ def _same_aspect(width: int, height: int, camera: Camera) -> bool:
     by_width = abs(large[1] * small[0] / large[0] - small[1])
     by_height = abs(large[0] * small[1] / large[1] - small[0])
     return min(by_width, by_height) <= 1.0
+
+
+def _aspects_differ(width: int, height: int, camera: Camera, index: int | None) -> ImageError:
+    cure = "the camera must describe this very image: crop neither alone"
+    if _same_aspect(height, width, camera):
+        cure = "one of them is turned by 90 degrees"
+    message = (
+        f"the photograph is {width} x {height} px, its camera {camera.width} x {camera.height} px: the aspects differ"
+    )
+    return ImageError(message, field="images", index=index, cure=cure)
 
 
 def _check_smallest(width: int, height: int, index: int | None) -> None:

@@ -1,4 +1,4 @@
-"""What a mask leaves out: whole patches before the network, single Gaussians after it, all of it counted."""
+"""Applying masks: whole patches are skipped by the network, single Gaussians dropped after it, all of it counted."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cameras.rotations import turned
+from ..cameras.rotations import rotated
 from ..errors import ImageError
 from .images import FittedView
 
@@ -23,7 +23,7 @@ FADED = "faded until nothing of it is drawn"
 
 
 def check_kept(view: FittedView, index: int) -> None:
-    """Refuse a photograph whose mask keeps nothing of what the network sees of it. Raises `ImageError`."""
+    """Raises `ImageError` for a photograph whose mask keeps no pixel of the crop that the network sees."""
     if view.mask is None or view.mask.any():
         return
     height, width = view.mask.shape
@@ -36,7 +36,7 @@ def check_kept(view: FittedView, index: int) -> None:
 
 
 def patch_mask(views: Sequence[FittedView], patch: int) -> NDArray[np.bool_]:
-    """(V, P) which patches hold at least one kept pixel, row by row."""
+    """(V, P) patches of `patch` x `patch` px with at least one kept pixel, row by row."""
     rows = []
     for view in views:
         height, width = view.image.shape[1:]
@@ -48,10 +48,10 @@ def patch_mask(views: Sequence[FittedView], patch: int) -> NDArray[np.bool_]:
 def kept_rows(
     outputs: Mapping[str, NDArray], views: Sequence[FittedView], frame: WorldFrame
 ) -> tuple[NDArray[np.intp], dict[str, int]]:
-    """Rows of the network's Gaussians that belong into the scene, and how many do not, by reason.
+    """Indices of the network's Gaussians that stay in the scene, ascending, and the number of dropped ones by reason.
 
-    The first V * H * W rows belong to the pixels in order; a row of a masked pixel goes. The rows after them stand
-    behind the scene; under masks they stay where at least one view keeps the pixel that they project to.
+    The first V * H * W Gaussians belong to the pixels in order; those of masked pixels are dropped. The rest form the
+    backing layer; if there are masks, they stay only where they project to a kept pixel of at least one view.
     """
     opaque = outputs["opacities"] > 0
     dropped = {TRANSPARENT: int((~opaque).sum())}
@@ -61,7 +61,7 @@ def kept_rows(
         count = len(pixel)
         keep[:count] &= pixel
         dropped[MASKED] = int((opaque[:count] & ~pixel).sum())
-        points = frame.origin + turned(frame.rotation, outputs["means"][count:]) * frame.unit
+        points = frame.origin + rotated(frame.rotation, outputs["means"][count:]) * frame.unit
         seen = np.zeros(len(points), dtype=np.bool_)
         for view in views:
             seen |= _on_kept_pixel(view, points)

@@ -1,4 +1,4 @@
-"""Pictures at another size, without the colours that a mask leaves out."""
+"""Antialiased resampling of pictures, in which masked colours do not bleed."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ Mask = NDArray[np.bool_]
 Box = tuple[float, float, float, float]
 
 OPAQUE = 128  # alpha of 8 bits from here on keeps a pixel
-LOBES = 3  # of Lanczos to each side, in pixels of the coarser grid
+LOBES = 3  # radius of Lanczos, in pixels of the coarser grid
 
 
 def resampled(
     rgb: NDArray[np.uint8], mask: Mask | None, size: tuple[int, int], box: Box
 ) -> tuple[NDArray[np.uint8], Mask | None]:
-    """(h, w, 3) and (h, w) of a picture (H, W, 3) and its mask (H, W), True keeps, within `box` (left, top, right,
-    bottom) at `size` (w, h).
+    """`rgb` (H, W, 3) and its mask (H, W), True keeps, within `box` (left, top, right, bottom), resampled to `size` (w,
+    h): (h, w, 3) and (h, w).
 
-    Antialiased by Lanczos. Under a mask colours are weighted by it, so that no masked colour bleeds in; the filter
-    is then a Hamming window, since the negative lobes of Lanczos make such weights overshoot. A mask that leaves out
-    nothing of what the filter meets, or nothing of the result, is none.
+    The filter is Lanczos. With a mask, colours are weighted by it and the filter is a Hamming window, as the negative
+    lobes of Lanczos would make such weights overshoot. The mask is None if it keeps every pixel under the filter, or
+    every pixel of the result.
     """
     whole = Image.fromarray(rgb)
     if mask is None or mask[_met(size, box)].all():
@@ -35,8 +35,8 @@ def resampled(
 
 
 def _met(size: tuple[int, int], box: Box) -> tuple[slice, slice]:
-    """Rows and columns that Lanczos weighs where `box` is resampled to `size`: those of the box, and LOBES of the
-    coarser grid's pixels to each side."""
+    """Rows and columns under the Lanczos filter where `box` is resampled to `size`: those of the box, and LOBES pixels
+    of the coarser grid to each side."""
     columns, rows = (
         slice(max(math.floor(low - reach), 0), math.ceil(high + reach))
         for low, high, reach in (

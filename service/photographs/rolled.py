@@ -1,7 +1,7 @@
-"""Photographs that were taken with the camera rolled: turned by quarter turns until all of a scene stand alike.
+"""Photographs from cameras rolled by quarter turns, rotated until all views of a scene have about the same roll.
 
-The network was trained on cameras that stand alike, and one rolled by quarters beside others costs it up to 5.4 dB.
-A turn moves pixels and changes none, and the camera turns with its photograph: the same rays have the same colours.
+The network was trained on views of equal roll; one that is rolled by a quarter turn costs up to 5.4 dB. The rotation is
+lossless: pixels are permuted and the camera rotates with its photograph, so that rays keep their colours.
 """
 
 from __future__ import annotations
@@ -14,32 +14,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera
-from ..cameras.shortest_ways import shortest_ways
+from ..cameras.spanning_tree import minimum_spanning_tree
 from .fitting import FittedPhotos
 from .images import FittedView, PackedView
 
 UPSIDE_DOWN = 2  # quarter turns
-CLEARLY = 0.5  # of the trace: a camera rolled by less than 55 degrees stands nearly as well as it is
+CLEARLY = 0.5  # gain in the trace that a turn must bring: a camera rolled by less than 55 degrees stays
 
 _Array = TypeVar("_Array", bound=np.generic)
-# the camera's axes after one quarter turn of the picture against the clock, in those before: right was down, down left
+# the camera's axes after a counterclockwise quarter turn of the picture, in those before: right was down, down left
 _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def quarter_turns(cameras: Sequence[Camera], *, square: bool) -> list[int]:
-    """How often each picture is to be turned by 90 degrees against the clock, 0 to 3, to stand as its neighbours do.
+    """Per view the number of counterclockwise quarter turns, 0 to 3, after which its picture stands as its neighbours'.
 
-    Neighbours are those of the shortest ways that join all cameras: on a circle about a thing each stands nearly as the
-    next, and those opposite do not. Of all ways to turn them the one that turns fewest, of several one that leaves the
-    first. Pictures that are not `square` keep their shape, which leaves half a turn.
+    Neighbours are joined by the minimum spanning tree of the camera centres: on a circle around an object each camera
+    stands nearly as the next one, and opposite ones do not. Of the solutions, which differ by a common turn, the one
+    that turns the fewest views; of several such one that leaves the first view alone. Pictures that are not `square`
+    are only turned by 180 degrees, which keeps their shape.
     """
     steps = range(4) if square else (0, UPSIDE_DOWN)
-    cameras = [replace(camera) for camera in cameras]  # each an object of its own, also where one is given twice
     turns: dict[int, int] = {0: 0}
-    place = {id(camera): index for index, camera in enumerate(cameras)}
-    ways = [(place[id(one)], place[id(other)]) for one, other in shortest_ways(cameras)]
+    edges = minimum_spanning_tree(cameras)
     while len(turns) < len(cameras):
-        for one, other in ways:
+        for one, other in edges:
             for known, new in ((one, other), (other, one)):
                 if known in turns and new not in turns:
                     turns[new] = (turns[known] + _to_stand_as(cameras[known], cameras[new], steps)) % 4
@@ -49,8 +48,8 @@ def quarter_turns(cameras: Sequence[Camera], *, square: bool) -> list[int]:
 
 
 def _to_stand_as(camera: Camera, other: Camera, steps: Sequence[int]) -> int:
-    """The turn of `other` after which the rotation to it has the largest trace, so the least angle; 0 unless clearly
-    so."""
+    """The number of quarter turns of `other`, of `steps`, after which its rotation relative to `camera` has the largest
+    trace, hence the least angle; 0 unless that gains CLEARLY."""
     between = camera.rotation.T @ other.rotation
     traces = [float(np.trace(between @ np.linalg.matrix_power(_QUARTER, step))) for step in steps]
     best = int(np.argmax(traces))
@@ -58,7 +57,7 @@ def _to_stand_as(camera: Camera, other: Camera, steps: Sequence[int]) -> int:
 
 
 def turned_camera(camera: Camera, turns: int) -> Camera:
-    """The camera of the picture after so many quarter turns against the clock."""
+    """The camera of the picture after so many counterclockwise quarter turns."""
     for _ in range(turns % 4):
         pose = camera.world_from_cam.copy()
         pose[:3, 0], pose[:3, 1] = camera.rotation[:, 1], -camera.rotation[:, 0]
@@ -76,7 +75,7 @@ def turned_camera(camera: Camera, turns: int) -> Camera:
 
 
 def turned_view(view: FittedView, turns: int) -> FittedView:
-    """The same with camera, colours and mask turned."""
+    """`view` with image, mask and camera rotated by so many counterclockwise quarter turns."""
     if turns % 4 == 0:
         return view
     return replace(
@@ -88,7 +87,7 @@ def turned_view(view: FittedView, turns: int) -> FittedView:
 
 
 def turned_photos(photos: FittedPhotos, turns: Sequence[int]) -> FittedPhotos:
-    """Each of its views turned so often; those that are not stay the same objects."""
+    """Every view rotated by its number of quarter turns; views with 0 stay the same objects."""
     return replace(
         photos,
         seen=[turned_view(view, turn) for view, turn in zip(photos.seen, turns, strict=True)],
@@ -98,7 +97,8 @@ def turned_photos(photos: FittedPhotos, turns: Sequence[int]) -> FittedPhotos:
 
 
 def turned_patches(values: NDArray[_Array], turns: Sequence[int], rows: int) -> NDArray[_Array]:
-    """(V, P, ...) values of patches, in `rows` rows each view, in the order that they have after so many turns."""
+    """Per-patch `values` (V, P, ...), row by row in `rows` rows per view, reordered as the quarter turns move
+    patches."""
     grids = values.reshape(len(values), rows, -1, *values.shape[2:])
     found = [_turned(grid, turn, (0, 1)) for grid, turn in zip(grids, turns, strict=True)]
     return np.stack(found).reshape(values.shape)

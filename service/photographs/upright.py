@@ -1,4 +1,4 @@
-"""What EXIF says of a picture's orientation, done to its pixels."""
+"""EXIF orientation, applied to pixels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ UPSIDE_DOWN = (2, 3, 4)  # those that do not: mirrored, turned by 180 degrees, a
 
 
 def upright(pixels: NDArray[T], orientation: int) -> NDArray[T]:
-    """(H, W, ...) as stored -> as seen: transposed for EXIF 5..8, then mirrored as the tag says."""
+    """(H, W, ...) as stored -> (H', W', ...) as displayed: transposed for EXIF 5 to 8, then flipped as the tag says."""
     if orientation in ON_ITS_SIDE:
         pixels = np.swapaxes(pixels, 0, 1)
     if orientation in (2, 3, 6, 7):

@@ -1,1 +1,1 @@
-"""gapmes.service.pictures: renders as files: pictures, films, contact sheets, and how wrong they are."""
+"""gapmes.service.pictures: renders as picture files, films and contact sheets; PSNR and SSIM."""

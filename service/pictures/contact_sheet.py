@@ -1,4 +1,4 @@
-"""One picture of labelled rows of images: inputs, truth and renders side by side, each with its PSNR."""
+"""Contact sheets: labelled rows of images in one picture."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Size = tuple[int, int]  # width and height in px
 
 @dataclass(frozen=True)
 class Cell:
-    """A picture with the text under it."""
+    """An image and the label under it."""
 
     pixels: NDArray[np.uint8]  # (H, W, 3)
     label: str
@@ -35,22 +35,22 @@ class Row:
 
 
 def in_rows(things: Sequence[T], columns: int = COLUMNS) -> list[Sequence[T]]:
-    """The things in their order, in as many rows as they need."""
+    """Split a sequence into rows of at most `columns`."""
     return [things[start : start + columns] for start in range(0, len(things), columns)]
 
 
 def rows_of(title: str, cells: Sequence[Cell], columns: int = COLUMNS) -> list[Row]:
-    """As many rows as the cells need, the title over the first."""
+    """Rows of at most `columns` cells, with the title over the first."""
     return [Row(title if number == 0 else "", row) for number, row in enumerate(in_rows(cells, columns))]
 
 
 def sheet_size(rows: Sequence[Sequence[Size]]) -> Size:
-    """Of the sheet of rows of pictures of these sizes, none above `CELL`."""
+    """Size in px of a sheet with rows of pictures of these sizes, of which no side exceeds `CELL`."""
     return max(map(len, rows)) * (CELL + GAP) + GAP, sum(map(_height, rows)) + GAP
 
 
 def contact_sheet(rows: Sequence[Row]) -> Image.Image:
-    """Draw the rows below each other; pictures keep their aspect and are scaled to `CELL` where they are larger."""
+    """Draw the sheet; pictures larger than `CELL` are scaled down, keeping their aspect."""
     pictures = [[_scaled(cell.pixels) for cell in row.cells] for row in rows]
     sizes = [[picture.size for picture in row] for row in pictures]
     sheet = Image.new("RGB", sheet_size(sizes), PAPER)

@@ -1,4 +1,4 @@
-"""Depth as grey levels: what a level means, and the text by which a PNG says so itself."""
+"""Encoding depth as grey levels, and the text chunks of a PNG that describe the encoding."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ..errors import InputError
 
 @dataclass(frozen=True)
 class DepthCode:
-    """Level 0: nothing is there; a higher level L: z-depth `offset` + L x `scale`. All in the caller's units."""
+    """Level 0 is empty; level L > 0 is z-depth `offset` + L x `scale`. All in the caller's units."""
 
-    low: float  # smallest depth of the picture; 0 as the other three where it shows nothing
+    low: float  # smallest depth of the picture; in an empty picture 0, as `high` and `offset`
     high: float  # largest
     scale: float  # per level; 0 where all depths are equal
-    offset: float  # 0 where the scale was given
+    offset: float  # 0 if the scale was given
 
     def named(self) -> dict[str, float]:
-        """By the names of the headers and of the text."""
+        """The numbers by their names in headers and text chunks."""
         return {"Min": self.low, "Max": self.high, "Scale": self.scale, "Offset": self.offset}
 
 
@@ -30,8 +30,8 @@ def depth_levels(
 ) -> tuple[NDArray[np.unsignedinteger], DepthCode]:
     """Levels (H, W), 8 bits for `top` 255 and 16 for more, of depths (H, W) where `there` (H, W) is true.
 
-    Without `scale` level 1 is the smallest and `top` the largest depth of the picture; with it a level is that many of
-    the caller's units, from 0 on. Raises `InputError` where the depths do not fit.
+    Without `scale` the smallest depth becomes level 1 and the largest `top`; with it a level is that many of the
+    caller's units, counted from 0. Raises `InputError` if the depths do not fit.
     """
     dtype = np.uint16 if top > 255 else np.uint8
     if not there.any():
@@ -50,7 +50,7 @@ def depth_levels(
             cure=f"ask for {_two_digits(high / top, np.ceil):g} or more"
             + (", or for png, which has 16 bits" if top == 255 else ""),
         )
-    if np.rint(low / scale) < 1:  # as the levels are: half a level is level 0
+    if np.rint(low / scale) < 1:  # rounded as the levels are, half to even
         raise InputError(
             f"depth {low:.6g} is level 0 at {scale:g} per level, which means that nothing is there",
             field="depth_scale",
@@ -61,7 +61,7 @@ def depth_levels(
 
 
 def png_text(code: DepthCode) -> PngInfo:
-    """The chunks that say what the levels mean, as numbers and as a sentence."""
+    """Text chunks with the numbers of the encoding, and a sentence that explains them."""
     info = PngInfo()
     for name, value in code.named().items():
         info.add_text(f"gapmes:depth_{name.lower()}", repr(value))
@@ -70,6 +70,6 @@ def png_text(code: DepthCode) -> PngInfo:
 
 
 def _two_digits(value: float, rounded: np.ufunc) -> float:
-    """Two digits that are not less than the value, with `np.ceil`, or not more, with `np.floor`."""
+    """The value rounded to two significant digits, up with `np.ceil` or down with `np.floor`."""
     digit = 10.0 ** (np.floor(np.log10(max(value, 1e-300))) - 1)
     return float(rounded(value / digit) * digit)

@@ -1,4 +1,4 @@
-"""How much a picture may cost: the splatter's cuts and samples that a caller may set, and drawing no plane in vain."""
+"""Speed against accuracy of a picture: cuts and samples of the splatter, and drawing only the planes needed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .picture import Channel
 if TYPE_CHECKING:
     from ..splat import Render
 
-ALPHA_MIN, STOP = 1 / 255, 1e-4  # the splatter's own
+ALPHA_MIN, STOP = 1 / 255, 1e-4  # the splatter's defaults
 MAX_SAMPLES = 4  # per side of a pixel
 LIMITS = {"alpha_min": (1e-6, 0.9), "stop": (0.0, 0.9), "samples": (1, MAX_SAMPLES)}
 _PLANES: dict[Channel, tuple[str, ...]] = {"rgb": (), "alpha": ("alpha",), "depth": ("alpha", "depth")}
@@ -21,7 +21,7 @@ _PLANES: dict[Channel, tuple[str, ...]] = {"rgb": (), "alpha": ("alpha",), "dept
 
 @dataclass(frozen=True)
 class Effort:
-    """`alpha_min`: a layer below this opacity is not drawn; `stop`: what lies behind so little light is not drawn;
+    """`alpha_min`: layers below this opacity are skipped; `stop`: transmittance below which a pixel is finished;
     `sh_degree`: highest band of harmonics, None for all; `samples` per side of a pixel.
 
     Raises `InputError` beyond `LIMITS`.
@@ -42,7 +42,7 @@ class Effort:
 def draw(
     gaussians: Gaussians, camera: Camera, channel: Channel = "rgb", effort: Effort | None = None, **options: Any
 ) -> Render:
-    """The planes that `channel` needs, and no others; `options` are further keywords of `render`.
+    """Render only the planes that `channel` needs; `options` are further arguments of `render`.
 
     Raises `InputError` as `render` does.
     """

@@ -1,4 +1,4 @@
-"""Moving pictures as files: WebP and GIF by Pillow, MP4 by PyAV; frames go into the encoder one by one."""
+"""Writing films as WebP and GIF by Pillow or as MP4 by PyAV, frame by frame."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ FilmFormat = Literal["webp", "gif", "mp4"]
 FILM_FORMATS: tuple[FilmFormat, ...] = get_args(FilmFormat)
 MEDIA_TYPES: dict[FilmFormat, str] = {"webp": "image/webp", "gif": "image/gif", "mp4": "video/mp4"}
 
-MAX_SIDE: dict[FilmFormat, int] = {"webp": 16_383, "gif": 65_535, "mp4": 8_192}  # px; for MP4 what players can be asked
+MAX_SIDE: dict[FilmFormat, int] = {"webp": 16_383, "gif": 65_535, "mp4": 8_192}  # px; for MP4 a limit of players
 MAX_FPS = 50.0  # browsers show GIF and WebP frames of less than 0.02 s slowly
-UNIT_MS: dict[str, int] = {"webp": 1, "gif": 10}  # in which the format counts a frame's time
+UNIT_MS: dict[str, int] = {"webp": 1, "gif": 10}  # unit of a frame's duration in the format
 _WEBP: dict[str, Any] = {"quality": 80, "method": 2}
 
 Pixels = NDArray[np.uint8]  # (H, W, 3) sRGB
@@ -32,7 +32,7 @@ Pixels = NDArray[np.uint8]  # (H, W, 3) sRGB
 
 @dataclass(frozen=True)
 class FilmShape:
-    """What a film is like; `check_film` refuses what cannot be written."""
+    """Format, size and length of a film, to be checked by `check_film`."""
 
     format: FilmFormat
     width: int  # px
@@ -47,7 +47,7 @@ class FilmShape:
 
 
 def check_film(shape: FilmShape) -> None:
-    """Refuse what `write_film` could not write, before anything is drawn. Raises `InputError`."""
+    """Raises `InputError` for a film that `write_film` could not write, before anything is drawn."""
     if shape.format == "mp4" and find_spec("av") is None:
         raise InputError("MP4 needs PyAV here", field="format", cure="pip install 'gapmes[video]', or ask for webp")
     if shape.frames < 2:
@@ -66,25 +66,25 @@ def check_film(shape: FilmShape) -> None:
 
 
 def most_frames(seconds: float) -> int:
-    """As many as `MAX_FPS` allows; a product that is a whole number but for float64's rounding is that number."""
+    """The largest number of frames that `MAX_FPS` allows, tolerant of float64 rounding."""
     return math.floor(MAX_FPS * seconds * (1 + 1e-12))
 
 
 def write_film(path: Path, shape: FilmShape, frames: Iterable[Pixels]) -> None:
-    """Write `frames`, of which there must be `shape.frames`, as a film that begins anew when it ends (MP4: as the
-    player is told). It takes the place of what is at `path` when it is whole; what the iterable raises ends it.
+    """Write `shape.frames` frames as a film that loops (MP4: as the player is set). `path` is replaced atomically;
+    exceptions of the iterable pass, and leave no file.
 
-    One frame is held at a time; a WebP or MP4 encoder keeps what it has compressed.
+    One frame is in memory at a time, beside what a WebP or MP4 encoder has compressed.
     """
     counted = _counted(frames, shape)
     with replacing(path) as part:
         WRITERS[shape.format](part, shape, counted)
-        for _ in counted:  # counts what a writer that knows their number has left
+        for _ in counted:  # checks the count if the writer stopped at the expected one
             pass
 
 
 def times_ms(shape: FilmShape, unit: int) -> list[int]:
-    """How long each frame is shown, in whole `unit`s that add up to the film's seconds: no error builds up."""
+    """Duration of each frame in ms, in multiples of `unit`, without accumulating rounding errors."""
     ends = np.rint(np.arange(shape.frames + 1) * (1000 * shape.seconds / shape.frames / unit)).astype(int)
     return [int(time) * unit for time in np.diff(ends)]
 
@@ -101,7 +101,7 @@ def _counted(frames: Iterable[Pixels], shape: FilmShape) -> Iterator[Pixels]:
 
 
 class _Reel(Image.Image):
-    """Pillow's form of a picture of many frames, each made when it is asked for."""
+    """A multi-frame image for Pillow whose frames are made when they are read."""
 
     def __init__(self, shape: FilmShape, frames: Iterator[Pixels]) -> None:
         super().__init__()
@@ -113,7 +113,7 @@ class _Reel(Image.Image):
         return self._at
 
     def seek(self, frame: int) -> None:
-        """The next frame; Pillow goes back to the first one when it has done with all, which nothing comes after."""
+        """Load the next frame. Pillow seeks back to the first one only after the last, which is ignored."""
         if frame > self._at:
             picture = Image.fromarray(next(self._frames))
             self.im, self._mode, self._size, self._at = picture.im, picture.mode, picture.size, frame
@@ -126,7 +126,7 @@ def _write_webp(path: Path, shape: FilmShape, frames: Iterator[Pixels]) -> None:
 
 
 def _write_gif(path: Path, shape: FilmShape, frames: Iterator[Pixels]) -> None:
-    """Frame by frame, each with 256 colours of its own: Pillow's own `save_all` keeps all of them until the end."""
+    """Write frame by frame, each with a palette of its own; Pillow's `save_all` would keep all frames in memory."""
     first = _indexed(next(frames))
     with path.open("wb") as file:
         file.writelines(GifImagePlugin.getheader(first.copy(), info={"loop": 0})[0])
@@ -137,7 +137,7 @@ def _write_gif(path: Path, shape: FilmShape, frames: Iterator[Pixels]) -> None:
 
 
 def _indexed(pixels: Pixels) -> Image.Image:
-    """The octree's palette is found in a hundredth of the time of the median cut's, and its pictures are no worse."""
+    """The frame with an octree palette, which takes a hundredth of the time of median cut at equal quality."""
     picture = Image.fromarray(pixels)
     palette = picture.quantize(256, Image.Quantize.FASTOCTREE)
     return picture.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)

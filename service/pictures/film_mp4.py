@@ -1,4 +1,4 @@
-"""H.264 in MP4 as every browser plays it: yuv420p in BT.709, the index in front of the pictures. Needs PyAV."""
+"""H.264 in MP4 as every browser plays it: yuv420p in BT.709, with the index at the start. Needs PyAV."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ..errors import InputError
 
 ENCODER = "libx264"
-CRF = "18"  # a step or two of 8 bits in most pixels; 23, the encoder's own, shows in flat areas
-BT709 = 1  # ITU-T H.273, of primaries, transfer and matrix
+CRF = "18"  # one or two 8-bit levels in most pixels; the default, 23, is visible in flat areas
+BT709 = 1  # ITU-T H.273 code of primaries and transfer function
 
 
 def write_mp4(path: Path, width: int, height: int, fps: float, frames: Iterable[NDArray[np.uint8]]) -> None:

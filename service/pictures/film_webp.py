@@ -1,18 +1,18 @@
-"""An animated WebP of one picture: what the encoder makes a still of stays a film, of two frames that are equal."""
+"""Turning a still WebP into an animation of two equal frames, where the encoder has merged all frames."""
 
 from __future__ import annotations
 
 import struct
 from pathlib import Path
 
-STILL = (b"VP8 ", b"VP8L")  # the first chunk of a picture without animation and without transparency
-ANIMATED = 2  # a flag of the first chunk of any other
+STILL = (b"VP8 ", b"VP8L")  # first chunk of a still image without transparency
+ANIMATED = 2  # animation flag of a VP8X chunk
 
 
 def keep_moving(path: Path, width: int, height: int, duration_ms: int) -> None:
-    """Where the file is a still of `width` x `height` px, make it a film of that time that begins anew by itself.
+    """Rewrite a still of `width` x `height` px as a looping animation of `duration_ms`; an animation stays unchanged.
 
-    Chunks as in RFC 9649; the picture itself is not encoded again.
+    Chunks as in RFC 9649; the picture is not encoded again.
     """
     if not _is_still(path):
         return

@@ -44,7 +44,7 @@ class Picture:
 
 
 def check_format(width: int, height: int, channel: Channel, format: Format, depth_scale: float | None = None) -> None:
-    """Refuse what `encode` could not write, before anything is drawn. Raises `InputError`."""
+    """Raises `InputError` for a picture that `encode` could not write, before anything is drawn."""
     if format == "jpeg" and channel != "rgb":
         raise InputError(
             f"{channel} in JPEG would lose its levels", field="format", cure="ask for png or webp, which are exact"
@@ -66,10 +66,10 @@ def check_format(width: int, height: int, channel: Channel, format: Format, dept
 def encode(
     render: Render, channel: Channel = "rgb", format: Format = "png", depth_scale: float | None = None
 ) -> Picture:
-    """Encode one channel of a render; what `check_format` refuses is not for here.
+    """Encode one channel of a render that `check_format` accepts.
 
-    Depth has 16 bits in PNG, else 8; `depth_scale` is as in `depth_levels`, which may refuse it. A PNG carries the
-    meaning of its levels as text of its own.
+    Depth has 16 bits in PNG, else 8; `depth_scale` as in `depth_levels`, whose errors pass. A PNG of depth describes
+    its levels in text chunks.
     """
     code: DepthCode | None = None
     more: dict[str, Any] = {}
@@ -86,21 +86,21 @@ def encode(
 
 
 def encode_image(image: Image.Image, format: Format, *, exact: bool = False, **options: Any) -> bytes:
-    """The bytes of a file; `exact`: WebP without loss. `options` are further ones of Pillow."""
+    """Encode an image; `exact`: lossless WebP. `options` are passed to Pillow."""
     buffer = io.BytesIO()
     image.save(buffer, format.upper(), **(_EXACT_WEBP if exact and format == "webp" else _SAVE[format]), **options)
     return buffer.getvalue()
 
 
 def png(pixels: NDArray[np.uint8]) -> bytes:
-    """(H, W, 3) or (H, W, 4) bytes as a PNG file."""
+    """Encode (H, W, 3) or (H, W, 4) pixels as PNG."""
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "PNG", **_SAVE["png"])
     return buffer.getvalue()
 
 
 def parse_background(text: str) -> tuple[float, float, float]:
-    """`#rrggbb` (the # may be left out) or a colour's name, as sRGB in [0, 1]."""
+    """`#rrggbb`, with or without #, or a name of `COLOURS`, as sRGB in [0, 1]. Raises `ViewError`."""
     word = text.strip().lower()
     if word in COLOURS:
         return COLOURS[word]

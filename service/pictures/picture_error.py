@@ -1,4 +1,4 @@
-"""PSNR and SSIM of two pictures with colours in [0, 1] (for PSNR also bytes), over all pixels or those of a mask."""
+"""PSNR and SSIM of pictures with colours in [0, 1] (PSNR also of 8-bit ones), over all pixels or those of a mask."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 WINDOW, SIGMA = 11, 1.5  # px, of SSIM (Wang et al. 2004)
 C1, C2 = 0.01**2, 0.03**2
-EQUAL_DB = 100.0  # where there is no difference, so that equal pictures have a number
+EQUAL_DB = 100.0  # of equal pictures, whose PSNR would be infinite
 
 
 def psnr(picture: NDArray, truth: NDArray, mask: NDArray[np.bool_] | None = None) -> float:
-    """dB from the mean squared error, at most 100. A mask (H, W) goes with (3, H, W); NaN if it keeps no pixel."""
+    """PSNR in dB, at most 100. A mask (H, W), True keeps, needs pictures (3, H, W); NaN if it keeps no pixel."""
     difference = _unit(picture) - _unit(truth)
     chosen = difference if mask is None else difference[:, mask]
     if not chosen.size:
@@ -23,10 +23,10 @@ def psnr(picture: NDArray, truth: NDArray, mask: NDArray[np.bool_] | None = None
 
 
 def ssim(picture: NDArray, truth: NDArray, mask: NDArray[np.bool_] | None = None) -> float:
-    """Mean SSIM of (3, H, W) pictures over the windows inside whose centre the mask keeps; NaN if there is none.
+    """Mean SSIM of (3, H, W) pictures over all windows inside, or those with centres in the mask; NaN if there is none.
 
-    Computed in the precision of the pictures: float32 is right to 1e-6 (measured 1e-7) in two thirds of the time. The
-    variances are those about the middle of `truth`, so that even pictures do not lose theirs to rounding.
+    Computed in the pictures' precision: float32 is accurate to 1e-6 (measured 1e-7) in two thirds of the time. Moments
+    are taken about the mean of `truth`, so that variances of flat pictures are not lost to rounding.
     """
     middle = truth.dtype.type(truth.mean(dtype=np.float64)) if truth.size else truth.dtype.type(0)
     a, b = picture - middle, truth - middle
@@ -46,7 +46,7 @@ def _unit(picture: NDArray) -> NDArray[np.float64]:
 
 
 def _gaussian_means(x: NDArray) -> NDArray:
-    """(3, H - 10, W - 10) means under the Gaussian window, of every window that lies inside (3, H, W)."""
+    """(3, H - 10, W - 10) Gaussian-weighted means of all windows inside `x` (3, H, W)."""
     offsets = np.arange(WINDOW) - WINDOW // 2
     weights = np.exp(-(offsets**2) / (2 * SIGMA**2))
     weights = (weights / weights.sum()).astype(x.dtype)

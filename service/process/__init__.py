@@ -1,1 +1,1 @@
-"""gapmes.service.process: the process and its machine: memory, threads, signals, streams, files, locks."""
+"""gapmes.service.process: the process and its machine: memory, threads, signals, streams, files and locks."""

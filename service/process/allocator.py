@@ -1,4 +1,4 @@
-"""What the C library's allocator does with freed memory: it gives it back, or uses it again where that saves time."""
+"""Tuning of glibc's malloc: freed memory is returned to the system, or kept for reuse where that saves time."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from contextlib import contextmanager
 from functools import cache
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # of mallopt(3)
-SMALL = 131072  # bytes: glibc's own start values, from which it moves away with every large block that is freed
-LARGEST = 32 << 20  # bytes: beyond it glibc takes no M_MMAP_THRESHOLD
+SMALL = 131072  # bytes: glibc's initial thresholds, which it would otherwise raise with every large block that is freed
+LARGEST = 32 << 20  # bytes: the largest M_MMAP_THRESHOLD that glibc accepts
 EXACT = ((M_TRIM_THRESHOLD, SMALL), (M_MMAP_THRESHOLD, SMALL))
 REUSING = ((M_TRIM_THRESHOLD, 1 << 30), (M_MMAP_THRESHOLD, LARGEST))
 
 _lock = threading.Lock()
 _giving_back = False
-_reusing = 0  # how many `freed_blocks_reused` are open
+_reusing = 0  # number of active `freed_blocks_reused`
 
 
 def give_back_freed() -> bool:
-    """One heap for all threads, trimmed as it empties, from now on; whether the C library is one that knows this."""
+    """Use one arena for all threads and trim it as it empties, from now on; whether the C library supports that."""
     global _giving_back
     with _lock:
         _giving_back = _set(((M_ARENA_MAX, 1), *EXACT))
@@ -35,12 +35,12 @@ def gives_back() -> bool:
 
 @contextmanager
 def freed_blocks_reused() -> Iterator[None]:
-    """Within, freed blocks are kept for those that come next, in all threads; then what is free goes back.
+    """During the block freed memory is kept for reuse, in all threads; at its end free memory is returned.
 
-    For work whose many temporary arrays come one after the other. A block that goes back at once comes again as new
-    pages, which the system fills with zeros: 1.3 s of processor time for a scene from two views, 0.4 with this around
-    what needs little memory at once. While contexts of several threads overlap, nothing goes back. What is made within
-    and freed later may stay until `trim`. Without `give_back_freed` nothing is changed.
+    For work that allocates many temporary arrays one after the other. A block that is returned at once comes back as
+    new pages, which the system clears: 1.3 s of processor time for a scene from two views, 0.4 s with this around the
+    parts that need little memory. While blocks of several threads overlap, nothing is returned. Memory that is
+    allocated within and freed later may stay until `trim`. Without `give_back_freed` nothing changes.
     """
     global _reusing
     with _lock:
@@ -58,8 +58,8 @@ def freed_blocks_reused() -> Iterator[None]:
 
 
 def trim() -> None:
-    """All free pages go back, also those between blocks that are in use; takes milliseconds. Without `give_back_freed`
-    nothing is done."""
+    """Return all free pages, including those between used blocks; takes milliseconds. Does nothing without
+    `give_back_freed`."""
     if _giving_back:
         _c_library("malloc_trim")(0)
 
@@ -71,6 +71,6 @@ def _set(settings: tuple[tuple[int, int], ...]) -> bool:
 
 @cache
 def _c_library(name: str) -> Callable[..., int]:
-    """glibc's function of that name, or one that does nothing and returns 0."""
+    """The C library's function of this name, or one that does nothing and returns 0."""
     found = getattr(ctypes.CDLL(None), name, None) if sys.platform.startswith("linux") else None
     return found or (lambda *_: 0)

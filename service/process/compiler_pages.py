@@ -1,4 +1,4 @@
-"""The compiler's code, which a process that has its loops seldom needs: its pages leave the process's memory."""
+"""Dropping the pages of LLVM's code from memory, which a process seldom needs once its kernels are compiled."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from pathlib import Path
 
 from .allocator import gives_back
 
-COMPILER = "libllvmlite"  # how the name of numba's begins
+COMPILER = "libllvmlite"  # prefix of the file name of numba's compiler
 DONTNEED = 4  # of madvise(2)
 _HEAD = re.compile(r"([0-9a-f]+)-([0-9a-f]+) (\S{4}) \S+ \S+ \S+ *(.*)")
 
 
 def leave_compiler() -> int:
-    """Drop the pages of the compiler's code, 52 MB or up to 84; returns how many bytes of it were resident.
+    """Drop the resident pages of the compiler's code, 52 to 84 MB; returns their size in bytes.
 
-    Where it is asked for something again they come back from its file. Nothing is done, and 0 returned, without
-    `give_back_freed` and where the system does not tell what is in memory.
+    They are read from the file again when they are needed. Without `give_back_freed`, or without /proc/self/smaps, this
+    does nothing and returns 0.
     """
     if not (gives_back() and sys.platform.startswith("linux")):
         return 0
@@ -33,11 +33,11 @@ def leave_compiler() -> int:
 
 
 def code_as_in_its_file(smaps: str) -> Iterator[tuple[int, int, int]]:
-    """(start, size, resident bytes) of each mapping of the compiler's code of which no page was ever written to: from
-    another one what was written would be lost. `smaps` is as of proc_pid_smaps(5)."""
+    """(start, size, resident bytes) of each executable mapping of the compiler without modified pages, which would be
+    lost. `smaps` is the text of /proc/pid/smaps, see proc_pid_smaps(5)."""
     head: re.Match[str] | None = None
     sizes: dict[str, int] = {}
-    for line in (*smaps.split("\n"), "0-0 ---p 0 0 0"):  # the last ends the one before it
+    for line in (*smaps.split("\n"), "0-0 ---p 0 0 0"):  # a sentinel that ends the last mapping
         if begins := _HEAD.fullmatch(line):
             if head and head[3].startswith("r-x") and Path(head[4]).name.startswith(COMPILER):
                 start, end = int(head[1], 16), int(head[2], 16)

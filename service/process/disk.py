@@ -1,4 +1,4 @@
-"""Files that survive a power cut, or take the place of others when they are whole; a full disk refused by name."""
+"""Writing files durably, replacing files atomically, and `StorageFull` for a full disk."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write a file through to the disk."""
+    """Write a file and sync it to disk."""
     with path.open("wb") as file:
         file.write(data)
         file.flush()
@@ -29,10 +29,11 @@ def write_file(path: Path, data: bytes) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path beside `path` for the block to write: what is there takes the place of `path`, or goes if the block fails.
+    """A temporary path beside `path` for the block to write. At its end that file replaces `path`; if the block fails,
+    it is deleted.
 
-    Who may read and write `path` may do so after it. Of a link it is the file behind it that is replaced. A pipe, a
-    device and a stream that is open stay what they are: once the file is whole they are written to.
+    Owner and mode of an existing `path` are kept. Of a symbolic link the target is replaced. A pipe, a device and an
+    open stream are not replaced: the complete file is written to them.
     """
     if takes_bytes(path):
         with TemporaryDirectory(prefix="gapmes-") as folder, unfinished(Path(folder)):
@@ -43,18 +44,18 @@ def replacing(path: Path) -> Iterator[Path]:
     path = resolved(path)
     if not path.parent.is_dir():
         number = errno.ENOTDIR if path.parent.exists() else errno.ENOENT
-        raise OSError(number, os.strerror(number), str(path))  # which becomes the class of its number
+        raise OSError(number, os.strerror(number), str(path))  # Python makes it the subclass for its errno
     part = path.with_name(f".gapmes-{secrets.token_hex(8)}")
     with unfinished(part):
         try:
             before = path.stat() if path.exists() else None
             if before is not None:
-                part.touch(0o600, exist_ok=False)  # while it is written, nobody reads what others may not read
+                part.touch(0o600, exist_ok=False)  # readable by nobody else until it has the mode of `path`
             yield part
             if before is not None:
-                with suppress(PermissionError):  # only root gives files away
+                with suppress(PermissionError):  # only root may change owners
                     os.chown(part, before.st_uid, before.st_gid)
-                with suppress(PermissionError):  # of a file system that has no modes
+                with suppress(PermissionError):  # a file system without modes
                     part.chmod(stat.S_IMODE(before.st_mode) & 0o777)
             part.replace(path)
         except BaseException:
@@ -63,7 +64,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Write a file, new or in the place of another, which stays whole until then; what `takes_bytes` is written to."""
+    """Write a file, replacing an existing one atomically; a path that `takes_bytes` is written to instead."""
     if takes_bytes(path):
         with open_taking(path) as taken:
             taken.write(data)
@@ -74,7 +75,7 @@ def replace_file(path: Path, data: bytes) -> None:
 
 @contextmanager
 def named(path: Path) -> Iterator[None]:
-    """What the system refuses within the block is said of `path`, and not of a file beside it or of none."""
+    """An `OSError` of the block is raised with `path` as its file name, whatever file it was about."""
     try:
         yield
     except OSError as error:
@@ -84,7 +85,7 @@ def named(path: Path) -> Iterator[None]:
 
 
 def sync(path: Path) -> None:
-    """Make a file, or what was renamed into a folder, survive a power cut."""
+    """Sync a file, or the entries of a folder, to disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -94,7 +95,7 @@ def sync(path: Path) -> None:
 
 @contextmanager
 def full_is_refused(what: str) -> Iterator[None]:
-    """Raises `StorageFull` where the block fails because the disk, a quota or a limit of the process is full."""
+    """Raises `StorageFull` if the block fails on a full disk, a quota, or the process's limit on file sizes."""
     try:
         yield
     except OSError as error:

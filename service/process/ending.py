@@ -1,7 +1,7 @@
-"""What a command leaves behind that a signal ends: nothing that is half written, and a terminal as it was.
+"""Cleanup when a signal ends a command: unfinished files are deleted, and the terminal is restored.
 
-The signals raise no exception, which would come at any place: within a lock of the library that nobody opens then, so
-that the command would never end.
+The handlers raise no exception: it could strike anywhere, even inside a lock of a library that would then stay locked,
+so that the command would never end.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _last: list[Callable[[], None]] = []
 
 @contextmanager
 def unfinished(path: Path) -> Iterator[None]:
-    """Within the block `path`, a file or a folder, goes if the process is ended by a signal; it need not exist yet."""
+    """During the block `path`, a file or folder, is deleted if a signal ends the process; it need not exist yet."""
     _unfinished.add(path)
     try:
         yield
@@ -31,7 +31,7 @@ def unfinished(path: Path) -> Iterator[None]:
 
 @contextmanager
 def done_at_the_end(action: Callable[[], None]) -> Iterator[None]:
-    """Within the block `action` is called if the process is ended by a signal; it must take no lock."""
+    """During the block `action` is called if a signal ends the process; it must not take locks."""
     _last.append(action)
     try:
         yield
@@ -41,9 +41,9 @@ def done_at_the_end(action: Callable[[], None]) -> Iterator[None]:
 
 @contextmanager
 def ended_in_order() -> Iterator[None]:
-    """Within the block the first of SIGNALS removes what is unfinished, does what is to be done at the end, then ends
-    the process as it always would. Who has one ignored, such as nohup, keeps that. Outside the main thread, which alone
-    hears of signals, nothing changes."""
+    """During the block the first of SIGNALS deletes unfinished paths and calls the registered actions, then ends the
+    process as it would by default. An ignored signal, as under nohup, stays ignored. Outside the main thread, where no
+    handlers can be set, nothing changes."""
     main = threading.current_thread() is threading.main_thread()
     taken = [number for number in SIGNALS if main and signal.getsignal(number) == signal.SIG_DFL]
     for number in taken:

@@ -1,4 +1,4 @@
-"""Locks between processes on one file system: many may share one, or one may have it alone; a crash releases it."""
+"""Shared and exclusive file locks between processes on one file system; a crash releases them."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ def _held(path: Path, kind: int) -> Iterator[None]:
 
 
 def shared(path: Path) -> AbstractContextManager[None]:
-    """Hold the lock together with others; waits for one that has it alone."""
+    """Hold a shared lock; waits while another process holds an exclusive one."""
     return _held(path, fcntl.LOCK_SH)
 
 
 def exclusive(path: Path) -> AbstractContextManager[None]:
-    """Hold the lock alone; waits until nobody else has it."""
+    """Hold an exclusive lock; waits until nobody else holds one."""
     return _held(path, fcntl.LOCK_EX)
 
 
 @contextmanager
 def exclusive_if_free(path: Path) -> Iterator[bool]:
-    """Hold the lock alone, if nobody has it: yields whether it was free, and never waits."""
+    """Hold an exclusive lock if it is free; yields whether it was, and never waits."""
     handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         try:

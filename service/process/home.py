@@ -1,4 +1,4 @@
-"""The ~ of a path that no shell has read, such as one in a file of settings."""
+"""Expansion of ~ in paths that no shell has expanded, such as those in a file of settings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def at_home(path: Path) -> Path:
-    """`path` with the user's own folder for a leading ~. Raises `ValueError` where nobody knows that folder."""
+    """`path` with a leading ~ replaced by the home folder. Raises `ValueError` if that is unknown."""
     if path.parts[:1] != ("~",):
         return path
     try:

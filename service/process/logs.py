@@ -1,4 +1,4 @@
-"""The log on stderr: a line per event, as text or as JSON, each with the id of the request that it belongs to."""
+"""The log on stderr: a line per event, as text or JSON, with the id of the request that it belongs to."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import time
 from typing import Any, Literal
 
 REQUEST_ID: contextvars.ContextVar[str | None] = contextvars.ContextVar("request_id", default=None)
-OVER_LIMIT = "the limit"  # how a line begins that says which bound of connections is reached
-NO_FILES = "socket.accept() out of system resource"  # how the event loop begins to say so, once per attempt
-SELDOM_S = 10.0  # between two lines that begin so
+OVER_LIMIT = "the limit"  # prefix of messages about a limit that is reached
+NO_FILES = "socket.accept() out of system resource"  # prefix of the event loop's message, once per attempt
+SELDOM_S = 10.0  # between two lines with the same of these prefixes
 _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "color_message", "request_id"}
 
 
 def configure(form: Literal["text", "json"], *, quiet: bool = False) -> None:
-    """Log of this process to stderr; the server's own lines about requests give way to those of `http/observe.py`.
+    """Send the log of this process to stderr. The server's own access log is replaced by that of `http/observe.py`.
 
-    `quiet`: warnings and errors alone.
+    `quiet`: warnings and errors only.
     """
     handler = _Stderr()
     handler.setFormatter(_Json() if form == "json" else _Text())
@@ -35,7 +35,7 @@ def configure(form: Literal["text", "json"], *, quiet: bool = False) -> None:
 
 
 class _Stderr(logging.StreamHandler):
-    """To what stderr is at that moment: while bars are drawn, lines appear above them."""
+    """Writes to the current `sys.stderr`, so that lines appear above progress bars."""
 
     def emit(self, record: logging.LogRecord) -> None:
         self.stream = sys.stderr
@@ -49,7 +49,7 @@ def _with_request(record: logging.LogRecord) -> bool:
 
 
 class _Seldom(logging.Filter):
-    """What clients can cause many times a second is said once in a while, and in one line."""
+    """Rate limit for messages that clients can cause many times a second; each is a single line."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -91,7 +91,7 @@ class _Json(logging.Formatter):
 
 
 def _fields(record: logging.LogRecord) -> dict[str, Any]:
-    """What the line carries beside its message."""
+    """Extra fields of the record, and its request id."""
     fields = {name: value for name, value in vars(record).items() if name not in _STANDARD}
     if record.request_id is not None:  # type: ignore[attr-defined]
         fields["request_id"] = record.request_id  # type: ignore[attr-defined]

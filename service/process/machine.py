@@ -1,4 +1,4 @@
-"""The processor as Linux tells it: its name, and the instruction sets that matter here."""
+"""The processor and the free memory, as Linux reports them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ FLAGS = ("avx2", "fma", "avx512f", "avx512_vnni", "avx512_bf16", "avx_vnni", "am
 
 
 def processor() -> tuple[str, list[str]]:
-    """Name and those of `FLAGS` that it has; elsewhere than on Linux only the name that Python knows."""
+    """Name of the processor, and the instruction sets of `FLAGS` that it supports; outside Linux the name only."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8", errors="replace").splitlines() if info.is_file() else []
     fields = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
@@ -19,7 +19,7 @@ def processor() -> tuple[str, list[str]]:
 
 
 def available_memory_mb() -> float | None:
-    """What Linux would give to a new process without swapping; None elsewhere."""
+    """Memory in MiB that new processes can use without swapping; None outside Linux."""
     info = Path("/proc/meminfo")
     lines = info.read_text().splitlines() if info.is_file() else []
     return next((float(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable")), None)

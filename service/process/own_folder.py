@@ -1,4 +1,4 @@
-"""Folders for a while, which nobody mistakes for one that a kill has left, and which go when the next one is made."""
+"""Temporary folders with a lock: one that a killed process has left is deleted when the next one is created."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .file_lock import exclusive_if_free, shared
 
 _LOCK = ".lock"
-YOUNG_S = 60.0  # so long a folder may be there before it is locked
+YOUNG_S = 60.0  # a folder may exist for so long before it is locked
 
 
 @contextmanager
 def own_folder(prefix: str, parent: Path | None = None) -> Iterator[Path]:
-    """A new one whose name begins with `prefix`, among temporary files or in `parent`, which goes with the block; those
-    that begin so and that no living process holds go first."""
+    """A new folder with this prefix, in `parent` or the system's folder for temporary files, deleted after the block.
+    Those with this prefix that no living process uses are deleted before."""
     parent = parent or Path(tempfile.gettempdir())
     for left in parent.glob(f"{prefix}*"):
         _drop_if_left(left)
@@ -28,16 +28,19 @@ def own_folder(prefix: str, parent: Path | None = None) -> Iterator[Path]:
 
 @contextmanager
 def in_use(folder: Path) -> Iterator[None]:
-    """During the block the folder is in use, whoever has made it."""
+    """Lock a folder as used during the block, whoever has created it."""
     with shared(folder / _LOCK):
         yield
 
 
+def drop_unused(folder: Path) -> None:
+    """Delete a folder unless it is in use or missing."""
+    with suppress(OSError), exclusive_if_free(folder / _LOCK) as free:  # deleted meanwhile, or another user's
+        if free:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
 def _drop_if_left(folder: Path) -> None:
-    try:
+    with suppress(OSError):  # deleted meanwhile
         if time.time() - folder.stat().st_mtime > YOUNG_S:
-            with exclusive_if_free(folder / _LOCK) as free:
-                if free:
-                    shutil.rmtree(folder, ignore_errors=True)
-    except OSError:  # it goes at this moment, or is another user's
-        return
+            drop_unused(folder)

@@ -1,4 +1,4 @@
-"""Where a path leads that is to be written to: to a file, whose place another may take, or to what takes bytes."""
+"""What an output path leads to: a file, which can be replaced, or a pipe, device or open stream."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import BinaryIO
 
 MOUNTS = Path("/proc/self/mountinfo")
-MOST_LINKS = 40  # that the system follows
-_OPEN_FILES = re.compile(r"/proc/\d+(/task/\d+)?/fd|/dev/fd")  # folders of what a process has open, by number
+MOST_LINKS = 40  # symbolic links that the system follows
+_OPEN_FILES = re.compile(r"/proc/\d+(/task/\d+)?/fd|/dev/fd")  # folders of the open files of a process, by descriptor
 
 
 def resolved(path: Path) -> Path:
-    """The path behind all links. Raises `OSError` where they lead in a circle."""
+    """The path with all symbolic links resolved. Raises `OSError` for a loop."""
     try:
         path.stat()
     except OSError as error:
@@ -25,7 +25,7 @@ def resolved(path: Path) -> Path:
 
 
 def open_file(path: Path) -> Path | None:
-    """The entry among the open files of a process that the path leads to, None where it leads to none."""
+    """The entry in /proc/<pid>/fd or /dev/fd that the path leads to, None if it leads to no such entry."""
     for _ in range(MOST_LINKS):
         here = Path(os.path.realpath(path.parent)) / path.name
         if _OPEN_FILES.fullmatch(str(here.parent)):
@@ -37,13 +37,13 @@ def open_file(path: Path) -> Path | None:
 
 
 def takes_bytes(path: Path) -> bool:
-    """Whether it is a pipe, a device or a stream that is open, such as /dev/stdout, whatever that leads to: no file
-    whose place another could take."""
+    """Whether the path is a pipe, a device or an open stream such as /dev/stdout, which is written to and not
+    replaced."""
     return open_file(path) is not None or (path.exists() and not path.is_file())
 
 
 def open_taking(path: Path) -> BinaryIO:
-    """Such a place, to write to. A stream that is open goes on from where it is, and nothing in its file is lost."""
+    """Open such a path for writing. An open stream continues at its position, without truncating its file."""
     entry = open_file(path)
     if entry is None:
         return path.open("wb")
@@ -53,7 +53,7 @@ def open_taking(path: Path) -> BinaryIO:
 
 
 def is_stdout(path: Path) -> bool:
-    """Whether it is the file or the pipe that stdout leads to; of devices it does not matter."""
+    """Whether the path is the file or pipe that stdout leads to; False for devices, where it does not matter."""
     try:
         ours, there = os.fstat(1), path.stat()
     except OSError:
@@ -62,7 +62,7 @@ def is_stdout(path: Path) -> bool:
 
 
 def is_mounted(path: Path) -> bool:
-    """Whether this very file, no link, is a mount, as one that a container is given: no other can take its place."""
+    """Whether this file is a mount point, as when it is bind-mounted into a container: it cannot be replaced."""
     try:
         mounts = MOUNTS.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
     except OSError:

@@ -1,4 +1,4 @@
-"""Threads that give way: a scene may take a moment longer, a picture is looked at while it is drawn."""
+"""Lower thread priority for reconstructions, so that interactive pictures are drawn first."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import os
 import sys
 import threading
 
-NICE = 5  # by Linux's weights a third of the time of a thread that does not give way; all of it where nobody wants any
+NICE = 5  # a third of the time of a thread with nice 0, by Linux's weights; all of it when no other is ready
 
 
 def give_way() -> None:
-    """Lower the priority of the calling thread and of those that it starts; Linux alone has one for each thread."""
+    """Lower the priority of the calling thread and of those that it starts. Only Linux has priorities per thread."""
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)

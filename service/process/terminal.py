@@ -1,4 +1,4 @@
-"""Progress on a terminal: one bar with its time per stage, drawn from `Stage` events; plain lines elsewhere."""
+"""Progress on stderr: a bar with its time for each stage on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ..progress import Stage
 from .ending import done_at_the_end
 from .streams import visible
 
-QUIET_HELP = "write nothing to stderr but errors"
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help=QUIET_HELP)]  # of all but `serve`
+QUIET_HELP = "write only errors to stderr"
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help=QUIET_HELP)]  # of all commands but `serve`
 
 NAME_WIDTH = 14  # the longest stage name, so that all bars begin in one column
 
 
 class _Seconds(ProgressColumn):
-    """The stage's own seconds once it has ended, until then those since it began."""
+    """The measured seconds of a stage that has ended, else the time since it began."""
 
     def render(self, task: Task) -> Text:
         measured = task.fields["seconds"]
@@ -35,9 +35,9 @@ def _seconds(value: float) -> str:
 
 
 class ProgressBars:
-    """A listener for `Stages`; use it as a context manager. Writes to stderr, so that stdout stays for results.
+    """A listener for `Stages`, to be used as a context manager. Writes to stderr; stdout is for results.
 
-    `quiet`: neither bars nor lines are written, only what somebody prints past this.
+    `quiet`: writes neither bars nor lines.
     """
 
     def __init__(self, console: Console | None = None, *, quiet: bool = False) -> None:
@@ -67,7 +67,7 @@ class ProgressBars:
         self._drawn.close()
 
     def _show_cursor(self) -> None:
-        """Behind the bars, which hide it, and past the console, whose lock may be held."""
+        """Restore the cursor, bypassing the console, whose lock may be held."""
         os.write(self.console.file.fileno(), b"\x1b[?25h\n")
 
     def __call__(self, event: Stage) -> None:
@@ -81,5 +81,5 @@ class ProgressBars:
         self._progress.update(self._tasks[event.name], completed=event.done, total=event.total, seconds=event.seconds)
 
     def say(self, text: str) -> None:
-        """One line, of what `visible` makes of the text; above the bars while they are drawn."""
+        """Print the text, escaped by `visible`, as one line above the bars."""
         self.console.print(visible(text), markup=False)

@@ -1,4 +1,4 @@
-"""How many threads this process may use: its CPUs, or its container's share of their time where that is less."""
+"""Number of threads to use: the CPUs of this process, or the CPU limit of its container if that is lower."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ PROCESS, MOUNT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 
 
 def available_threads(process: Path = PROCESS, mount: Path = MOUNT) -> int:
-    """The CPUs that this process may run on (all of the machine's where the system does not say), or the limit of its
-    control group, rounded up, where that is less."""
+    """Number of CPUs that this process may run on (all, if the system does not tell), or the limit of its control
+    group, rounded up, if that is lower."""
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     limit = cpu_limit(process, mount)
     return cpus if limit is None else max(1, min(cpus, math.ceil(limit)))
 
 
 def cpu_limit(process: Path = PROCESS, mount: Path = MOUNT) -> float | None:
-    """CPUs that the control group of this process (version 2 or 1) or one above it grants; None without a limit.
+    """The lowest CPU limit of this process's control group (version 2 or 1) and its ancestors, in CPUs; None without a
+    limit.
 
-    Inside a container its own group is the root of `mount`, whatever `process` says of the way there.
+    Inside a container its own group is mounted as the root of `mount`, whatever path `process` has.
     """
     try:
         lines = process.read_text().splitlines()
@@ -38,7 +39,7 @@ def cpu_limit(process: Path = PROCESS, mount: Path = MOUNT) -> float | None:
 
 
 def _upwards(root: Path, path: str) -> list[Path]:
-    """The group's folder and those above it."""
+    """The folder of the group at `path`, those of its ancestors, and `root`."""
     parts = [part for part in path.split("/") if part and part != ".."]
     return [root.joinpath(*parts[:length]) for length in range(len(parts), -1, -1)]
 

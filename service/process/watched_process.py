@@ -1,4 +1,4 @@
-"""Several workers and the process that watches them, which hears at once of a worker's end, and of a signal to end."""
+"""Uvicorn's supervisor of worker processes, made to notice dead workers and signals at once."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from uvicorn import Config
 from uvicorn.supervisors import multiprocess
 
 TO_END = (signal.SIGTERM, signal.SIGINT)
-LOOK_S = 0.2  # between two looks whether the end was asked for, while a worker is asked whether it lives
+LOOK_S = 0.2  # between checks for a signal while waiting for the answer to a ping
 
 
 class Told:
-    """Whether the end was asked for: an event without a lock, which a signal's handler could find held by the very
-    thread that it interrupts."""
+    """A replacement for `threading.Event` without a lock, which a signal handler could find held by the thread that it
+    interrupts."""
 
     def __init__(self) -> None:
         self._is_set = False
@@ -32,32 +32,32 @@ class Told:
         return self._is_set
 
     def wait(self, timeout: float) -> bool:
-        """Sleep for that time, unless it was asked for already."""
+        """Sleep for `timeout` seconds unless it is set; returns whether it is."""
         if not self._is_set:
             time.sleep(timeout)
         return self._is_set
 
 
 class WatchedProcess(multiprocess.Process):
-    """The watcher asks each worker through a pipe whether it lives, and waits a minute for one that is just starting.
+    """A worker that the supervisor pings through a pipe; one that is just starting has a minute to answer.
 
-    It must not hold the worker's end of the pipe as well: of one that dies meanwhile it would hear nothing for that
-    minute, in which it replaces nobody.
+    The supervisor must close its copy of the worker's end of the pipe: otherwise it would not notice the death of a
+    worker until that minute is over, and replace no other meanwhile.
     """
 
     def __init__(self, config: Config, sockets: list[socket], told: Told | None = None) -> None:
-        """`told`: whether the watcher is to end."""
+        """`told` is set when the supervisor is to end."""
         super().__init__(config, sockets)
         self._told = told or Told()
 
     def start(self) -> None:
-        """Start it, and leave its end of the pipe to it alone."""
+        """Start the worker, and close its end of the pipe here."""
         super().start()
         self.child_conn.close()
 
     def ping(self, timeout: float = 5) -> bool:
-        """Whether it answers in that time; one that has not when the watcher is to end counts as alive, so that it is
-        told to end as all are."""
+        """Whether the worker answers within `timeout` seconds. If the supervisor is to end meanwhile, it counts as
+        alive, so that it is terminated like the others."""
         deadline = time.monotonic() + timeout
         try:
             self.parent_conn.send(b"ping")
@@ -73,13 +73,13 @@ class WatchedProcess(multiprocess.Process):
 
 
 class Watcher(multiprocess.Multiprocess):
-    """Replacing workers takes up to a minute each, in which the library lets signals wait: what is to end hears of it
-    then, as do its workers, each of which has its time from that moment on."""
+    """A supervisor that forwards a signal to its workers at once. Uvicorn's own handles signals between checks of the
+    workers, each of which may take a minute while one is replaced."""
 
     def __init__(self, config: Config, sockets: list[socket]) -> None:
         super().__init__(config, sockets)
         self.should_exit: Any = Told()
-        self._made: list[multiprocess.Process] = []  # and not ended; of which the library lists one once it is ready
+        self._made: list[multiprocess.Process] = []  # running workers; uvicorn lists one only once it is ready
         multiprocess.Process = self._make  # type: ignore[assignment,misc]
         for number in TO_END:
             signal.signal(number, self._end)
@@ -98,5 +98,5 @@ class Watcher(multiprocess.Multiprocess):
 
 
 def install() -> None:
-    """Have the server watch its processes so."""
+    """Make uvicorn use this supervisor."""
     importlib.import_module("uvicorn.main").Multiprocess = Watcher  # type: ignore[attr-defined]

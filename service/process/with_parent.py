@@ -1,4 +1,4 @@
-"""A process that works for another one does not outlive it: nobody would read what it finds."""
+"""Ending a helper process together with its parent."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ POLL_SECONDS = 1.0
 
 
 def end_with_parent(parent: int) -> None:
-    """From now on this process ends when its parent, of this number, does or has done, however that ends."""
+    """End this process, with status 1, once its parent with this process id has ended, however it ends."""
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
 

@@ -1,1 +1,1 @@
-"""gapmes.service.scenes: the store of scenes: folders, their index, limits, a cache in memory."""
+"""gapmes.service.scenes: the scene store: a folder per scene, an SQLite index, eviction, and a cache in memory."""

@@ -1,24 +1,26 @@
-"""The store's SQLite file: scenes and jobs as tables that threads and processes share, one short write at a time."""
+"""The store's SQLite file: tables of scenes and jobs, shared by threads and processes in short transactions."""
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from ..errors import GapmesError, StorageFull
+from ..errors import GapmesError, ServiceBusy, StorageFull
 from ..process.file_lock import exclusive
 
-BUSY_S = 30.0  # that a write waits for another process's; each takes milliseconds
+BUSY_S = 30.0  # that a write waits for the lock of another; the service's own writes take milliseconds
 VERSION = 2
 _ANEW = "move the file away: scenes are listed anew from their folders, its jobs are lost"
-_FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE)  # the second where a quota is
+_FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE)  # the second for a quota
 
 # A job is active while it is queued or running; a scene has one active job at most. A row of `waits` is a request of a
 # process that waits for a job's answer.
+_KIND = 0xFF  # bits of an extended error code that hold the primary one
 _WAITS = """
 CREATE TABLE IF NOT EXISTS waits (job_id TEXT NOT NULL, process TEXT NOT NULL);
 CREATE INDEX IF NOT EXISTS waits_job ON waits (job_id);
@@ -49,21 +51,21 @@ _PROBES = (
     "events VALUES ('', 0, '', '')",
     "waits VALUES ('', '')",
 )
-# What a file of each version lacks. Version 1 counted the requests that wait in `jobs.waiting`: they ended with their
-# processes.
+# Statements that bring a file of each version to `VERSION`. Version 1 counted waiting requests in `jobs.waiting`; these
+# ended with their processes.
 _MISSING = {0: _SCHEMA, 1: f"{_WAITS} ALTER TABLE jobs DROP COLUMN waiting", VERSION: ""}
 
 
 class Database:
-    """Connections by thread to one file; with the write-ahead log readers never wait."""
+    """One connection per thread to one file in WAL mode, in which readers never wait."""
 
     def __init__(self, path: Path) -> None:
-        """Open or make the file, and give one of an earlier version what it lacks; one of this version is not written,
-        so that what is on a full disk can be read. Raises `GapmesError` where a later version of the service has made
-        it, or where it is no such file, damaged, or cannot be written."""
+        """Open or create the file and migrate one of an earlier version. A file of this version is not written, so that
+        a store on a full disk can be read. Raises `GapmesError` for a file of a later version, and for one that is not
+        a database, is damaged or cannot be written."""
         self._path = path
         self._threads = threading.local()
-        with exclusive(path.with_name(f"{path.name}.lock")):  # the change to the write-ahead log waits for nobody
+        with exclusive(path.with_name(f"{path.name}.lock")):  # switching to WAL mode does not wait for locks
             try:
                 self._complete()
             except sqlite3.DatabaseError as error:
@@ -93,18 +95,34 @@ class Database:
     def _connection(self) -> sqlite3.Connection:
         connection = getattr(self._threads, "connection", None)
         if connection is None:
-            connection = sqlite3.connect(self._path, timeout=BUSY_S, isolation_level=None)
-            connection.row_factory = sqlite3.Row
-            connection.execute("PRAGMA journal_mode = WAL")
-            connection.execute("PRAGMA synchronous = NORMAL")  # a power cut may cost the last writes, a crash none
-            self._threads.connection = connection
+            connection = self._threads.connection = self._opened()
         return connection
+
+    def _opened(self) -> sqlite3.Connection:
+        """A new connection. Raises `ServiceBusy` if the process has too many open files."""
+        with ExitStack() as failed:
+            try:
+                connection = sqlite3.connect(self._path, timeout=BUSY_S, isolation_level=None)
+                failed.callback(connection.close)
+                connection.row_factory = sqlite3.Row
+                connection.execute("PRAGMA journal_mode = WAL")
+                connection.execute("PRAGMA synchronous = NORMAL")  # a power cut may cost the last writes, a crash none
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode & _KIND == sqlite3.SQLITE_CANTOPEN and self._may_be_opened():
+                    raise ServiceBusy("the service may open no further file now", cure="retry later") from error
+                raise
+            failed.pop_all()
+        return connection
+
+    def _may_be_opened(self) -> bool:
+        return self._path.is_file() and os.access(self._path, os.W_OK) and os.access(self._path.parent, os.W_OK)
 
     @contextmanager
     def write(self) -> Iterator[sqlite3.Connection]:
-        """A transaction that has the file to itself: all of the block, or nothing where it raises.
+        """A write transaction around the block: committed at its end, rolled back if it raises.
 
-        Raises `StorageFull` where the disk is.
+        Raises `StorageFull` if the disk is full, after truncating the write-ahead log, and `ServiceBusy` if another
+        program holds the lock for `BUSY_S`.
         """
         connection = self._connection()
         try:
@@ -115,14 +133,25 @@ class Database:
             if connection.in_transaction:  # a full disk may have rolled it back already
                 connection.execute("ROLLBACK")
             if isinstance(error, sqlite3.OperationalError) and error.sqlite_errorcode in _FULL:
+                self.empty_log()
                 raise StorageFull(
                     "no space for the index", field="store", cure="delete scenes, or give it room"
                 ) from error
+            if isinstance(error, sqlite3.OperationalError) and error.sqlite_errorcode & _KIND == sqlite3.SQLITE_BUSY:
+                raise ServiceBusy(
+                    f"another program has locked the index for {BUSY_S:g} s", field="store", cure="retry later"
+                ) from error
             raise
 
+    def empty_log(self) -> None:
+        """Checkpoint and truncate the write-ahead log, which otherwise grows to 4 MB before it is reused. Nothing
+        happens while somebody reads, or if the tables find no room to grow."""
+        with suppress(sqlite3.OperationalError), closing(sqlite3.connect(self._path, timeout=0)) as connection:
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
     def writable(self) -> bool:
-        """Whether a row could be added to every table, by a connection of its own, which knows nothing of the file yet:
-        it is tried and taken back."""
+        """Whether a row can be inserted into every table: tried on a new connection, without cached pages, and rolled
+        back."""
         try:
             with closing(sqlite3.connect(self._path, timeout=BUSY_S, isolation_level=None)) as connection:
                 connection.execute("BEGIN IMMEDIATE")
@@ -134,5 +163,5 @@ class Database:
         return True
 
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
-        """What a query finds."""
+        """The rows of a query."""
         return self._connection().execute(statement, values).fetchall()

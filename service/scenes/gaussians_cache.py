@@ -1,4 +1,4 @@
-"""A cache of decoded Gaussians, bounded in bytes: what was used longest ago goes first."""
+"""An LRU cache of decoded Gaussians, bounded in bytes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..gaussians import Gaussians
 
 
 class GaussiansCache:
-    """Thread-safe; loading happens outside the lock, so that one slow file does not hold up the others."""
+    """Thread-safe. Entries are loaded outside the lock, so that one slow file does not block others."""
 
     def __init__(self, max_bytes: int) -> None:
         self.max_bytes = max_bytes
@@ -20,11 +20,11 @@ class GaussiansCache:
 
     @property
     def bytes(self) -> int:
-        """Held now; never above `max_bytes`."""
+        """Size of all entries, at most `max_bytes`."""
         return self._bytes
 
     def get(self, key: str, load: Callable[[], Gaussians]) -> Gaussians:
-        """The entry under `key`, else what `load` returns, kept if it fits."""
+        """The entry of `key`, or the result of `load`, which is cached if it fits."""
         with self._lock:
             if key in self._entries:
                 self._entries.move_to_end(key)
@@ -41,7 +41,7 @@ class GaussiansCache:
         return gaussians
 
     def drop(self, key: str) -> None:
-        """Forget an entry, if it is there."""
+        """Remove an entry, if there is one."""
         with self._lock:
             self._remove(key)
 
@@ -51,13 +51,13 @@ class GaussiansCache:
             self._bytes -= size_of(gaussians)
 
 
-# What the splatter keeps beside a set that it has drawn (`splat/prepare.py`): in blocks of 256 Gaussians 14 doubles for
-# every camera and the harmonics once more, and the projection of one camera, 108 bytes each.
+# What the splatter keeps with a set that it has drawn (`splat/prepare.py`), per Gaussian, padded to blocks of 256: 14
+# doubles that hold for every camera and a copy of the harmonics; and 108 bytes for the projection into one camera.
 BLOCK, PREPARED_BYTES, PROJECTED_BYTES = 256, 14 * 8, 108
 
 
 def size_of(gaussians: Gaussians) -> int:
-    """Bytes of the arrays, and of what the splatter will keep beside them."""
+    """Bytes of the arrays, and of what the splatter caches with them."""
     arrays = (gaussians.means, gaussians.scales, gaussians.rotations_wxyz, gaussians.opacities, gaussians.harmonics)
     count = len(gaussians)
     padded = -(-count // BLOCK) * BLOCK

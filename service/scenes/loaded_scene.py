@@ -1,4 +1,4 @@
-"""A scene from a file of Gaussians: read, put under cameras, and stored as if it had been reconstructed."""
+"""A scene from a file of Gaussians: read, given cameras and depths, and stored like a reconstruction."""
 
 from __future__ import annotations
 
@@ -28,30 +28,30 @@ from ..viewpoints.scene_views import SceneViews
 from ..viewpoints.seen_depths import seen_depths
 from .store import SceneStore
 
-# Of a scene's extent, and one by it of its near depth: squares and their inverses are float32 numbers.
+# Largest extent of a scene, and inverse of its smallest near depth: their squares and inverses fit float32.
 MOST_UNITS = 1e15
 
 
 @dataclass(frozen=True)
 class LoadedFile:
-    """A file and how it is to be read; two with the same `scene_id` give the same scene."""
+    """A file and how to read it; equal `scene_id` means equal scenes."""
 
     data: bytes
     format: str  # its extension
     dialect: Dialect
     drop_invalid: bool
-    cameras: tuple[Camera, ...] = ()  # none: the default framing
+    cameras: tuple[Camera, ...] = ()  # empty: the default framing
     near: float | None = None
     far: float | None = None
-    notices: tuple[Notice, ...] = ()  # of the cameras
+    notices: tuple[Notice, ...] = ()  # warnings about the cameras
 
     @classmethod
     def of(cls, data: bytes, format: str | None, name: str | None, dialect: Dialect, **rest: Any) -> LoadedFile:
-        """With the format that is named, else the one that bytes or file name tell. Raises `InputError`."""
+        """With `format`, else the format found by content or by file name. Raises `InputError`."""
         return cls(data, format or format_of_bytes(data, name).extension, dialect, **rest)
 
     def scene_id(self) -> str:
-        """Everything that the stored scene depends on, and nothing else."""
+        """Hash of everything that the stored scene depends on, and of nothing else."""
         options = {
             "format": self.format,
             "drop_invalid": self.drop_invalid,
@@ -64,10 +64,10 @@ class LoadedFile:
 
 
 def load(file: LoadedFile, scene_id: str, store: SceneStore, max_count: int) -> dict[str, Any]:
-    """Read and store; the store keeps the whole scene or nothing. Returns its document.
+    """Read and store; the scene is stored as a whole or not at all. Returns its document.
 
-    Raises `FormatError` where the file cannot be read or is empty, `TooManyGaussians` beyond `max_count`, and
-    `DepthRangeError` where near and far are no range.
+    Raises `FormatError` for a file that cannot be read or is empty, `TooManyGaussians` for more than `max_count`, and
+    `DepthRangeError` for a near and far that are no range.
     """
     stages = Stages()
     with stages.stage("read"):
@@ -106,9 +106,10 @@ def load(file: LoadedFile, scene_id: str, store: SceneStore, max_count: int) -> 
 def framed(
     gaussians: Gaussians, cameras: Sequence[Camera], near: float | None, far: float | None
 ) -> tuple[SceneViews, str]:
-    """The views of Gaussians with the cameras given, else with the default one, and where near and far are from.
+    """The views of Gaussians from the given cameras, else from the default one; and the source of near and far:
+    `given`, `gaussians` (the depths that the given cameras see) or `framing` (the default camera's).
 
-    What is not given of near and far is what the given cameras see of the Gaussians, or the default framing's.
+    Raises `FormatError` and `DepthRangeError`.
     """
     try:
         framing = default_views(gaussians)
@@ -133,7 +134,7 @@ def framed(
 
 
 def _require_drawable(gaussians: Gaussians, views: SceneViews) -> None:
-    """Raises `FormatError` where the squares in a splatter of float32 would not reach as far as the scene."""
+    """Raises `FormatError` for a scene whose extent or depths would overflow or underflow in the float32 splatter."""
     reach = float(np.abs(gaussians.means).max())
     if not (reach < MOST_UNITS and views.near and views.near > 1 / MOST_UNITS and (views.far or 0) < MOST_UNITS):
         raise _too_far(f"its positions reach {reach:.3g}, its depths from {views.near:.3g} to {views.far:.3g}")

@@ -1,5 +1,5 @@
-"""One scene's folder: its .ply and its document, written whole or not at all, and locked while they are read. What was
-damaged from outside is said by name, can be removed, and gives way to the whole scene."""
+"""Scene folders: a .ply and a document, written atomically and locked while they are read. A damaged folder raises an
+error that names the damage, can be deleted, and is replaced when its scene is written again."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from ..process.disk import full_is_refused, sync, write_file
 
 PLY = "scene.ply"
 DOCUMENT = "scene.json"
-TEMPORARY = ".incoming-"  # what is being written, and what is being removed
+TEMPORARY = ".incoming-"  # of folders that are being written or deleted
 _ID = re.compile(r"[0-9a-f]{32}")
-_KINDS = {"gaussians": dict, "view_cameras": list}  # what a list of scenes tells of a document
+_KINDS = {"gaussians": dict, "view_cameras": list}  # members of a document that the index reads, and their types
 _ANEW = "delete it, or ask for it again with the same photographs or file"
 
 
 def is_id(text: str) -> bool:
-    """Whether it is 32 hex digits: nothing else ever becomes part of a path."""
+    """Whether it is 32 hex digits; nothing else may become part of a path."""
     return _ID.fullmatch(text) is not None
 
 
@@ -39,7 +39,7 @@ class SceneFiles:
         self.root = root
 
     def folder(self, scene_id: str) -> Path:
-        """Of a well-formed id. Raises `SceneNotFound`."""
+        """The folder of a well-formed id. Raises `SceneNotFound` for any other."""
         if not is_id(scene_id):
             raise unknown(scene_id)
         return self.root / scene_id
@@ -52,8 +52,8 @@ class SceneFiles:
         created_ns: int,
         inputs: Sequence[bytes] = (),
     ) -> bool:
-        """Store a scene with its document as JSON and PNGs of its inputs, new or in the place of a damaged one;
-        False where it was there already. Raises `StorageFull`, with nothing left behind."""
+        """Store a scene with its document as JSON and PNGs of its inputs, replacing a damaged one. Returns False if it
+        exists already. Raises `StorageFull`, and leaves nothing behind then."""
         target, incoming = self.folder(scene_id), self._temporary(scene_id)
         with full_is_refused("the scene"):
             try:
@@ -79,7 +79,7 @@ class SceneFiles:
         return True
 
     def whole(self, scene_id: str) -> bool:
-        """Whether the scene is there, with Gaussians and with a document that can be read."""
+        """Whether the scene exists, with Gaussians and a readable document."""
         try:
             self.document(scene_id)
         except (SceneNotFound, FormatError):
@@ -87,8 +87,7 @@ class SceneFiles:
         return True
 
     def document(self, scene_id: str) -> dict[str, Any]:
-        """The document of a scene that has its Gaussians. Raises `SceneNotFound`, and `FormatError` where it cannot be
-        read."""
+        """The document of a scene. Raises `SceneNotFound`, and `FormatError` for a damaged scene."""
         folder = self.folder(scene_id)
         try:
             _require_gaussians(scene_id, (folder / PLY).stat())
@@ -109,13 +108,13 @@ class SceneFiles:
         return document
 
     def size(self, scene_id: str) -> tuple[int, int]:
-        """Bytes, and nanoseconds since 1970 of its making. Raises `FileNotFoundError`."""
+        """Bytes of all files, and time of creation in ns since 1970. Raises `FileNotFoundError`."""
         folder = self.folder(scene_id)
         files = sum(entry.stat().st_size for entry in os.scandir(folder))
         return files, (folder / DOCUMENT).stat().st_mtime_ns
 
     def input(self, scene_id: str, index: int) -> bytes:
-        """A PNG of what the network saw of a photograph. Raises `SceneNotFound`, also where there is none."""
+        """A photograph as the network saw it, as PNG. Raises `SceneNotFound`, also for an input that does not exist."""
         try:
             return (self.folder(scene_id) / _input(index)).read_bytes()
         except (FileNotFoundError, NotADirectoryError) as error:
@@ -127,8 +126,8 @@ class SceneFiles:
 
     @contextmanager
     def reading(self, scene_id: str) -> Iterator[Path]:
-        """The .ply, which nobody evicts during the block. Raises `SceneNotFound`, also where it is deleted then, and
-        `FormatError` where it is empty."""
+        """The path of the .ply, which is not evicted during the block. Raises `SceneNotFound`, also if it is deleted
+        meanwhile, and `FormatError` if it is empty."""
         with self.keeping(scene_id):
             try:
                 yield self.folder(scene_id) / PLY
@@ -137,8 +136,8 @@ class SceneFiles:
 
     @contextmanager
     def keeping(self, scene_id: str) -> Iterator[None]:
-        """Nobody evicts the scene during the block, whatever that does and raises. Raises as `reading` at its
-        beginning."""
+        """The scene is not evicted during the block. Raises as `reading`, on entry only: errors of the block pass
+        unchanged."""
         path = self.folder(scene_id) / PLY
         try:
             handle = os.open(path, os.O_RDONLY)
@@ -146,7 +145,7 @@ class SceneFiles:
             raise self._missing(scene_id) from error
         try:
             fcntl.flock(handle, fcntl.LOCK_SH)
-            if not _same(handle, path):  # deleted, or stored anew, between the two lines
+            if not _same(handle, path):  # deleted or replaced before it was locked
                 raise unknown(scene_id)
             _require_gaussians(scene_id, os.fstat(handle))
             yield
@@ -154,7 +153,7 @@ class SceneFiles:
             os.close(handle)
 
     def remove(self, scene_id: str, *, unless_read: bool = False) -> bool:
-        """Remove a scene, gone at once for every reader; False where `unless_read` and somebody reads it.
+        """Delete a scene, atomically for readers; returns False if `unless_read` and somebody reads it.
 
         Raises `SceneNotFound`.
         """
@@ -170,15 +169,15 @@ class SceneFiles:
         return True
 
     def ids(self) -> set[str]:
-        """Of every folder that is there."""
+        """Ids of all folders."""
         return {entry.name for entry in os.scandir(self.root) if is_id(entry.name)}
 
     def writable(self) -> bool:
-        """Whether a file of a page can be made here."""
+        """Whether a file of one page (4096 bytes) can be written."""
         probe = self.root / f"{TEMPORARY}{uuid.uuid4().hex}"
         try:
             probe.write_bytes(bytes(4096))
-            probe.unlink(missing_ok=True)  # a process that starts meanwhile sweeps it away
+            probe.unlink(missing_ok=True)  # another process may have swept it
         except OSError:
             with contextlib.suppress(OSError):
                 probe.unlink()
@@ -186,7 +185,7 @@ class SceneFiles:
         return True
 
     def sweep(self) -> None:
-        """Remove what an interrupted `write` or `remove` left; only while nobody is at it."""
+        """Delete what an interrupted `write` or `remove` has left. No other process may be writing meanwhile."""
         for leftover in self.root.glob(f"{TEMPORARY}*"):
             _drop(leftover)
 
@@ -205,9 +204,9 @@ def _input(index: int | str) -> str:
 
 @contextmanager
 def _unread(path: Path) -> Iterator[None]:
-    """Nobody reads the .ply during the block. Raises `BlockingIOError` where somebody does."""
+    """Lock the .ply against readers during the block. Raises `BlockingIOError` if somebody reads it."""
     handle = None
-    with contextlib.suppress(FileNotFoundError, NotADirectoryError, PermissionError):  # then nobody can
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError, PermissionError):  # then nobody can read it
         handle = os.open(path, os.O_RDONLY)
     try:
         if handle is not None:

@@ -1,4 +1,4 @@
-"""A scene's id: what it was made from, and nothing else."""
+"""Ids of scenes: a hash of everything that a scene is made from."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 
 
 def scene_id(model_sha256: str, images: Sequence[bytes], cameras_json: object, options: Mapping[str, Any]) -> str:
-    """32 hex characters of the sha256 over all inputs, each with its length in front, so that none can run into
-    the next. Equal JSON gives equal ids whatever the order of keys, and 512 is 512.0."""
+    """The first 32 hex digits of the SHA-256 over all inputs, each prefixed by its length. The order of keys does not
+    matter, and 512 equals 512.0."""
     digest = hashlib.sha256()
     parts = [model_sha256.encode(), _canonical(cameras_json), _canonical(options), *images]
     for part in parts:
@@ -24,7 +24,7 @@ def _canonical(value: object) -> bytes:
 
 
 def _plain(value: object) -> object:
-    """Tuples as lists, whole numbers as floats: what JSON cannot tell apart must not tell ids apart."""
+    """Tuples as lists, integers as floats: values that are equal in JSON give equal ids."""
     if isinstance(value, Mapping):
         return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

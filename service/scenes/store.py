@@ -1,4 +1,4 @@
-"""The scenes of a service: content-addressed folders, an index over them, limits with eviction, a cache in memory."""
+"""The scene store: content-addressed folders, an index over them, eviction by size and age, a cache in memory."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .scene_index import Indexed, SceneIndex
 CACHE_BYTES = 512 * 2**20
 PAGE = 100
 DAY_NS = 86_400 * 10**9
-LATEST_NS = 2**62  # in the year 2116: what a file says beyond it is not when it was made
+LATEST_NS = 2**62  # in the year 2116; a file's time beyond it is ignored
 _LOCK = ".lock"
 _WRITING = ".writing"
 _INDEX = "index.sqlite"
@@ -33,7 +33,7 @@ _log = logging.getLogger("gapmes")
 
 
 class SceneStore:
-    """One folder per scene under `root`; safe for several threads and for several processes on one file system."""
+    """One folder per scene under `root`; safe for several threads, and for several processes on one file system."""
 
     scene_id = staticmethod(scene_ids.scene_id)
 
@@ -45,11 +45,11 @@ class SceneStore:
         max_bytes: int | None = None,
         max_days: float | None = None,
     ) -> None:
-        """Make `root` if needed, list what it holds, and remove what a crash left there unless somebody writes.
+        """Create `root` if needed, synchronise its index, and delete leftovers of a crash if no other process writes.
 
-        Beyond `max_bytes` the scenes go that were read longest ago; those that nobody has read for `max_days` go too,
-        when `evict_old` is called.
-        Raises `GapmesError` where the folder cannot be made or written, or its index belongs to a later version.
+        Above `max_bytes` the least recently read scenes are evicted; `evict_old` also evicts those that nobody has read
+        for `max_days`. Raises `GapmesError` if the folder cannot be created or written, or its index belongs to a later
+        version.
         """
         self.root = Path(root)
         self.max_bytes, self.max_days = max_bytes, max_days
@@ -72,10 +72,9 @@ class SceneStore:
             ) from error
 
     def put(self, scene_id: str, ply: bytes, document: Mapping[str, Any], inputs: Sequence[bytes] = ()) -> None:
-        """Store a scene, with PNGs of its inputs: whole or nothing. What is already there stays as it is; what was
-        damaged gives way.
+        """Store a scene with PNGs of its inputs, atomically. An existing scene is kept, a damaged one replaced.
 
-        Raises `StorageFull` when the disk is, or when `max_bytes` is reached and all that is there is being read.
+        Raises `StorageFull` if the disk is full, or if `max_bytes` is reached and all other scenes are being read.
         """
         with self._alone():
             new = not self._files.whole(scene_id)
@@ -85,7 +84,7 @@ class SceneStore:
                 self._files.write(scene_id, ply, text, self._index.next_ns(), inputs)
                 self._cache.drop(scene_id)
             try:
-                if new:  # what was known of a damaged one
+                if new:  # the row of a damaged one
                     self._index.remove([scene_id])
                 self._list([scene_id])
             except BaseException:
@@ -94,72 +93,70 @@ class SceneStore:
                 raise
 
     def listed(self, scene_id: str) -> bool:
-        """Whether the scene is there, whole; then it is in the list too, whatever a crash has left out."""
+        """Whether the scene exists undamaged; if it does, it is added to the index if a crash has prevented that."""
         if self.exists(scene_id):
             with self._alone():
                 self._list([scene_id])
         return self.exists(scene_id)
 
     def exists(self, scene_id: str) -> bool:
-        """Whether the scene is there, whole: one that was damaged counts as none. False for what is no id at all."""
+        """Whether the scene exists undamaged. False for a malformed id."""
         return is_id(scene_id) and self._files.whole(scene_id)
 
     def document(self, scene_id: str) -> dict[str, Any]:
-        """The scene's document. Raises `SceneNotFound`, and `FormatError` where it was damaged."""
+        """The scene's document. Raises `SceneNotFound`, and `FormatError` for a damaged scene."""
         self._index.used(scene_id)
         return self._files.document(scene_id)
 
     def input(self, scene_id: str, index: int) -> bytes:
-        """A PNG of what the network saw of a photograph. Raises `SceneNotFound`, also where there is none."""
+        """A photograph as the network saw it, as PNG. Raises `SceneNotFound`, also for an input that does not exist."""
         self._index.used(scene_id)
         return self._files.input(scene_id, index)
 
     def reading(self, scene_id: str) -> AbstractContextManager[Path]:
-        """The scene's .ply file, which is not evicted during the block. Raises `SceneNotFound`, and `FormatError` for
-        an empty one."""
+        """The path of the scene's .ply, which is not evicted during the block. Raises `SceneNotFound`, and
+        `FormatError` if it is empty."""
         self._index.used(scene_id)
         return self._files.reading(scene_id)
 
     def keeping(self, scene_id: str) -> AbstractContextManager[None]:
-        """The scene is not evicted during the block, in which it is read piece by piece, or later. Raises as
-        `reading`."""
+        """The scene is not evicted during the block. Raises as `reading`, on entry only."""
         self._index.used(scene_id)
         return self._files.keeping(scene_id)
 
     def ply(self, scene_id: str) -> bytes:
-        """The .ply file. Raises `SceneNotFound`."""
+        """The bytes of the .ply. Raises as `reading`."""
         with self.reading(scene_id) as path:
             return path.read_bytes()
 
     def gaussians(self, scene_id: str) -> Gaussians:
-        """The scene's Gaussians, from memory where they were used lately. Raises `SceneNotFound`."""
+        """The scene's Gaussians, cached in memory. Raises as `reading`."""
         with self.reading(scene_id) as path:
             return self._cache.get(scene_id, lambda: inspect_ply(path, dialect=STANDARD).gaussians)
 
     def page(self, limit: int, after: tuple[int, str] | None = None) -> Sequence[Indexed]:
-        """Scenes, newest first, those of the same instant by id; behind `after` (created_ns, id)."""
+        """Up to `limit` scenes that follow `after` (created_ns, id), newest first, then by id."""
         return self._index.page(limit, after)
 
     def totals(self) -> tuple[int, int]:
-        """How many scenes, and their bytes."""
+        """Number of scenes, and their size in bytes."""
         return self._index.totals()
 
     def newest(self) -> str:
-        """Id of the scene that was stored last. Raises `SceneNotFound` where there is none."""
+        """Id of the scene that was stored last. Raises `SceneNotFound` if the store is empty."""
         for row in self._index.page(PAGE):
-            if self.exists(row.id):  # it may be damaged, or listed still after a crash while it was removed
+            if self.exists(row.id):  # it may be damaged, or deleted before a crash
                 return row.id
         raise SceneNotFound(
             "the store holds no scene", field="scene", cure="POST /reconstruct makes one, POST /scenes loads one"
         )
 
     def writable(self) -> bool:
-        """Whether a file can be made and removed, and the index takes rows."""
+        """Whether a file can be written, and rows inserted into the index."""
         return self._files.writable() and self.database.writable()
 
     def delete(self, scene_id: str) -> None:
-        """Remove a scene, also one that was damaged or of which nothing is left but its place in the list. Raises
-        `SceneNotFound`."""
+        """Delete a scene, even one that is damaged or of which only the index row is left. Raises `SceneNotFound`."""
         folder = self._files.folder(scene_id)
         with self._alone():
             there = os.path.lexists(folder)
@@ -170,8 +167,8 @@ class SceneStore:
         self._cache.drop(scene_id)
 
     def evict_old(self) -> int:
-        """Remove what nobody has read for `max_days`, and what is beyond `max_bytes`, but for what is being read now;
-        returns how many. Last uses that lie ahead are set right first."""
+        """Evict scenes that nobody has read for `max_days`, and those above `max_bytes`, but none that is being read;
+        returns how many. Last uses in the future are corrected first."""
         self._index.used_by_now()
         if self.max_days is None and self.max_bytes is None:
             return 0
@@ -187,7 +184,7 @@ class SceneStore:
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
-        """One at a time changes what is there, so that list, folders and limits agree."""
+        """Only one thread of all processes changes folders and index at a time."""
         with shared(self.root / _LOCK), exclusive(self.root / _WRITING):
             yield
 
@@ -213,20 +210,20 @@ class SceneStore:
         try:
             if not self._files.remove(row.id, unless_read=True):
                 return False
-        except SceneNotFound:  # somebody else was faster
+        except SceneNotFound:  # deleted meanwhile
             pass
         self._index.remove([row.id])
         self._cache.drop(row.id)
         return True
 
     def _agree(self) -> None:
-        """List the folders that are not listed, and no others."""
+        """Make the index agree with the folders."""
         there, listed = self._files.ids(), self._index.ids()
         self._index.remove(listed - there)
         self._list(there - listed)
 
     def _list(self, ids: Iterable[str]) -> None:
-        """A folder that cannot be read, which a power cut may leave, is passed over and said."""
+        """Add folders to the index; one that cannot be read, as after a power cut, is skipped and logged."""
         rows = []
         for scene_id in ids:
             try:

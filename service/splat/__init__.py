@@ -1,4 +1,4 @@
-"""The CPU splatter: 3D Gaussians to colour, opacity and depth, with numba kernels and a float64 reference."""
+"""The CPU splatter: renders 3D Gaussians to colour, opacity and depth; numba kernels and a float64 reference."""
 
 from .definition import INRIA as INRIA
 from .definition import Definition as Definition

@@ -1,4 +1,4 @@
-"""Tile lists: for every 32 x 32 px tile the Gaussians whose ellipse touches it, nearest first, in bounded batches."""
+"""Binning into tile lists: for each tile of 32 x 32 px the Gaussians that touch it, nearest first, in batches."""
 
 from __future__ import annotations
 
@@ -47,10 +47,11 @@ class TileLists:
 def tile_lists(
     projection: Projection, order: NDArray[np.int32], grid: Grid, max_entries: int, threads: int
 ) -> Iterator[TileLists]:
-    """Lists of consecutive stretches of `order`, at most `max_entries` long each; one is nearly always enough.
+    """Tile lists in batches: each covers a consecutive range of `order` with at most `max_entries` entries in all.
 
-    A single Gaussian may exceed the limit by itself (it has at most one entry per tile), so the lists take at most
-    4 bytes x max(max_entries, tiles), plus 24 bytes per tile and, where there are several batches, 16 per Gaussian.
+    One batch is nearly always enough. A single Gaussian has at most one entry per tile and may exceed the limit by
+    itself, so the lists take at most 4 bytes x max(max_entries, tiles), plus 24 bytes per tile and, with several
+    batches, 16 per Gaussian.
     """
     if int(projection.counts.sum()) <= max_entries:
         yield _fill(projection, order, projection.counts, grid, threads, last=True)
@@ -78,7 +79,7 @@ def _fill(
     members = np.empty(offsets[-1], np.int32)
     cursors, space = offsets[:-1].copy(), projection.space
     boxes = space.boxes[order]  # gathered once: every thread reads all of them
-    # Each thread goes through all Gaussians and fills some of the tile rows, those of equal shares of the entries.
+    # Each thread visits all Gaussians and fills a range of tile rows, chosen so that all have equally many entries.
     shares = np.linspace(0, offsets[-1], threads + 1)
     bounds = np.searchsorted(offsets[:: grid.columns], shares)
     bounds[0], bounds[-1] = 0, grid.rows
@@ -94,16 +95,16 @@ def _fill(
 
 @kernel()
 def count_range(start, stop, boxes, records, extents, order, columns, counts, touched):
-    """Add the entries of order[start:stop] to `counts` (tiles,) and set `touched` (M,), how many each one has."""
+    """Add the entries of order[start:stop] to `counts` (tiles,), and set `touched` (M,) to the tiles of each one."""
     for rank in range(start, stop):
         put(touched, rank, add_to_counts(boxes, records, extents, np.int64(get(order, rank)), columns, counts))
 
 
 @kernel()
 def fill_rows(first_row, end_row, boxes, records, extents, order, columns, cursors, members):
-    """Write all of `order` into `members` at the cursors of the tiles in rows first_row..end_row-1, which move on.
+    """Append `order` to the lists `members` of the tiles in rows first_row..end_row-1, advancing their `cursors`.
 
-    boxes (M,) are in that order too.
+    boxes (M,) are sorted in the same order.
     """
     for rank in range(order.size):
         i = np.int64(get(order, rank))

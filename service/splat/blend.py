@@ -1,9 +1,9 @@
-"""Front-to-back blending (Eq. 19-20), tile by tile in float32, from float64 offsets per (tile, Gaussian).
+"""Front-to-back alpha blending (Eq. 19-20), tile by tile in float32, from float64 offsets per (tile, Gaussian).
 
-Inside a tile the two normalised offsets u1, u2 change by constant steps; all are formed in float64 at the tile's centre
-and only then rounded, so the error of an alpha does not grow with the footprint. A tile's list is taken in pieces that
-fit the first-level cache. For each of its 16 blocks of 8 x 8 pixels an exact test leaves the Gaussians whose alpha
-passes the cut somewhere in the block, and `vectors.py` blends those.
+Within a tile the normalised offsets u1, u2 are linear in the pixel position. They and their steps are computed in
+float64 at the tile's centre and rounded once, so the error of an alpha does not grow with the footprint. A tile's list
+is processed in pieces that fit the L1 cache. For each of the 16 blocks of 8 x 8 pixels an exact test selects the
+Gaussians whose alpha passes the cut somewhere in the block, and `vectors.py` blends those.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from .vectors import ENTRY, LOG_OPACITY, SIDE, U1, blend_block
 
 F32 = NDArray[np.float32]
 
-PIECE = 256  # entries taken at a time: 16 KiB, and 10 KiB more for the test against the blocks
-TOGETHER = 4  # tiles at most that a thread takes at a time: neighbours share Gaussians
-AHEAD = 16  # entries between asking for a record and reading it
+PIECE = 256  # entries processed at a time: 16 KiB, and 10 KiB more for the block test
+TOGETHER = 4  # most tiles that a thread claims at a time: neighbouring tiles share Gaussians
+AHEAD = 16  # prefetch distance, entries
 REACH_SLACK = np.float32(1e-3)  # on log2 alpha in the block test, whose float32 error is below 1e-4 at dilation 0.3
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """What is being drawn; `state` keeps unfinished tiles between batches and is empty when one batch is all."""
+    """The planes of a render; `state` keeps unfinished tiles between batches and is empty for a single batch."""
 
     rgb: F32  # (H, W, 3)
     alpha: F32  # (H, W), or (0, 0) where it is not asked for
@@ -47,10 +47,10 @@ class Canvas:
 
 
 class Blended(NamedTuple):
-    """What was done, and what is left."""
+    """Counts of one call of `blend`."""
 
-    blocks: int  # pairs of a Gaussian and a block of 8 x 8 pixels
-    pairs: int  # pairs of a Gaussian and a pixel, counted only where `peaks` are asked for
+    blocks: int  # blended pairs of a Gaussian and a block of 8 x 8 pixels
+    pairs: int  # blended pairs of a Gaussian and a pixel, counted only where `peaks` are asked for
     unfinished: int  # tiles that a further Gaussian could change
 
 
@@ -58,14 +58,14 @@ def blend(
     lists: TileLists, records: NDArray[np.float64], canvas: Canvas, grid: Grid, definition: Definition, threads: int,
     *, first_batch: bool,
 ) -> Blended:  # fmt: skip
-    """Blend the lists behind what the canvas holds already; the last batch composites the result into the pictures.
+    """Blend a batch of lists behind what the canvas holds; the last batch composites the result over the background.
 
     records (N, 8): see `prepare.py`.
     """
     cuts = np.array([definition.alpha_max, definition.stop], np.float32)
     narrow = records.view(np.float32)
     exclusive = None if definition.inclusive_stop else True
-    counter = np.zeros(1, np.int64)  # of the tiles that somebody has begun
+    counter = np.zeros(1, np.int64)  # of the tiles that have been claimed
     workers = min(threads, grid.tiles)
     together = max(1, min(TOGETHER, grid.tiles // (4 * workers)))
     own = None if canvas.peaks is None else np.zeros((workers, len(canvas.peaks)), np.float32)
@@ -99,7 +99,7 @@ def blend_tiles(
     reach, tops = np.empty(PIECE, np.float32), np.zeros(PIECE, np.float32)
     chosen = np.empty(PIECE + 1, np.int32)
     alpha_max, stop = get(cuts, 0), get(cuts, 1)
-    # Nothing can change any more where the light is at most this; it is negative where the stop is exclusive.
+    # A pixel is finished when its transmittance is at most this; an exclusive stop marks it by a negative one.
     finished = stop if exclusive is None else ZERO
     blocks = pairs = unfinished = 0
     start = take(counter, together)
@@ -146,8 +146,8 @@ def blend_tiles(
 
 @kernel()
 def gather(members, records, narrow, piece, count, end, left, top, entries, fields):
-    """Copy the records of members[piece:piece+count], relative to the tile's centre: rows of `entries` for blending,
-    columns of `fields` for the test against the blocks."""
+    """Copy the records of members[piece:piece+count], relative to the tile's centre: as rows of `entries` for blending
+    and as columns of `fields` for the block test."""
     centre_x, centre_y = left + 0.5 * TILE, top + 0.5 * TILE
     for j in range(count):
         prefetch(records, np.int64(get(members, smaller(piece + j + AHEAD, end - 1))) * RECORD)
@@ -181,10 +181,10 @@ def gather(members, records, narrow, piece, count, end, left, top, entries, fiel
 
 @kernel(fastmath=frozenset({"contract"}))
 def measure_reach(fields, count, x0, y0, reach):
-    """How far the largest log2 alpha that each Gaussian has within the block at (x0, y0) lies above its cut.
+    """Set `reach` (count,) to the largest log2 alpha of each Gaussian in the block at (x0, y0), less that of its cut.
 
-    The squared distance is convex, so its least value over a box lies at the centre or on an edge that faces it: the
-    vertical edge (or column) nearest to the centre with the best row, or the horizontal one with the best column.
+    The squared distance is convex, so its minimum over a box lies at the centre or on an edge that faces it: on the
+    vertical line nearest to the centre at the best row, or on the horizontal one at the best column.
     """
     x1, y1 = x0 + np.float32(SIDE - 1), y0 + np.float32(SIDE - 1)
     for j in range(count):
@@ -204,7 +204,7 @@ def measure_reach(fields, count, x0, y0, reach):
 
 @kernel()
 def choose(reach, count, chosen):
-    """Positions at which `reach` is not below zero, but for rounding, in order; returns how many."""
+    """Write to `chosen` the positions, ascending, where `reach` >= 0 within rounding; returns their number."""
     kept = 0
     for j in range(count):
         put(chosen, kept, j)

@@ -1,4 +1,4 @@
-"""What image a set of Gaussians has: every constant that the splatter and its reference share, with its reason."""
+"""The definition of the rendered image: every constant that the splatter and its reference share, with its reason."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from ..errors import InputError
 
 @dataclass(frozen=True)
 class Definition:
-    """3D Gaussian splatting (Kerbl et al. 2023) with EWA projection (Zwicker et al. 2001); the knobs are its cuts.
+    """3D Gaussian splatting (Kerbl et al. 2023) with EWA projection (Zwicker et al. 2001); the fields are its cut-offs.
 
-    `z > near` is strict; a Gaussian whose opacity times falloff lies below `alpha_min` at a pixel centre is skipped
-    there; the Gaussian that takes the transmittance to `stop` or below is still added, then the pixel is finished.
+    Gaussians with `z > near` are drawn; one whose opacity times falloff is below `alpha_min` at a pixel centre is
+    skipped there; the one that brings the transmittance to `stop` or below is the last that a pixel blends. Raises
+    `InputError` for values out of range.
     """
 
     dilation: float = 0.3
-    """px^2 added to both variances in the image: a splat never falls between pixel centres (3DGS's low-pass)."""
+    """px^2, added to both image variances: no splat falls between pixel centres (the low-pass filter of 3DGS)."""
 
     alpha_min: float = 1 / 255
     """A layer below this moves an 8-bit pixel by less than one level, and the cut keeps footprints finite. It also
     bounds the rounding of the transmittance, at most 6e-8 of itself per layer, to 2.2e-8 / alpha_min = 6e-6."""
 
     alpha_max: float = float(np.float32(0.99))
-    """One layer never hides everything. The value is exact in float32, so that two such layers (T = 0.99998e-4) fall
+    """No layer is fully opaque. The value is exact in float32, so that two such layers (T = 0.99998e-4) fall
     on the same side of `stop` in every precision; 0.99 itself lands on 1e-4 give or take the rounding."""
 
     stop: float = 1e-4
@@ -38,7 +39,7 @@ class Definition:
     """Caller's units. A Gaussian at the camera's own plane has no projection; 0.01 is gsplat's default."""
 
     far: float = 1e37
-    """Caller's units. Beyond it a depth no longer fits float32; it removes overflow, not scenery."""
+    """Caller's units. Guards float32 depths against overflow; it culls nothing else."""
 
     fov_margin: float = 0.3
     """The affine projection is evaluated at most this share of the half field of view outside the image (1.3 tan(fov)
@@ -52,7 +53,7 @@ class Definition:
     """False leaves out the Gaussian that would finish a pixel, as the reference rasteriser does (worst error 1e-2)."""
 
     max_entries: int = 1 << 24
-    """(tile, Gaussian) pairs held at a time, 4 bytes each; more are drawn in several batches, same image to the bit."""
+    """(tile, Gaussian) pairs per batch, 4 bytes each; several batches give the same image to the bit."""
 
     def __post_init__(self) -> None:
         for name in ("dilation", "alpha_min", "alpha_max", "stop", "near", "far", "fov_margin"):

@@ -1,4 +1,4 @@
-"""The footprints of one block of Gaussians: a loop without branches, which LLVM turns into vectors of float64."""
+"""The image footprints of one block of Gaussians, in a branch-free loop that LLVM vectorises in float64."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .access import BLOCK, get, get_field, larger, put_field, round_down, round_
 from .kernel_cache import kernel
 from .prepare import FACTOR, LOG_OPACITY, MEAN
 
-# What `footprints` finds, field by field; X to INVERSE2 begin a record, HALF_WIDTH to OTHER_SHEAR are an extent.
+# Output fields of `footprints`; X to INVERSE2 begin a record, HALF_WIDTH to OTHER_SHEAR form an extent.
 Z, X, Y, INVERSE1, SHEAR, INVERSE2, HALF_WIDTH, HALF_HEIGHT, OTHER_SHEAR = range(9)
 FINITE, DEPTH_EXTENT, FIRST_X, LAST_X, FIRST_Y, LAST_Y = range(9, 15)
 OUTPUTS = 15
@@ -28,8 +28,8 @@ def footprints(geometry, start, view, lens, out):
     that is finite and below 1e150 only if all are; the squared depth extent; first and last column, first and last row
     of the pixels whose centres lie in the box, the first beyond the last if none does.
 
-    view: rows of the rotation world to camera, camera centre; lens: see `project`. What lies behind the camera or is
-    not finite yields numbers without meaning, and no trap.
+    view: the rotation camera from world, row-major, and the camera centre; lens: see `project`. Gaussians behind the
+    camera or not finite give meaningless numbers, without a trap; `project_range` culls them.
     """
     w00, w01, w02 = get(view, 0), get(view, 1), get(view, 2)
     w10, w11, w12 = get(view, 3), get(view, 4), get(view, 5)

@@ -1,10 +1,10 @@
-"""The one decorator of every numba kernel, and the choice of a writable folder for their compiled code.
+"""The decorator of all numba kernels, and the folder in which their compiled code is cached.
 
-Compiling all kernels takes seconds; loading them takes a tenth. Numba writes its cache next to the source, or else into
-the user's cache folder, and fails when neither can be written (a container with a read-only root and no home). It also
-takes a stored kernel for current as long as the kernel's own file is unchanged, although what the kernel calls in other
-files is compiled into it: so each state of this package's sources has a folder of its own. A kernel outside the package
-may call what is in its own file and in this package, no other.
+Compiling all kernels takes seconds; loading them takes a tenth. Numba caches next to the source or in the user's cache
+folder, and fails where neither can be written (a container with a read-only root and no home). It also considers a
+cached kernel current while the kernel's own file is unchanged, although functions from other files are compiled into
+it: so each state of this package's sources has a folder of its own. A kernel outside the package may call only
+functions of its own file and of this package.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import hashlib
 import os
 import stat
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,11 @@ import llvmlite
 import numba
 
 PACKAGE = Path(__file__).resolve().parent
+_decorating = threading.Lock()  # numba's options belong to the whole process
 
 
 def source_stamp(package: Path = PACKAGE) -> str:
-    """12 hexadecimal digits that change with any source of the package and with the compiler's version."""
+    """12 hexadecimal digits, a digest of the package's sources and the compiler's versions."""
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
     for path in sorted(package.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
@@ -32,11 +34,11 @@ def source_stamp(package: Path = PACKAGE) -> str:
 
 
 def cache_folder(package: Path = PACKAGE) -> Path:
-    """The folder for compiled kernels of all states of the package.
+    """The folder that holds the compiled kernels of all states of the package.
 
-    NUMBA_CACHE_DIR where it is set; otherwise the first of these that can be written and belongs to this user alone:
-    the package's __pycache__, $XDG_CACHE_HOME/gapmes, ~/.cache/gapmes, <temporary folder>/gapmes-<user id>; if none
-    can, a fresh private temporary folder.
+    NUMBA_CACHE_DIR where it is set; else the first of these that is writable by this user alone: the package's
+    __pycache__, $XDG_CACHE_HOME/gapmes, ~/.cache/gapmes, <temporary folder>/gapmes-<user id>; else a new private
+    temporary folder.
     """
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given:
@@ -56,9 +58,10 @@ def cache_folder(package: Path = PACKAGE) -> Path:
 
 
 def _is_private(folder: Path, *, create: Path) -> bool:
-    """Whether `folder` is ours to write; it is made (mode 0700) if missing. `create` is what must be writable for that.
+    """Whether `folder` belongs to this user and is writable by nobody else; a missing one is made, with mode 0700.
 
-    Cached kernels are executed when loaded, so a folder of somebody else, or one that others may write, is no cache.
+    Its parent `create` is made too where it is missing. Cached kernels are executed when loaded, so a folder that
+    others own or may write is not used.
     """
     try:
         if not folder.exists():
@@ -77,10 +80,11 @@ KERNELS = cache_folder() / f"kernels-{source_stamp()}"
 
 
 def kernel(*, fastmath: frozenset[str] = frozenset()) -> Callable[[Callable], Callable]:
-    """Compile on first call, keep on disk, release the interpreter lock while running.
+    """Compile on first call, cache on disk, release the GIL while running.
 
-    Without `fastmath` the arithmetic is IEEE: the result does not depend on where in an array a Gaussian stands, nor on
-    how the compiler vectorises. NaN and infinity must never be assumed away: that would delete the very tests for them.
+    Without `fastmath` the arithmetic is IEEE: results depend neither on a Gaussian's position in an array nor on
+    vectorisation. Raises `ValueError` for flags that assume finite numbers: they would remove the tests for NaN and
+    infinity.
     """
     if fastmath & {"fast", "nnan", "ninf"}:
         raise ValueError(f"fastmath {sorted(fastmath)} would delete the tests for NaN and infinity")
@@ -89,11 +93,12 @@ def kernel(*, fastmath: frozenset[str] = frozenset()) -> Callable[[Callable], Ca
 
     def compiled(function: Callable) -> Callable:
         config: Any = numba.config  # its options are defined at run time
-        others = config.CACHE_DIR
-        config.CACHE_DIR = str(KERNELS)  # read when a function is decorated, and meant for these alone
-        try:
-            return numba.njit(**options)(function)
-        finally:
-            config.CACHE_DIR = others
+        with _decorating:
+            others = config.CACHE_DIR
+            config.CACHE_DIR = str(KERNELS)  # read when a function is decorated, and meant for these alone
+            try:
+                return numba.njit(**options)(function)
+            finally:
+                config.CACHE_DIR = others
 
     return compiled

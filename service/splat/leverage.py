@@ -1,11 +1,11 @@
-"""What each Gaussian does to a picture: by its opacity, the slope of a weighted square sum along it and how far it
-moves the picture; by its colour, how much of the picture it is and what the pixels that show it have too much.
+"""Sensitivity of a picture to each Gaussian: gradient and Gauss-Newton diagonal of a weighted squared error with
+respect to its opacity, and its weight and weighted residual for its colour.
 
-Front to back, with C the finished picture, P what has been added up to and with a Gaussian, T the transmittance before
-it, c its colour, g its falloff and a = o g its alpha, a pixel changes with the opacity o by
+Front to back, with C the finished picture, P the colour accumulated up to and including a Gaussian, T the transmittance
+in front of it, c its colour, g its falloff and a = o g its alpha, the derivative of a pixel by the opacity o is
     J = dC/do = g (T c - (C - P) / (1 - a)),
-since all that lies behind shines through 1 - a, and with its colour by its share T a. That needs the finished picture
-and one more pass in the same order.
+since everything behind is attenuated by 1 - a, and that by its colour is its weight T a. This takes the finished
+picture and a second pass in the same order.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ from .vectors import ENTRY, PIXELS
 F32 = NDArray[np.float32]
 Planes = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]
 
-PARTS = 4  # of the tiles, each with sums of its own, always the same: threads take parts, and change no rounding
+PARTS = 4  # ranges of tiles with separate sums; a fixed number, so that rounding does not depend on the threads
 ZERO = np.float32(0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Leverage:
-    """Sums over the pixels and channels of pictures, per Gaussian; 0 where it is not drawn."""
+    """Sums per Gaussian over pixels and channels, with residuals r and pixel weights w; 0 where it is not drawn."""
 
-    slope: NDArray[np.float64]  # (N,) sum w r J: half the slope of the sum of w r^2
-    moved: NDArray[np.float64]  # (N,) sum w J^2: the square of how far the picture moves
-    shown: NDArray[np.float64]  # (N,) sum w T a over the pixels: how many pixels it is, by weight
-    excess: NDArray[np.float64]  # (N, 3) sum w r T a over the pixels, of each channel
+    slope: NDArray[np.float64]  # (N,) sum w r J: half the gradient of sum w r^2 by the opacity
+    moved: NDArray[np.float64]  # (N,) sum w J^2: the Gauss-Newton approximation of half its second derivative
+    shown: NDArray[np.float64]  # (N,) sum w T a over pixels: its total weight in the picture, in pixels
+    excess: NDArray[np.float64]  # (N, 3) sum w r T a over pixels, per channel
 
     @classmethod
     def of(cls, count: int) -> Leverage:
-        """Of no picture yet."""
+        """Zero sums for `count` Gaussians."""
         return cls(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, 3)))
 
 
@@ -65,14 +65,13 @@ def leverage(
     threads: int | None = None,
     onto: Leverage | None = None,
 ) -> Leverage:
-    """Draw the set over black and weigh what `judge` makes of the image, which is its own and has its `alpha`: the
-    `picture` (H, W, 3) as it is over any background, `residual` (H, W, 3), what it has too much, and `weight` (H, W),
-    what a pixel counts.
+    """Render the set over black with its `alpha`, and accumulate the sensitivities of what `judge` returns for it.
 
-    A pixel of weight 0 adds nothing, whatever its numbers, nor does an opacity at a pixel where `alpha_max` holds the
-    alpha. What is found is added to `onto`, of the same set, where one is given: sums over several pictures. The bits
-    do not depend on the number of threads. Raises `InputError` for planes or sums of another size, and as `render`
-    does.
+    `judge` gets the render, which it may change, and returns the `picture` (H, W, 3) over any background, the
+    `residual` (H, W, 3), picture less target, and the `weight` (H, W) of each pixel. Pixels of weight 0 contribute
+    nothing, even where their numbers are not finite; where `alpha_max` limits an alpha, the opacity has no effect.
+    The sums are added to `onto`, of the same set, where it is given. Results do not depend on the number of threads.
+    Raises `InputError` for planes or sums of another size, and as `render` does.
     """
     rule, degree = checked_definition(None, near, None), checked_degree(None, gaussians)
     if onto is not None and len(onto.slope) != len(gaussians):
@@ -83,14 +82,14 @@ def leverage(
 
 
 def _tiled(view: Sight, given: Planes) -> F32:
-    """(tiles, floats of a tile) what was judged, which itself needs no memory from now on."""
+    """The judged planes, checked and rearranged as tile states (tiles, floats of a tile)."""
     size = (view.camera.height, view.camera.width)
     for name, plane in zip(("picture", "residual", "weight"), given, strict=True):
         need = size if name == "weight" else (*size, 3)
         if plane.shape != need:
             raise InputError(f"is {plane.shape}, need {need} as the camera's picture", field=name)
     states = np.zeros((view.grid.tiles, tile_floats(CHANNELS)), np.float32)
-    with np.errstate(over="ignore"):  # at pixels that do not count
+    with np.errstate(over="ignore"):  # at pixels of weight 0
         # One layout for every caller: numba would compile the kernel again for others.
         planes = [np.require(plane, np.float32, ["C", "W"]) for plane in given]
     fill_tiles(*planes, view.grid.columns, states)
@@ -107,7 +106,7 @@ def _weighed(view: Sight, states: F32, found: Leverage) -> Leverage:
 
 
 def _add_parts(view: Sight, states: F32, bounds: Sequence[int], rooms: Sequence[Room], found: Leverage) -> None:
-    """What is found in the parts of the tiles between `bounds`, added in their order."""
+    """Accumulate the parts of the tiles between `bounds` in parallel, and add them to `found` in their order."""
     cuts = np.array([view.definition.alpha_max, view.definition.stop], np.float32)
     opacities = np.require(view.gaussians.opacities, np.float32, ["C", "W"])
     # By the first tile; of few tiles some parts are empty, and the last parts may be fewer than there is room for.
@@ -130,8 +129,8 @@ def _walk_part(
 
 @kernel()
 def fill_tiles(picture, residual, weight, columns, states):
-    """Into `states` (tiles, floats of a tile), 0 at first: they stay 0 outside the picture and where nothing counts,
-    as such pixels have no light."""
+    """Fill the zeroed `states` (tiles, floats of a tile); pixels outside the picture and of weight 0 stay 0, without
+    transmittance."""
     height, width = weight.shape
     size = states.shape[1]
     for y in range(height):
@@ -150,7 +149,7 @@ def fill_tiles(picture, residual, weight, columns, states):
 
 @kernel()
 def leverage_tiles(first, last, columns, offsets, members, records, narrow, states, cuts, found):
-    """Walk the lists of tiles first..last-1, whose `states` go on where the batch before ended; adds to found
+    """Traverse the lists of tiles first..last-1, continuing their `states` from the previous batch; adds to `found`
     (N, SUMS)."""
     entries = np.empty(PIECE * ENTRY, np.float32)
     fields = np.empty(10 * PIECE, np.float32)

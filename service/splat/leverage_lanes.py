@@ -10,16 +10,16 @@ from .access import data_of, typed
 from .lanes import LANES, LONG, VECTOR, Lanes
 from .vectors import BLUE, ENTRY, GREEN, PIXELS, RED, VECTORS, layer, pixel_places, spread_field
 
-# Of a block's state, PIXELS floats each: three colours of what is to come, and of the weighted residual.
+# Channels of a block's state, PIXELS floats each; REST, the colour behind, and RESIDUAL, weighted, have three each.
 LIGHT, REST, RESIDUAL, WEIGHT, CHANNELS = 0, 1, 4, 7, 8
-# An entry's sums: of w r J and of w J^2, times its opacity and its square, of w s, and of w r s per channel, with its
-# share s of a pixel's colour.
+# An entry's sums over pixels: w r J times its opacity, w J^2 times its square, w s, and w r s per channel, with its
+# blending weight s.
 SLOPE, MOVED, SHOWN, EXCESS, SUMS = 0, 1, 2, 3, 6
 
 
 def _add_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts: list[ir.Value],
              state: list[list[ir.Value]]) -> list[ir.Value]:  # fmt: skip
-    """Put one entry before what is to come; returns its sums over the block's pixels."""
+    """Subtract one entry's layer from what lies behind; returns its sums over the block's pixels."""
     b, each = lanes.b, range(VECTORS)
     alpha_max, stop = cuts
     none, one = lanes.constant(0.0), lanes.constant(1.0)
@@ -31,7 +31,7 @@ def _add_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts
     weight = [b.select(counts[j], b.fmul(alpha[j], light[j]), none) for j in each]
     for j in each:
         b.store(b.fsub(light[j], weight[j]), state[LIGHT][j])
-    # Where alpha_max holds alpha, the opacity moves nothing.
+    # Where alpha_max limits alpha, its derivative by the opacity is 0.
     moves = [b.and_(counts[j], limited[j]) for j in each]
     own = [b.select(moves[j], weight[j], none) for j in each]
     through = [b.select(moves[j], b.fdiv(alpha[j], b.fsub(one, alpha[j])), none) for j in each]
@@ -53,7 +53,7 @@ def _add_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts
 
 @typed
 def leverage_block(typing, entries, chosen, kept, x0, y0, states, at, alpha_max, stop, sums):
-    """Walk through entries[chosen[:kept]] over the block states[at:], whose first pixel lies (x0, y0) px from the
+    """Traverse entries[chosen[:kept]] over the block states[at:], whose first pixel centre lies (x0, y0) px from the
     tile's centre; adds to sums[SUMS * chosen[:kept]]."""
     numbers = (types.float32,) * 2
     signature = types.void(entries, chosen, types.int64, *numbers, states, types.int64, *numbers, sums)

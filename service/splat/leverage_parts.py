@@ -1,4 +1,4 @@
-"""Sums of a part of the tiles: of those Gaussians alone whose boxes may reach it."""
+"""Sums of one range of tiles, over the Gaussians whose bounding boxes reach it."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from .spans import unpacked_box
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """Where what is found in a part goes. Of each part in turn: what no part writes to is memory that no page backs,
-    and Gaussians that stand together in a picture stand together in their set."""
+    """Buffers that parts reuse one after the other. Rows that none writes to are never backed by pages, and Gaussians
+    that are neighbours in a picture are mostly neighbours in their set."""
 
     members: NDArray[np.int32]  # (M,)
     sums: NDArray[np.float32]  # (N, SUMS)
 
     @classmethod
     def of(cls, view: Sight) -> Room:
-        """Of any part of what is drawn."""
+        """Buffers that hold any part of what is drawn."""
         return cls(np.empty(len(view.projection.drawn), np.int32), np.empty((len(view.gaussians), SUMS), np.float32))
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Some tiles of a picture, one after the other, and what is found there."""
+    """A range of consecutive tiles and its sums."""
 
-    members: NDArray[np.int32]  # (M,) whose boxes may reach it
-    sums: NDArray[np.float32]  # (N, SUMS), of others undefined
+    members: NDArray[np.int32]  # (M,) Gaussians whose boxes reach it
+    sums: NDArray[np.float32]  # (N, SUMS); rows of others are undefined
 
     @classmethod
     def of(cls, view: Sight, room: Room, first: int, last: int) -> Part:
-        """Of tiles first..last-1, with sums of 0, in a `room` that nobody else uses."""
+        """The part of tiles first..last-1 with zero sums, in the buffers of `room`, which no other part may use."""
         drawn, boxes = view.projection.drawn, view.projection.space.boxes
         count = list_reaching(drawn, boxes, view.grid.columns, first, last, room.members, room.sums)
         return cls(room.members[:count], room.sums)
@@ -45,8 +45,8 @@ class Part:
 
 @kernel()
 def list_reaching(drawn, boxes, columns, first, last, members, sums):
-    """List in `members` those of `drawn` whose box may hold a tile of first..last-1, with `sums` (N, SUMS) of 0;
-    returns how many."""
+    """Write to `members` those of `drawn` whose box may overlap tiles first..last-1, and zero their `sums` (N, SUMS);
+    returns their number."""
     count = 0
     for j in range(drawn.size):
         i = np.int64(get(drawn, j))
@@ -61,7 +61,7 @@ def list_reaching(drawn, boxes, columns, first, last, members, sums):
 
 @kernel()
 def add_part(members, sums, opacities, slope, moved, shown, excess):
-    """Add the `sums` (N, SUMS) of `members`, by the unit that each is in."""
+    """Add the `sums` (N, SUMS) of `members` to the totals, undoing the factors of the opacity."""
     for j in range(members.size):
         i = np.int64(get(members, j))
         opacity, at = np.float64(get(opacities, i)), i * SUMS

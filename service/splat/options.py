@@ -1,4 +1,4 @@
-"""What drawing is asked to do, checked once: rules, background, size, outputs, degree."""
+"""Checks of the arguments of `render`: definition, background, size, outputs, harmonic degree."""
 
 from __future__ import annotations
 
@@ -16,12 +16,15 @@ from .binning import Grid
 from .definition import COMPATIBLE, Definition
 from .spans import MAX_SIDE
 
-OUTPUTS = ("alpha", "depth", "median", "removed", "peaks", "pairs")  # what can be asked for beside the colours
+OUTPUTS = ("alpha", "depth", "median", "removed", "peaks", "pairs")  # optional outputs beside the colours
 ANALYSIS = ("median", "removed", "peaks", "pairs")  # these are computed together
 
 
 def checked_definition(definition: Definition | None, near: float | None, compatibility: str | None) -> Definition:
-    """The definition asked for, as a whole or by the name of a renderer, with `near` replaced if given."""
+    """The definition given as such or by the name of a renderer, else the default; `near` replaces its own.
+
+    Raises `InputError` for an unknown name, for both at once and for a `near` out of range.
+    """
     if compatibility is not None:
         if compatibility not in COMPATIBLE:
             raise InputError(f"is {compatibility!r}, need one of {', '.join(COMPATIBLE)}", field="compatibility")
@@ -38,7 +41,7 @@ def checked_definition(definition: Definition | None, near: float | None, compat
 
 
 def checked_background(background: Sequence[float] | None) -> NDArray[np.float32]:
-    """(3,) finite background colour; None is black."""
+    """(3,) background colour; None is black. Raises `InputError` unless it is three finite numbers."""
     try:  # a copy in C order: kernels take no strides, and numba would compile them again for a read-only array
         value = np.array((0, 0, 0) if background is None else background, dtype=np.float32, order="C")
     except (TypeError, ValueError):
@@ -49,7 +52,7 @@ def checked_background(background: Sequence[float] | None) -> NDArray[np.float32
 
 
 def checked_size(camera: Camera) -> Grid:
-    """The tiles of the picture. Raises `InputError` for a side whose tiles cannot be numbered."""
+    """The tile grid of the camera's picture. Raises `InputError` for a side above MAX_SIDE."""
     side = max(camera.width, camera.height)
     if side > MAX_SIDE:
         raise InputError(
@@ -63,7 +66,10 @@ def checked_size(camera: Camera) -> Grid:
 def checked_outputs(
     outputs: Collection[str], subset: NDArray[np.bool_] | None, gaussians: Gaussians
 ) -> NDArray[np.bool_] | None:
-    """The subset that `removed` needs, None where it is not asked for."""
+    """`subset` as a mask (N,) where "removed" is among `outputs`, else None.
+
+    Raises `InputError` for unknown outputs, and for a subset without that output or the reverse.
+    """
     unknown = sorted(set(outputs) - set(OUTPUTS))
     if unknown:
         raise InputError(f"{unknown[0]!r} is unknown, need some of {', '.join(OUTPUTS)}", field="outputs")
@@ -80,7 +86,7 @@ def checked_outputs(
 
 
 def checked_degree(sh_degree: int | None, gaussians: Gaussians) -> int:
-    """The SH degree to evaluate: the one asked for, at most what the scene has."""
+    """The harmonic degree to evaluate: `sh_degree`, at most that of the set. Raises `InputError`."""
     if sh_degree is None:
         return gaussians.sh_degree
     degree = whole_number(sh_degree)

@@ -1,4 +1,4 @@
-"""Front-to-back order: by float64 depth, ties by content, so that no permutation of the input changes a bit."""
+"""Front-to-back order by float64 depth with ties broken by content, so that renders are invariant to permutations."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from ..gaussians import Gaussians
 from .access import get, put
 from .kernel_cache import kernel
 
-DIGIT = 11  # bits of a radix pass at most: 2048 counters of 8 bytes stay in the first-level cache
-LONG_RUN = 64  # depths that are equal in float32: from here on sorting by insertion would be slow
+DIGIT = 11  # most bits of a radix pass: 2048 counters of 8 bytes stay in the L1 cache
+LONG_RUN = 64  # depths equal in float32 above which insertion sort, which is quadratic, would be slow
 SORTED, TIED, UNSORTED = 0, 1, 2
 
 
 def depth_order(depths: NDArray[np.float64], drawn: NDArray[np.int32], gaussians: Gaussians) -> NDArray[np.int32]:
-    """Indices of the drawn Gaussians (M,), nearest first; their depths are positive.
+    """Indices `drawn` (M,) of Gaussians with positive `depths` (N,), sorted nearest first.
 
-    A radix sort by the bits of the depths rounded to float32, which keep the order of positive numbers, then what is
-    equal in these. Equal depths are ordered by mean, then by scales, rotation, opacity and harmonics; what is equal in
-    all of these is interchangeable.
+    A radix sort by the bits of the float32 depths, which compare like integers where positive, followed by a float64
+    sort of runs that are equal in float32. Ties are broken by mean, then scales, rotation, opacity and harmonics;
+    Gaussians equal in all of these are interchangeable.
     """
     if not len(drawn):
         return drawn
@@ -37,7 +37,7 @@ def depth_order(depths: NDArray[np.float64], drawn: NDArray[np.int32], gaussians
 
 
 def radix_sorted(keys: NDArray[np.uint32], values: NDArray[np.int32]) -> tuple[NDArray[np.uint32], NDArray[np.int32]]:
-    """Both in the order of the keys, equal ones in the order they had. The arrays given are used as room to sort in."""
+    """Both sorted by the keys, stably. The arrays given are used as buffers."""
     least = keys.min()
     bits = max(1, int(keys.max() - least).bit_length())
     passes = -(-bits // DIGIT)
@@ -52,8 +52,10 @@ def radix_sorted(keys: NDArray[np.uint32], values: NDArray[np.int32]) -> tuple[N
 
 @kernel()
 def settle_equals(keys, depths, order):
-    """Sort each run of equal `keys` by depth, by insertion; returns TIED if any depths are equal, UNSORTED if a run is
-    so long that it gave up. `order` is sorted by the keys, which are the depths rounded."""
+    """Insertion-sort each run of equal `keys` in `order` by float64 depth, in place.
+
+    Returns TIED if any depths are equal, UNSORTED if it stopped at a run of more than LONG_RUN, else SORTED. `order` is
+    sorted by the keys, the depths rounded to float32."""
     state, begin = SORTED, 0
     for p in range(1, keys.size):
         if get(keys, p) != get(keys, p - 1):
@@ -74,7 +76,7 @@ def settle_equals(keys, depths, order):
 
 @kernel()
 def radix_pass(keys, values, sorted_keys, sorted_values, starts, least, shift):
-    """Stable counting sort by the bits of keys - least from `shift` on, as many as `starts` (2^bits,) has room for."""
+    """Stable counting sort by the `bits` of keys - least that begin at `shift`; `starts` (2^bits,) is a buffer."""
     mask = np.uint32(starts.size - 1)
     for d in range(starts.size):
         put(starts, d, 0)
@@ -96,7 +98,7 @@ def radix_pass(keys, values, sorted_keys, sorted_values, starts, least, shift):
 
 
 def _order_ties(depths: NDArray[np.float64], order: NDArray[np.int32], gaussians: Gaussians) -> None:
-    """Put runs of equal depth in the order of their content, in place."""
+    """Sort runs of equal depth by content, in place."""
     sorted_depths = depths[order]
     tied = _in_runs(sorted_depths[1:] == sorted_depths[:-1])
     if not len(tied):
@@ -124,7 +126,7 @@ def _order_ties(depths: NDArray[np.float64], order: NDArray[np.int32], gaussians
 
 
 def _in_runs(equal_to_next: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Positions that belong to a run of equal values, given whether each position equals its successor."""
+    """Positions that belong to a run of two or more equal values, from whether each equals its successor."""
     member = np.zeros(len(equal_to_next) + 1, bool)
     member[:-1] |= equal_to_next
     member[1:] |= equal_to_next

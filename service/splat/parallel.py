@@ -1,7 +1,7 @@
-"""Run a kernel over index ranges on a few threads; kernels release the interpreter lock, results do not depend on it.
+"""Kernels over index ranges on several threads; results do not depend on their number.
 
-Plain threads instead of numba's parallel backends: those abort the process when two requests render at once or after a
-fork, and their idle threads spin against onnxruntime's.
+Kernels release the GIL, so plain threads suffice. Numba's parallel backends abort the process when two requests render
+at once or after a fork, and their idle threads busy-wait beside onnxruntime's.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 def checked_threads(threads: int | None) -> int:
-    """The number of threads to use; None is all that are available."""
+    """The number of threads; None is all available ones. Raises `InputError` unless it is a whole number from 1 on."""
     if threads is None:
         return available_threads()
     count = whole_number(threads)
@@ -30,11 +30,11 @@ def checked_threads(threads: int | None) -> int:
 
 
 def run_ranges(work: Callable[[int, int], T], bounds: Iterable[int], threads: int) -> list[T]:
-    """[work(bounds[0], bounds[1]), work(bounds[1], bounds[2]), ...], empty ranges left out.
+    """[work(bounds[0], bounds[1]), work(bounds[1], bounds[2]), ...] without empty ranges.
 
-    The caller's thread works too and never waits for a helper that has not started, so a busy or forked pool only costs
-    speed. An error in one range is raised once no helper works any more. `work` must write to places that depend on its
-    range alone.
+    The calling thread works too and never waits for a helper that has not started, so a busy or forked pool costs only
+    time. An error in one range is raised after all helpers have stopped. `work` must write only to memory that belongs
+    to its range.
     """
     ranges = [(int(a), int(b)) for a, b in pairwise(bounds) if a < b]
     results: dict[int, T] = {}

@@ -1,7 +1,7 @@
-"""What a set of Gaussians is for every camera: its factor R S and logarithms in float64, in blocks for vector loops.
+"""The camera-independent part of rendering a set: its factors R S and log opacities in float64, in blocks.
 
-A block holds 256 Gaussians field by field, so that one vector instruction handles eight of them; the last is filled
-up with what is never drawn. It is made once per set and kept as long as the set lives.
+A block stores 256 Gaussians field by field (structure of arrays), so that one vector instruction handles eight of them;
+the last is padded with Gaussians of opacity 0. It is computed once per set and cached as long as the set lives.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from .parallel import run_ranges
 
 FIELDS = 14  # mean (3), R S row by row (9), opacity, natural logarithm of the opacity
 MEAN, FACTOR, OPACITY, LOG_OPACITY = 0, 3, 12, 13
-# Doubles of a record: x, y, HALF_LOG2E / l1, k, HALF_LOG2E / l2; then, as floats: log2 opacity, r, g, b, z, log2 cut.
+# A record is 8 doubles: x, y, HALF_LOG2E / l1, k, HALF_LOG2E / l2, then 6 floats: log2 opacity, r, g, b, z, log2 cut.
 RECORD = 8
-LOG2_OPACITY, RED, DEPTH, LOG2_CUT = 10, 11, 14, 15  # where the floats stand when all of it is read as such
-EXTENT = 3  # doubles: half width and height of the box, px, and the shear that the transposed factor has
+LOG2_OPACITY, RED, DEPTH, LOG2_CUT = 10, 11, 14, 15  # indices of these floats when a record is viewed as 16 floats
+EXTENT = 3  # doubles: half width and height of the bounding box, px, and the shear of the transposed factor
 
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """Where the projection of N Gaussians goes, kept so that drawing the set again allocates nothing of its size."""
+    """Buffers for the projection of N Gaussians, reused when the set is rendered again."""
 
     records: NDArray[np.float64]  # (N, RECORD)
     extents: NDArray[np.float64]  # (N, EXTENT)
@@ -42,6 +42,7 @@ class Workspace:
 
     @classmethod
     def of(cls, count: int) -> Workspace:
+        """Uninitialised buffers for `count` Gaussians."""
         return cls(
             np.empty((count, RECORD)), np.empty((count, EXTENT)), np.empty(count, np.uint64), np.empty(count),
             np.empty(count, np.int32),
@@ -53,13 +54,14 @@ class Prepared:
     """N Gaussians in ceil(N / BLOCK) blocks."""
 
     count: int
-    geometry: NDArray[np.float64]  # (blocks, FIELDS, BLOCK); opacity 0 in what fills up the last
+    geometry: NDArray[np.float64]  # (blocks, FIELDS, BLOCK); opacity 0 in the padding of the last
     harmonics: NDArray[np.float32]  # (blocks, K, 3, BLOCK)
     spare: deque[Workspace] = field(default_factory=lambda: deque(maxlen=1))
 
     @contextmanager
     def workspace(self) -> Iterator[Workspace]:
-        """One that nobody else uses. One is kept; after an error it is not, since a kernel may still write to it."""
+        """Buffers for exclusive use. One set of them is kept for reuse, but not after an error, when a kernel may still
+        be writing to it."""
         try:
             space = self.spare.pop()
         except IndexError:
@@ -73,7 +75,7 @@ _lock = threading.Lock()
 
 
 def prepared(gaussians: Gaussians, threads: int) -> Prepared:
-    """The blocks of a set, from the last time if there was one. The arrays of a set must not change."""
+    """The blocks of a set, cached after the first call; the arrays of the set must not change."""
     with _lock:
         known = _known.get(gaussians)
     if known is not None:
@@ -113,7 +115,7 @@ def prepare_range(first, last, means, scales, rotations, opacities, harmonics, g
                 continue
             for axis in range(3):
                 put_field(geometry, at, MEAN + axis, get(means, 3 * i + axis))
-            # R from a quaternion whose float32 norm is not quite one.
+            # R from a quaternion that is normalised only to float32.
             w, x = np.float64(get(rotations, 4 * i)), np.float64(get(rotations, 4 * i + 1))
             y, z = np.float64(get(rotations, 4 * i + 2)), np.float64(get(rotations, 4 * i + 3))
             two = 2.0 / (w * w + x * x + y * y + z * z)

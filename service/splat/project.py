@@ -1,12 +1,12 @@
-"""Float64 projection of Gaussians into the image (Eq. 17-18): records to blend, boxes to bin, every culled one counted.
+"""Float64 EWA projection of Gaussians (Eq. 17-18): records to blend, boxes to bin, and counts of culled ones by reason.
 
-A footprint is the ellipse factor of EWA projection (Zwicker et al. 2001) and never a covariance, which float32 or an
-inverse would ruin for thin splats. With A = [J W R S | sqrt(dilation) I] (2 x 5, rows a1 and a2), the lower triangle
+A footprint is stored as a factor of the 2-D covariance (Zwicker et al. 2001), never as the covariance itself, which
+loses thin splats to rounding and inversion. With A = [J W R S | sqrt(dilation) I] (2 x 5, rows a1, a2) the triangle
     l1 = |a1|,  k = a1.a2 / l1^2,  l2 = |a2 - k a1| = sqrt(det(A A^T)) / l1
 gives the squared Mahalanobis distance (dx / l1)^2 + ((dy - k dx) / l2)^2, which cannot be negative. The determinant is
 the sum of squared 2 x 2 minors of A (Cauchy-Binet), so nothing cancels however long the needle.
 
-The arithmetic is IEEE without contraction: a Gaussian's record has the same bits wherever in a vector it stands.
+The arithmetic is IEEE without contraction: the bits of a record do not depend on a Gaussian's vector lane.
 """
 
 from __future__ import annotations
@@ -58,19 +58,20 @@ REASONS = {"near": NEAR, "far": FAR, "faint": FAINT, "not_finite": NOT_FINITE, "
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """What one camera sees of N Gaussians; rows of culled ones are undefined."""
+    """The projection of N Gaussians into one camera; rows of culled ones are undefined."""
 
     space: Workspace  # records, extents, boxes (see `spans.py`) and depths
-    drawn: NDArray[np.int32]  # (M,) which are drawn, in their order
-    counts: NDArray[np.int64]  # (tiles,) how many Gaussians each tile has
-    culled: dict[str, int]  # how many were left out, by reason
+    drawn: NDArray[np.int32]  # (M,) indices of those drawn, ascending
+    counts: NDArray[np.int64]  # (tiles,) Gaussians in each tile
+    culled: dict[str, int]  # reason -> number of culled Gaussians
     crossing: int  # drawn Gaussians whose three-sigma extent reaches behind the near plane
 
 
 def project(
     scene: Prepared, camera: Camera, definition: Definition, degree: int, threads: int, space: Workspace
 ) -> Projection:
-    """Project all Gaussians; positions are taken relative to the camera centre in float64 first."""
+    """Project all Gaussians into `camera` using the buffers `space`; positions are first made relative to the camera
+    centre, in float64."""
     count = scene.count
     view = np.concatenate([camera.rotation.T.ravel(), camera.center])
     margin_x = definition.fov_margin * 0.5 * camera.width
@@ -116,9 +117,10 @@ def project_range(
     first, last, count, geometry, harmonics, degree, view, lens, cuts, columns, records, narrow, extents, boxes, depths,
     drawn, counts, reasons,
 ):  # fmt: skip
-    """Project blocks first..last-1 into the rows of their Gaussians; the drawn ones are listed from the first row on.
+    """Project blocks first..last-1 into the rows of their Gaussians; indices of drawn ones fill `drawn` from the first
+    row on.
 
-    reasons (7,): how many were drawn or not, by code, and how many of the drawn cross the near plane.
+    reasons (7,): counts of drawn and culled Gaussians by code, and of drawn ones that cross the near plane.
     """
     near, far, alpha_min = get(cuts, 0), get(cuts, 1), get(cuts, 2)
     lowest_cut, limit = get(lens, 9), get(lens, 10)
@@ -142,7 +144,7 @@ def project_range(
                 status = FAR
             elif not get_field(geometry, fields + j, OPACITY) >= alpha_min:
                 status = FAINT
-            elif not get_field(flat, j, FINITE) < 1e150:  # a sum that is not finite when any part is not
+            elif not get_field(flat, j, FINITE) < 1e150:  # the sum is not finite if any part is not
                 status = NOT_FINITE
             elif not (first_x <= last_x and first_y <= last_y):
                 status = OUTSIDE
@@ -165,7 +167,7 @@ def project_range(
             crosses = (z - near) * (z - near) < 9.0 * get_field(flat, j, DEPTH_EXTENT)
             put(reasons, CROSSING, get(reasons, CROSSING) + crosses)
             left, right, top, bottom = unpacked_box(box)
-            if small_box(left, right, top, bottom):  # spelled out: a call with arrays costs more than all of this
+            if small_box(left, right, top, bottom):  # inlined: a call with arrays costs more than the loops
                 for tile_row in range(top, bottom + 1):
                     for column in range(left, right + 1):
                         tile = tile_row * columns + column

@@ -1,4 +1,4 @@
-"""The splatter's readable twin: the same definition by brute force in float64, every Gaussian at every pixel."""
+"""The reference renderer: the same definition by brute force in float64, every Gaussian at every pixel."""
 
 from __future__ import annotations
 
@@ -52,9 +52,10 @@ def render_reference(
     subset: NDArray[np.bool_] | None = None,
     faint: float = 0.0,
 ) -> Render:
-    """The image that `render` approximates with all outputs, in float64; takes N x H x W steps.
+    """The exact image of `render` with all outputs, in float64; O(N H W).
 
-    `removed` has the weights of every Gaussian of `subset` (N,), and of every layer whose alpha is below `faint`.
+    `removed` sums the weights of the Gaussians in the mask `subset` (N,) and of all layers with alpha below `faint`.
+    The other arguments are those of `render`. Raises `InputError`.
     """
     rule, degree = checked_definition(definition, near, compatibility), checked_degree(sh_degree, gaussians)
     offset = gaussians.means - camera.center

@@ -1,4 +1,4 @@
-"""Draw Gaussians as a camera sees them: project, order, bin, blend."""
+"""Rendering of Gaussians from a camera: project, sort, bin, blend."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from .vectors import ALL_CHANNELS, COLOURS_ONLY, WITH_DEPTH
 
 
 def nothing() -> NDArray[np.float32]:
-    """A plane that was not asked for."""
+    """The empty plane (0, 0) in place of an output that was not requested."""
     return np.empty((0, 0), np.float32)
 
 
 def to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Clipped to [0, 1] and rounded to 8 bits."""
+    """uint8 of the same shape: `values` clipped to [0, 1], times 255, rounded; NaN becomes 0."""
     out = np.empty(values.shape, np.uint8)
     bytes_of(np.ascontiguousarray(values, np.float32).ravel(), out.ravel())
     return out
@@ -43,22 +43,22 @@ def to_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, eq=False)
 class Render:
-    """An image of H x W px, in float32 (the reference's in float64); a plane not asked for has no pixels.
+    """An image of H x W px in float32 (of the reference in float64); planes that were not requested are empty.
 
-    `stats` says what was drawn, what was not and why, and the seconds of each stage. `blocks` counts the pairs of a
-    listed Gaussian and a block of 8 x 8 px that were blended, `skipped` those that were not; `pairs`, if asked for,
-    those of a Gaussian and a pixel.
+    `stats` has counts of drawn and culled Gaussians by reason, and the seconds of each stage. `blocks` counts blended
+    pairs of a listed Gaussian and a block of 8 x 8 px, `skipped` the other pairs; `pairs`, if requested, counts blended
+    pairs of a Gaussian and a pixel.
     """
 
     rgb: NDArray[np.floating]  # (H, W, 3) over the background, not clipped
     alpha: NDArray[np.floating]  # (H, W) 1 - transmittance
     depth: NDArray[np.floating]  # (H, W) expected z-depth, sum w z / sum w; 0 where alpha is 0
     stats: dict[str, Any]
-    # (H, W) z-depth of what takes the transmittance to 1/2 or below; 0 if nothing does
+    # (H, W) median z-depth, of the Gaussian that brings the transmittance to 1/2 or below; 0 if none does
     median: NDArray[np.floating] = field(default_factory=nothing)
-    # (H, W) sum of the weights of the chosen Gaussians: what leaving them out frees
+    # (H, W) summed weights of the Gaussians in `subset`: the mass that removing them frees
     removed: NDArray[np.floating] = field(default_factory=nothing)
-    # (N,) the largest weight that each Gaussian has at any pixel
+    # (N,) largest weight of each Gaussian at any pixel
     peaks: NDArray[np.floating] = field(default_factory=nothing)
 
     def rgb8(self) -> NDArray[np.uint8]:
@@ -66,7 +66,8 @@ class Render:
         return to_bytes(self.rgb)
 
     def rgba8(self) -> NDArray[np.uint8]:
-        """(H, W, 4) with straight alpha, of an image drawn over black: what lies behind may be put there later."""
+        """(H, W, 4) with straight (unpremultiplied) alpha, for compositing; of an image drawn over black. Raises
+        `InputError` without the output "alpha"."""
         if self.alpha.shape != self.rgb.shape[:2]:
             raise InputError("the opacity was not computed, ask for it by outputs=('alpha',)", field="outputs")
         colour = self.rgb / np.maximum(self.alpha, 1e-6)[..., None]
@@ -87,18 +88,19 @@ def render(
     subset: NDArray[np.bool_] | None = None,
     between: Callable[[], None] | None = None,
 ) -> Render:
-    """Draw the Gaussians; `definition.py` says what image that is, `reference.py` computes the same in float64.
+    """Render the Gaussians as `definition.py` specifies; `reference.py` computes the same in float64.
 
-    `background` is three numbers (black), `sh_degree` the highest band used (all there are), `near` the nearest z-depth
-    in the caller's units (0.01), `compatibility` "inria" for the reference rasteriser's rules, `threads` the number of
-    CPU threads (all), `outputs` which planes to compute beside the colours (`OUTPUTS`), `subset` (N,) which Gaussians
-    `removed` is about. `between` is called between batches of tile lists (`Definition.max_entries`) and may raise, to
-    end a picture that takes too long. The image has the same bits for every number of threads, every order of the
-    input and every choice of outputs. It differs from the float64 one by at most 1e-5 for any dilation and alpha_min
-    from the usual ones up, apart from pixels at which a Gaussian lies on the very edge of a cut (alpha_min, stop, near,
-    equal depths).
+    `background`: three numbers; black by default. `sh_degree`: highest band of harmonics; all by default.
+    `near`: nearest z-depth, caller's units; that of the definition by default. `threads`: CPU threads; all by default.
+    `compatibility`: "inria" for the rules of the reference rasteriser, in place of a `definition`.
+    `outputs`: planes to compute beside the colours, of `OUTPUTS`. `subset`: mask (N,) that the output "removed" sums.
+    `between`: called between batches of tile lists (`Definition.max_entries`); it may raise to abort.
 
-    Raises `InputError` for a background, degree, plane, thread count, output, subset or size that makes no sense.
+    The image has the same bits for every number of threads, order of the input and choice of outputs. It differs from
+    the float64 reference by at most 1e-5 for a dilation and alpha_min no smaller than the defaults, except at pixels
+    where a Gaussian lies exactly on a cut-off (alpha_min, stop, near, equal depths).
+
+    Raises `InputError` for a background, degree, plane, thread count, output, subset or size out of range.
     """
     definition = checked_definition(definition, near, compatibility)
     behind = checked_background(background)
@@ -115,7 +117,7 @@ def draw(
     background: NDArray[np.float32],
     between: Callable[[], None] | None = None,
 ) -> Render:
-    """`render`, of what is projected already; `marked` (N,) is the subset that `removed` is about, and stays marked."""
+    """`render` of a projected set; `marked` (N,) is the mask for "removed", which stays marked in the records."""
     start = time.perf_counter()
     projection, order, definition, grid = view.projection, view.order, view.definition, view.grid
     records, count = projection.space.records, len(view.gaussians)
@@ -165,8 +167,8 @@ def draw(
 def new_canvas(
     camera: Camera, outputs: Collection[str], count: int, tiles: int, background: NDArray[np.float32]
 ) -> Canvas:
-    """Planes for what is asked for and what comes with it; `tiles` of state where there are several batches. Raises
-    `InputError` where there is no room for them."""
+    """The planes of `outputs` and those computed along with them, and the states of `tiles` for several batches. Raises
+    `InputError` where memory does not suffice."""
     try:
         return _canvas((camera.height, camera.width), outputs, count, tiles, background)
     except MemoryError as error:
@@ -194,5 +196,5 @@ def _canvas(
 
 
 def render_views(gaussians: Gaussians, cameras: Iterable[Camera], **options: Any) -> list[Render]:
-    """`render` for each camera, with the same options; what does not depend on the camera is computed once."""
+    """`render` for each camera with the same options; the camera-independent part is computed once."""
     return [render(gaussians, camera, **options) for camera in cameras]

@@ -29,10 +29,10 @@ COLOUR_MAX = 1e37
 
 @kernel()
 def shades(geometry, at, harmonics, start, degree, view, weights, out):
-    """Fill `out` (3 * BLOCK) channel by channel with max(0, 0.5 + sum of bands 0..degree); NaN becomes 0.
+    """Fill `out` (3, BLOCK) with the colours max(0, 0.5 + sum of bands 0..degree), at most COLOUR_MAX; NaN becomes 0.
 
     The block's fields begin at geometry[at], its coefficients (K, 3, BLOCK) at harmonics[start]; the direction is that
-    from the camera's centre to the mean. weights (16 * BLOCK,) is room to work in.
+    from the camera centre to the mean. weights (16 * BLOCK,) is a buffer.
     """
     if degree > 0:
         directions(geometry, at, view, degree, weights)
@@ -52,7 +52,7 @@ def shades(geometry, at, harmonics, start, degree, view, weights, out):
 
 @kernel()
 def directions(geometry, start, view, degree, weights):
-    """The basis functions 1..15 of each Gaussian's unit direction, row by row; row 0 stays free."""
+    """Fill rows 1 up to 15 of `weights` (16, BLOCK) with the basis functions of each Gaussian's unit direction."""
     centre_x, centre_y, centre_z = get(view, 9), get(view, 10), get(view, 11)
     for j in range(BLOCK):
         at = start + j

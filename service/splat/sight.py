@@ -1,4 +1,4 @@
-"""What one camera sees of a set of Gaussians, projected and put in order once: to be drawn, and to be weighed."""
+"""A set of Gaussians projected into one camera and sorted once, for rendering and for sensitivities."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .project import Projection, project
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """A projection whose arrays are nobody else's as long as the context of `sight` lasts."""
+    """A sorted projection, whose buffers are exclusive within the context of `sight`."""
 
     gaussians: Gaussians
     camera: Camera
@@ -31,17 +31,17 @@ class Sight:
     threads: int
     grid: Grid
     projection: Projection
-    order: NDArray[np.int32]  # (M,) what is drawn, nearest first
+    order: NDArray[np.int32]  # (M,) indices of drawn Gaussians, nearest first
     seconds: dict[str, float]  # of each stage
-    _binned: list[TileLists] = field(default_factory=list)  # kept where one batch is all
+    _binned: list[TileLists] = field(default_factory=list)  # cached where there is a single batch
 
     @property
     def several(self) -> bool:
-        """Whether more than one batch of lists is needed."""
+        """Whether the tile lists need more than one batch."""
         return int(self.projection.counts.sum()) > self.definition.max_entries
 
     def lists(self) -> Iterable[TileLists]:
-        """Of every tile, in batches as `tile_lists` makes them."""
+        """The batches of tile lists (`tile_lists`); a single one is cached."""
         batches = tile_lists(self.projection, self.order, self.grid, self.definition.max_entries, self.threads)
         if self.several:
             return batches
@@ -54,7 +54,7 @@ class Sight:
 def sight(
     gaussians: Gaussians, camera: Camera, definition: Definition, degree: int, threads: int | None
 ) -> Iterator[Sight]:
-    """Raises `InputError` for a size or a number of threads that makes no sense."""
+    """Project and sort `gaussians` for `camera`. Raises `InputError` for a size or number of threads out of range."""
     threads, grid = checked_threads(threads), checked_size(camera)
     clock = [time.perf_counter()]
     scene = prepared(gaussians, threads)

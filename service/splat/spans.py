@@ -1,4 +1,4 @@
-"""Which tiles an ellipse is listed in: those of its box, or where that is large those it touches, row by row."""
+"""The tiles of an ellipse: those of its bounding box or, where that is large, the exact span of each tile row."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from .access import get, larger, put, round_down, round_up, smaller
 from .kernel_cache import kernel
 from .prepare import EXTENT, RECORD
 
-TILE = 32  # px: 16 blocks of 8 x 8, whose colours (20 KiB) and one piece of the list stay in the first-level cache
+TILE = 32  # px: 16 blocks of 8 x 8, whose state (20 KiB) and one piece of the list stay in the L1 cache
 BITS = 16  # of a box's four tile numbers
 MAX_SIDE = TILE << BITS  # px
 
 
 @kernel()
 def packed_box(first_x, last_x, first_y, last_y):
-    """First and last tile column and row of a box of pixels, in one number."""
+    """The first and last tile column and row of a pixel box, packed into a uint64."""
     return (
         np.uint64(first_x) // np.uint64(TILE)
         | (np.uint64(last_x) // np.uint64(TILE)) << np.uint64(BITS)
@@ -36,16 +36,17 @@ def unpacked_box(box):
 
 @kernel()
 def small_box(left, right, top, bottom):
-    """Whether all tiles of a box are listed: at most 2 x 2, or one row or column. A closer look would cost more."""
+    """Whether all tiles of the box are listed: at most 2 x 2, or one row or column; exact spans would cost more."""
     return (right - left <= 1 and bottom - top <= 1) or left == right or top == bottom
 
 
 @kernel()
 def tile_span(records, extents, i, tile_row, left, right):
-    """First and last tile column, of left..right, that the ellipse of Gaussian i touches in one tile row.
+    """First and last tile column, within left..right, that the ellipse of Gaussian i touches in a tile row; (0, -1) if
+    none.
 
-    Over a strip the ellipse reaches furthest right at its rightmost point if that lies inside, else at the edge nearest
-    to it; at height d its chord is k' d +- h sqrt(half_height^2 - d^2), with k' and h of the transposed factor.
+    Within a strip the ellipse extends farthest right at its rightmost point if that lies inside, else on the edge
+    nearest to it; at height d its chord is k' d +- h sqrt(half_height^2 - d^2), with k' and h of the transposed factor.
     """
     record, extent = i * RECORD, i * EXTENT
     x, y, k = get(records, record), get(records, record + 1), get(records, record + 3)
@@ -70,7 +71,7 @@ def tile_span(records, extents, i, tile_row, left, right):
 
 @kernel()
 def add_to_counts(boxes, records, extents, i, columns, counts):
-    """Add one to the count of every tile that Gaussian i touches; returns how many those are."""
+    """Increment the count of every tile that Gaussian i touches; returns the number of these tiles."""
     left, right, top, bottom = unpacked_box(get(boxes, i))
     narrow = small_box(left, right, top, bottom)
     total = 0

@@ -1,4 +1,4 @@
-"""Several samples per pixel: drawn larger and averaged, with the low-pass filter of the picture's own pixels."""
+"""Supersampling: rendered larger and averaged, with the low-pass filter of the final pixels."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ from ..gaussians import Gaussians
 from .options import checked_definition
 from .render import Render, render
 
-AVERAGED = ("alpha", "depth")  # what has a mean
+AVERAGED = ("alpha", "depth")  # outputs that can be averaged
 
 
 def render_supersampled(gaussians: Gaussians, camera: Camera, factor: int, **options: Any) -> Render:
-    """`render` with factor x factor samples per pixel, each of the mean of its squares: colour, opacity, and depth by
-    weight.
+    """`render` averaged over factor x factor samples per pixel: colour, opacity, and depth weighted by opacity.
 
-    The dilation is that of the picture's own pixels, so that a splat keeps its footprint and only the sampling within a
-    pixel is finer. Time grows with the square of the factor. `stats` are those of the larger picture. Raises
-    `InputError` for a factor that is no whole number from 1 on, and for outputs that have no mean.
+    The dilation is scaled with the size, so that splats keep their footprint and only the sampling is finer. Time grows
+    with the square of the factor. `stats` are those of the larger image. Raises `InputError` for a factor that is no
+    whole number from 1 on, and for outputs other than AVERAGED.
     """
     times = whole_number(factor)
     if times is None or times < 1:

@@ -1,4 +1,4 @@
-"""The pixels of one tile while they are blended: 16 blocks of 8 x 8, channel by channel, made into pictures."""
+"""The state of one tile while it is blended, 16 blocks of 8 x 8 pixels by channel, and its output to the planes."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ ZERO, ONE = np.float32(0.0), np.float32(1.0)
 
 
 def tile_floats(channels: int) -> int:
-    """How many floats a tile's state has."""
+    """Number of floats in the state of a tile."""
     return BLOCKS * channels * PIXELS
 
 
 @kernel()
 def corner(block):
-    """The centre of a block's first pixel, px from the tile's centre."""
+    """(x, y) of the centre of a block's first pixel, px from the tile's centre."""
     return np.float32((block % ACROSS) * SIDE) - CENTRE, np.float32((block // ACROSS) * SIDE) - CENTRE
 
 
 @kernel()
 def place(row, column, size):
-    """Where a tile's pixel has its transmittance, in a state of `size` floats; other channels follow PIXELS apart."""
+    """Index of a pixel's transmittance in a tile state of `size` floats; its other channels follow PIXELS apart."""
     block = (row // SIDE) * ACROSS + column // SIDE
     return block * (size // BLOCKS) + (row % SIDE) * SIDE + column % SIDE
 
 
 @kernel()
 def start_tile(state, left, top, width, height):
-    """Full light and no colour; positions outside the image count as finished."""
+    """Initialise to transmittance 1 and colour 0; pixels outside the image get 0, and so are finished."""
     for at in range(state.size):
         put(state, at, ZERO)
     for row in range(smaller(TILE, height - top)):
@@ -45,7 +45,7 @@ def start_tile(state, left, top, width, height):
 
 @kernel()
 def live_blocks(state, finished):
-    """A bit per block that a further Gaussian can change: some light above `finished`."""
+    """Bit mask of unfinished blocks, those with a transmittance above `finished`."""
     live = 0
     for block in range(BLOCKS):
         most, start = ZERO, block * (state.size // BLOCKS)
@@ -58,7 +58,7 @@ def live_blocks(state, finished):
 
 @kernel(fastmath=frozenset({"contract"}))
 def store_tile(state, left, top, width, height, rgb, alpha, depth, median, removed, background):
-    """Colour over the background, opacity and depths of the tile's pixels."""
+    """Write the tile's pixels to the planes: colour over the background, opacity, depths, removed mass."""
     red, green, blue = get(background, 0), get(background, 1), get(background, 2)
     with_alpha = alpha.size > 0
     for row in range(smaller(TILE, height - top)):
@@ -80,7 +80,7 @@ def store_tile(state, left, top, width, height, rgb, alpha, depth, median, remov
 
 @kernel()
 def bytes_of(values, out):
-    """values in [0, 1], clipped, times 255 and rounded."""
+    """Set `out` to values (flat float32) clipped to [0, 1], times 255, rounded; NaN becomes 0."""
     for i in range(values.size):
         value = smaller(larger(get(values, i), ZERO), ONE) * np.float32(255.0) + np.float32(0.5)
         put(out, i, np.uint8(np.int32(value)))

@@ -1,8 +1,8 @@
-"""The innermost loop of blending as explicit 16-lane vectors: one list of Gaussians over one block of 8 x 8 pixels.
+"""The innermost loop of blending in explicit 16-lane vectors: a list of Gaussians over one block of 8 x 8 pixels.
 
-Written in LLVM's own instructions, since no loop that a compiler vectorises keeps a block's transmittance and colours
-in registers: four vectors hold its 64 pixels (two rows of 8 each), times the channels. LLVM splits the vectors where a
-processor's are shorter. `reference.py` says the same in float64, and tests compare them.
+It is emitted as LLVM IR, since auto-vectorised loops do not keep a block's transmittance and colours in registers: four
+vectors per channel hold its 64 pixels, two rows of 8 each. LLVM splits vectors that are longer than the processor's.
+`reference.py` computes the same in float64, and tests compare them.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ SIDE = 8  # px of a block
 VECTORS = SIDE * SIDE // LANES
 ROWS = LANES // SIDE  # of a block in one vector
 PIXELS = SIDE * SIDE
-# Channels of a block's state, PIXELS floats each; a picture without depth has the first 4, one with only that has 5.
+# Channels of a block's state, PIXELS floats each: the first 4 for colours alone, the first 5 with depth.
 LIGHT, COLOUR, DEPTH_SUM, REMOVED, MEDIAN = 0, 1, 4, 5, 6
 COLOURS_ONLY, WITH_DEPTH, ALL_CHANNELS = 4, 5, 7
-CHECK = 8  # Gaussians between two looks whether all pixels of the block are finished, a power of two
+CHECK = 8  # Gaussians between tests whether all pixels of the block are finished; a power of two
 
-# What a list's entry holds of its Gaussian, relative to the tile's centre: one cache line.
-# A depth with a minus sign belongs to a Gaussian whose share of each pixel is to be summed.
+# Fields of a list entry, relative to the tile's centre; an entry is one cache line.
+# A depth with its sign bit set marks a Gaussian of the subset whose weights are summed as REMOVED.
 U1, STEP1, U2, SHEAR2, STEP2, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, CUT = range(11)
 ENTRY = 16  # floats
 
 
 def spread_field(lanes: Lanes, entry: ir.Value, index: int) -> ir.Value:
-    """A number of an entry in every lane."""
+    """A field of an entry, broadcast to all lanes."""
     return lanes.spread(lanes.b.load(lanes.b.gep(entry, [ir.Constant(LONG, index)])))
 
 
 def layer(
     lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value]
 ) -> tuple[list[ir.Value], list[ir.Value]]:  # fmt: skip
-    """Which pixels an entry passes its cut at, and its alphas, which are not limited yet and wrong elsewhere."""
+    """Masks of the pixels where an entry passes its cut, and its alphas, not yet limited and undefined elsewhere."""
     each = range(VECTORS)
     across = lanes.fma(x, spread_field(lanes, entry, STEP1), spread_field(lanes, entry, U1))
     level = lanes.fma(lanes.minus(across), across, spread_field(lanes, entry, LOG_OPACITY))
@@ -52,7 +52,7 @@ def layer(
 
 
 def pixel_places(lanes: Lanes, x0: ir.Value, y0: ir.Value) -> tuple[ir.Value, list[ir.Value]]:
-    """x of each lane and y of each vector's lanes, of a block whose first pixel lies at (x0, y0)."""
+    """x of the lanes, and y of the lanes of each vector, for a block whose first pixel centre is (x0, y0)."""
     b = lanes.b
     x = b.fadd(lanes.constant([lane % SIDE for lane in range(LANES)]), lanes.spread(x0))
     rows = ([float(ROWS * j + lane // SIDE) for lane in range(LANES)] for j in range(VECTORS))
@@ -61,10 +61,10 @@ def pixel_places(lanes: Lanes, x0: ir.Value, y0: ir.Value) -> tuple[ir.Value, li
 
 def _blend_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cuts: list[ir.Value],
                state: list[list[ir.Value]], exclusive: bool) -> tuple[list[ir.Value], list[ir.Value]]:  # fmt: skip
-    """Add one entry to the block whose channels lie in the stack slots `state[channel][vector]`; returns its weights
-    and which pixels it was added to.
+    """Blend one entry into the block state in the stack slots `state[channel][vector]`; returns its weights and the
+    masks of the pixels that it was blended into.
 
-    All vectors go through each step together: their chains of dependent operations then overlap.
+    Steps are interleaved over the vectors, so that their dependency chains overlap.
     """
     b, each = lanes.b, range(VECTORS)
     alpha_max, stop = cuts
@@ -84,7 +84,7 @@ def _blend_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cu
         counts = [b.and_(seen[j], b.fcmp_ordered(">", light[j], stop)) for j in each]
         weight = [b.select(counts[j], b.fmul(alpha[j], light[j]), none) for j in each]
         left = [b.fsub(light[j], weight[j]) for j in each]
-    else:  # a pixel that the Gaussian would finish is finished without it: its light stays, with a minus sign
+    else:  # a pixel that the Gaussian would finish ends without it: its transmittance is negated
         live = [b.fcmp_ordered(">", light[j], none) for j in each]
         weight = [b.select(seen[j], b.fmul(alpha[j], light[j]), none) for j in each]
         left = [b.fsub(light[j], weight[j]) for j in each]
@@ -113,7 +113,7 @@ def _blend_one(lanes: Lanes, entry: ir.Value, x: ir.Value, y: list[ir.Value], cu
 
 
 def _block_loop(channels: int, exclusive: bool) -> Callable:
-    """Code of `blend_block` for 4, 5 or 7 channels and one of the two stopping rules."""
+    """Code generator of `blend_block` for 4, 5 or 7 channels and one of the two stopping rules."""
 
     def generate(context, b: ir.IRBuilder, signature, arguments):
         entries, chosen, states, tops = (data_of(context, b, signature.args[n], arguments[n]) for n in (0, 1, 5, 9))
@@ -173,14 +173,13 @@ def _block_loop(channels: int, exclusive: bool) -> Callable:
 def blend_block(
     typing, entries, chosen, kept, x0, y0, states, at, alpha_max, stop, tops, depth, median, exclusive
 ):  # fmt: skip
-    """Blend entries[chosen[:kept]] into the block states[at:], whose first pixel lies (x0, y0) px from the tile's
-    centre; returns whether anything can still change, plus twice the pairs of a Gaussian and a pixel if they are
-    counted.
+    """Blend entries[chosen[:kept]] into the block states[at:], whose first pixel centre lies at (x0, y0) px from the
+    tile's; returns 1 if any pixel is unfinished, plus twice the blended pairs of a Gaussian and a pixel where counted.
 
-    The types of the last three say what is computed, so that each choice has a loop of its own: `depth` and `median`
-    are None or planes, `exclusive` is None (the Gaussian that finishes a pixel is added) or anything else (it is left
-    out, and the pixel's light becomes negative). With `median` all channels are computed, pairs are counted, and
-    tops[chosen] rises to the largest weight of each entry.
+    The types of the last three arguments select a specialised loop: `depth` and `median` are None or planes;
+    `exclusive` is None (the Gaussian that finishes a pixel is blended) or anything else (it is not, and the pixel's
+    transmittance is negated). With `median` all channels are computed, pairs are counted, and tops[chosen] is raised to
+    each entry's largest weight.
     """
     channels = ALL_CHANNELS if median != types.none else WITH_DEPTH if depth != types.none else COLOURS_ONLY
     numbers = (types.float32,) * 2

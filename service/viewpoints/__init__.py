@@ -1,1 +1,1 @@
-"""gapmes.service.viewpoints: cameras for pictures: single views, paths through the inputs, framings."""
+"""gapmes.service.viewpoints: cameras for pictures: single views, camera paths and framings."""

@@ -1,6 +1,6 @@
-"""Camera paths for moving pictures: a swing about the scene, the whole circle, or through the inputs and back.
+"""Camera paths for films: a swing about the scene, a full orbit, or through the inputs and back.
 
-A path is a closed loop: a function of the time in [0, 1), as a share of its length, where 1 would be 0 again.
+A path is a closed loop: a function of time with period 1.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .views import mean_camera, orbit_camera, vertical
 PathName = Literal["turntable", "inputs", "orbit"]
 PATHS: tuple[PathName, ...] = get_args(PathName)
 
-LEAST_SWING, MOST_SWING = 5.0, 90.0  # degrees: less is hardly seen, more lies behind what the inputs see of the scene
+LEAST_SWING, MOST_SWING = 5.0, 90.0  # degrees: less is hardly visible, more shows what no input sees
 
 Path = Callable[[float], Camera]
 
@@ -46,13 +46,13 @@ def camera_path(name: PathName, cameras: Sequence[Camera], *, pivot_depth: float
 
 
 def loop(path: Path, frames: int) -> list[Camera]:
-    """`frames` cameras at equal times; the first one follows on the last, and is not there twice."""
+    """`frames` cameras at equal time steps of one period; the first is not repeated at the end."""
     return [path(index / frames) for index in range(frames)]
 
 
 def seen_swing(cameras: Sequence[Camera], pivot_depth: float) -> float:
-    """Degrees each way that a swing stays among the inputs: the largest angle about the vertical, seen from the pivot,
-    between the mean camera and an input, within `LEAST_SWING` and `MOST_SWING`. Behind the inputs nothing was seen.
+    """Degrees each way within which a swing stays among the inputs: the largest azimuth, seen from the pivot, between
+    the mean camera and an input, clipped to `LEAST_SWING` and `MOST_SWING`. Beyond the inputs nothing was seen.
     """
     middle, up = mean_camera(cameras), vertical(cameras)
     forward = middle.rotation[:, 2]

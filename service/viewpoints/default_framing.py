@@ -1,4 +1,4 @@
-"""A camera for Gaussians that come without any: it looks along +z and holds most of what is there."""
+"""A default camera for Gaussians without cameras, which looks along +z and frames most of the scene."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ SHARE = 0.8  # of all opacity that lies within the radius; what is beyond may be
 
 
 def default_views(gaussians: Gaussians) -> SceneViews:
-    """One camera in front of at least one Gaussian's scene, in OpenCV axes: x right, y down.
+    """The view of one camera in front of the scene of one or more Gaussians, in OpenCV axes: x right, y down.
 
-    The centre is the median of the means along each axis, weighed by opacity, and the radius that about it which holds
-    80 % of the opacity. The camera looks along +z, as the first one of most reconstructions does, from as far away as
-    lets a field of view of 50 degrees hold the sphere. `far` is the sphere's end and `near` such that an orbit turns
-    about the centre. Without an extent the largest Gaussian, three standard deviations of it, stands in for the radius.
-    Raises `GaussiansError` where that is too far away for a camera.
+    The centre is the opacity-weighted median of the means along each axis; the sphere about it that holds 80 % of the
+    opacity is framed. The camera looks along +z, as the first one of most reconstructions does, from where the sphere
+    fits into a field of view of 50 degrees. `far` is the far end of the sphere, and `near` makes its centre the pivot.
+    If the radius is 0, it is three standard deviations of the largest Gaussian. Raises `GaussiansError` if the
+    camera would be too far away.
     """
     weights = gaussians.opacities.astype(np.float64)
     if not weights.any():
@@ -56,7 +56,7 @@ def default_views(gaussians: Gaussians) -> SceneViews:
 
 
 def _quantile(values: F64, weights: F64, share: float) -> float:
-    """The smallest value up to which that share of all weight lies."""
+    """The weighted quantile: the smallest value at which the cumulative weight reaches `share`."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     return float(values[order[min(np.searchsorted(total, share * total[-1]), len(order) - 1)]])

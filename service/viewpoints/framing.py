@@ -1,4 +1,4 @@
-"""The size of a picture: a camera cropped about its centre to another aspect and scaled, never stretched."""
+"""Changing the size of a camera's picture: cropped about its centre to another aspect and scaled, never stretched."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from ..errors import ViewError
 
 
 def frame(camera: Camera, width: int | None = None, height: int | None = None) -> Camera:
-    """The same view at `width` x `height` px; one of them alone keeps the aspect, none of them keeps the camera.
+    """The same view at `width` x `height` px. If one is None, the aspect is kept; if both are, the camera is unchanged.
 
-    Where the aspect changes, the longer side is cropped about the middle of the picture and the intrinsics follow:
-    pixels stay as square as they were.
+    For another aspect the picture is cropped about its centre, and the intrinsics follow: the ratio of fx and fy is
+    kept.
     """
     if width is None:
         if height is None:
@@ -48,14 +48,14 @@ def within(camera: Camera, side: int) -> Camera:
 
 
 def even(camera: Camera) -> Camera:
-    """The view without its last row or column of pixels where their number is odd, as a film in MP4 needs it; the
-    others show what they did, at the same rays."""
+    """The view with an odd last row or column of pixels cropped, as MP4 needs even sides; other pixels keep their
+    rays."""
     width, height = (side - side % 2 if side > 1 else side for side in (camera.width, camera.height))
     return camera.cropped(0, 0, width, height) if (width, height) != (camera.width, camera.height) else camera
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """`WxH` in pixels, such as 640x480."""
+    """(width, height) of `WxH` in pixels, such as 640x480. Raises `ViewError`."""
     match = re.fullmatch(r"([1-9]\d{0,8})[x×]([1-9]\d{0,8})", text.strip().lower())
     if match is None:
         raise ViewError(f"{text!r} is not a size", field="size", cure="give WIDTHxHEIGHT in pixels, such as 640x480")

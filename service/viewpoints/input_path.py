@@ -1,10 +1,10 @@
-"""A smooth path through posed cameras and back: it meets each of them exactly, without a kink in place or direction.
+"""A smooth path that interpolates posed cameras and leads back, with continuous position and direction.
 
-Where the cameras lead back exactly the way that they came, it turns back on the spot. Between two cameras the centre
-is on a cubic Hermite curve whose tangents are those of a centripetal Catmull-Rom spline (Catmull and Rom 1974; Yuksel,
-Schaefer and Keyser, Computer-Aided Design 43, 2011: centripetal knots have neither cusps nor loops). The rotation is
-the cumulative cubic Bezier curve with the same knots and tangents (Kim, Kim and Shin, SIGGRAPH 1995), which is a slerp
-where the cameras turn evenly. The lens goes linearly.
+Where the cameras exactly retrace their way, the path reverses on the spot. Between two cameras the centre follows a
+cubic Hermite curve with the tangents of a centripetal Catmull-Rom spline (Catmull and Rom 1974; Yuksel, Schaefer and
+Keyser, Computer-Aided Design 43, 2011: centripetal knots avoid cusps and loops). The rotation follows the cumulative
+cubic Bezier curve with the same knots and tangents (Kim, Kim and Shin, SIGGRAPH 1995), which is a slerp for cameras
+that turn evenly. Intrinsics are interpolated linearly.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from ..errors import ViewError
 from .framing import frame
 from .views import between
 
-STEPS = 256  # per piece, by which its length is measured
-TURN_SHARE = 0.15  # of the way there, and of the way back, in which the speed grows from nothing, and falls to it again
-LEAST_STEP = 1e-9  # of the pivot's depth: cameras closer than that are one
+STEPS = 256  # samples per piece for its arc length
+TURN_SHARE = 0.15  # of the time each way in which the speed rises from 0, and falls to 0 again
+LEAST_STEP = 1e-9  # times the pivot's depth: closer cameras count as one
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """From one camera to the next; its parameter goes from 0 to 1. Tangents are per parameter."""
+    """The path from one camera to the next, with parameter u from 0 to 1. Tangents are derivatives by u."""
 
     start: Camera
     end: Camera
@@ -59,7 +59,7 @@ class Piece:
         return found
 
     def camera(self, u: float) -> Camera:
-        """The camera at one parameter; at 0 and 1 it is the one that was given."""
+        """The camera at one parameter; at 0 and 1 exactly `start` and `end`."""
         if u in (0.0, 1.0):
             return frame((self.start, self.end)[int(u)], self.start.width, self.start.height)
         at = np.array([u])
@@ -69,7 +69,7 @@ class Piece:
         return between(self.start, self.end, u).posed(pose)
 
     def lengths(self, pivot_depth: float) -> F64:
-        """(STEPS + 1,) way from the start to equidistant parameters, see `distance`."""
+        """(STEPS + 1,) arc lengths from the start to equidistant parameters, in the metric of `distance`."""
         u = np.linspace(0.0, 1.0, STEPS + 1)
         moved = np.linalg.norm(np.diff(self.centers(u), axis=0), axis=1)
         q = self.rotations(u)
@@ -81,14 +81,14 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class InputPath:
-    """There at constant speed and back; slower where it turns. All pictures have the size of the first camera's."""
+    """The path there and back at constant speed, but slower at both ends. All pictures have the first camera's size."""
 
     pieces: Sequence[Piece]
-    ways: Sequence[F64]  # of each piece, (STEPS + 1,)
+    ways: Sequence[F64]  # arc lengths of each piece, (STEPS + 1,)
 
     @classmethod
     def through(cls, cameras: Sequence[Camera], pivot_depth: float) -> InputPath:
-        """Raises `ViewError` where the cameras are not two at least, or all the same."""
+        """The path through the cameras. Raises `ViewError` unless two of them have different poses."""
         kept = list(cameras[:1])
         for camera in cameras[1:]:
             if distance(kept[-1], camera, pivot_depth) > LEAST_STEP * pivot_depth:
@@ -118,12 +118,12 @@ class InputPath:
 
     @property
     def meetings(self) -> list[float]:
-        """The times on the way there at which the path meets each camera: the first is 0, the last 1/2."""
+        """The times at which the path reaches each camera on the way there: the first is 0, the last 1/2."""
         ends = np.cumsum([0.0, *(way[-1] for way in self.ways)])
         return [_time(end / ends[-1]) / 2 for end in ends]
 
     def at(self, time: float) -> Camera:
-        """The camera at a time in [0, 1], as a share of the way there and back."""
+        """The camera at a time in [0, 1], from the first camera to the last at 1/2, and back."""
         time = time % 1.0
         ends = np.cumsum([0.0, *(way[-1] for way in self.ways)])
         way = ends[-1] * _way(2 * min(time, 1 - time))
@@ -133,13 +133,13 @@ class InputPath:
 
 
 def distance(one: Camera, other: Camera, pivot_depth: float) -> float:
-    """How far apart two poses are, in the caller's units: a turn counts as it moves what lies at `pivot_depth`."""
+    """Distance of two poses in the caller's units; a rotation counts by how far it moves points at `pivot_depth`."""
     angle = float(np.linalg.norm(rotation_vector(one.rotation.T @ other.rotation)))
     return float(np.hypot(np.linalg.norm(other.center - one.center), pivot_depth * angle))
 
 
 def _tangents(steps: F64, knots: F64) -> F64:
-    """(N + 1, 3), one per knot, as Catmull and Rom take them from the steps (N, 3); at the ends, the step's own."""
+    """(N + 1, 3) Catmull-Rom tangents at the knots, from steps (N, 3) over `knots` (N,); one-sided at the ends."""
     speeds = steps / knots[:, None]
     h = knots[:, None]
     inner = speeds[:-1] - (steps[:-1] + steps[1:]) / (h[:-1] + h[1:]) + speeds[1:]
@@ -147,7 +147,7 @@ def _tangents(steps: F64, knots: F64) -> F64:
 
 
 def _way(time: float) -> float:
-    """Share of the way at a share of the time: even but for `TURN_SHARE` at both ends, where the speed starts at 0."""
+    """Share of the way at a share of the time: constant speed, but for linear ramps of `TURN_SHARE` at both ends."""
     e = TURN_SHARE
     if time > 0.5:
         return 1 - _way(1 - time)

@@ -1,6 +1,6 @@
-"""A frame in which a scene stands upright before whoever looks: its pivot at the origin, the pivot's depth as the unit.
+"""A normalised frame of a scene: upright, with its pivot at the origin and the pivot's depth as the unit.
 
-Viewers turn about a vertical of their own and clip at depths of their own; in this frame both fit every scene.
+Viewers orbit about a fixed vertical and have fixed clipping planes; in this frame both fit every scene.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera
-from ..cameras.rotations import quaternion_from_matrix, quaternion_product, turned
+from ..cameras.rotations import quaternion_from_matrix, quaternion_product, rotated
 from ..gaussians import Gaussians
 from ..harmonics import rotate_harmonics
 from .views import mean_camera, vertical
@@ -30,21 +30,21 @@ class LevelFrame:
 
     @classmethod
     def of(cls, cameras: Sequence[Camera], pivot_depth: float) -> LevelFrame:
-        """For cameras that look at a pivot `pivot_depth` (caller's units) ahead of their mean."""
+        """The frame of cameras with a pivot at z-depth `pivot_depth` (caller's units) of their mean."""
         middle, up = mean_camera(cameras), vertical(cameras)
         ahead = middle.rotation[:, 2]
         right = np.cross(ahead, up)
-        if np.linalg.norm(right) < 1e-6:  # straight up or down: any direction is level
+        if np.linalg.norm(right) < 1e-6:  # looking straight up or down
             right = middle.rotation[:, 0]
         right = right / np.linalg.norm(right)
         level = np.stack([right, -up, np.cross(right, -up)], axis=1)
         return cls(level, middle.center + pivot_depth * ahead, pivot_depth)
 
     def gaussians(self, gaussians: Gaussians) -> Gaussians:
-        """Gaussians of the caller's world, in this frame."""
+        """Transform Gaussians from the caller's world into this frame."""
         back = self.rotation.T
         return Gaussians.make(
-            means=turned(back, gaussians.means - self.origin) / self.unit,
+            means=rotated(back, gaussians.means - self.origin) / self.unit,
             scales=gaussians.scales.astype(np.float64) / self.unit,
             rotations_wxyz=quaternion_product(
                 quaternion_from_matrix(back), gaussians.rotations_wxyz.astype(np.float64)
@@ -54,7 +54,7 @@ class LevelFrame:
         )
 
     def camera(self, camera: Camera) -> Camera:
-        """A camera of the caller's world, in this frame."""
+        """Transform a camera from the caller's world into this frame."""
         pose = np.eye(4)
         pose[:3, :3] = self.rotation.T @ camera.rotation
         pose[:3, 3] = self.rotation.T @ (camera.center - self.origin) / self.unit

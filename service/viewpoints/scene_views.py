@@ -1,4 +1,4 @@
-"""The cameras of a scene and the depths between which it lies: which camera a view means, and where drawing begins."""
+"""The cameras and the depth range of a scene: resolving views to cameras, camera paths, and the near plane."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ..errors import ViewError
 from .camera_path import Path, PathName, camera_path
 from .views import resolve_view
 
-# Hardly anything of a scene lies in front of its near depth as its own cameras see it; a tenth of it leaves room to
-# move in and keeps the near plane in the caller's units, whatever they are.
+# Hardly anything lies closer to a scene's own cameras than its near depth; a tenth of it leaves room to move closer,
+# and scales with the caller's units.
 NEAR_PLANE_SHARE = 0.1
 
 
 class NearPlane(TypedDict, total=False):
-    """A keyword of the splatter."""
+    """The splatter's argument `near`, if it is known."""
 
     near: float
 
 
 @dataclass(frozen=True)
 class SceneViews:
-    """Cameras with the near and far depth that were given or estimated for them, where there were any."""
+    """Cameras with their near and far depth, given or estimated, if there are any."""
 
     cameras: Sequence[Camera]
     near: float | None = None
@@ -35,12 +35,12 @@ class SceneViews:
 
     @classmethod
     def of_document(cls, document: Mapping[str, Any]) -> SceneViews:
-        """The fitted cameras, so that a view renders at the size and crop that the network saw."""
+        """The fitted cameras of a scene document, so that views have the crop and size of the scene."""
         cameras = [_stored(camera) for camera in document["view_cameras"]]
         return cls(cameras, document["near"], document["far"])
 
     def resolve(self, spec: str, *, field: str = "view") -> Camera:
-        """The camera of "2", "1.5" or "orbit:30"; an orbit turns about the pivot."""
+        """The camera of "2", "1.5" or "orbit:30", see `resolve_view`. Raises `ViewError` about `field`."""
         try:
             return resolve_view(spec, self.cameras, pivot_depth=self.pivot_depth)
         except ViewError as error:
@@ -53,16 +53,16 @@ class SceneViews:
 
     @property
     def pivot_depth(self) -> float:
-        """z-depth of what the scene turns about: the geometric mean of near and far, 1 where they are unknown."""
+        """z-depth of the pivot of orbits: the geometric mean of near and far, or 1 if they are unknown."""
         return math.sqrt(self.near * self.far) if self.near and self.far else 1.0
 
     @property
     def near_plane(self) -> NearPlane:
-        """The splatter's `near` as a keyword, or nothing where the scene's depth is unknown."""
+        """The splatter's argument `near`, empty if the scene's depth is unknown."""
         return {} if self.near is None else {"near": NEAR_PLANE_SHARE * self.near}
 
 
 def _stored(entry: Mapping[str, Any]) -> Camera:
-    """A camera of a scene document. It was checked when it was given; a crop of it may have any principal point."""
+    """A camera of a scene document, unchecked: a crop may have its principal point anywhere."""
     fx, fy, cx, cy = (float(entry[name]) for name in ("fx", "fy", "cx", "cy"))
     return Camera(entry["width"], entry["height"], fx, fy, cx, cy, np.array(entry["c2w"], dtype=np.float64))

@@ -1,4 +1,4 @@
-"""Between which depths the Gaussians lie that some cameras see."""
+"""Depth range of the Gaussians that cameras see."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..gaussians import Gaussians
 
-PERCENTILES = (1.0, 99.0)  # what lies outside are strays
+PERCENTILES = (1.0, 99.0)  # beyond them are outliers
 
 
 def seen_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> tuple[float, float] | None:
-    """z-depths, in the cameras' units, between which 98 % of what the cameras see lies; None where they see nothing.
-
-    A Gaussian is seen by each camera in whose picture its centre lies.
+    """The 1st and 99th percentile of the z-depths, in the cameras' units, of Gaussians whose centres project into a
+    picture; None if none does.
     """
     depths = []
     for camera in cameras:

@@ -1,4 +1,4 @@
-"""Which camera a view means: an input view, a place between two of them, or an orbit about what they look at."""
+"""Cameras of views: an input view, an interpolation between two of them, or an orbit about the pivot."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _ORBIT = re.compile(r"orbit:([+-]?[0-9]{1,6}(?:\.[0-9]{1,30})?)")
 def resolve_view(spec: str, cameras: Sequence[Camera], *, pivot_depth: float) -> Camera:
     """The camera that `spec` names.
 
-    "2" is input view 2; "1.5" lies half way between views 1 and 2 (rotation on the shortest arc, centre and lens on a
-    line, size of view 1, to which the other is cropped where its shape differs); "orbit:30" is the mean camera turned
-    by 30 degrees about the vertical through the point at z-depth `pivot_depth` (caller's units) on its optical axis, to
-    the right for positive angles. Raises `ViewError`.
+    "2" is input view 2. "1.5" lies half way between views 1 and 2: slerp of the rotation, linear interpolation of
+    centre and intrinsics, at the size of view 1, to which the other is cropped. "orbit:30" is the mean camera rotated
+    by 30 degrees, to the right, about the vertical through the point at z-depth `pivot_depth` (caller's units) on its
+    optical axis. Raises `ViewError`.
     """
     text = spec.strip()
     orbit = _ORBIT.fullmatch(text)
@@ -51,7 +51,7 @@ def resolve_view(spec: str, cameras: Sequence[Camera], *, pivot_depth: float) ->
 
 
 def between(start: Camera, end: Camera, fraction: float) -> Camera:
-    """The camera at `fraction` of the way from `start` to `end`, with the picture size of `start`."""
+    """The camera interpolated at `fraction` from `start` to `end`, with the picture size of `start`."""
     end = frame(end, start.width, start.height)
     pose = np.eye(4)
     pose[:3, :3] = slerp(start.rotation, end.rotation, fraction)
@@ -61,7 +61,7 @@ def between(start: Camera, end: Camera, fraction: float) -> Camera:
 
 
 def mean_camera(cameras: Sequence[Camera]) -> Camera:
-    """Chordal mean rotation, mean centre and mean lens, with the picture size of the first camera."""
+    """Chordal mean rotation, mean centre and mean intrinsics, with the picture size of the first camera."""
     first = cameras[0]
     pose = np.eye(4)
     pose[:3, :3] = mean_rotation(np.stack([camera.rotation for camera in cameras]))
@@ -72,7 +72,7 @@ def mean_camera(cameras: Sequence[Camera]) -> Camera:
 
 
 def orbit_camera(cameras: Sequence[Camera], angle: float, pivot_depth: float) -> Camera:
-    """The mean camera moved by `angle` radians on a circle about the vertical through its pivot.
+    """The mean camera rotated by `angle` radians about the vertical through its pivot.
 
     A positive angle moves the camera to its right, and it keeps looking at the pivot.
     """

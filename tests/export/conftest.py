@@ -1,4 +1,4 @@
-"""Exports that several tests share, each made once at 64 x 64 pixels: the shipped network, and miniatures of the full
+"""Exports that several tests share, each made once at 64 x 64 pixels: the shipped network and miniatures of the full
 one and of DepthSplat."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A smaller graph of the same network, for tests that are about something else than its size."""
+"""A smaller graph of the same network, for tests in which its size does not matter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wrong files for the verifier: one bias is off, or ties go to the highest index."""
+"""Wrong files for the verifier: with one wrong bias, or with ties that go to the highest index."""
 
 from __future__ import annotations
 

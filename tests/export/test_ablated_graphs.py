@@ -1,4 +1,4 @@
-"""Networks with parts left out, of other shapes, with harmonics: they export, say what they have, agree with torch."""
+"""Networks with ablations, other shapes or harmonics export, name their configuration, and agree with torch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The comparison itself: known errors come out as the numbers they are, and shapes are not broadcast."""
+"""The comparison itself: known errors give the right numbers, and shapes are not broadcast."""
 
 from __future__ import annotations
 

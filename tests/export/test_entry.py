@@ -1,4 +1,4 @@
-"""`gapmes-export` without its extra: one line that says what to install."""
+"""`gapmes-export` without its extra: one line names the packages to install."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WITHOUT_TORCH = "import sys; sys.modules['torch'] = None; from gapmes.export.ent
 
 
 def test_without_torch_it_says_what_to_install() -> None:
-    """In a process of its own: whoever takes a loaded package away leaves others with two of its modules."""
+    """In a separate process: unloading a package here would leave other tests with two copies of its modules."""
     ended = subprocess.run([sys.executable, "-c", WITHOUT_TORCH], capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stdout) == (1, "")
     assert ended.stderr == "refused: gapmes-export needs torch: pip install 'gapmes[export]'\n"

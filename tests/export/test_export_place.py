@@ -1,4 +1,4 @@
-"""Where an export writes: what is in the way is refused before the work, and nothing half done is left there."""
+"""The place of an export: obstacles are refused before the work, and no partial file is left."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ QUICK = {"height": 64, "width": 64, "quick": True}
 
 
 def small() -> onnx.ModelProto:
-    """A graph that stands for the network's."""
+    """A graph in place of the network's."""
     value = onnx.helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [1])
     node = onnx.helper.make_node("Identity", ["x"], ["y"])
     result = onnx.helper.make_tensor_value_info("y", onnx.TensorProto.FLOAT, [1])
@@ -82,7 +82,7 @@ def test_behind_a_link_the_file_is_replaced_with_what_lies_beside_it(checkpoint:
 def test_two_exports_to_one_place_do_not_meet(
     checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While one is verified another one of other precision comes and goes: each is judged by its own file."""
+    """While one export is verified, another with another precision starts and ends: each is judged by its own file."""
     out = tmp_path / "net.onnx"
     inner = []
 
@@ -112,7 +112,8 @@ def test_a_full_disk_is_said_of_the_file(checkpoint: Path, tmp_path: Path, monke
 
 
 ENDED = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it would be ignored
 from gapmes.export import cli, pipeline
 from test_export_place import small
 pipeline.export_graph = lambda *_: small()
@@ -128,12 +129,7 @@ cli.main()
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_an_export_that_a_signal_ends_leaves_nothing(number: signal.Signals, tmp_path: Path) -> None:
     command = [sys.executable, "-c", ENDED, str(tmp_path / "net.onnx")]
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it would be ignored, there and here
-    try:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent)
-    finally:
-        signal.signal(signal.SIGHUP, before)
-    with process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent) as process:
         assert process.stdout is not None
         candidate = Path(process.stdout.readline().strip())
         try:

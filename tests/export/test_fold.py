@@ -1,4 +1,4 @@
-"""What is taken out of a traced graph changes nothing, and what turns something stays."""
+"""Folding a traced graph: removed nodes change nothing, and rotations stay."""
 
 from __future__ import annotations
 

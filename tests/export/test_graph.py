@@ -17,6 +17,7 @@ from gapmes.export.graph import evaluated
 from gapmes.export.samples import FLAT, UNDETERMINED, hostile_scenes, random_scene
 from gapmes.export.tolerance import TOLERANCES
 from gapmes.export.verify import verify
+from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.weights_file import file_sha256
 from gapmes.service.network.contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
@@ -39,7 +40,7 @@ def test_inputs_and_outputs_are_those_of_the_contract(small_graph: onnx.ModelPro
 
 
 def test_the_shipped_file_is_built_of_what_the_exporter_makes_today(small_graph: onnx.ModelProto) -> None:
-    """At another size, so numbers of pieces differ; kinds of nodes and weights do not."""
+    """The size differs, and with it the numbers of pieces; kinds of nodes and weights do not."""
     shipped = onnx.load(shipped_model())
     assert {n.op_type for n in shipped.graph.node} == {n.op_type for n in small_graph.graph.node}
     ours, theirs = (
@@ -54,8 +55,15 @@ def test_the_shipped_file_is_built_of_what_the_exporter_makes_today(small_graph:
     assert len(theirs) > 100
 
 
+@pytest.mark.parametrize(("experts", "chosen"), [(1, [0]), (2, [0, 1]), (3, [1, 2]), (6, [1, 5])])
+def test_two_experts_are_two_wherever_there_are_so_many(experts: int, chosen: list[int]) -> None:
+    network = GaPMeS(preset("tiny", experts=experts, top_k=1))
+    bias = gate_values(network, "two experts")["mixture.gates.expert_gate.bias"]
+    assert torch.nonzero(bias).flatten().tolist() == chosen
+
+
 def test_a_pair_of_views_that_shares_nothing_leaves_an_empty_batch_that_runs(small_graph: onnx.ModelProto) -> None:
-    """Cameras that look away from each other: no pair is compared on any plane."""
+    """The cameras look away from each other: no pair is compared on any plane."""
     inputs = random_scene(2, SIZE, SIZE, seed=1)
     inputs.world_from_cam[1, :3, :3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0]))
     session = onnxruntime.InferenceSession(small_graph.SerializeToString(), providers=["CPUExecutionProvider"])

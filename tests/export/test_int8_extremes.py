@@ -1,6 +1,8 @@
-"""int8 against float32: channels that outgrow the others, and sums that mean the same on every processor."""
+"""int8 against float32: outlier channels, and sums that are the same on every processor."""
 
 from __future__ import annotations
+
+import logging
 
 import numpy as np
 import onnx
@@ -24,7 +26,7 @@ def run(model: onnx.ModelProto, feed: dict[str, np.ndarray]) -> dict[str, np.nda
 
 
 def linear(weight: np.ndarray) -> onnx.ModelProto:
-    """y = x W."""
+    """The graph of y = x W."""
     ends = [helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, [None, None]) for name in "xy"]
     node = helper.make_node("MatMul", ["x", "weight"], ["y"], name="layer")
     graph = helper.make_graph([node], "g", ends[:1], ends[1:], [numpy_helper.from_array(weight, "weight")])
@@ -34,7 +36,7 @@ def linear(weight: np.ndarray) -> onnx.ModelProto:
 @pytest.mark.case("B2")
 @pytest.mark.parametrize("outlier", [1.0, 10.0, 1e2, 1e4, 1e6])
 def test_an_outlier_channel_costs_no_more_than_half_a_step_of_each_factor(outlier: float) -> None:
-    """Each number is off by half a step of its scale at most: that of x has 255 steps, that of a column of W 128."""
+    """Each number is off by at most half a step of its scale: x has 255 steps, a column of W 128."""
     rng = np.random.default_rng(0)
     weight, x = rng.normal(size=(96, 32)).astype(np.float32), rng.normal(size=(50, 96)).astype(np.float32)
     x[:, 7] *= outlier
@@ -48,6 +50,15 @@ def test_an_outlier_channel_costs_no_more_than_half_a_step_of_each_factor(outlie
     bound += 96 * step_x * step_w / 4 + 1e-5 * np.abs(x) @ np.abs(weight)
     assert np.isfinite(found).all()
     assert (np.abs(found - exact) <= bound).all()
+
+
+def test_what_a_program_has_silenced_stays_silent() -> None:
+    logging.disable(logging.CRITICAL)
+    try:
+        quantised(linear(np.ones((8, 8), np.float32)))
+        assert logging.root.manager.disable == logging.CRITICAL
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 @pytest.mark.case("B2")
@@ -121,7 +132,7 @@ def test_outlier_channels_in_every_transformer_layer(
 
 
 def test_only_layers_are_quantised(small_graph: onnx.ModelProto) -> None:
-    """Means over windows are products with constants as well: in 8 bits they would cost the depth."""
+    """Window means are products with constants too; in 8 bits they would spoil the depth."""
     model = quantised(small_graph)
     modules = {node.name.rpartition("/")[0] for node in model.graph.node if node.op_type == "MatMulInteger"}
     layers = {"query_self", "key_value_self", "out_self", "query_cross", "key_value_cross", "out_cross", "0", "2"}

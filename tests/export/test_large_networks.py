@@ -1,4 +1,4 @@
-"""Full trunk and DepthSplat export by the same path: shapes and values at every number of views, external weights,
+"""The full trunk and DepthSplat export in the same way: shapes and values at every number of views, external weights,
 int8, and DepthSplat's own file."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Linear layers as deployed: in float64 nothing but rounding changes, no length is slow, and nothing is left behind."""
+"""Linear layers as deployed: only rounding differs in float64, no length is slow, and the modules are restored
+afterwards."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`gapmes-export --report` and `--stability`: what cannot be done is one line and exit status 1, before any work."""
+"""`gapmes-export --report` and `--stability`: impossible requests give one line and exit status 1, before any work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Model files and the weights beside them: which belong together, and what a failed write leaves."""
+"""Model files and their external weights: which belong together, and what a failed write leaves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gapmes.export.model_file import data_files, remove_model, write_model
 
 
 def product(seed: int) -> onnx.ModelProto:
-    """y = x @ w with 16 KB of weights."""
+    """A model of y = x @ w with 16 KB of weights."""
     weights = np.random.default_rng(seed).normal(size=(64, 64)).astype(np.float32)
     x, y = (helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 64]) for name in "xy")
     node = helper.make_node("MatMul", ["x", "w"], ["y"])

@@ -1,4 +1,4 @@
-"""docs/network.md says what the code does: every key of a file's metadata, planes of the sweep, terms of the loss."""
+"""docs/network.md agrees with the code: every metadata key, the planes of the sweep, the terms of the loss."""
 
 from __future__ import annotations
 

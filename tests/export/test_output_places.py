@@ -1,4 +1,4 @@
-"""Where an export goes: looked at before the work, and what lies there after each way in which it can end."""
+"""The output of an export: checked before the work, and left in a defined state however the export ends."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def judged(monkeypatch: pytest.MonkeyPatch, verdict: Report | BaseException) -> 
 
 
 def names(folder: Path) -> set[str]:
-    """Of the files in it, without the digits of weights."""
+    """The names of the files in a folder, without the digits of weights."""
     return {path.name if path.suffix != ".data" else path.name[:-18] + ".data" for path in folder.iterdir()}
 
 
@@ -78,7 +78,7 @@ def test_a_report_is_json_also_of_what_is_not_finite(value: float, tmp_path: Pat
 def test_a_place_that_takes_no_file_is_refused_before_the_work(
     checkpoint: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also of one that lets root write, as access bits say."""
+    """Also a folder that root may write to by its access bits."""
     monkeypatch.setattr(pipeline, "load_variant", None)
     for place in ("/proc/a.onnx", "/proc/new/a.onnx"):
         with pytest.raises(InputError, match="cannot be written"):
@@ -164,7 +164,7 @@ def test_a_device_is_not_replaced(checkpoint: Path, monkeypatch: pytest.MonkeyPa
 def test_an_interrupt_ends_the_verification_too(
     checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where it was sent to the exporter alone: the other process would work on for minutes."""
+    """Also if it was sent to the exporter alone: the other process would otherwise run on for minutes."""
     started = []
     real = pipeline.subprocess.Popen
 
@@ -180,3 +180,31 @@ def test_an_interrupt_ends_the_verification_too(
     with pytest.raises(KeyboardInterrupt):
         pipeline._verify_elsewhere(tmp_path / "a.onnx", checkpoint, tmp_path / "a.json", True, interrupted)
     assert started[0].returncode < 0
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("raise RuntimeError('no room')", "ended with 1: RuntimeError: no room"),
+        ("raise SystemExit(5)", "ended with 5: it does not say why"),
+        (
+            "import os; os.kill(os.getpid(), 9)",
+            "was ended by SIGKILL; lack of memory may be why: take a smaller --size",
+        ),
+        ("import os; os.kill(os.getpid(), 15)", "was ended by SIGTERM"),
+        ("import os; os.kill(os.getpid(), 40)", "was ended by signal 40"),
+    ],
+)
+def test_a_verification_that_breaks_is_told_in_one_line(
+    script: str, said: str, checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = pipeline.subprocess.Popen
+
+    def broken(_: object, **options: object) -> object:
+        return real([pipeline.sys.executable, "-c", script], **options)
+
+    monkeypatch.setattr(pipeline.subprocess, "Popen", broken)
+    with pytest.raises(VerificationBroken) as ended:
+        pipeline._verify_elsewhere(tmp_path / "a.onnx", checkpoint, tmp_path / "a.json", True, lambda *_: None)
+    assert str(ended.value).startswith(f"the verification process {said}")
+    assert "\n" not in str(ended.value)

@@ -1,4 +1,5 @@
-"""What is drawn from two results: jumps are told from smooth errors, have their own limit, and hide nothing else."""
+"""Comparing the pictures of two results: jumps are separated from smooth errors, have a limit of their own, and hide no
+others."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ def case() -> Case:
 
 @pytest.fixture
 def reference(case: Case) -> Outputs:
-    """A wall of Gaussians of random colours, five near depths before the first camera, wider than the picture."""
+    """A wall of Gaussians of random colours, five near depths in front of the first camera, wider than the picture."""
     random = np.random.default_rng(3)
     depth = 5 * float(case.inputs.near_far[0])
     steps = np.linspace(-1.5, 1.5, SIDE) * depth
@@ -78,7 +79,7 @@ def test_what_a_changed_route_reaches_is_no_jump_and_stays(case: Case, reference
 
 
 def test_an_error_below_a_jump_stays_in_both_pictures(case: Case, reference: Outputs) -> None:
-    """A wrong colour everywhere, just too small to be a jump."""
+    """The colour is wrong everywhere, by just too little to be a jump."""
     values = {key: value.copy() for key, value in reference.items()}
     values["harmonics"] += np.float32(0.9 * JUMP * np.abs(reference["harmonics"]).max())
     found = picture_agreement(values, reference, EVERY, case)

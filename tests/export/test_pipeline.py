@@ -1,4 +1,4 @@
-"""Export end to end: accepted files, rejected files, int8, and the shipped file being what the exporter makes."""
+"""Export end to end: accepted files, rejected files, int8, and the shipped file, which the exporter reproduces."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gapmes.service.shipped import shipped_model
 
 @pytest.fixture
 def prebuilt(monkeypatch: pytest.MonkeyPatch, small_graph: onnx.ModelProto) -> onnx.ModelProto:
-    """A copy of the small graph that the pipeline takes instead of exporting once more."""
+    """A copy of the small graph that the pipeline uses instead of exporting again."""
     copy = onnx.ModelProto()
     copy.CopyFrom(small_graph)
     monkeypatch.setattr(pipeline, "export_graph", lambda *_: copy)
@@ -99,7 +99,7 @@ def test_wrong_arguments_are_named(arguments: list[str], code: int, text: str, t
 
 @pytest.mark.case("B2")
 def test_int8_keeps_gates_in_float32_and_passes(prebuilt: onnx.ModelProto, checkpoint: Path, tmp_path: Path) -> None:
-    """There is no float16 export; int8 is verified on the processor that exports, also on extreme pictures."""
+    """There is no float16 export; int8 is verified on the exporting processor, also on extreme pictures."""
     out = tmp_path / "int8.onnx"
     result = pipeline.export_checkpoint(checkpoint, out, height=64, width=64, precision="int8", quick=True)
     model = onnx.load(out)

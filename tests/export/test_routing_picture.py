@@ -1,4 +1,4 @@
-"""The routing picture: every patch in its place and colour, what is left out left alone, shares that count patches."""
+"""The routing picture: every patch has its place and colour, masked patches have none, and shares count patches."""
 
 from __future__ import annotations
 
@@ -30,6 +30,14 @@ def routed(views: int = 2, seed: int = 0) -> Routed:
     photos = random.random((views, 3, ROWS * PATCH, COLUMNS * PATCH)).astype(np.float32)
     places = tuple(range(3, 3 + views))
     return Routed(photos, places, PATCH, EXPERTS, order, weight.astype(np.float32), tasks.astype(np.float32))
+
+
+def test_more_choices_than_have_a_name_are_numbered() -> None:
+    choices = np.tile(np.arange(10), (2, ROWS * COLUMNS, 1))
+    many = replace(routed(), experts=10, expert_index=choices, expert_weight=np.full(choices.shape, 0.1, np.float32))
+    titles = [panel.title for row in rp.view_rows(many, 0) for panel in row]
+    assert titles[8:11] == ["eighth expert, weight 0.10", "9th expert, weight 0.10", "10th expert, weight 0.10"]
+    rp.draw_routing(many)
 
 
 def expected_pixel(photo: np.ndarray, colour: str, y: int, x: int) -> np.ndarray:

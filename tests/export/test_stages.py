@@ -77,12 +77,12 @@ DEPTHSPLAT = {
 
 
 def given_to(value: object) -> dict[str, object]:
-    """The fields that a dataclass was made of, without what it has computed of them since."""
+    """The fields that a dataclass was constructed from, without those computed later."""
     return {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
 
 
 def tensors(value: object) -> list[torch.Tensor]:
-    """Those in nested tuples, mappings and dataclasses, in order."""
+    """All tensors in nested tuples, mappings and dataclasses, in order."""
     if isinstance(value, torch.Tensor):
         return [value]
     if isinstance(value, dict):
@@ -93,7 +93,7 @@ def tensors(value: object) -> list[torch.Tensor]:
 
 
 def watched(network: Network, inputs, stages: Iterable[str]) -> dict[str, tuple[tuple, list[torch.Tensor]]]:
-    """Arguments and results of every stage in a run."""
+    """The arguments and results of every stage in a run."""
     found = {}
     hooks = [
         network.get_submodule(name).register_forward_hook(
@@ -124,13 +124,13 @@ def cast(value: object, dtype: torch.dtype) -> object:
 
 
 def distance(one: np.ndarray, true: np.ndarray) -> float:
-    """The largest, as a share of the largest true value."""
+    """The largest difference, as a share of the largest true value."""
     return float(np.abs(one - true).max() / np.abs(true).max())
 
 
 @contextmanager
 def in_float64() -> Iterator[None]:
-    """What the network makes by itself, such as grids, is float64 too."""
+    """Tensors that the network creates itself, such as grids, are float64 too."""
     torch.set_default_dtype(torch.float64)
     try:
         yield

@@ -1,4 +1,4 @@
-"""Variants of an export: experts per patch, and a network that skips nothing and yields the same."""
+"""Variants of an export: experts per patch, and a network that skips nothing and gives the same result."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SIZE = 64
 
 
 def run(checkpoint: Path, variant: Variant, views: int, moved: float = 0.0) -> dict[str, np.ndarray]:
-    """Outputs by name; `moved` takes the last view that far to the side."""
+    """The outputs by name; `moved` shifts the last view so far to the side."""
     scene = random_scene(views, SIZE, SIZE, seed=3)
     scene.world_from_cam[-1, 0, 3] += moved
     graph = SceneGraph(load_variant(checkpoint, variant).network).eval()
@@ -29,7 +29,7 @@ def run(checkpoint: Path, variant: Variant, views: int, moved: float = 0.0) -> d
 @pytest.mark.case("S2")
 @pytest.mark.parametrize(("views", "moved"), [(2, 0.0), (3, 0.0), (3, 1000.0)])
 def test_a_network_that_skips_nothing_yields_the_same(checkpoint: Path, views: int, moved: float) -> None:
-    """Also where a view shares nothing with the others, so that no pair with it is compared."""
+    """Also if a view shares nothing with the others, so that no pair with it is compared."""
     sparse = run(checkpoint, Variant(), views, moved)
     dense = run(checkpoint, Variant(keep_all=True), views, moved)
     for name, value in sparse.items():

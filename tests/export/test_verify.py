@@ -1,4 +1,4 @@
-"""The verifier's own judgement: pictures, what is not finite, and what rounding in float32 excuses or does not."""
+"""The verifier's judgement: pictures, non-finite values, and differences that float32 rounding excuses or does not."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FP32 = TOLERANCES["fp32"]
 
 @pytest.fixture
 def model(small_graph: onnx.ModelProto) -> onnx.ModelProto:
-    """One that a test may change."""
+    """A model that a test may change."""
     copied = onnx.ModelProto()
     copied.CopyFrom(small_graph)
     return copied
@@ -48,7 +48,7 @@ def failed(result: CaseResult) -> set[str]:
 
 
 def judged_by_rounding(factor: float | None) -> Tolerance:
-    """Limits that no file keeps, so that torch in float64 has to tell."""
+    """Limits that no file meets, so that torch in float64 has to decide."""
     return replace(FP32, p99=1e-12, mean=1e-12, rounding_factor=factor)
 
 
@@ -66,6 +66,22 @@ def test_what_is_not_finite_fails_and_is_not_drawn(model: onnx.ModelProto, netwo
     assert "opacities: not finite" in result.failures
     assert result.picture is None
     assert result.beside_float64 == {}
+
+
+@pytest.mark.parametrize(
+    ("weight", "layer"),
+    [
+        ("trunk.to_half.weight", "trunk.at_half.norm"),  # torch cannot go on
+        ("semantic.vit.encoder.layer.0.norm2.weight", "semantic.vit.encoder.layer.1.norm1"),  # it can
+    ],
+)
+def test_where_torch_overflows_the_layer_is_named(
+    weight: str, layer: str, model: onnx.ModelProto, network: GaPMeS, sample: Case
+) -> None:
+    network.get_parameter(weight).data.view(-1)[0] = 1e38
+    (failure,) = verified(model, network, sample, FP32).failures
+    assert failure.startswith(f"torch: layer {layer} overflows: ")
+    assert failure.endswith(f"the largest weight is 1e+38, in {weight}")
 
 
 def test_what_rounding_explains_passes(model: onnx.ModelProto, network: GaPMeS, sample: Case) -> None:
@@ -96,7 +112,7 @@ def test_a_small_error_is_no_rounding(
 
 @pytest.mark.parametrize("gates", ["all tied", "one expert", "two experts"])
 def test_ties_that_go_to_another_index_fail(model: onnx.ModelProto, network: GaPMeS, gates: GateSetting) -> None:
-    """Gates that were set leave nothing to rounding; as trained, where nothing ties, the file is as good as any."""
+    """Gates that were set leave nothing to rounding; trained gates have no ties, and the file is as good as any."""
     spoil_ties(model)
     scene = random_scene(2, 64, 64, seed=12)
     spoiled = verified(model, network, Case("random", gates, scene), TOLERANCES["int8"])
@@ -116,7 +132,7 @@ def test_where_most_is_excused_nothing_passes(
 def test_routes_that_rounding_may_decide_excuse_no_empty_comparison(
     model: onnx.ModelProto, network: GaPMeS, sample: Case
 ) -> None:
-    """Every logit is within rounding of the next, and ties go to the highest index."""
+    """Every logit lies within rounding of the next, and ties go to the highest index."""
     values = gate_values(network, "all tied")
     spoil_ties(model)
     network.load_state_dict(values, strict=False)
@@ -130,7 +146,7 @@ def test_routes_that_rounding_may_decide_excuse_no_empty_comparison(
 def test_a_float64_that_tells_nothing_excuses_nothing(
     model: onnx.ModelProto, network: GaPMeS, sample: Case, monkeypatch: pytest.MonkeyPatch, spoiled: str
 ) -> None:
-    """It is not finite, or most patches take another route there."""
+    """It is not finite, or most patches take another route in it."""
 
     def useless(of: GaPMeS, inputs, dtype: torch.dtype) -> dict[str, NDArray[np.generic]]:
         found = evaluated(of, inputs, dtype)

@@ -1,4 +1,4 @@
-"""The full network with ViTs and widths small enough for tests; trunk and wiring are those of the presets."""
+"""The full network with ViTs and widths small enough for tests; trunk and connections are those of the presets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small networks and scenes that the model tests share."""
+"""Small networks and scenes for the model tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The adapter: Gaussians land on their pixels, harmonics and rotations turn with the camera."""
+"""The adapter: Gaussians project to their pixels, and harmonics and rotations rotate with the camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cross-view cues: points on a common surface agree, floating ones are looked through, hidden ones are told apart."""
+"""Cross-view cues: points on a common surface agree, floating points and hidden points are distinguished."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NEAR, FAR = 1.0, 8.0
 
 
 def sideways(count: int = 2, baseline: float = 0.4) -> Views:
-    """Cameras side by side that look straight along z, where a fronto-parallel plane has one depth in every view."""
+    """Cameras side by side that look straight along z, so that a fronto-parallel plane has one depth in every view."""
     intrinsics = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]).expand(1, count, 3, 3)
     poses = torch.eye(4).repeat(1, count, 1, 1)
     poses[0, :, 0, 3] = baseline * torch.arange(count)
@@ -62,7 +62,7 @@ def test_colours_are_compared_where_the_point_lands() -> None:
 
 
 def test_every_pixel_is_compared_with_where_it_lands() -> None:
-    """Random depths and colours of pictures that are not square, against float64 pixel by pixel."""
+    """Random depths and colours in pictures that are not square, against float64 pixel by pixel."""
     h, w, cameras = 9, 14, sideways()
     generator = torch.Generator().manual_seed(4)
     inverse, colours = torch.rand(2, 1, h, w, generator=generator), torch.rand(2, 3, h, w, generator=generator)
@@ -89,7 +89,7 @@ def test_what_no_other_view_has_in_frame_gives_zeros() -> None:
 
 
 def test_mean_and_strongest_over_sources() -> None:
-    """Three views, one of which looks through the point: the mean is half of it, the strongest all of it."""
+    """One of the other views looks through the point: the mean is half of it, the strongest all of it."""
     cues = agreement_cues(*maps(2.0, 2.0, 6.0), sideways(3, 0.1))
     middle = cues[0][:, 10:14, 10:14].mean((1, 2))
     assert float(middle[0]) == pytest.approx(0.5 * float(middle[1]), rel=1e-3)
@@ -113,7 +113,7 @@ def test_inverse_depths_in_the_source_against_float64() -> None:
 
 
 def test_confirmation_is_a_ramp_around_the_limit() -> None:
-    """Exactly 1 well within, exactly 0 well beyond, and 0 for what no other view has in frame."""
+    """Exactly 1 well within, exactly 0 well beyond, and 0 where no other view sees the point."""
     through = torch.tanh(SHARPNESS * CONFIRMED * torch.tensor([0.0, 0.5, 1.0, 2.0, -0.5, -2.0]))
     cues = torch.zeros(1, CUES, 1, 6)
     cues[0, 0, 0], cues[0, 3] = through, 1.0

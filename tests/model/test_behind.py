@@ -1,4 +1,4 @@
-"""Filling from behind: confirmed depths stay, occluded strips join the background, and nothing jumps."""
+"""Filling from behind: confirmed depths stay, occluded strips join the background, and the result is continuous."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gapmes.model.behind import ENOUGH, FAR_PREFERENCE, WINDOWS, filled_from_beh
 
 
 def brute_force(inverse: torch.Tensor, confirmed: torch.Tensor) -> torch.Tensor:
-    """The same in float64, pixel by pixel, of (h, w)."""
+    """The same in float64, pixel by pixel, for (h, w)."""
     inverse, confirmed = inverse.double(), confirmed.double()
     out = inverse.clone()
     height, width = inverse.shape
@@ -59,7 +59,7 @@ def test_without_any_confirmation_nothing_changes() -> None:
 
 
 def test_rounding_stays_rounding() -> None:
-    """Also where hardly anything is confirmed, a change of 1e-6 in what is changes no result by much more."""
+    """Also where hardly anything is confirmed, a change of 1e-6 in the confirmation changes no result by much more."""
     generator = torch.Generator().manual_seed(2)
     inverse = torch.rand(1, 1, 40, 40, generator=generator)
     confirmed = (torch.rand(1, 1, 40, 40, generator=generator) < 0.01).float()

@@ -1,4 +1,4 @@
-"""Checkpoints: what is written is read back, what does not fit is named."""
+"""Checkpoints: a written file is read back, and a file that does not fit is refused by name."""
 
 from __future__ import annotations
 
@@ -179,6 +179,7 @@ def test_a_preset_is_known_by_its_tensors(tmp_path: Path) -> None:
         ({"half_channels": -4}, "half_channels is -4, need a whole number of 1 to 4096"),
         ({"quarter_channels": 64.0}, "quarter_channels is 64.0, need a whole number"),
         ({"depth_planes": True}, "depth_planes is True, need a whole number"),
+        ({"depth_planes": 1}, "depth_planes is 1, need a whole number of 2 to 4096"),
         ({"experts": 129}, "experts is 129, need a whole number of 1 to 128"),  # are built one by one
         ({"cross_view_blocks": -1}, "cross_view_blocks is -1, need a whole number of 0 to"),
         ({"sh_degree": 4}, "sh_degree is 4, need at most 3"),
@@ -216,6 +217,7 @@ def test_configurations_of_another_shape_are_refused(text: str, said: str, tmp_p
     ("changes", "said"),
     [
         ({"half_channels": 33}, "a configuration that no network has: num_channels .33. must be divisible"),
+        ({"eighth_channels": 98}, "no network has: eighth_channels is 98, need a multiple of 4"),
         ({"volume_channels": 4096}, "does not fit its configuration"),  # compared without memory for it
     ],
 )
@@ -237,6 +239,8 @@ def test_why_a_file_cannot_be_read_is_said(tmp_path: Path) -> None:
         load_checkpoint(tmp_path / "pointer.safetensors")
     with pytest.raises(CheckpointError, match="is a folder"):
         load_checkpoint(tmp_path)
+    with pytest.raises(CheckpointError, match="/dev/null: is a device or a pipe, need a file"):
+        load_checkpoint(Path("/dev/null"))
 
 
 def test_shipped_weights_load_and_others_are_named() -> None:

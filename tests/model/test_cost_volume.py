@@ -1,4 +1,4 @@
-"""Matching: correlating first equals sampling features, and a textured wall is found at its depth."""
+"""Matching: correlating before sampling equals sampling features, and a textured wall is found at its depth."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gapmes.model.warp import Warp
 
 
 def direct_sweep(features: torch.Tensor, views: Views, planes: int) -> torch.Tensor:
-    """The plane sweep as it is usually written: sample the source features, multiply, mean over seen views."""
+    """The usual plane sweep: sample the source features, multiply, average over the views that see the point."""
     n, _, h, w = features.shape
     volume = torch.zeros(n, planes, h, w)
     poses = views.world_from_cam.reshape(-1, 4, 4)

@@ -1,4 +1,4 @@
-"""Fixed matching: equals a brute-force twin in float64, finds a wall at its depth, and keeps edges."""
+"""Matching without training: equals a brute-force twin in float64, finds a wall at its depth, and keeps edges."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def box(values: np.ndarray, radius: int) -> np.ndarray:
 
 
 def brute_force(a: np.ndarray, b: np.ndarray, shift: float) -> np.ndarray:
-    """Evidence of one plane for picture a, when b shows it `shift` px further left; (3, H, W) float64."""
+    """The evidence of one plane for picture a, when b shows it `shift` px further left; (3, H, W) float64."""
     w = a.shape[2]
     x = np.arange(w) - shift
     inside = (x > -0.5) & (x < w - 0.5)
@@ -79,7 +79,7 @@ def test_equals_brute_force_in_float64() -> None:
 
 @pytest.mark.case("P11")
 def test_brightness_costs_no_precision() -> None:
-    """A texture of little contrast, near white: about zero, mean squares of 0.9 would lose what they differ by."""
+    """A texture of little contrast, near white: without centring, mean squares of 0.9 would lose their difference."""
     texture = 0.92 + 0.04 * torch.rand(2, 3, SIZE, SIZE, generator=torch.Generator().manual_seed(3))
     got = matching_evidence(texture, sideways(0.6), PLANES)
     first, second = texture.double().numpy()
@@ -90,7 +90,7 @@ def test_brightness_costs_no_precision() -> None:
 
 @pytest.mark.case("P1")
 def test_a_textured_wall_scores_best_at_its_depth() -> None:
-    """One wall at the fifth of nine planes: both pictures are cut from it, so that they differ by a whole shift."""
+    """One wall at the fifth of nine planes: both pictures are cut from it and differ by a whole-pixel shift."""
     inverse = 1 / FAR + 0.5 * (1 / NEAR - 1 / FAR)
     shift = 4
     baseline = shift / (inverse * SIZE)

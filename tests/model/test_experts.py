@@ -1,4 +1,4 @@
-"""Experts: running only routed patches is the dense result, order does not matter, idle experts do nothing."""
+"""Experts: running only routed patches gives the dense result, order does not matter, idle experts do nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The paper's sizes: trained parameters, one trunk interface, frozen parts that stay so and load published weights."""
+"""The paper's sizes: trained parameters, a common trunk interface, and frozen parts that stay frozen and load published
+weights."""
 
 from __future__ import annotations
 

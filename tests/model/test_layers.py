@@ -1,4 +1,4 @@
-"""Shared layers against float64: means under a softmax of any size and their gradient, samples beyond the border."""
+"""Shared layers against float64: means under a softmax of any size, their gradient, and samples beyond the border."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_softmax_mean_has_the_gradient_of_what_it_says() -> None:
 
 @pytest.mark.parametrize(("height", "width"), [(128, 128), (9, 14), (1, 7), (6, 1)])
 def test_beyond_the_border_its_pixels_repeat(height: int, width: int) -> None:
-    """Against linear interpolation between the two nearest of a row and a column, indices clipped."""
+    """Against linear interpolation between the two nearest pixels of a row and a column, with clipped indices."""
     picture = random(2, 3, height, width)
     grid = 1.5 * random(2, 11, 5, 2, seed=1)
     grid[0, :3] = torch.tensor([[-1.0, 1.0], [4.0, -4.0], [1.0, 0.0], [0.0, -1.0], [-4.0, 4.0]])

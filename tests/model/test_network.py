@@ -1,4 +1,5 @@
-"""The whole network: presets and ablations build, batches stay independent, masks leave out, gradients arrive."""
+"""The whole network: presets and ablations build, batches are independent, masks leave patches out, gradients reach all
+weights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Group and instance normalisation as exported graphs compute it: as torch, and right on nearly constant planes."""
+"""Group and instance normalisation in exported graphs: equal to torch, and accurate on nearly constant planes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Window means: the same as pooling in float64, and the exported form equals the eager one."""
+"""Window means: equal to pooling in float64, and the exported form equals the eager one."""
 
 from __future__ import annotations
 

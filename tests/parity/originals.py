@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 
 def checkout(variable: str, marker: str) -> Path:
-    """The folder that `variable` names; skips the test, and says what to set, where it is not set."""
+    """The folder that `variable` names; if it is not set, the test is skipped with a message that names it."""
     value = os.environ.get(variable)
     if not value:
         message = f"NOT COMPARED with the original code: set {variable} to a checkout that holds {marker}"
@@ -29,7 +29,7 @@ def checkout(variable: str, marker: str) -> Path:
 
 
 def import_from(root: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A module of the checkout, without the libraries by which it only reads pictures."""
+    """Import a module of the checkout, without the libraries that it needs only to read pictures."""
     libraries = ("cv2", "torchvision", "torchvision.transforms")
     for absent in [x for x in libraries if importlib.util.find_spec(x.partition(".")[0]) is None]:
         stub = types.ModuleType(absent)
@@ -60,5 +60,5 @@ def randomise(module: nn.Module, seed: int) -> None:
 
 
 def relative(a: Tensor, b: Tensor) -> float:
-    """Greatest difference, relative to the spread of `b`."""
+    """The largest difference, relative to the spread of `b`."""
     return float((a - b).abs().max() / b.std())

@@ -1,4 +1,5 @@
-"""Depth-Anything-V2's own code and transformers' model, loaded from its file by our converter, give the same depth."""
+"""Depth-Anything-V2's own code and transformers' model, loaded by our converter from the same file, give the same
+depth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""DINOv2's own code and transformers' Dinov2Model, loaded from its file by our converter, give the same tokens."""
+"""DINOv2's own code and transformers' Dinov2Model, loaded by our converter from the same file, give the same tokens."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cameras.json and a transforms.json of the same cameras, and the same with one value broken."""
+"""A cameras.json and a transforms.json of the same cameras, and copies with one value broken."""
 
 import copy
 

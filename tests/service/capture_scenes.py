@@ -1,4 +1,4 @@
-"""One synthetic scene written in every format that is read: folders with photographs, and the same folders as zips."""
+"""One synthetic scene in every format that is read: folders with photographs, and the same folders as zips."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def photograph(seed: int, width: int = WIDTH, height: int = HEIGHT) -> bytes:
 
 
 def names(count: int) -> list[str]:
-    """With a space and a folder, as people have them."""
+    """Names with a space and a folder, as users have them."""
     return [f"left side/view {index:04d}.png" for index in range(count)]
 
 
@@ -59,7 +59,7 @@ def write_cameras_json(root: Path, cameras: Sequence[Camera]) -> None:
 
 
 def write_transforms(root: Path, cameras: Sequence[Camera], name: str = "transforms.json") -> None:
-    """As nerfstudio writes it."""
+    """Write transforms.json as nerfstudio does."""
     named = [f"images/{each}" for each in names(len(cameras))]
     write_photographs(root, named)
     frames = [
@@ -72,7 +72,7 @@ def write_transforms(root: Path, cameras: Sequence[Camera], name: str = "transfo
 
 
 def write_blender(root: Path, cameras: Sequence[Camera]) -> None:
-    """As Blender's scripts write it: a field of view, names without suffix, no sizes."""
+    """Write transforms.json as Blender's scripts do: a field of view, names without suffix, no sizes."""
     write_photographs(root, [f"train/r_{index}.png" for index in range(len(cameras))])
     frames = [
         {"file_path": f"./train/r_{index}", "transform_matrix": (camera.world_from_cam @ FLIP).tolist()}
@@ -83,7 +83,7 @@ def write_blender(root: Path, cameras: Sequence[Camera]) -> None:
 
 
 def colmap_model(cameras: Sequence[Camera], named: Sequence[str]) -> pycolmap.Reconstruction:
-    """A camera each, ids with gaps and not in the order of the names."""
+    """A model with a camera per image, ids with gaps, not in the order of the names."""
     model = pycolmap.Reconstruction()
     for index, (camera, name) in enumerate(zip(cameras, named, strict=True)):
         camera_id = 3 * index + 5
@@ -147,7 +147,7 @@ WRITERS = {
 
 
 def zipped(folder: Path, *, inside: str = "") -> bytes:
-    """The folder's files, below `inside`."""
+    """A zip of the folder's files, below `inside`."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.rglob("*")):

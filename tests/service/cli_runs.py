@@ -1,4 +1,4 @@
-"""The command `gapmes` as a test calls it: its exit code, and what a refusal must look like."""
+"""Runs of the command `gapmes` in tests: the exit code, and the form of a refusal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gapmes.service import cli
 
 
 def run(*arguments: object) -> int:
-    """The exit code of `gapmes` with these arguments."""
+    """Run `gapmes` with these arguments; returns its exit code."""
     try:
         cli.main([str(argument) for argument in arguments])
     except SystemExit as end:

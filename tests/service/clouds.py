@@ -1,4 +1,4 @@
-"""Random Gaussians before a camera: of all sizes and depths, some faint, some out of sight."""
+"""Random Gaussians in front of a camera: of all sizes and depths, some faint, some out of view."""
 
 from __future__ import annotations
 

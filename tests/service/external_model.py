@@ -1,4 +1,4 @@
-"""Models whose weights lie in a file beside the graph, as the exporter writes them."""
+"""Models with external weights, as the exporter writes them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ LEAST_BYTES = 64  # smaller than any table of weights, larger than what shapes a
 
 
 def write_external(source: Path, path: Path, *, digest: bool = True, location: str | None = None) -> Path:
-    """`source` at `path` with its tables in `path`.data; returns the path of these. `digest`: the metadata tell their
-    sum; `location`: the name that the graph has for them."""
+    """Write `source` to `path` with its tables in `path`.data; returns the path of these. `digest`: the metadata hold
+    their hash; `location`: the name of the file in the graph."""
     model = onnx.load(source)
     data = path.with_name(path.name + ".data")
     with data.open("wb") as file:

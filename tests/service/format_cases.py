@@ -1,4 +1,4 @@
-"""Files of the formats written by hand, and what the format tests share."""
+"""Files of each format written by hand, and helpers of the format tests."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def by_gsply(path: Path, data: bytes) -> Gaussians:
 
 
 def of_gsply(found: GSData) -> Gaussians:
-    """Its arrays, which hold log scales and logits."""
+    """The arrays of gsply, which hold log scales and logits."""
     constant = np.asarray(found.sh0, np.float64)[:, None, :]
     higher = np.zeros((len(constant), 0, 3)) if found.shN is None else np.asarray(found.shN, np.float64)
     return Gaussians.make(
@@ -77,7 +77,7 @@ def of_gsply(found: GSData) -> Gaussians:
 
 
 def to_gsply(source: Gaussians) -> GSData:
-    """As gsply wants them."""
+    """The arrays in gsply's form."""
     opacities = np.clip(source.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
     return GSData.from_arrays(
         means=source.means.astype(np.float32),

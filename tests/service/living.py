@@ -1,4 +1,4 @@
-"""Whether a process lives, also where nobody looks after orphans, and a wait for what is to come."""
+"""Whether a process is alive, also where orphans are not reaped, and waiting for a condition."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def alive(pid: int) -> bool:
 
 
 def _finished(pid: int) -> bool:
-    """Ended, and nobody has asked how: where nobody looks after orphans they stay so."""
+    """Ended but not reaped: orphans stay so if nobody reaps them."""
     stat = Path(f"/proc/{pid}/stat")
     return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] == "Z"
 

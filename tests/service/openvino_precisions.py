@@ -1,4 +1,4 @@
-"""Which of OpenVINO's precisions this processor computes in: without AVX-512 bf16 is refused, which a test shows."""
+"""The precisions of OpenVINO on this processor: bf16 is refused without AVX-512, as a test shows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photographs of a textured plane, drawn analytically: every pixel's colour is a smooth function of its world point."""
+"""Analytic photographs of a textured plane: every pixel's colour is a smooth function of its world point."""
 
 from __future__ import annotations
 

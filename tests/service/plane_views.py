@@ -1,4 +1,4 @@
-"""The textured plane as the network's inputs, its depths, and Gaussians on it and before it."""
+"""The textured plane as the network's inputs, its depths, and Gaussians on it and in front of it."""
 
 from __future__ import annotations
 

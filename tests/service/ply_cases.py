@@ -1,4 +1,4 @@
-"""Gaussians and hand-made .ply files that the .ply tests share."""
+"""Gaussians and .ply files built by hand, for the .ply tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lies in a store's folder beside its own files."""
+"""Entries of a store's folder beside its own files."""
 
 from __future__ import annotations
 

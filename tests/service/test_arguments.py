@@ -1,4 +1,4 @@
-"""Numbers and sequences as Python programs give them: numpy's own count too, and what is none is refused by name."""
+"""Numbers and sequences in Python: numpy's types count too, and all else is refused by name."""
 
 import json
 from fractions import Fraction

@@ -208,7 +208,7 @@ def test_the_help_of_serve_says_what_quiet_is_there() -> None:
     """Its log has warnings too, as the setting says; the other commands write errors alone."""
     shown = CliRunner().invoke(cli.app, ["serve", "--help"], env={"COLUMNS": "250"}).output
     meant = Settings.model_fields["quiet"].description.partition(" when ")[0]
-    assert meant.startswith("log warnings and errors alone")
+    assert meant.startswith("log only warnings and errors")
     assert meant in shown
 
 

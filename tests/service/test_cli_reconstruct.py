@@ -1,4 +1,4 @@
-"""`gapmes reconstruct`: what it writes and says, which views it takes, and what it refuses."""
+"""`gapmes reconstruct`: its files and messages, its choice of views, and its refusals."""
 
 from __future__ import annotations
 
@@ -263,12 +263,12 @@ def test_models_that_were_passed_over_are_told(
     assert reconstruct(tmp_path / "scene", standin_model, *more) == 0
     out, err = capfd.readouterr()
     (told,) = [warning for warning in json.loads(out)["warnings"] if warning["code"] == "several_models"]
-    assert "such as sparse/1/images.bin" in told["message"]
+    assert "such as sparse/0/images.bin" in told["message"]
     assert f"warning: {told['message']}" in err
     arguments = ("--model", standin_model, "--threads", 1, "-o", tmp_path / "out.ply")
-    assert run("reconstruct", tmp_path / "scene/sparse/1/images.bin", *arguments, *more) == 0
+    assert run("reconstruct", tmp_path / "scene/sparse/0/images.bin", *arguments, *more) == 0
     document = json.loads(capfd.readouterr().out)
-    assert (len(document["cameras"]), document["selection"]["cameras"]) == (3, "sparse/1/images.bin")
+    assert (len(document["cameras"]), document["selection"]["cameras"]) == (2, "sparse/0/images.bin")
     assert not any(warning["code"] == "several_models" for warning in document["warnings"])
 
 

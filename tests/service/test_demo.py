@@ -1,4 +1,4 @@
-"""The demonstration from end to end over a stand-in model; the service it starts never outlives it unasked."""
+"""The demonstration end to end with a stand-in model; its service never outlives it unless asked to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`gapmes doctor`: what it finds on a machine where all is well, and on one where something is not."""
+"""`gapmes doctor`: its findings on a healthy machine and on one with a fault."""
 
 from __future__ import annotations
 

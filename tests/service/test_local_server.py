@@ -1,4 +1,4 @@
-"""A service of one's own that fails, and a full disk under the files of the demonstration: the reason is told."""
+"""A local service that fails, and a full disk under the files of the demonstration: the reason is reported."""
 
 from __future__ import annotations
 

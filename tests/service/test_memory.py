@@ -1,4 +1,4 @@
-"""What a reconstruction from two photographs needs at its peak, by the command and by the service."""
+"""The peak memory of a reconstruction from two photographs, by the command and by the service."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pool of models: loaded once, within the budget at every moment, never dropped in use, in order of asking."""
+"""The pool of models: loaded once, always within the budget, never dropped in use, in order of requests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The health check: where it asks, and that nobody who answers is not ready."""
+"""The health check: the address that it asks, and that a service without an answer is not ready."""
 
 from __future__ import annotations
 

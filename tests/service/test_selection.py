@@ -11,6 +11,7 @@ from gapmes.service.errors import ViewError
 def test_views_on_the_command_line() -> None:
     assert view_indices("4, 8", 9) == [4, 8]
     assert view_specs("5,6.5,5") == ["5", "6.5"]
+    assert view_specs("5, 6.5,5", repeated=True) == ["5", "6.5", "5"]
     for text in ("", "1,,2", "-1", "1.5", "٣"):
         with pytest.raises(ViewError):
             view_indices(text, 9)

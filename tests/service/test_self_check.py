@@ -1,4 +1,4 @@
-"""What a reconstruction says about itself: figures against closed forms and another SSIM, shares against cases."""
+"""The self-check of a reconstruction: figures against closed forms and another SSIM, shares against known cases."""
 
 import math
 from dataclasses import replace
@@ -170,7 +170,7 @@ def test_the_line_of_the_command_names_what_is_known():
     check["from_others"] = [{"psnr": 20.04}, {"psnr": None}]
     check["leave_one_out"] = [{"psnr": 18.0}, {"psnr": 19.0}]
     check["ambiguous_routes"] = 0.0125
-    foretold = "drawn from the other views: 20.0, no pixel dB; foretold by others: 18.0, 19.0 dB"
+    foretold = "drawn from the other views: 20.0, no pixel dB; predicted by others: 18.0, 19.0 dB"
     assert f"{foretold}; 1.25 % ambiguous routes; " in check_line(check) + "; "
 
 

@@ -1,4 +1,4 @@
-"""The settings: read from the environment, checked, and every one of them in the documentation's table."""
+"""The settings: read from the environment, checked, and all of them in the documentation's table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The heads at their limits: quaternions of any length, scales of any logit, and numbers that are none."""
+"""The heads at their limits: quaternions of any length, scales of any logit, and non-finite numbers."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_quaternion_of_zeros_is_the_identity_without_a_word() -> None:
 
 
 class Fixed(nn.Module):
-    """A head that answers with given numbers."""
+    """A head that returns given numbers."""
 
     def __init__(self, values: Tensor) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Poses at their limits: matrices that are no rotation, cameras far from the origin, pixels and depths and back."""
+"""Poses at their limits: matrices that are not rotations, cameras far from the origin, pixels to depths and back."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHIFT = np.array([1.0, -0.7, 0.4])
 
 
 def turned(seed: int, angle: float) -> np.ndarray:
-    """(4, 4) turn about a random axis."""
+    """(4, 4) rotation about a random axis."""
     axis = np.random.default_rng(seed).normal(size=3)
     pose = np.eye(4)
     pose[:3, :3] = about_axis(axis / np.linalg.norm(axis), angle)

@@ -1,4 +1,4 @@
-"""Every stability case of the suite is claimed by a test, by its id, and no test claims one that there is not."""
+"""Every stability case is claimed by a test, by its id, and no test claims an unknown one."""
 
 from __future__ import annotations
 

@@ -1,17 +1,20 @@
-"""The table that the command writes: every case within its tolerance, plain float32 worse where that is the point."""
+"""The table that the command writes: every case within tolerance, and plain float32 worse where that is the point."""
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from typer.testing import CliRunner
 
 from gapmes.export import measurements
 from gapmes.export.cli import app
-from gapmes.export.stability import naive
+from gapmes.export.stability import matching, naive
+from gapmes.export.stability import table as writing
 from gapmes.export.stability.row import Row
 from gapmes.export.stability.splatter import cloud, view
 from gapmes.export.stability.table import CASES, all_rows, markdown, stability_table
@@ -52,6 +55,17 @@ def test_the_command_writes_the_table(tmp_path: Path, monkeypatch: pytest.Monkey
     assert "**5.0e-01**" in markdown([failing])
     monkeypatch.setattr("gapmes.export.stability.table.stability_table", lambda *_: [failing])
     assert CliRunner().invoke(app, ["--stability", str(tmp_path / "out")]).exit_code == measurements.FAILED
+
+
+def test_a_case_that_finds_nan_fails_and_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    size = matching.SIZE
+    monkeypatch.setattr(matching, "matching_evidence", lambda *_: torch.full((2, 1, size, size), math.nan))
+    found = matching.evidence()
+    assert not found.passed
+    monkeypatch.setattr(writing, "all_rows", lambda: iter([found, Row("E7", "", "", "", "", math.nan, 0.0)]))
+    stability_table(tmp_path)
+    body = json.loads((tmp_path / "stability.json").read_text())
+    assert [(row["passed"], row["worst"]) for row in body["rows"]] == [(False, "not finite")] * 2
 
 
 def test_progress_is_told_case_by_case(tmp_path: Path) -> None:

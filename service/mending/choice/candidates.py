@@ -1,4 +1,4 @@
-"""Candidates for the depths that no other view confirms, and what is known of each: what the choice is made by."""
+"""Depth candidates of unconfirmed pixels, and the features that the choice network scores them by."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ REACHES = (
     (64.0, True),
     (6.0, False),
     (24.0, False),
-)  # of surfaces: px, and whether edges end them
-FREE = 3  # candidates that are of no surface: the depth as it is, the network's own and that before planes
+)  # of fitted surfaces: px, and whether image edges limit them
+FREE = 3  # candidates of no surface: the current depth, the large network's, and that before plane continuation
 COUNT = FREE + len(REACHES)
-KNOWN, ABOUT = 14, 7  # numbers of each candidate, and of each pixel
+KNOWN, ABOUT = 14, 7  # features of each candidate, and of each pixel
 NEAR, FAR = 4.0, 32.0  # px of parallax: scales of differences
-MOST = 16.0  # px: farther in front of or behind another view's surface is as far as can be
-ALIKE = 1.5  # px: candidates that are closer stand for one depth
-CONTRAST = 0.05  # of a window of grey, the scale; twice as much is as much as can be
+MOST = 16.0  # px: distances to another view's surface are clipped at it
+ALIKE = 1.5  # px: closer candidates count as the same depth
+CONTRAST = 0.05  # scale of the contrast feature, which is clipped at twice this
 
 
 class Candidates(NamedTuple):
-    """Of one view, with N pixels that have a choice; inverse depths are in px of parallax, in the view that is farthest
-    away."""
+    """The candidates of one view with N undecided pixels; inverse depths are in px of parallax in the other view with
+    the longest baseline."""
 
     inverse: F64  # (COUNT, H, W)
     known: NDArray[np.float16]  # (COUNT, KNOWN, N)
     about: NDArray[np.float16]  # (ABOUT, N)
-    undecided: Mask  # (H, W) which pixels have a choice: kept ones that nothing confirms
-    outside: Mask  # (H, W) which of all pixels no other view has in its picture, at the depth as it is
+    undecided: Mask  # (H, W) kept pixels that no other view confirms
+    outside: Mask  # (H, W) pixels outside every other view's picture, at their current depth
     way: float  # px per unit of inverse depth
 
 
 class Matched:
-    """Views with their depths as they are, and two `others`: stacks (V, H, W) of z-depths in the cameras' units."""
+    """Views with their current `depths` and two `others`: each (V, H, W) z-depths in the cameras' units."""
 
     def __init__(self, views: Sequence[FittedView], depths: F64, others: Sequence[F64]) -> None:
         self.views, self.depths, self.others = views, depths, others
@@ -57,7 +57,8 @@ class Matched:
         self.surfaces = [np.stack([1 / depth, sure], axis=-1) for depth, sure in zip(depths, self.sure, strict=True)]
 
     def candidates(self, index: int) -> Candidates | None:
-        """Of view `index`; nothing where nothing in it is confirmed, or no other view is elsewhere."""
+        """The candidates of view `index`; None where none of its pixels is confirmed, all are decided, or no other view
+        has parallax."""
         view, depth, sure = self.views[index], self.depths[index], self.sure[index]
         ways, undecided = from_elsewhere(self.views, index, depth), view.kept & ~sure
         if not ways or not sure.any() or not undecided.any():
@@ -77,7 +78,7 @@ class Matched:
     def _compared(
         self, index: int, ways: Mapping[int, float], inverse: F64, undecided: Mask, known: NDArray[np.float16]
     ) -> None:
-        """Fills in what of `known` tells candidates apart."""
+        """Fill in all features of `known` but those of the surfaces."""
         gathering, of_all = Gathering(self.views[index], self.views[index].kept), inverse[:, undecided]
         middle = np.median(of_all, axis=0)
         for place, own in enumerate(of_all):
@@ -90,15 +91,15 @@ class Matched:
                 known[place, number] = values
 
     def _outside(self, index: int, ways: Mapping[int, float]) -> Mask:
-        """(H, W) which pixels no other view has in its picture."""
+        """(H, W) pixels outside every other view's picture."""
         view, depth = self.views[index], self.depths[index]
         return ~np.any([seen_by(view, depth, self.views[other]).inside for other in ways], axis=0)
 
     def _seen(
         self, index: int, ways: Mapping[int, float], depth: F64, gathering: Gathering
     ) -> tuple[F64, F64, F64, F64]:
-        """(H, W) each, of all other views: least gathered difference of the photographs; share of them that see the
-        point; by how many px it stands in front of their surface, the most; whether that is sure."""
+        """(H, W) each, over the other views: the least aggregated matching cost; the share of them that see the point;
+        the largest distance in px by which it lies in front of their surface; and whether that surface is confirmed."""
         view, own = self.views[index], self.pictures[index]
         cost, share = np.full(depth.shape, LIMIT), np.zeros(depth.shape)
         front, sure = np.full(depth.shape, -MOST), np.zeros(depth.shape)
@@ -115,14 +116,14 @@ class Matched:
 
 
 def _of_surface(found: Described, undecided: Mask) -> NDArray[np.float64]:
-    """(3, N) how much is confirmed about each pixel, how far that lies off the plane and how far away."""
+    """(3, N) features of the surface at each pixel: its weight, its residual, and the distance of its support."""
     known = found.surface.known[undecided]
     weight = np.log10(np.maximum(found.surface.weight[undecided], LEAST)) / -np.log10(LEAST)
     return np.stack([weight, np.tanh(found.spread[undecided] / 2) * known, np.tanh(found.away[undecided] / 2) * known])
 
 
 def _about(view: FittedView, inverse: F64, undecided: Mask) -> NDArray[np.float16]:
-    """(ABOUT, N)"""
+    """(ABOUT, N) features of each undecided pixel."""
     y, x = (np.arange(count) for count in undecided.shape)
     border = np.minimum(np.minimum(y, y[::-1])[:, None], np.minimum(x, x[::-1]))
     low, high = inverse[0][view.kept].min(), inverse[0][view.kept].max()

@@ -1,4 +1,4 @@
-"""Depths that no other view confirms, moved to the candidate that a small network prefers."""
+"""Depths of unconfirmed pixels, replaced by the candidate that a small network prefers."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from .network import ChoiceNetwork
 
 F64 = NDArray[np.float64]
 
-# Parallax, of the shorter side, by which a pixel that no other view has in its picture does not move away: that
-# something stands close at the border, such as a door frame, the large network has learned, while surfaces behind it
-# seem to go on.
+# Parallax, as a share of the shorter side, from which a pixel outside every other view's picture is not moved away: the
+# large network has learned that things such as a door frame stand close at the border, where the surfaces behind them
+# seem to continue.
 BACK = 1 / 32
 
 
 def chosen(views: Sequence[FittedView], depths: F64, others: Sequence[F64], network: ChoiceNetwork) -> F64:
-    """(V, H, W) z-depths, from `depths` (V, H, W) and two `others`, the network's own and those before planes, in the
-    cameras' units.
+    """(V, H, W) z-depths in the cameras' units, from the current `depths` (V, H, W) and two `others`, each (V, H, W):
+    the large network's, and those before plane continuation.
 
-    Of the candidates of each pixel (`candidates.py`) the one with the largest preference, once preferences are smoothed
-    within surfaces by a guided filter. What is confirmed, what a mask leaves out and a view without a confirmed pixel
-    stay, and so does what no other view has in its picture and would move away by BACK or more.
+    Each pixel takes its candidate (`candidates.py`) with the largest preference, after the preferences were smoothed by
+    a guided filter. Confirmed and masked pixels keep their depth, as do views without a confirmed pixel, and pixels
+    outside every other view's picture that would move away by BACK or more.
     """
     matched = Matched(views, depths, others)
     return np.stack([_of_view(matched, index, network) for index in range(len(views))])
 
 
 def _of_view(matched: Matched, index: int, network: ChoiceNetwork) -> F64:
-    """(H, W) of one view."""
+    """(H, W) z-depths of one view."""
     depth, found = matched.depths[index], matched.candidates(index)
     if found is None:
         return depth
@@ -45,7 +45,7 @@ def _of_view(matched: Matched, index: int, network: ChoiceNetwork) -> F64:
 
 
 def preferred(view: FittedView, found: Candidates, network: ChoiceNetwork) -> NDArray[np.intp]:
-    """(H, W) place of the candidate that each undecided pixel and those about it prefer."""
+    """(H, W) index of the candidate with the largest smoothed preference; 0 where no preference is near."""
     preferences = np.zeros((COUNT, *found.undecided.shape))
     preferences[:, found.undecided] = network.preferences(found.known, found.about)
     smooth = GuidedFilter(view.image.mean(axis=0, dtype=np.float64))

@@ -1,4 +1,4 @@
-"""The compiled loop of the choice: a network of two layers for every candidate, which sees the mean of all."""
+"""The compiled forward pass of the choice network: a two-layer MLP per candidate, with mean pooling over candidates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from ...splat.kernel_cache import kernel
 
 @kernel()
 def choose_rows(known, about, into, of_pixel, of_place, own, shared, bias, out, prior, scores):
-    """scores (N, K) of known (N, K, F) and about (N, G).
+    """Scores (N, K) of K candidates of each pixel, from candidate features `known` (N, K, F) and pixel features `about`
+    (N, G).
 
     With first layer `into` (F, h), `of_pixel` (G, h), `of_place` (K, h), second layer `own` and `shared` (h, h) with
     `bias` (h,) and last layer `out` (h,) with `prior` (K,): first = relu(known into + about of_pixel + of_place), score
@@ -45,9 +46,9 @@ def choose_rows(known, about, into, of_pixel, of_place, own, shared, bias, out, 
 
 @kernel()
 def _add_product(values, at, count, weights, sums, start):
-    """Adds `count` of `values` from `at` on, times `weights` (count, h), to `sums` from `start` on.
+    """Add the product of `count` of `values` from `at` on and `weights` (count, h) to h of `sums` from `start` on.
 
-    Four rows at a time, so that sums are read and written a quarter as often, in the order of one at a time.
+    Four rows of `weights` per pass, which reads and writes the sums a quarter as often, in the same order of addition.
     """
     hidden = weights.shape[1]
     whole = count // 4 * 4

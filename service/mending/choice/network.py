@@ -1,4 +1,4 @@
-"""The small network that prefers one candidate to another: its weights and what it makes of them."""
+"""The small network that scores depth candidates: its weights and its inference."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...process.disk import replacing
 
 F32 = NDArray[np.float32]
 
-ROWS = 4096  # pixels at a time: what is known of all of them at once would be twice as much memory
+ROWS = 4096  # pixels per batch: float32 copies of all features at once would double the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,17 +31,18 @@ class ChoiceNetwork:
 
     @staticmethod
     def load(path: Path) -> ChoiceNetwork:
-        """What `save` wrote."""
+        """Read what `save` wrote."""
         with np.load(path) as file:
             return ChoiceNetwork(**{field.name: file[field.name] for field in fields(ChoiceNetwork)})
 
     def save(self, path: Path) -> None:
-        """As .npz, whole or not at all, the same bytes again for the same weights."""
+        """Write an .npz, atomically; equal weights give equal bytes."""
         with replacing(path) as part, part.open("wb") as file:
             np.savez(file, **{field.name: getattr(self, field.name) for field in fields(self)})
 
     def preferences(self, known: NDArray[np.floating], about: NDArray[np.floating]) -> F32:
-        """(K, N) shares, of each pixel 1 in all, for candidates `known` (K, F, N) of pixels `about` (G, N)."""
+        """(K, N) softmax over the K candidates of each of N pixels, from candidate features `known` (K, F, N) and pixel
+        features `about` (G, N)."""
         from .kernels import choose_rows
 
         scores = np.empty((known.shape[2], len(known)), np.float32)

@@ -10,6 +10,7 @@ from typing import Any, Literal, Protocol, get_args
 
 from numpy.typing import NDArray
 
+from ...arguments import shown
 from ...errors import ModelError
 from ..model_file import ModelFile
 
@@ -44,12 +45,12 @@ class Session(Protocol):
         ...
 
 
-def checked_engine(name: str) -> EngineName:
-    """Raises `ModelError` for a name that is none."""
+def checked_engine(name: object) -> EngineName:
+    """The name of an engine. Raises `ModelError` for anything else, also for what is no text."""
     for known in ENGINES:
         if name == known:
             return known
-    raise ModelError(f"{name[:50]!r} is no engine", field="engine", cure=f"one of {', '.join(ENGINES)}")
+    raise ModelError(f"{shown(name)} is no engine", field="engine", cure=f"one of {', '.join(ENGINES)}")
 
 
 def made_by(engine: EngineName) -> MadeBy:

@@ -1,4 +1,4 @@
-// Beside the view: inputs next to their pictures, what was left out and what it cost, how far to trust it, files, timings.
+// The panel beside the view: downloads, inputs and renders, what was left out, the self-check, cameras and timings.
 
 import { bring } from "./api.js";
 import { $, count, digits, discard, make, percent, tell } from "./dom.js";
@@ -6,7 +6,7 @@ import { inputs } from "./inputs.js";
 import { plan } from "./plan.js";
 import { decibels, head, row, wide } from "./table.js";
 
-/** A part that is filled when it is first opened. */
+/** A collapsible section that is filled when it is first opened. */
 function part(title, fill, open = false) {
   const body = make("div");
   const details = make("details", {}, make("summary", {}, title), body);
@@ -20,7 +20,7 @@ function part(title, fill, open = false) {
   return details;
 }
 
-/** Fill the place beside the view with all that a scene document tells. */
+/** Fill the panel from a scene document; empty it for null. */
 export function showAbout(target, scene) {
   discard(target);
   if (!scene) return;
@@ -28,14 +28,14 @@ export function showAbout(target, scene) {
   target.append(files(scene));
   target.append(part("Inputs beside their pictures", (body) => inputs(body, scene), true));
   if (scene.left_out?.length) target.append(part("What was left out, and what it cost", (body) => leftOut(body, scene)));
-  if (scene.check?.input_views) target.append(part("How far to trust it", (body) => trust(body, scene)));
+  if (scene.check?.input_views) target.append(part("How far to trust the scene", (body) => trust(body, scene)));
   target.append(part("Cameras and timings", (body) => timings(body, scene)));
 }
 
 function files(scene) {
   const link = (path, name, text) => bring(make("a", { href: path, download: name }, text), (error) => tell($("view-problem"), error));
   const links = Object.entries(scene.links.files).map(([kind, path]) => link(path, `${scene.id}.${kind}`, `.${kind}`));
-  links.push(link(scene.links.preview, `${scene.id}.webp`, "moving picture"), link(scene.links.sheet, `${scene.id}.png`, "contact sheet"));
+  links.push(link(scene.links.preview, `${scene.id}.webp`, "animation"), link(scene.links.sheet, `${scene.id}.png`, "contact sheet"));
   const cameras = URL.createObjectURL(new Blob([JSON.stringify({ near: scene.near, far: scene.far, views: scene.cameras }, null, 1)], { type: "application/json" }));
   links.push(make("a", { href: cameras, download: "cameras.json" }, "cameras.json"), link(scene.links.self, `${scene.id}.json`, "scene document"));
   const list = make("p", { id: "downloads" }, "Download: ");
@@ -55,7 +55,7 @@ function leftOut(body, scene) {
   const found = pruning.actual === null ? "" : ` Found in the inputs' pictures: ${digits(pruning.actual)}.`;
   const proved = pruning.bound === null ? "" : `No colour of the certified views changes by more than ${digits(pruning.bound)} (of 1).${found} `;
   const saved = pruning.bytes_saved ? `The file is ${count(pruning.bytes_saved)} bytes smaller` : "The budget left out no Gaussian";
-  body.append(make("p", {}, `${proved}${saved}, which was decided in ${digits(pruning.seconds)} s.`));
+  body.append(make("p", {}, `${proved}${saved}; deciding this took ${digits(pruning.seconds)} s.`));
 }
 
 const foretold = (entry) => (entry.from.length ? `${decibels(entry)} from ${entry.from.join(", ")}` : "–");
@@ -64,7 +64,7 @@ function trust(body, scene) {
   const check = scene.check;
   const columns = ["view", "drawn again", "holes"];
   if (check.from_others) columns.push("from the others' Gaussians");
-  if (check.leave_one_out) columns.push("foretold without it");
+  if (check.leave_one_out) columns.push("predicted without it");
   const table = make("table", {}, head(...columns));
   check.input_views.forEach((view, index) => {
     const cells = [String(index), decibels(view), view.holes === null ? "–" : percent(view.holes)];
@@ -77,10 +77,10 @@ function trust(body, scene) {
     `${percent(check.textureless_share)} of the pixels have no texture around them, ${percent(check.no_parallax_share)} no parallax: depth there is a guess.`,
   ];
   const step = check.depth_step;
-  if (step) facts.push(`Half a step of depth is ${percent(step.near)} of the depth when near, ${percent(step.far)} when far.`);
+  if (step) facts.push(`Half a depth step is ${percent(step.near)} of the depth at the near end and ${percent(step.far)} at the far end.`);
   if (check.ambiguous_routes) facts.push(`For ${percent(check.ambiguous_routes)} of the patches rounding may decide the route.`);
   const fading = scene.fading;
-  if (fading?.passes) facts.push(`${count(fading.halved)} Gaussians lost half of their opacity or more where the photographs contradict them, ${count(fading.gone)} all that is drawn of them.`);
+  if (fading?.passes) facts.push(`Where the photographs contradict them, ${count(fading.halved)} Gaussians lost half of their opacity or more, and ${count(fading.gone)} are no longer drawn.`);
   if (fading?.recoloured) facts.push(`Colours moved towards the photographs by ${percent(fading.recoloured)} on average.`);
   body.append(make("p", {}, facts.join(" ")));
 }

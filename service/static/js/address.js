@@ -1,6 +1,6 @@
-// What the page's address names: a scene, a job, or a scene beside a job that runs.
+// The page's URL and history: it names a scene, a job, or a scene beside a running job.
 
-/** The address of a scene and of a job, either of which may be null. */
+/** The query string of a scene and of a job, either of which may be null. */
 export function addressOf(scene, job) {
   const named = new URLSearchParams();
   if (scene !== null) named.set("scene", scene);
@@ -10,17 +10,17 @@ export function addressOf(scene, job) {
 
 export const named = (what) => new URLSearchParams(location.search).get(what);
 
-/** A step to come back from, or the last one anew. */
+/** Add a step to the history, or replace the last one. */
 export const step = (address) => history.pushState(null, "", `/${address}`);
 export const instead = (address) => history.replaceState(null, "", `/${address}`);
 
-/** A job begins: a step of its own, unless the user went on to another scene than that at the address `since`. */
+/** Put a new job into the URL: as a new step, or beside the scene if the user has left the address `since` meanwhile. */
 export function nameJob(job, since) {
   if (location.search === since) step(addressOf(null, job));
   else instead(addressOf(named("scene"), job));
 }
 
-/** A job is over: the address goes on without it. */
+/** Remove a job that has ended from the URL. */
 export function forgetJob(job) {
   if (named("job") === job) instead(addressOf(named("scene"), null));
 }

@@ -1,8 +1,8 @@
-// Everything that is asked of the service: with the key where there is one, and with its problem documents as errors.
+// Requests to the service, with the API key if there is one; problem documents become errors.
 
 const KEY = "gapmes-key";
 
-/** A refusal: what the service said, or that it said nothing. */
+/** An error with a problem document, of the service or of the page itself. */
 export class Refused extends Error {
   constructor(problem, status = 0) {
     super(problem.detail);
@@ -15,24 +15,24 @@ export const setKey = (key) => sessionStorage.setItem(KEY, key);
 
 const hasKey = () => sessionStorage.getItem(KEY) !== null;
 
-/** An id as it may stand in a path: whatever else an address holds could lead to another one. Throws `Refused`. */
+/** An id that is safe in a path: any other text of a URL could lead to another path. Throws `Refused`. */
 export function checkedId(text, what) {
   if (/^[0-9a-f]{32}$/.test(text)) return text;
-  const detail = `${JSON.stringify(text.slice(0, 64))} is no id: need 32 hex digits`;
-  throw new Refused({ title: `${what} not found`, detail, cure: "is the link whole?" });
+  const detail = `${JSON.stringify(text.slice(0, 64))} is not an id: need 32 hex digits`;
+  throw new Refused({ title: `${what} not found`, detail, cure: "check that the link is complete" });
 }
 
-/** What `reading` gives; `Refused` where the line breaks meanwhile, or what came is not what a service sends. */
+/** The result of `reading`. Throws `Refused` if the connection breaks or the body is malformed. */
 async function read(reading) {
   try {
     return await reading();
   } catch (error) {
     if (!(error instanceof TypeError || error instanceof SyntaxError)) throw error;
-    throw new Refused({ title: "Unreachable", detail: "the answer of the service broke off", cure: "try it again" });
+    throw new Refused({ title: "Unreachable", detail: "the response of the service was cut off", cure: "try again" });
   }
 }
 
-/** Whether the beginning of a file can be read; a slice of one that is gone is empty, which can. */
+/** Whether a file can be read, by its stream: a slice of a deleted file would be empty, without an error. */
 async function readable(file) {
   const reader = file.stream().getReader();
   try {
@@ -45,7 +45,7 @@ async function readable(file) {
   }
 }
 
-/** Why nothing answered: where a file of what was sent can no longer be read, browsers tell just that too. */
+/** The problem behind a failed request: browsers report an unreadable file like an unreachable service. */
 async function silence(body) {
   for (const file of body instanceof FormData ? body.values() : []) {
     if (file instanceof File && !(await readable(file))) {
@@ -53,10 +53,10 @@ async function silence(body) {
       return { title: "File unreadable", detail, cure: "choose it again" };
     }
   }
-  return { title: "Unreachable", detail: "the service does not answer", cure: "is it running?" };
+  return { title: "Unreachable", detail: "the service does not answer", cure: "check that it is running" };
 }
 
-/** A response that is well; otherwise `Refused`. */
+/** A successful response. Throws `Refused` for any other. */
 export async function ask(path, { method = "GET", headers = {}, body, signal } = {}) {
   const key = sessionStorage.getItem(KEY);
   const sent = { method, body, signal, headers: key ? { ...headers, "X-API-Key": key } : headers };
@@ -84,15 +84,15 @@ export async function askBlob(path, options) {
   return read(() => response.blob());
 }
 
-/** What a path gives, as the address of a picture; the caller revokes it. */
+/** The body of a path as an object URL, which the caller revokes. */
 export const askPicture = async (path, options) => URL.createObjectURL(await askBlob(path, options));
 
-/** Put what a path gives into an image, and let go of what it showed. */
+/** Load a path into an image, and revoke the object URL that it had. */
 export async function showPicture(image, path) {
   const address = await askPicture(path);
   if (image.src.startsWith("blob:")) URL.revokeObjectURL(image.src);
   image.src = address;
-  if (!image.isConnected) URL.revokeObjectURL(address); // it was taken away meanwhile
+  if (!image.isConnected) URL.revokeObjectURL(address); // it was removed meanwhile
 }
 
 /** Server-sent events of a path, one after the other, as {id, event, data}. */
@@ -114,7 +114,7 @@ export async function* events(path, signal) {
   }
 }
 
-/** A link that brings a file, also where a key must go with it; `failed` hears why it could not. */
+/** Make a link download its file with the API key if there is one; `failed` is called with an error. */
 export function bring(link, failed) {
   link.addEventListener("click", async (event) => {
     if (!hasKey() || link.href.startsWith("blob:")) return;

@@ -1,4 +1,4 @@
-// The files of a new scene that were dropped or chosen: what each of them is, their list, and how one is taken out.
+// The chosen or dropped files of a new scene: their kinds, their list, and removing one.
 
 import { $, button, counted, make } from "./dom.js";
 
@@ -6,17 +6,17 @@ const KINDS = {
   gaussians: /\.(ply|splat|spz)$/i,
   zip: /\.zip$/i,
   cameras: /\.(json|npy|txt)$/i,
-  photograph: /\.(jpe?g|png|webp)$|^[^.]+$/i, // its content counts: what has no ending may be one
+  photograph: /\.(jpe?g|png|webp)$|^[^.]+$/i, // without a suffix it may be one; the service decides by content
 };
-const PHOTOGRAPHS = ["image/jpeg", "image/png", "image/webp"]; // by other endings
-const STRAYS = [ // what helps, of files that are none of these
-  [/\.bin$/i, "where it is of a COLMAP model, choose one zip of its folder"],
+const PHOTOGRAPHS = ["image/jpeg", "image/png", "image/webp"]; // of files with other suffixes
+const STRAYS = [ // cures for other files
+  [/\.bin$/i, "if it belongs to a COLMAP model, choose one zip of its folder"],
   [/\.(heic|heif|avif|tiff?|gif|bmp|dng|cr[23]|nef|arw)$/i, "convert it to JPEG, PNG or WebP"],
 ];
-const FEW = 12; // files whose list is open from the start
+const FEW = 12; // lists of up to so many files are open at first
 
 let files = [];
-let changed = () => {}; // called when one was taken out
+let changed = () => {}; // called when a file was removed
 
 export const prepareChosen = (act) => { changed = act; };
 
@@ -37,7 +37,7 @@ export const isCameras = (file) => kindOf(file) === "cameras";
 
 const same = (one, other) => one.name === other.name && one.size === other.size && one.lastModified === other.lastModified;
 
-/** Files in addition to those that are there; one of the same name takes its place, which is said of photographs. */
+/** Add files; one replaces another of the same name, with a note for photographs. */
 export function add(more) {
   const fresh = more.filter((file, place) => !more.slice(0, place).some((other) => same(file, other)));
   const anew = (file) => fresh.filter(({ name }) => name === file.name);
@@ -47,8 +47,8 @@ export function add(more) {
   $("replaced").hidden = replaced.length === 0;
   if (replaced.length === 0) return;
   const which = replaced.slice(0, 4).map(({ name }) => name).join(", ") + (replaced.length > 4 ? ", …" : "");
-  const words = replaced.length === 1 ? "takes the place of another file of that name" : "take the places of other files of these names";
-  $("replaced").replaceChildren(make("strong", {}, "Note: "), `${which} ${words}. Where both are wanted, give them names of their own.`);
+  const words = replaced.length === 1 ? "replaces another file of that name" : "replace other files of these names";
+  $("replaced").replaceChildren(make("strong", {}, "Note: "), `${which} ${words}. To keep both, give them different names.`);
 }
 
 export function takeOut(file) {
@@ -63,7 +63,7 @@ export function takeAllOut() {
   show();
 }
 
-/** In the chooser, which tells the number or the name. */
+/** Put the files into the file input, which shows their number or name. */
 export function fillChooser() {
   const holder = new DataTransfer();
   for (const file of files) holder.items.add(file);
@@ -77,7 +77,7 @@ function show() {
   $("so-far").textContent = counted(files.length, "file");
   const passedOver = strays();
   if (passedOver.length) {
-    $("so-far").append(`, ${passedOver.length} of them passed over`);
+    $("so-far").append(`, ${passedOver.length} of them ignored`);
     $("chosen").open = true;
   }
   $("chosen-files").replaceChildren(...files.map((file) => row(file, passedOver.includes(file))));
@@ -90,8 +90,8 @@ function row(file, stray) {
     const next = $("chosen-files").children[Math.min(place, files.length - 1)];
     (next?.querySelector("button") ?? $("files")).focus();
     changed();
-  }, { class: "quiet", "aria-label": `Take out ${file.name}` });
+  }, { class: "quiet", "aria-label": `Remove ${file.name}` });
   const cure = STRAYS.find(([pattern]) => pattern.test(file.name))?.[1];
-  const why = stray ? make("span", { class: "why" }, ` passed over${cure ? `: ${cure}` : ""} `) : " ";
+  const why = stray ? make("span", { class: "why" }, ` ignored${cure ? `: ${cure}` : ""} `) : " ";
   return make("li", {}, file.name, why, out);
 }

@@ -1,10 +1,10 @@
-// Small helpers around the document: find, make, tell.
+// Helpers for the document: finding and creating elements, showing problems, formatting numbers.
 
 import { cureOf } from "./cures.js";
 
 export const $ = (id) => document.getElementById(id);
 
-/** An element with attributes and children; texts become text nodes, so that nothing is ever read as HTML. */
+/** Create an element with attributes and children; strings become text nodes, never HTML. */
 export function make(tag, attributes = {}, ...children) {
   const node = tag.startsWith("svg:")
     ? document.createElementNS("http://www.w3.org/2000/svg", tag.slice(4))
@@ -22,7 +22,7 @@ export function button(text, act, attributes = {}) {
   return node;
 }
 
-/** Show a problem document, or an error that holds one, in a place for it; nothing clears it. */
+/** Show a problem document, or an error with one, in `target`; null clears it. */
 export function tell(target, said) {
   const problem = said instanceof Error ? said.problem ?? { title: "Error", detail: said.message } : said;
   target.replaceChildren();
@@ -36,17 +36,17 @@ export function tell(target, said) {
 
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442", "#999999"];
 
-/** A colour for each of eight kinds (Okabe and Ito's, which can be told apart by most eyes); then they repeat. */
+/** Colour of an index: the eight colours of Okabe and Ito, safe for colour-blind viewers, repeated. */
 export const colourOf = (kind) => COLOURS[kind % COLOURS.length];
 
-/** A dot of a colour, beside its name. */
+/** A small square of a colour, for legends. */
 export function swatch(colour) {
   const svg = make("svg:svg", { viewBox: "0 0 12 12", width: 12, height: 12, "aria-hidden": "true" });
   svg.append(make("svg:rect", { width: 12, height: 12, rx: 3, fill: colour }));
   return svg;
 }
 
-/** Empty an element, and let go of the pictures and files that its images and links hold. */
+/** Empty an element, and revoke the object URLs of its images and links. */
 export function discard(target) {
   for (const node of target.querySelectorAll("img[src^='blob:'], a[href^='blob:']")) URL.revokeObjectURL(node.src ?? node.href);
   target.replaceChildren();

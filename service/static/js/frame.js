@@ -1,8 +1,8 @@
-// The frame in which WebGL draws: the scene that it holds, how far its file has come, and whether it drew.
+// The iframe of the WebGL viewer: its scene, the progress of its download, and whether it has drawn.
 
 import { $, digits, make } from "./dom.js";
 
-const PATIENCE_MS = 30000; // for the frame's next sign: a piece of the file, or the first picture
+const PATIENCE_MS = 30000; // timeout for the frame's next message: progress, or the first picture
 
 let shown = null;   // the id of the scene in the frame
 let drawn = false;
@@ -19,11 +19,11 @@ export function prepareFrame(acts) {
   $("mode-note").after(coming);
   window.addEventListener("message", hear);
   for (const name of ["dragenter", "dragover"]) document.addEventListener(name, () => letFilesThrough(true));
-  for (const name of ["drop", "pointermove"]) document.addEventListener(name, () => letFilesThrough(false)); // none moves while it carries
+  for (const name of ["drop", "pointermove"]) document.addEventListener(name, () => letFilesThrough(false)); // no pointer moves during a drag
   document.addEventListener("dragleave", (event) => event.relatedTarget === null && letFilesThrough(false));
 }
 
-/** Show a scene by its id, or (null) nothing. */
+/** Show the scene of this id; null for none. */
 export function showFrame(id) {
   const frame = $("frame");
   if (id !== shown) {
@@ -37,7 +37,7 @@ export function showFrame(id) {
   else awaitSign();
 }
 
-/** What is carried over the frame, a document of its own, is the page's to take. */
+/** While files are dragged, let the page receive them instead of the frame, a document of its own. */
 function letFilesThrough(carried) {
   $("frame").style.pointerEvents = carried ? "none" : "";
 }
@@ -56,7 +56,7 @@ function settle(now) {
 function hear({ origin, source, data }) {
   if (origin !== location.origin || source !== $("frame").contentWindow) return;
   if (data.viewer === "carried") letFilesThrough(true);
-  if (shown === null || data.scene !== shown) return; // of the scene that was there before
+  if (shown === null || data.scene !== shown) return; // about the previous scene
   if (data.viewer === "drawn") {
     clearTimeout(wait);
     settle(true);
@@ -70,10 +70,10 @@ function hear({ origin, source, data }) {
   }
 }
 
-/** How much of the scene's file has come; of some files (`all` = 0) nobody said how long they are. */
+/** Show the progress of the download in bytes; `all` = 0 if the length is unknown. */
 function tellShare({ came, all }) {
   coming.hidden = false;
-  amount.textContent = `${digits(came / 1e6)}${all ? ` of ${digits(all / 1e6)}` : ""} MB for WebGL have come `;
+  amount.textContent = `${digits(came / 1e6)}${all ? ` of ${digits(all / 1e6)}` : ""} MB loaded for WebGL `;
   if (all) [bar.max, bar.value] = [all, came];
   else bar.removeAttribute("value");
 }

@@ -1,4 +1,4 @@
-// Each input beside its pictures: drawn again, its depth, and the routing of its patches; asked for when they are seen.
+// The table of inputs: photograph, render, depth and routing of each view, loaded when they become visible.
 
 import { showPicture } from "./api.js";
 import { make } from "./dom.js";
@@ -6,24 +6,24 @@ import { legend, routingPicture, TASKS } from "./routing.js";
 import { decibels, head, row, wide } from "./table.js";
 
 const KINDS = ["experts", "tasks"];
-const LEAST = 256;    // px: views of this size, that of a network, are shown pixel for pixel beside their photographs
+const LEAST = 256;    // px: views are not requested smaller, so that those of the network's size are shown pixel by pixel
 const NARROWEST = 7;  // rem, a column
-const AHEAD = "100%"; // of the window's height, rows that may soon be seen
+const AHEAD = "100%"; // of the window's height: rows within it are loaded in advance
 
-/** Fill `body` with a row for each view, of the columns that there is something for. */
+/** Fill `body` with a row for each view, and columns for what exists. */
 export function inputs(body, scene) {
   const maps = scene.routing?.maps ?? {};
   const kinds = KINDS.filter((kind) => maps[kind]);
   const columns = [...(scene.links.inputs ? ["photograph"] : []), "drawn again", "depth", ...kinds];
   const table = make("table", { class: "inputs" }, head(...columns));
   table.style.minWidth = `${NARROWEST * columns.length}rem`;
-  let line = Promise.resolve(); // one row after the other, so that the large view waits for one picture at most
+  let line = Promise.resolve(); // rows are loaded one by one, so that the large view waits for one picture at most
   const fillings = new Map();
   const seen = new IntersectionObserver((entries) => {
     for (const { target, isIntersecting } of entries) {
       if (!isIntersecting) continue;
       seen.unobserve(target);
-      line = line.then(() => target.isConnected && fillings.get(target)()); // else another scene is on show
+      line = line.then(() => target.isConnected && fillings.get(target)()); // else another scene is shown
     }
   }, { rootMargin: `${AHEAD} 0px` });
   scene.view_cameras.forEach((camera, index) => {

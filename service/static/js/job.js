@@ -1,11 +1,11 @@
-// A job as it runs: its stages as they come, to the end, also behind a reload of the page or a broken line.
+// Following a job to its end by server-sent events, also after a reload or a broken connection.
 
 import { ask, askJson, checkedId, events, Refused } from "./api.js";
 import { $, make, tell } from "./dom.js";
 
 const RETRIES = 20;
 const PAUSE_MS = 1500;
-const PASSING = [0, 502, 503, 504]; // nobody answers, or a proxy whose service starts again
+const PASSING = [0, 502, 503, 504]; // transient: no answer, or a proxy whose service is restarting
 
 let current = null;
 let ending = false; // it was asked to
@@ -14,21 +14,29 @@ const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
 const pathOf = (id) => `/jobs/${encodeURIComponent(id)}`;
 
-/** The job that is followed, one at a time; null when none is. */
+/** The id of the job that is followed, null if none is. */
 export const following = () => current;
 
-/** The job ended without a scene, or is unknown: there is nothing to come back to. */
+/** The job ended without a scene, is unknown, or its id is malformed: following it again is useless. */
 export class Ended extends Refused {}
 
-/** Follow a job; gives the id of its scene, throws `Ended` with why there is none, `Refused` where nobody answers. */
+function knownId(id) {
+  try {
+    return checkedId(id, "Job");
+  } catch (error) {
+    throw new Ended(error.problem);
+  }
+}
+
+/** Follow a job; returns the id of its scene. Throws `Ended` if there is none, `Refused` if nobody answers. */
 export async function follow(id) {
-  current = checkedId(id, "Job");
+  current = knownId(id);
   $("progress").hidden = false;
   $("cancel").hidden = false;
   $("stages").replaceChildren();
   $("bar").removeAttribute("value");
   end(false);
-  say("waiting for its turn");
+  say("waiting in the queue");
   try {
     const job = await watched(id);
     if (job.state === "done") return job.links.scene.split("/").pop();
@@ -41,7 +49,7 @@ export async function follow(id) {
   }
 }
 
-/** The job once it is over: by its events or, where none come, by asking for it every now and then. */
+/** The job once it has ended: by its events or, without them, by polling. */
 async function watched(id) {
   let last = "0";
   let refused = null;
@@ -57,21 +65,21 @@ async function watched(id) {
     if (job?.state === "done" || job?.problem) return job;
     if (job) tries = 0;
     if (job?.stage) stage(job.stage);
-    if (refused) say(`${refused.message}; asking again`);
+    if (refused) say(`${refused.message}; retrying`);
     await pause(PAUSE_MS);
   }
   throw refused;
 }
 
-/** Do something; gives the refusal where it may pass, null where there was none. */
+/** Run `act`; returns a transient error, null without one. Throws `Ended` for other refusals. */
 async function passing(act) {
   try {
     await act();
   } catch (error) {
-    if (error instanceof TypeError) return new Refused({ title: "Unreachable", detail: "the line broke" }); // within a stream
+    if (error instanceof TypeError) return new Refused({ title: "Unreachable", detail: "the connection was lost" }); // broken within a stream
     if (!(error instanceof Refused)) throw error;
     if (!PASSING.includes(error.status)) throw new Ended(error.problem, error.status);
-    return new Refused({ ...error.problem, cure: "reload the page: the job goes on" }, error.status);
+    return new Refused({ ...error.problem, cure: "reload the page: the job continues" }, error.status);
   }
   return null;
 }
@@ -82,14 +90,14 @@ function stage({ stage: name, done, total, seconds }) {
   say(total > 1 ? `${name}, ${done} of ${total}` : name);
   if (!seconds) return;
   const line = make("li", { "data-stage": name }, `${name} ${seconds.toFixed(2)} s`);
-  const told = [...$("stages").children].find((one) => one.dataset.stage === name); // a job may begin anew
+  const told = [...$("stages").children].find((one) => one.dataset.stage === name); // a job may start again
   if (told) told.replaceWith(line);
   else $("stages").append(line);
 }
 
-/** What the job does now; that it is to end stays. */
+/** Show what the job does, unless it is being cancelled. */
 function say(text) {
-  $("stage-name").textContent = ending ? "ending after this stage" : text;
+  $("stage-name").textContent = ending ? "cancelling after this stage" : text;
 }
 
 function end(now) {

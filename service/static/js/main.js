@@ -1,4 +1,4 @@
-// The page's beginning: what the address asks for, and who tells whom.
+// Entry point of the page: what its URL asks for, and the connections between the parts.
 
 import { addressOf, instead, named, step } from "./address.js";
 import { askJson, checkedId, Refused, setKey } from "./api.js";
@@ -11,7 +11,7 @@ import { prepareStage, showScene } from "./stage.js";
 
 let scene = null;
 let offered = null; // the id of a scene that is ready while another one is on show
-let turn = 0; // of openings: a late answer to an earlier one is passed over
+let turn = 0; // number of the latest opening; late answers to earlier ones are ignored
 
 const failed = (error, place) => {
   if (!(error instanceof Refused)) throw error;
@@ -72,7 +72,7 @@ async function removed(id) {
   return show();
 }
 
-/** Wait while the service starts; whatever else is wrong with it, what it can do is shown. */
+/** Wait while the service starts; with any other failure the page continues. */
 async function awaitReady() {
   for (;;) {
     try {
@@ -88,7 +88,7 @@ async function awaitReady() {
   }
 }
 
-/** What the address asks for: a job to follow, a scene to show, or the newest. */
+/** Do what the URL asks for: follow a job, show a scene, or the newest one. */
 async function begin() {
   const [job, asked] = [named("job"), named("scene")];
   tell($("view-problem"), null);
@@ -108,14 +108,14 @@ async function begin() {
   }
 }
 
-/** Where nothing is on show, the newest scene, for which the address did not ask; or that there is none. */
+/** If no scene is shown, show the newest without changing the URL, or that there is none. */
 async function standIn(newest) {
   if (scene !== null) return;
   if (newest === null) show();
   else await open(newest, { address: null }).catch(failed);
 }
 
-/** What needs the key where there is one. */
+/** Everything that needs the API key, if there is one. */
 async function unlocked() {
   await prepareModels().catch(failed);
   await begin();
@@ -138,8 +138,8 @@ $("key-form").addEventListener("submit", (event) => {
   const key = $("key").value;
   const odd = [...key].findIndex((character) => !/^[ -~]$/.test(character));
   if (odd >= 0) { // no header can hold most of these, and no key of a service has any
-    const detail = `character ${odd + 1} of ${[...key].length} is not printable ASCII, of which keys consist`;
-    return tell($("key-problem"), { title: "Key", detail, cure: "copy it anew, or type it: editors of text change quotation marks and dashes" });
+    const detail = `character ${odd + 1} of ${[...key].length} is not printable ASCII, and keys contain nothing else`;
+    return tell($("key-problem"), { title: "Key", detail, cure: "copy it again, or type it: text editors change quotation marks and dashes" });
   }
   tell($("key-problem"), null);
   setKey(key);

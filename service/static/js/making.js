@@ -13,6 +13,7 @@ const OF_PHOTOGRAPHS = ["near", "far", "detail", "trust_poses", "context"]; // o
 const OF_GAUSSIANS = ["near", "far", "opacity", "scales", "rotation", "axes", "drop_invalid"];
 
 let asked = new AbortController(); // of the newest check or loading: a late answer to an earlier one is passed over
+let looking = null;    // the newest check or loading, with what it gives
 let sent = null;       // of the photographs that are on their way
 let refused = null;    // a file of Gaussians that was not loaded, and gives way to what comes next
 let ready = false;     // what is chosen may be sent
@@ -130,7 +131,9 @@ function form() {
 }
 
 /** Ask what the service understands; gives whether a reconstruction may begin. */
-async function check() {
+const check = () => (looking = look());
+
+async function look() {
   const signal = anew();
   const fault = impossible();
   tell($("problem"), fault);
@@ -139,7 +142,7 @@ async function check() {
   if (fault) return false;
   if (gaussians().length) return load(gaussians()[0], signal);
   const wish = missing();
-  say(make("p", {}, wish ?? "Looking at the cameras …"));
+  say(make("p", {}, wish ?? "Checking the cameras …"));
   if (wish) return false;
   try {
     const found = await askJson("/check", { method: "POST", body: form(), signal });
@@ -159,8 +162,11 @@ async function check() {
   }
 }
 
-/** The service is there, or has its key: what it did not look at before is asked for again. */
-export const checkAgain = () => all().length && (refused || !ready) && !running && check();
+/** The service is there, or has its key: what it did not look at before is asked for again, once what is under way has failed. */
+export async function checkAgain() {
+  for (let last = null; last !== looking;) await (last = looking);
+  if (all().length && (refused || !ready) && !running) check();
+}
 
 function say(...nodes) {
   discard($("understood"));

@@ -1,4 +1,4 @@
-// The options of a new scene: what goes into a request, and what is set, which is told where they are folded away.
+// The options of a new scene: form fields, and a summary of those that are set.
 
 import { $ } from "./dom.js";
 
@@ -10,32 +10,32 @@ const SET = {
   scales: (value) => `${value} scales`,
   rotation: (value) => `rotation ${value}`,
   axes: (value) => `axes ${value}`,
-  drop_invalid: () => "without what cannot be read",
+  drop_invalid: () => "without unreadable rows",
   detail: () => "sharper",
-  trust_poses: () => "poses are trusted",
+  trust_poses: () => "poses trusted",
 };
 
-/** What is filled in, chosen or ticked; empty where nothing is. */
+/** Value of a field, empty if it is not set. */
 function valueOf(name) {
   const field = $(name);
   if (field.type === "checkbox") return field.checked ? field.value : "";
   return field.value.trim();
 }
 
-/** Fields that are set go into a form. */
+/** Add the fields that are set to a form. */
 export function fill(data, names) {
   for (const name of names) if (valueOf(name)) data.set(name, valueOf(name));
   return data;
 }
 
-/** Tell what is set beside the word "Options". */
+/** List the fields that are set beside the word "Options". */
 export function tellSet() {
   const set = Object.entries(SET).filter(([name]) => valueOf(name)).map(([name, words]) => words(valueOf(name)));
   if (!$("model-row").hidden && $("model").selectedIndex > 0) set.push(`network ${$("model").value}`);
   $("set").textContent = set.length ? `: ${set.join(", ")}` : "";
 }
 
-/** As at the beginning, but for the network. */
+/** Reset all fields but the network. */
 export function unset() {
   for (const name of Object.keys(SET)) {
     if ($(name).type === "checkbox") $(name).checked = false;

@@ -1,10 +1,10 @@
-// The camera of the view that the service draws: an input's camera, turned about the scene's pivot and moved along its axis.
+// The camera of the view drawn by the service: an input camera that orbits the scene's pivot and zooms.
 
 import { add, column, dot, turned, vertical } from "./vectors.js";
 
-const MOST_UP = (80 * Math.PI) / 180; // nearer to the vertical right and left would change places
+const MOST_UP = (80 * Math.PI) / 180; // closer to the vertical left and right would swap
 
-/** A scene's cameras and pivot, and where the looker is; `view` is an input's index. */
+/** Azimuth, elevation and zoom relative to an input camera, of index `view`. */
 export class Orbit {
   constructor(cameras, near, far) {
     this.cameras = cameras;
@@ -24,7 +24,7 @@ export class Orbit {
     return this.azimuth !== 0 || this.elevation !== 0 || this.zoom !== 1;
   }
 
-  /** Degrees to the right and upwards; `factor` above 1 comes nearer. */
+  /** Orbit by degrees to the right and upwards; a `factor` above 1 zooms in. */
   move(right, up, factor = 1) {
     const radians = Math.PI / 180;
     this.azimuth = ((this.azimuth + right + 540) % 360) - 180;

@@ -1,13 +1,13 @@
-// A small plan of the cameras from above: where each stands, where it looks, between which depths.
+// A top view of the cameras and their frusta between near and far.
 
 import { colourOf, digits, make } from "./dom.js";
 import { add, column, cross, dot, minus, unit, vertical } from "./vectors.js";
 
 const SIZE = 240;
-const LETTER = 12; // px, the height of a number, which is less than as wide for each of its digits
-const BESIDE = [[6, 12], [6, -4], [-6, 12], [-6, -4], [6, 24], [6, -16], [-6, 24], [-6, -16]]; // where a number may stand, from its camera
+const LETTER = 12; // px, font size of the numbers
+const BESIDE = [[6, 12], [6, -4], [-6, 12], [-6, -4], [6, 24], [6, -16], [-6, 24], [-6, -16]]; // positions of a number relative to its camera
 
-/** Two axes across the mean up direction: right, and ahead of the first camera. */
+/** Two horizontal axes: to the right, and ahead of the first camera. */
 function ground(cameras) {
   const up = vertical(cameras);
   const first = column(cameras[0].c2w, 2);
@@ -39,9 +39,9 @@ export function plan(cameras, near, far) {
     SIZE / 2 - (y - (low[1] + high[1]) / 2) * scale,
   ];
   const path = (list) => list.map((point) => pixel(point).map((value) => value.toFixed(1)).join(",")).join(" ");
-  const label = `Plan from above of ${cameras.length} cameras and what they see between depths ${digits(near)} and ${digits(far)}`;
+  const label = `Plan of ${cameras.length} cameras from above, with what they see between depths ${digits(near)} and ${digits(far)}`;
   const svg = make("svg:svg", { viewBox: `0 0 ${SIZE} ${SIZE}`, role: "img", "aria-label": label, class: "plan" });
-  const numbers = []; // where they stand
+  const numbers = []; // placed so far
   shapes.forEach((shape, index) => {
     const colour = colourOf(index);
     const [x, y] = pixel(shape.centre);
@@ -56,7 +56,7 @@ export function plan(cameras, near, far) {
   return svg;
 }
 
-/** A place beside a camera where no other number stands; the first where there is none. */
+/** The first position beside a camera that overlaps no other number, else the first of all. */
 function free(x, y, text, others) {
   const wide = 0.65 * LETTER * text.length;
   const places = BESIDE.map(([right, down]) => ({ left: right > 0 ? x + right : x + right - wide, base: y + down, wide, text }));

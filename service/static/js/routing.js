@@ -4,7 +4,7 @@ import { colourOf, make, swatch } from "./dom.js";
 
 export const TASKS = ["mean", "opacity", "covariance", "colour"];
 
-/** Colours of the patches over the photograph's grey, as a canvas of the view's size. */
+/** A canvas of the view's size: the grey photograph, tinted by the expert or task of each patch. */
 export function routingPicture(digits, camera, photograph, label) {
   const canvas = make("canvas", { width: camera.width, height: camera.height, role: "img", "aria-label": label });
   const context = canvas.getContext("2d");

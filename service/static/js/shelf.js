@@ -4,9 +4,9 @@ import { ask, askJson, showPicture } from "./api.js";
 import { $, button, count, discard, make, tell } from "./dom.js";
 
 const PAGE = 12;
-const MOST = 1000; // that the service lists at once
+const MOST = 1000; // largest page of the service
 let next = null;
-let turn = 0; // of lists: a late page of an earlier one is passed over
+let turn = 0; // number of the latest list; late pages of earlier ones are ignored
 let chosen = null;
 let act = {};
 
@@ -38,7 +38,7 @@ function mark(row) {
   else row.querySelector("button").removeAttribute("aria-current");
 }
 
-/** The newest scenes anew, as many as are listed; returns the id of the first, or null. */
+/** Reload as many scenes as are listed; returns the id of the newest, or null. */
 export async function refreshShelf() {
   const mine = (turn += 1);
   const page = await list(Math.min(MOST, Math.max(PAGE, rows().length)), null);
@@ -57,7 +57,7 @@ export async function refreshShelf() {
 
 const list = (limit, after) => askJson(`/scenes?${new URLSearchParams({ limit: String(limit), ...(after ? { after } : {}) })}`);
 
-/** The next page behind those that are listed, to which the focus goes. */
+/** Append the next page, and focus its first scene. */
 async function older() {
   $("more").disabled = true;
   const mine = turn;
@@ -77,7 +77,7 @@ async function older() {
   }
 }
 
-/** Take a row away; the focus goes to the one that has its place then, or where none is left to the chooser. */
+/** Remove a row; its focus goes to the row that takes its position, or to the file input. */
 function drop(row) {
   const place = rows().indexOf(row);
   const held = row.contains(document.activeElement) && document.activeElement;
@@ -86,7 +86,7 @@ function drop(row) {
   if (held) (rows()[Math.min(place, rows().length - 1)]?.querySelector(held.matches(".quiet") ? ".quiet" : "button") ?? $("files")).focus();
 }
 
-/** A scene is gone: its row goes, and where that was the last one of more, the next come. */
+/** Remove the row of a deleted scene; if the list is empty then, load the next page. */
 async function gone(id) {
   const row = rowOf(id);
   if (row) drop(row);
@@ -124,9 +124,9 @@ function item(scene) {
   return node;
 }
 
-/** Delete a scene, once it was asked whether; what is refused is told at `place`. */
+/** Delete a scene after confirmation; errors are shown at `place`. */
 export async function remove(id, place) {
-  if (!confirm(`Delete scene ${id.slice(0, 8)}? Its files are gone then.`)) return;
+  if (!confirm(`Delete scene ${id.slice(0, 8)}? Its files will be lost.`)) return;
   tell(place, null);
   try {
     await ask(`/scenes/${encodeURIComponent(id)}`, { method: "DELETE" }).catch((error) => {

@@ -1,4 +1,4 @@
-// The large view: drawn by the service while it is turned, or by WebGL in a frame where both are there.
+// The large view: drawn by the service, or by WebGL in a frame if browser and service support it.
 
 import { ask, askPicture, Refused } from "./api.js";
 import { $, button, tell } from "./dom.js";
@@ -9,7 +9,7 @@ import { turnBy } from "./turning.js";
 const SMALL = 128;         // px, longer side while it moves
 const SETTLE_MS = 150;     // after the last movement the full picture is drawn
 const LABELS = {
-  server: "The scene. Drag, or press the arrow keys, to orbit; plus and minus to come nearer and to go back",
+  server: "The scene. Drag, or press the arrow keys, to orbit; plus and minus to move closer and away",
   webgl: "The scene, in an interactive frame",
 };
 
@@ -21,7 +21,7 @@ let complained = false; // whether the problem on show is one of drawing
 let settle = 0;     // the wait for the full picture; 0 when there is none
 let mode = "server";
 
-/** Whether this browser has WebGL 2, and whether a processor would have to play the graphics card. */
+/** Whether this browser has WebGL 2, and whether that is rendered in software. */
 function graphics() {
   const context = document.createElement("canvas").getContext("webgl2");
   if (!context) return { there: false, slow: true };
@@ -31,7 +31,7 @@ function graphics() {
   return { there: true, slow: /swiftshader|llvmpipe|software|basic render/i.test(name) };
 }
 
-/** Find out who can draw; WebGL draws from the start where a graphics card does it. */
+/** Choose between service and WebGL, which is preferred with hardware acceleration. */
 export async function prepareStage() {
   const { there, slow } = graphics();
   let reason = there ? "" : "this browser has no WebGL 2";
@@ -86,7 +86,7 @@ function show(address) {
   else picture.removeAttribute("src");
 }
 
-/** Tell who does not see it whether a picture is still to come. */
+/** Set aria-busy while a picture is pending. */
 function tellWhetherBusy() {
   $("stage").setAttribute("aria-busy", String(busy || wanted !== null || settle !== 0));
 }
@@ -115,7 +115,7 @@ async function draw(path, of) {
   }
 }
 
-/** Tell a problem of drawing, or clear it; those of others stay. */
+/** Show a problem of drawing, or clear it; other problems stay. */
 function complain(error) {
   if (error || complained) tell($("view-problem"), error);
   complained = error !== null;
@@ -124,10 +124,10 @@ function complain(error) {
 function look(small) {
   if (!scene) return;
   draw(pictureOf(small), scene.id);
-  if (small) return; // what is read aloud waits until it is still
+  if (small) return; // screen readers hear of the final picture only
   const turn = orbit.moved ? `, turned by ${orbit.azimuth.toFixed(0)}° and ${orbit.elevation.toFixed(0)}°` : "";
-  const place = `${mode === "webgl" ? "beginning at " : ""}${scene.file ? "" : "input "}view ${orbit.view}${turn}`;
-  const how = mode === "webgl" ? "Drag, pinch or scroll in the picture." : "Drag the picture, or use the arrow keys, to orbit; + and − to come nearer.";
+  const place = `${mode === "webgl" ? "starting at " : ""}${scene.file ? "" : "input "}view ${orbit.view}${turn}`;
+  const how = mode === "webgl" ? "Drag, pinch or scroll in the picture." : "Drag the picture, or use the arrow keys, to orbit; + and − to move closer or away.";
   $("caption").textContent = `${place[0].toUpperCase()}${place.slice(1)}. ${how}`;
   $("picture").alt = `Scene ${scene.id}, ${place}`;
 }
@@ -157,7 +157,7 @@ export function showScene(document_) {
   look(false);
 }
 
-/** Degrees to the right and upwards, and a factor by which it comes nearer. */
+/** Orbit by degrees to the right and upwards, and zoom by a factor; whether that was possible. */
 function move(right, up, factor) {
   if (!scene || mode === "webgl") return false;
   orbit.move(right, up, factor);

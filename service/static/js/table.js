@@ -1,4 +1,4 @@
-// Tables beside the view: rows, heads, and what is wider than the page.
+// Tables of the panel: rows, heads, and scrolling of wide ones.
 
 import { make } from "./dom.js";
 

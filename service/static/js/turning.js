@@ -1,4 +1,4 @@
-// From fingers, mouse, wheel and keys to degrees and a factor.
+// Pointer, wheel and keyboard input as degrees of orbit and a zoom factor.
 
 const DEGREES_PER_PX = 0.3; // a drag over 300 px turns by a quarter
 const PER_NOTCH = 0.001;    // of the wheel, in the exponent
@@ -8,7 +8,7 @@ const KEYS = {
 
 const distance = ([a, b]) => Math.hypot(a.x - b.x, a.y - b.y);
 
-/** Call `move(right, up, factor)` for what is done to `stage`: one pointer turns, two come nearer; it says whether it moved. */
+/** Call `move(right, up, factor)` for input on `stage`: one pointer orbits, two zoom; it returns whether it moved. */
 export function turnBy(stage, move) {
   const pointers = new Map(); // id -> its last place
 

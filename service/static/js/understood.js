@@ -1,11 +1,11 @@
-// What the service understood of photographs and cameras, as cards, a plan and sentences.
+// The answer of POST /check as cards, a top view and sentences.
 
 import { colourOf, digits, make, swatch } from "./dom.js";
 import { plan } from "./plan.js";
 
 const SOURCES = { cameras: "estimated from the cameras; the photographs will narrow it" };
 
-/** Elements for an answer of POST /check. */
+/** Elements that show an answer of POST /check. */
 export function understood({ images, near, far, depth_range_source: source, paired_by: by, warnings, selection }) {
   const chosen = selection.by === "score" ? `${images.length} of ${selection.of} photographs, chosen for their overlap and baselines. ` : "";
   return [

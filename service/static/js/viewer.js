@@ -1,10 +1,10 @@
-// The frame that holds the WebGL viewer: it fetches the scene, with the key where there is one, and tells the page how
-// much of it has come and when it drew.
+// The document of the WebGL viewer's frame: it fetches the scene, with the API key if there is one, and reports
+// progress and the first picture to the page.
 
 import { createViewer } from "/static/viewer/index.js";
 import { ask, askJson } from "./api.js";
 
-const SIGN_MS = 200; // between two signs of a file that comes
+const SIGN_MS = 200; // between progress messages
 
 const scene = new URLSearchParams(location.search).get("scene") ?? "";
 const tellPage = (message) => parent.postMessage({ ...message, scene }, location.origin);
@@ -12,7 +12,7 @@ const tellPage = (message) => parent.postMessage({ ...message, scene }, location
 let drawn = false;
 
 function failed(reason) {
-  if (!drawn) tellPage({ viewer: "failed", reason }); // afterwards a fault need not end what is on show
+  if (!drawn) tellPage({ viewer: "failed", reason }); // later errors need not affect what is shown
 }
 
 window.firstFrame = () => {
@@ -22,9 +22,9 @@ window.firstFrame = () => {
 window.addEventListener("error", (event) => failed(event.message));
 window.addEventListener("unhandledrejection", (event) => failed(String(event.reason?.message ?? event.reason)));
 for (const name of ["dragenter", "dragover"]) document.addEventListener(name, () => tellPage({ viewer: "carried" }));
-document.addEventListener("webglcontextlost", () => tellPage({ viewer: "failed", reason: "the graphics card gave up" }), true);
+document.addEventListener("webglcontextlost", () => tellPage({ viewer: "failed", reason: "the WebGL context was lost" }), true);
 
-/** The same response, of which the page hears how much has come. */
+/** The response, with progress messages to the page while it is read. */
 function counted(response) {
   const all = Number(response.headers.get("Content-Length"));
   let came = 0;

@@ -1,4 +1,4 @@
-"""`gapmes evaluate` as the tests call it, in this process."""
+"""Runs of `gapmes evaluate` in the test's own process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gapmes.service import cli
 
 
 def run(*arguments: object) -> int:
-    """The exit code of `gapmes evaluate`."""
+    """Run `gapmes evaluate`; returns its exit code."""
     try:
         cli.main(["evaluate", *[str(argument) for argument in arguments], "--threads", "1"])
     except SystemExit as end:
@@ -17,7 +17,7 @@ def run(*arguments: object) -> int:
 
 
 def refused(capfd: pytest.CaptureFixture[str], words: str) -> None:
-    """One line on stderr."""
+    """Run a command that is refused; returns its one line on stderr."""
     lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error: ")]
     assert len(lines) == 1
     assert words in lines[0]

@@ -1,4 +1,5 @@
-"""Analytic scenes for the evaluation's tests: a wall before which a slab may stand, seen by cameras side by side."""
+"""Analytic scenes for the evaluation's tests: a wall, optionally with a slab in front of it, seen by cameras side by
+side."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ NEAR, FAR = 1.0, 8.0
 
 
 def camera_at(x: float, size: int = SIZE) -> Camera:
-    """Looks along +z from (x, 0, 0)."""
+    """A camera at (x, 0, 0) that looks along +z."""
     pose = np.eye(4)
     pose[0, 3] = x
     return Camera.make(size, size, 0.9 * size, 0.9 * size, size / 2, size / 2, pose)
@@ -27,7 +28,7 @@ def texture(x: np.ndarray, y: np.ndarray, phase: float) -> np.ndarray:
 
 
 class StepScene:
-    """A wall at z = `wall` + `slope` x, and before it a slab at z = `slab` over |x| < `half_width` (0: none)."""
+    """A wall at z = `wall` + `slope` x, with a slab in front of it at z = `slab` over |x| < `half_width` (0: none)."""
 
     def __init__(self, wall: float, slope: float = 0.0, slab: float = 1.5, half_width: float = 0.0) -> None:
         self.wall, self.slope, self.slab, self.half_width = wall, slope, slab, half_width

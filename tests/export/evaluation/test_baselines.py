@@ -1,4 +1,4 @@
-"""The baselines recover what they can by construction: a plane, a slant, a step; and true depth is above them."""
+"""The baselines recover what they can by construction: a plane, a slant, a step; true depth scores above them."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ SCENE = StepScene(3.0, slab=1.5, half_width=0.3)
 
 
 def sees(camera_x: float, point: np.ndarray) -> bool:
-    """Whether a camera at (camera_x, 0, 0) sees a point: in its picture, and the slab is not in between."""
+    """Whether a camera at (camera_x, 0, 0) sees a point: it lies in the picture, and the slab does not hide it."""
     camera = camera_at(camera_x)
     pixels, z = camera.project(point[None])
     if z[0] <= 0 or not (0 <= pixels[0, 0] < camera.width and 0 <= pixels[0, 1] < camera.height):

@@ -1,4 +1,4 @@
-"""`gapmes evaluate` end to end: on generated scenes and on the sample, what it writes, what it refuses."""
+"""`gapmes evaluate` end to end, on generated scenes and on the sample: its output and its refusals."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def test_entry_points_are_read_only_for_other_names(
 
 
 def test_pictures_need_not_be_square(tmp_path: Path) -> None:
-    """Of a file for 48 x 64 px, whose size is taken without being told."""
+    """The size comes from the file, here 48 x 64 px, without being given."""
     config = {"config": json.dumps({"sh_degree": 1, "experts": 6})}
     file = write_standin(tmp_path / "wide.onnx", {**METADATA, **config})
     out = tmp_path / "report"
@@ -208,7 +208,7 @@ def test_pictures_need_not_be_square(tmp_path: Path) -> None:
 
 
 def test_generated_scenes_of_another_seed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Others than usual, and the report says whose seed they are."""
+    """The scenes differ from the usual ones, and the report names their seed."""
     file = write_standin(tmp_path / "wide.onnx", {**METADATA, "config": json.dumps({"sh_degree": 1, "experts": 6})})
     groups = []
     for number, seed in enumerate(((), ("--seed", 7))):
@@ -226,7 +226,7 @@ def test_generated_scenes_of_another_seed(tmp_path: Path, capfd: pytest.CaptureF
 
 
 def test_scenes_of_the_same_last_name_stay_apart(tmp_path: Path) -> None:
-    """In tables, in pictures, and among those that are left out."""
+    """In tables, in pictures, and among the scenes that are left out."""
     for place in ("a", "b", "c"):
         shutil.copytree(sample_folder(), tmp_path / place / "room")
     lacking = tmp_path / "c" / "room" / "cameras.json"
@@ -242,7 +242,7 @@ def test_scenes_of_the_same_last_name_stay_apart(tmp_path: Path) -> None:
 
 
 def test_pictures_of_photographs_stay_whatever_their_folders_are_called(tmp_path: Path) -> None:
-    """Of generated scenes a run removes those of the run before, which may have drawn others."""
+    """A run removes only the pictures of generated scenes that an earlier run has drawn."""
     names = ["generated_house", "generated 000"]
     for name in names:
         shutil.copytree(sample_folder(), tmp_path / name)
@@ -265,7 +265,7 @@ def test_pictures_of_photographs_stay_whatever_their_folders_are_called(tmp_path
 
 
 def test_a_network_without_gates_is_measured(tmp_path: Path) -> None:
-    """As DepthSplat, whose configuration has no number of experts."""
+    """DepthSplat's configuration, for example, has no number of experts."""
     file = write_standin(tmp_path / "plain.onnx", outputs=REQUIRED_OUTPUTS)
     out = tmp_path / "report"
     assert run("--generated", 1, "--model", file, "--fade", 0, "--out", out) == 0

@@ -1,4 +1,4 @@
-"""Models that `gapmes evaluate` compares: files in several runtimes, checkpoints exported for every size."""
+"""The models that `gapmes evaluate` compares: files in several runtimes, and checkpoints exported for every size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every floor is passed by figures just above it and missed by figures just below it; the tables say what they mean."""
+"""Figures just above a floor pass it and figures just below miss it; the tables say what each floor means."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def test_the_tables_show_every_method_scene_and_verdict() -> None:
 
 
 def test_names_of_files_do_not_break_the_tables() -> None:
-    """Line ends, which would end a row, and what separates its cells; in the head too, where the models are."""
+    """Line ends would end a row, and separators a cell; the head with the models is included."""
     odd = scene("a|b\nc\\|d", 22.0, 20)
     odd.models["net|1\r# 2"] = odd.models.pop("ours")
     unusual = Group("photographs", 2, Size.square(64), "true depth", [odd], {"net|1\r# 2": None}, {"e\nf": "g\nh"})

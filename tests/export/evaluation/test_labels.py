@@ -1,4 +1,4 @@
-"""Scenes and models are told apart: by as little of their paths as does it, in tables and in names of pictures."""
+"""Labels of scenes and models: the shortest parts of their paths that are distinct, in tables and picture names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figures against brute force in float64: PSNR and SSIM under masks."""
+"""PSNR and SSIM under masks, against brute force in float64."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `gapmes evaluate` measures: plans of sizes, views and counts, and the generated scenes of a seed."""
+"""The plans of `gapmes evaluate`: sizes, views and counts, and the generated scenes of a seed."""
 
 from __future__ import annotations
 

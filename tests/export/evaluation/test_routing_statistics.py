@@ -1,4 +1,4 @@
-"""Statistics of routes, against values by hand."""
+"""Routing statistics against values computed by hand."""
 
 from __future__ import annotations
 

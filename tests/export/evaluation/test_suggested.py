@@ -1,4 +1,4 @@
-"""The views that a scene folder suggests: which are taken and which refused, and that refusals come before any work."""
+"""The suggested views of a scene folder: which are used and which are refused, before any work."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GOOD = {"context2": [1, 5], "target2": [2, 3]}
 
 
 def scene(folder: Path, **suggested: list[int]) -> Path:
-    """The sample, of eight views, with other suggestions."""
+    """The sample, with eight views, and other suggestions."""
     shutil.copytree(sample_folder(), folder)
     path = folder / "cameras.json"
     document = json.loads(path.read_text())
@@ -94,7 +94,7 @@ def see_through(path: Path, width: int) -> None:
 
 @pytest.mark.parametrize("view", [1, 3], ids=["input", "target"])
 def test_a_photograph_with_transparent_pixels_is_refused(tmp_path: Path, view: int) -> None:
-    """What a mask leaves out is no part of a scene, but would be compared; opaque alpha leaves nothing out."""
+    """Masked pixels are not part of a scene, but would be compared; opaque alpha masks nothing."""
     folder = scene(tmp_path / "scene")
     opaque, picture = (folder / "images" / f"{number:03d}.png" for number in (5, view))
     see_through(opaque, 0)

@@ -1,4 +1,5 @@
-"""Twice the size: the same views with the finer detail of the truth, a picture enlarged in its place, and the table."""
+"""Evaluation at twice the size: the same views with finer detail in the truth, an enlarged picture instead, and the
+table."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ from gapmes.service.shipped import sample_folder
 
 
 def assert_same_view_with_more_detail(once: FittedView, twice: FittedView) -> None:
-    """Measured: averaged back 32 to 45 dB, while the small picture enlarged has 27 to 32 of the large one."""
+    """Measured: 32 to 45 dB when averaged back; the enlarged small picture has 27 to 32 dB against the large one."""
     one, two = once.camera, twice.camera
     assert (two.width, two.height) == (2 * one.width, 2 * one.height)
     np.testing.assert_allclose([two.fx, two.fy, two.cx, two.cy], 2 * np.array([one.fx, one.fy, one.cx, one.cy]))
@@ -57,7 +58,7 @@ def test_a_photograph_is_resampled_from_its_own_pixels() -> None:
 
 
 def wall(size: int) -> np.ndarray:
-    """The texture as a camera with `size` pixels sees it, one unit before it."""
+    """The texture in a camera of `size` pixels, one unit in front of it."""
     camera = camera_at(0, size)
     rows, columns = np.mgrid[:size, :size] + 0.5
     return texture((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, 0.0).astype(np.float32)
@@ -73,7 +74,7 @@ def test_an_enlarged_picture_stays_where_it_is() -> None:
 
 
 def test_detail_costs_a_good_picture_more_than_a_bad_one() -> None:
-    """Errors of the picture that have nothing to do with the detail add to it: within 0.01 dB (measured 0.0014)."""
+    """Errors that are unrelated to the detail add to it: within 0.01 dB (measured 0.0014)."""
     chance = np.random.default_rng(3)
     truth = wall(2 * SIZE) + 0.05 * chance.standard_normal((3, 2 * SIZE, 2 * SIZE)).astype(np.float32)
     target = halved(truth)
@@ -93,7 +94,7 @@ def test_detail_costs_a_good_picture_more_than_a_bad_one() -> None:
 
 
 def test_changes_are_against_the_score_at_the_size_itself() -> None:
-    """Nothing is drawn but one grey: 0.02 off at the size itself (34 dB), 0.01 and 0.1 off at twice the size."""
+    """Pictures are one grey: off by 0.02 at the size itself (34 dB), by 0.01 and 0.1 at twice the size."""
     grey = np.full((3, SIZE, SIZE), 0.5, np.float32)
     view = StepScene(2.0).view(camera_at(0, 2 * SIZE))
     truth = LargerTargets((FittedView(np.full((3, 2 * SIZE, 2 * SIZE), 0.6, np.float32), None, view.camera, 1.0),), 99)
@@ -105,7 +106,7 @@ def test_changes_are_against_the_score_at_the_size_itself() -> None:
     score = replace(score, covisible=replace(score.covisible, psnr=99.0))
 
     class Half:
-        """Draws a colour of its own, open in a quarter of the picture."""
+        """Draws one colour, transparent in a quarter of the picture."""
 
         def draw(self, camera, threads):
             alpha = np.ones((camera.height, camera.width), np.float32)

@@ -1,4 +1,4 @@
-"""The bound of the alpha cut: never below what the cut changes, on random scenes."""
+"""The bound of the alpha cut is never below the change that the cut makes, on random scenes."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The model files of a report: made in a folder of their own, and used again only where they are what is asked for."""
+"""The model files of a report: written to a folder of their own, and reused only if they match the request."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gapmes.export.tradeoff.child import ChildFailed
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Path]:
-    """The files that are made: a stand-in is the shipped model, quantising takes its time elsewhere."""
+    """The files that are written: the shipped model is a stand-in, and quantising, which takes time, does nothing."""
     found: list[Path] = []
     shipped = write_standin(tmp_path / "shipped.onnx")
     real = files.write_model
@@ -74,7 +74,7 @@ def test_what_is_no_model_is_made_anew(content: bytes, made: list[Path], tmp_pat
 
 
 def test_every_export_is_asked_for_by_all_that_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file that is one of them is none of the others."""
+    """A file that matches one of them matches none of the others."""
     exported: list[files.ModelFile] = []
     monkeypatch.setattr(files, "quick_files", lambda _: [])
     monkeypatch.setattr(files, "_export_elsewhere", exported.extend)

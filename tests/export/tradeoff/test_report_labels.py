@@ -1,4 +1,4 @@
-"""Labels of the report's picture hide neither points nor one another, and stand at their own."""
+"""Labels in the report's plot hide neither points nor each other, and stand at their own points."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gapmes.export.tradeoff.labels import MARKER, SIDES, labels, spread
 
 
 def figure(points: np.ndarray, *, joined: bool = False, bold: int | None = None) -> tuple[Figure, Axes]:
-    """A panel with a labelled point at each of (N, 2)."""
+    """A panel with a labelled point at each of the positions (N, 2)."""
     made = Figure(figsize=(4, 4), dpi=100, layout="constrained")
     axes = made.subplots()
     axes.plot(*points.T, "o-" if joined else "o", markersize=5, label="knob")
@@ -28,7 +28,7 @@ def figure(points: np.ndarray, *, joined: bool = False, bold: int | None = None)
 @pytest.mark.parametrize("joined", [False, True])
 @pytest.mark.parametrize("seed", range(5))
 def test_nothing_is_hidden_where_there_is_room(seed: int, joined: bool) -> None:
-    """Eleven points, three of them close together."""
+    """Eleven points, three of which are close together."""
     grid = 4.0 * np.stack(np.meshgrid(np.arange(3), np.arange(3)), axis=-1).reshape(-1, 2)
     points = grid + np.random.default_rng(seed).uniform(-0.7, 0.7, grid.shape)
     points = np.concatenate([points, points[4] + [[0.4, 0.1], [0.1, -0.4]]])
@@ -47,7 +47,7 @@ def test_nothing_is_hidden_where_there_is_room(seed: int, joined: bool) -> None:
 
 
 def test_a_cluster_keeps_its_labels_from_a_point_close_by() -> None:
-    """Three points in one place, and one on the same line 25 px to the right, as settings of nearly one time."""
+    """Three points in one place, and one on the same line 25 px to the right, as for settings of nearly equal time."""
     points = np.array([[0.0, 0.0], [5.0, 5.0], [5.05, 5.02], [5.1, 5.0], [6.0, 5.0], [10.0, 10.0]])
     made, axes = figure(points, joined=True, bold=2)
     spread(made)

@@ -1,4 +1,5 @@
-"""The report of error against run time: its schema, its errors against closed forms, its knobs a user's own."""
+"""The report of error against run time: its schema, its errors against closed forms, and its knobs, which users can
+set."""
 
 from __future__ import annotations
 
@@ -126,7 +127,7 @@ def test_a_child_loads_the_service_alone() -> None:
 
 
 def test_every_knob_is_an_option_of_a_command() -> None:
-    """Each is what its row says: the commands know the options and the values make the same settings."""
+    """Each row names a real option: the commands know it, and its value gives the same setting."""
     shown = CliRunner(env={"COLUMNS": "200"})
     help_of = {
         "reconstruct": shown.invoke(app, ["reconstruct", "--help"]).output,

@@ -1,4 +1,4 @@
-"""Two cameras that look at each other, and a point that the second has beside or behind it."""
+"""Two cameras that face each other, and a point beside or behind the second."""
 
 from __future__ import annotations
 

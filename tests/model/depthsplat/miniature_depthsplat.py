@@ -1,4 +1,4 @@
-"""DepthSplat on a ViT small enough for tests; the rest is as in the published networks."""
+"""DepthSplat with a ViT small enough for tests; all else is as in the published networks."""
 
 from __future__ import annotations
 

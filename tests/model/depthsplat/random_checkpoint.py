@@ -28,7 +28,7 @@ _INSIDE = {
 
 
 def randomised(network: DepthSplat, seed: int = 0) -> DepthSplat:
-    """Weights of a spread at which neither softmax nor sigmoid saturates, no part without effect."""
+    """Weights with a spread at which neither softmax nor sigmoid saturates and every part has an effect."""
     generator = torch.Generator().manual_seed(seed)
     for name, value in network.named_parameters():
         noise = torch.randn(value.shape, generator=generator)
@@ -41,7 +41,7 @@ def randomised(network: DepthSplat, seed: int = 0) -> DepthSplat:
 
 
 def published_layout(network: DepthSplat) -> dict[str, Tensor]:
-    """Its tensors under the names of the authors' trainer, the ViT's as in the original DINOv2."""
+    """The tensors under the names of the authors' trainer, those of the ViT as in the original DINOv2."""
     tensors: dict[str, Tensor] = {}
     qkv: dict[str, dict[str, Tensor]] = {}
     for name, value in network.state_dict().items():
@@ -61,7 +61,7 @@ def published_layout(network: DepthSplat) -> dict[str, Tensor]:
 
 
 def write_checkpoint(folder: Path, vit: str = "small", scales: int = 1, coarsest: int = 4) -> tuple[Path, DepthSplat]:
-    """As the authors' trainer saves it, and the network that it was made from."""
+    """A file as the authors' trainer saves it, and the network that it was made from."""
     network = randomised(DepthSplat(DepthSplatConfig(vit, scales, coarsest=coarsest)))
     path = folder / f"depthsplat-gs-{vit}.pth"
     torch.save({"state_dict": published_layout(network), "epoch": 3, "global_step": 9}, path)

@@ -1,4 +1,4 @@
-"""A published DepthSplat file is recognised and loaded whole; anything else is refused with what is wrong with it."""
+"""A published DepthSplat file is recognised and loaded completely; any other file is refused with its fault."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_the_networks_are_as_large_as_the_published_ones(vit: str, scales: int, 
 def test_the_largest_gaussian_is_that_of_the_published_file(
     small: tuple[Path, DepthSplat], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No tensor tells it: the file's sha256 does, and whoever loads it may say it."""
+    """No tensor gives it: the sha256 of the file determines it, or the caller."""
     path = small[0]
     assert load_depthsplat(path)[0].config.scale_max == 3
     monkeypatch.setitem(checkpoint._SCALE_MAXIMA, file_sha256(path)[:8], 0.1)

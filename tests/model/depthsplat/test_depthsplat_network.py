@@ -1,5 +1,5 @@
-"""The whole network: one Gaussian per pixel in the frame of the poses, masks, and what each switch of compatibility
-changes and what it leaves."""
+"""The whole network: one Gaussian per pixel in the frame of the poses, masks, and the effect of each compatibility
+switch."""
 
 from __future__ import annotations
 

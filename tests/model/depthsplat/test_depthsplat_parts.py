@@ -28,7 +28,7 @@ from gapmes.model.geometry import rigid_inverse
 
 
 def cameras(batch: int, count: int, seed: int = 0) -> Tensor:
-    """(B, V, 4, 4) poses that look along z, turned a little."""
+    """(B, V, 4, 4) poses that look along z, rotated a little."""
     generator = torch.Generator().manual_seed(seed)
     poses = torch.eye(4).repeat(batch, count, 1, 1)
     angle = 0.1 * torch.randn(batch, count, generator=generator)
@@ -175,7 +175,7 @@ def test_the_sweep_is_the_mean_correlation_at_each_depth(per_cell: bool, compati
 def test_what_lies_behind_the_other_camera_matches_nothing_unless_its_depth_is_clamped(
     depth: float, ahead: float, per_cell: bool, switch: str | None
 ) -> None:
-    """Behind it, before it by less than the clamp, and by more, but too little for the plain sweep to divide by."""
+    """Behind it, in front of it by less than the clamp, and by more but too little for the plain sweep to divide by."""
     count, h, w = 2, 4, 8  # whose cells' centres float32 holds exactly; all else is float64
     shift, own_k = 0.0 if switch == "corner_pixels" else 0.5, switch == "reference_intrinsics"
     one, other = (torch.tensor([[f, 0, 0.5], [0, 1.1, 0.45], [0, 0, 1]], dtype=torch.float64) for f in (0.9, 1.3))

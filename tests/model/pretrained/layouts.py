@@ -1,4 +1,4 @@
-"""Small random networks, and their weights written in the layouts that publishers use: the loaders' inverse."""
+"""Small random networks, and their weights in the layouts of their publishers: the inverse of the loaders."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _HEAD_TO_ORIGINAL = {
 
 
 def randomise(module: nn.Module, seed: int) -> None:
-    """Weights with which every layer tells in the output: a fresh head gives a nearly constant depth."""
+    """Weights with which every layer affects the output: a fresh head gives a nearly constant depth."""
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         for name, p in module.named_parameters():
@@ -67,7 +67,7 @@ def random_depth_anything(seed: int = 0, config: VitConfig = SMALL) -> DepthAnyt
 
 
 def transformers_4(state: State) -> State:
-    """The names of transformers before its fifth version."""
+    """The state under the names of transformers before version 5."""
     renamed = {}
     for name, value in state.items():
         for new, old in _TO_4.items():
@@ -77,7 +77,7 @@ def transformers_4(state: State) -> State:
 
 
 def original(state: State, *, chunk: int = 0) -> State:
-    """The names of DINOv2's own files; with `chunk`, of those trained in chunks of that many blocks."""
+    """The state under the names of DINOv2's own files; with `chunk`, of those trained in chunks of that many blocks."""
     renamed: State = {}
     for name, value in state.items():
         match = re.fullmatch(r"encoder\.layer\.(\d+)\.(.+)", name)
@@ -97,7 +97,7 @@ def original(state: State, *, chunk: int = 0) -> State:
 
 
 def original_depth_anything(state: State) -> State:
-    """The names of Depth-Anything-V2's own files, from the state of transformers' model."""
+    """The state of transformers' model under the names of Depth-Anything-V2's own files."""
     encoder = {k.removeprefix("backbone."): v for k, v in state.items() if k.startswith("backbone.")}
     renamed = {f"pretrained.{name}": value for name, value in original(encoder).items()}
     for name, value in state.items():
@@ -127,7 +127,7 @@ def prefixed(prefix: str, state: State) -> State:
 
 
 def write(path: Path, state: State) -> Path:
-    """As safetensors or, by the ending, in torch's format."""
+    """Write safetensors or, by the extension, torch's format."""
     state = {name: value.detach().clone().contiguous() for name, value in state.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".safetensors":
@@ -138,5 +138,5 @@ def write(path: Path, state: State) -> Path:
 
 
 def equal(a: nn.Module, b: nn.Module) -> bool:
-    """Every parameter, bit for bit."""
+    """Whether all parameters are equal, bit for bit."""
     return all(torch.equal(x, y) for x, y in zip(a.parameters(), b.parameters(), strict=True))

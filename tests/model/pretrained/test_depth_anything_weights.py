@@ -55,7 +55,7 @@ def test_every_layout_gives_the_same_network(layout: str, ending: str, tmp_path:
 
 
 def test_published_names_of_the_head_go_where_they_belong(tmp_path: Path) -> None:
-    """A few correspondences written out: the levels' order turns round in the fusion."""
+    """A few correspondences written out: the fusion reverses the order of the levels."""
     state = original_depth_anything(random_depth_anything().model.state_dict())
     report, _ = fit_depth_anything(read_tensors(write(tmp_path / "a.pth", state)), fresh().model)
     expected = {

@@ -1,4 +1,5 @@
-"""Depth-Anything's cue: the published head, made free of scale and shift, on the cells' grid, and as an ONNX graph."""
+"""Depth-Anything's cue: the published head, made independent of scale and shift, on the cells' grid, and as an ONNX
+graph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""DINOv2 files: every published layout gives the same network, and every wrong file is named for what it is."""
+"""DINOv2 files: every published layout gives the same network, and every wrong file is refused with its fault."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A file that nests its weights without end is refused, not followed."""
+"""A file with endlessly nested weights is refused."""
 
 from __future__ import annotations
 

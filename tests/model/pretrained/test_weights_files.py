@@ -1,4 +1,4 @@
-"""Weights files: what is read, what is said of it, and what is refused without being run."""
+"""Weights files: what is read, what is reported, and what is refused without being executed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STATE = {"a.weight": torch.arange(6.0).reshape(2, 3), "b": torch.ones(4, dtype=t
 
 
 class Intruder:
-    """Makes a file when an ordinary pickle reader meets it."""
+    """Creates a file when an ordinary pickle reader loads it."""
 
     def __init__(self, trace: Path) -> None:
         self.trace = trace

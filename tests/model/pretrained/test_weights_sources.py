@@ -1,4 +1,4 @@
-"""Names of weights: files, folders, and a hub that only its cache stands for."""
+"""Sources of weights: files, folders, and hub names, for which only the hub's cache is present."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COMMIT = "0123456789abcdef0123456789abcdef01234567"
 
 @pytest.fixture
 def offline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As HF_HUB_OFFLINE=1 does, which the library reads once, when it is imported."""
+    """The effect of HF_HUB_OFFLINE=1, which the library reads only once, on import."""
     monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", True)
 
 
@@ -119,7 +119,7 @@ def test_without_a_connection_the_cure_is_named(tmp_path: Path) -> None:
 
 
 def test_of_several_files_on_the_hub_none_is_downloaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A repository of one file in torch's format gives it; one of two is refused by their names alone."""
+    """A repository with one file in torch's format gives it; one with two is refused by their names alone."""
     asked: list[str] = []
 
     def download(_: str, name: str, **options: object) -> str:

@@ -1,4 +1,4 @@
-"""Runs in a process of their own that are killed as soon as their folder has a state to go on from."""
+"""Runs in a separate process that are killed as soon as their folder has a state to resume from."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gapmes.model.training import run_folder
 
 
 def killed_with_a_state(run: Callable[[Path], None], folder: Path, *, daemon: bool = True) -> None:
-    """By SIGKILL; `daemon` where the run starts no processes itself."""
+    """Killed by SIGKILL; `daemon` if the run itself starts no processes."""
     child = get_context("spawn").Process(target=run, args=(folder,), daemon=daemon)
     child.start()
     until = time.monotonic() + 300

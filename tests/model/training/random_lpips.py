@@ -1,4 +1,4 @@
-"""Weights for LPIPS that no training made, for tests that need a distance and not its value."""
+"""Random LPIPS weights, for tests that need a distance but not its value."""
 
 from __future__ import annotations
 

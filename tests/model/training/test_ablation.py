@@ -1,4 +1,4 @@
-"""The ablation study: its variants, its paired statistics, its tables, and a small study that is interrupted."""
+"""The ablation study: its variants, its paired statistics, its tables, and an interrupted small study."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def same(a: ModelConfig, b: ModelConfig, name: str) -> bool:
 
 
 def test_all_variants_share_recipe_and_scenes(tmp_path: Path) -> None:
-    """A variant enters its configuration and its folder, nothing else."""
+    """A variant affects only its configuration and its folder."""
     budget = Budget()
     runs = [run_in(tmp_path, name, 1, budget) for name in VARIANTS]
     assert len({run.folder for run in runs}) == len(runs)

@@ -1,4 +1,4 @@
-"""What lies in the folder of an ablation study: runs, what is none, and damaged scores; and its wrong usage."""
+"""The folder of an ablation study: runs, other files, damaged scores; and wrong usage of the command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mean of several runs' weights: right to rounding, of runs of one network alone, and said in the file."""
+"""The mean of several runs' weights: correct up to rounding, of one network only, and recorded in the file."""
 
 from __future__ import annotations
 

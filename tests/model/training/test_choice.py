@@ -1,4 +1,4 @@
-"""The choice among candidates: its torch twin, what it learns from, that it learns, and the command."""
+"""The choice among candidates: its torch twin, its training data, its training, and the command."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gapmes.service.photographs.images import FittedView
 
 
 def made_up(count: int, seed: int) -> Samples:
-    """The right candidate is the one whose first number is largest; 40 scenes."""
+    """40 scenes in which the right candidate has the largest first feature."""
     rng = np.random.default_rng(seed)
     known = rng.normal(size=(COUNT, KNOWN, count)).astype(np.float16)
     error = np.where(known[:, 0] == known[:, 0].max(axis=0), 0.1, 9.0).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The learning curve: what is read from a log, where phases and minutes lie, and a picture that shows them."""
+"""The learning curve: reading a log, phases and minutes, and the plot of them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def run(tmp_path: Path) -> Path:
 
 
 def test_columns_are_the_numbers_of_the_log(run: Path) -> None:
-    """The unfinished last line is no row yet."""
+    """The unfinished last line is not a row yet."""
     found = curve.read_curve(run / "log.jsonl")
     assert found.steps.tolist() == [r["step"] for r in ROWS]
     assert found.psnr["wide"].tolist() == [r["validation"]["wide"]["psnr"] for r in ROWS]

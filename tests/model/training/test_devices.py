@@ -1,4 +1,4 @@
-"""A step of training on another device than the processor: no operation mixes tensors of both, forth or back."""
+"""A training step on another device than the CPU: no operation mixes tensors of both, forward or backward."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOVES = (torch.ops.aten._to_copy.default, torch.ops.aten.copy_.default)
 
 
 class OneDevice(TorchDispatchMode):
-    """Fails where tensors of two devices meet. Scalars may: every device takes the processor's."""
+    """Fails where tensors of two devices meet. Scalars of the CPU may meet any device."""
 
     def __torch_dispatch__(
         self,

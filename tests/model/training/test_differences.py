@@ -1,4 +1,4 @@
-"""Two configurations beside each other: what differs is named with both values, and nothing else."""
+"""Comparing two configurations: every difference is named with both values, and nothing else."""
 
 from __future__ import annotations
 

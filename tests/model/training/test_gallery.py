@@ -1,4 +1,4 @@
-"""The picture of what training sees."""
+"""The picture of training samples."""
 
 from __future__ import annotations
 

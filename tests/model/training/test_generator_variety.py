@@ -1,4 +1,4 @@
-"""What the generator promises to draw: every motion of cameras, every kind of place, surface and background."""
+"""The variety of the generator: every camera motion, every kind of place, surface and background."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_an_orbit_turns_by_40_degrees_at_most_about_its_middle() -> None:
 
 
 def test_all_three_motions_are_drawn_in_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By what they do: an orbit calls for its arc; the others go mainly ahead or mainly aside."""
+    """By their effect: an orbit has its arc; the others go mainly ahead or mainly aside."""
     orbits = []
     real = camera_paths._orbit
     monkeypatch.setattr(camera_paths, "_orbit", lambda *a: orbits.append(1) or real(*a))

@@ -1,4 +1,4 @@
-"""Training on a graphics card, where torch finds one: it computes what the processor does, up to rounding."""
+"""Training on a graphics card, if torch finds one: the same results as on the CPU, up to rounding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What any LPIPS must obey, and the published definition by a second road in float64."""
+"""LPIPS: the properties of any such distance, and a second implementation of the published definition in float64."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_lpips_under_a_mask_leaves_out_what_is_far_from_it(lpips: Lpips) -> None
 
 
 def test_lpips_by_a_second_road(lpips: Lpips) -> None:
-    """The published definition written out with a module per layer, in float64."""
+    """The published definition, written with a module per layer, in float64."""
     a, b = (RNG.random((3, 64, 80)).astype(np.float32) for _ in range(2))
     weights = {name: value.double() for name, value in lpips._weights.items()}
     shift, scale = torch.tensor([-0.030, -0.088, -0.188]).double(), torch.tensor([0.458, 0.448, 0.450]).double()

@@ -1,4 +1,4 @@
-"""Training in bfloat16: the same network up to rounding, float32 at every border, gradients everywhere."""
+"""Training in bfloat16: the same network up to rounding, float32 at every interface, gradients everywhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folder of a run: whose run is gone on with, and what is refused instead."""
+"""The folder of a run: which run is continued, and which is refused."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_run_of_another_recipe_is_not_continued(tmp_path: Path) -> None:
 
 
 def test_a_run_of_another_number_of_processes_is_not_continued(tmp_path: Path) -> None:
-    """Each process draws noise of its own, so that two give other weights than one."""
+    """Each process draws its own noise, so two give other weights than one."""
     two = replace(SMALL, steps=1, phases=(Phase(1.0, (32,), 2, (2,), (0.1, 0.4)),))
     run(two, tmp_path)
     with pytest.raises(run_folder.Refused, match="another process count: 1, asked for 2; go on with what"):
@@ -43,7 +43,7 @@ def test_a_run_of_another_number_of_processes_is_not_continued(tmp_path: Path) -
 
 
 def test_a_run_of_another_number_of_threads_is_not_continued(tmp_path: Path) -> None:
-    """Two threads add up in another order than one, and round otherwise."""
+    """Two threads add in another order than one, and round differently."""
     one = replace(SMALL, steps=1)
     run(one, tmp_path)
     torch.set_num_threads(2)
@@ -53,7 +53,7 @@ def test_a_run_of_another_number_of_threads_is_not_continued(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("room", [0, 10, 100_000])
 def test_a_full_disk_is_said_of_the_file(room: int, tmp_path: Path) -> None:
-    """torch says of it that a position is unexpected."""
+    """torch's own message would be that a position is unexpected."""
     run(SMALL, tmp_path)
     before = (tmp_path / run_folder.STATE).read_bytes()
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -71,7 +71,7 @@ def test_a_full_disk_is_said_of_the_file(room: int, tmp_path: Path) -> None:
 
 
 def test_weights_without_a_state_are_not_written_over(tmp_path: Path) -> None:
-    """Whose state was removed after the run, or which lie there from elsewhere."""
+    """Their state was removed after the run, or they come from elsewhere."""
     one = replace(SMALL, steps=1)
     run(one, tmp_path)
     (tmp_path / run_folder.STATE).unlink()

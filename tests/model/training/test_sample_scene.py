@@ -1,4 +1,4 @@
-"""The shipped sample scene is what the recipe renders, and its camera file says where the pixels are."""
+"""The recipe renders the shipped sample scene, whose camera file gives the positions of the pixels."""
 
 import copy
 import json

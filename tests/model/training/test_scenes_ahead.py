@@ -1,4 +1,4 @@
-"""Scenes drawn ahead are those that the steps would have drawn themselves, and their processes end when they should."""
+"""Scenes generated ahead equal those that the steps would generate, and their processes end in time."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _children(pid: int) -> list[int]:
 
 
 def _drawing(pid: int) -> list[int]:
-    """The children that draw; another one looks after what processes share."""
+    """The child processes that generate scenes; another one manages what processes share."""
     return [child for child in _children(pid) if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text()]
 
 
@@ -61,7 +61,7 @@ def _eventually(is_so: Callable[[], bool]) -> None:
 
 
 def _gone(pid: int) -> bool:
-    """Or ended, and nobody has asked how: where nobody looks after orphans they stay so."""
+    """Gone, or ended but not reaped: orphans stay so if nobody reaps them."""
     stat = Path(f"/proc/{pid}/stat")
     return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z"
 
@@ -99,7 +99,7 @@ def test_a_run_that_stops_ends_them() -> None:
 
 
 def test_one_that_is_killed_while_it_hands_over_is_a_refusal() -> None:
-    """Half a message does not make its reader wait for the rest."""
+    """The reader of half a message does not wait for the rest."""
     with ahead._started(LARGE, range(1000), Worker(), 1) as pipes:
         assert pipes[0].poll(120)  # the message has begun, and does not fit
         (process,) = _drawing(os.getpid())

@@ -1,4 +1,4 @@
-"""Silencing: what falls silent has no influence, what does not is untouched, and the command's table."""
+"""Silencing: silenced parts have no influence, the others are unchanged, and the command prints its table."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def same(a: TaskMaps, b: TaskMaps) -> bool:
 
 
 def near(a: TaskMaps, b: TaskMaps) -> bool:
-    """Up to the rounding of a mean that is taken in another order."""
+    """Equal up to the rounding of a mean that is taken in another order."""
     return all(torch.allclose(x, y, atol=1e-5) for x, y in zip(a.maps, b.maps, strict=True))
 
 
@@ -79,7 +79,7 @@ def test_a_silent_stream_has_no_influence(name: str) -> None:
 
 
 def test_silent_experts_and_tasks_are_those_of_a_network_that_never_had_them() -> None:
-    """The same weights in networks built without the parts."""
+    """Against the same weights in networks built without the parts."""
     model = network()
     for part, changes in (("experts", {"without_experts": True}), ("task weights", {"without_tasks": True})):
         without = network(**changes)

@@ -1,5 +1,5 @@
-"""`python -m gapmes.model.training`: numbers out of range are wrong usage, what a run refuses is one line, and no
-steps are a run too."""
+"""`python -m gapmes.model.training`: numbers out of range are wrong usage, a refusal is one line, and zero steps are a
+run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The training loop: a killed run that resumes ends with the weights of an unbroken one, and the loss falls."""
+"""The training loop: a killed and resumed run ends with the weights of an uninterrupted one, and the loss falls."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def one_thread() -> None:
 
 
 def run_alone(folder: Path) -> None:
-    """In a process of its own."""
+    """Run in a separate process."""
     one_thread()
     run(SMALL, folder)
 
@@ -52,7 +52,7 @@ def run(recipe: Recipe, folder: Path, validate_every: int = 2) -> None:
 
 
 def log_of(folder: Path) -> list[dict[str, object]]:
-    """All but the time that it took."""
+    """The log without its times."""
     return [
         {key: value for key, value in row.items() if key != "minutes"} for row in read_rows(folder / run_folder.LOG)
     ]
@@ -122,6 +122,20 @@ def test_a_gradient_that_is_not_finite_moves_nothing_and_is_counted(
     assert row["train"]["skipped"] == pytest.approx(1 / 3, abs=1e-4)
 
 
+def test_a_network_that_overflows_ends_the_run_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = loop.training_loss
+
+    def diverged(model: GaPMeS, batch: object, recipe: Recipe, step: int) -> object:
+        if step == 1:
+            model.get_parameter("trunk.to_half.weight").data.view(-1)[0] = 1e38
+        return real(model, batch, recipe, step)
+
+    monkeypatch.setattr(loop, "training_loss", diverged)
+    told = r"step 2: layer trunk\.at_half\.norm overflows: .* 1e\+38, in trunk\.to_half\.weight; .*use a new folder"
+    with pytest.raises(run_folder.Refused, match=told):
+        run(SMALL, tmp_path)
+
+
 def test_the_loss_on_one_scene_falls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Thirty steps on a single scene: the parts that can only fall by learning do fall."""
     batch = SceneSampler(3, "train").batch(1, 2, 2, 32, baseline=(0.2, 0.2001))
@@ -170,7 +184,7 @@ def test_zoomed_batches_halve_the_inputs_only() -> None:
 
 
 def test_the_two_recipes_draw_no_scene_twice() -> None:
-    """The scenes of a step come from (seed, step) alone."""
+    """The scenes of a step depend on (seed, step) alone."""
     seen = [
         {int(np.random.default_rng((r.seed, s)).integers(2**62)) for s in range(r.steps)} for r in (Recipe(), FINISH)
     ]

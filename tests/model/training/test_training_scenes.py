@@ -1,4 +1,4 @@
-"""The scene generator: determinism, geometry that is consistent between views, and splits that share nothing."""
+"""The scene generator: determinism, geometry that is consistent between views, and disjoint splits."""
 
 import numba
 import numpy as np

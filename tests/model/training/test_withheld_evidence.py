@@ -1,4 +1,4 @@
-"""Training steps without matching evidence: how often, that none is there, and what learns from them."""
+"""Training steps without matching evidence: how often they occur, that no evidence remains, and which weights learn."""
 
 from __future__ import annotations
 

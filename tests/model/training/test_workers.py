@@ -1,4 +1,4 @@
-"""Two processes share a step: the averaged gradient, and the weights, are those of one process with all scenes."""
+"""Two processes share a step: the averaged gradient and the weights are those of one process with all scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Python programs give to `Camera.make`: any type of number, and what is none is refused by field and index."""
+"""Arguments of `Camera.make` in Python: any numeric type, and refusals by field and index of all else."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_sides_that_are_no_whole_numbers_are_refused(value: float) -> None:
 
 @pytest.mark.parametrize("pose", [np.eye(4, dtype=complex), [[1j, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]])
 def test_a_pose_of_complex_numbers_is_refused(pose: object) -> None:
-    """No imaginary part is dropped, not one of rounding either."""
+    """No imaginary part is dropped, not even one of rounding."""
     with pytest.raises(PoseError, match="holds complex numbers, need real ones") as caught:
         Camera.make(**{**GIVEN, "world_from_cam": pose}, index=2)
     assert (caught.value.field, caught.value.index) == ("camera.c2w", 2)

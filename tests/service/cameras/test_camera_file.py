@@ -1,4 +1,4 @@
-"""Camera files: ours and transforms.json, in every stated convention, and a named refusal for everything else."""
+"""Camera files: ours and transforms.json, in every stated convention; all else is refused by name."""
 
 import json
 import math
@@ -127,6 +127,25 @@ def test_normalised_focal_lengths_are_recognised():
     with pytest.raises(IntrinsicsError) as caught:
         parse_camera_file(broken(("views", 0, "fx"), 0.78))
     assert "these look normalised; multiply fx by the image size, which would be " in caught.value.cure
+
+
+@pytest.mark.parametrize("direction", ["c2w", "w2c"])
+def test_of_both_directions_the_stated_one_is_read(direction):
+    file = our_file() | {"pose": direction}
+    for view in file["views"]:
+        view["w2c"] = np.linalg.inv(view["c2w"]).tolist()
+    for index, camera in enumerate(parse_camera_file(file).cameras):
+        np.testing.assert_allclose(camera.world_from_cam, pose(index), atol=1e-13)
+
+
+@pytest.mark.parametrize("key", ["c2w", "w2c"])
+def test_a_wrong_matrix_is_named_by_its_key(key):
+    file = our_file() | {"pose": "w2c"}
+    file["views"][1].pop("c2w")
+    file["views"][1][key] = np.diag([-1.0, 1, 1, 1]).tolist()
+    with pytest.raises(PoseError) as caught:
+        parse_camera_file(file)
+    assert (caught.value.field, caught.value.index) == (f"views.{key}", 1)
 
 
 def test_w2c_without_saying_so_is_refused():

@@ -1,4 +1,4 @@
-"""The depth range: the formula on cameras whose convergence is known, invariance, and refusals."""
+"""The depth range: the formula on cameras of known convergence, invariance, and refusals."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Which photographs foretell another one, and how a request, a command and a scene say so."""
+"""Predicting each photograph from others: the choice of the others, and the options and results of it."""
 
 from itertools import permutations
 
@@ -22,7 +22,7 @@ NEAR = 2.0
 
 
 def _at(*places, turns=None):
-    """Cameras at x, that look along z but for their turn about y."""
+    """Cameras at x that look along z, except for their rotation about y."""
     cameras = []
     for place, turn in zip(places, turns or [0.0] * len(places), strict=True):
         pose = np.eye(4)
@@ -58,7 +58,7 @@ def test_the_order_of_the_photographs_does_not_decide(count):
 
 @pytest.mark.parametrize("apart", [0.0, 0.99, 1.01])
 def test_two_in_one_place_foretell_nothing_alone(apart):
-    """The second of them gives way where a point at near shifts by less than a quarter pixel between both."""
+    """The second is replaced if a point at near shifts by less than a quarter pixel between both."""
     apart *= MIN_PARALLAX_PX * NEAR / 64.0
     cameras = _at(0.0, -apart, 2.0, 4.5, 9.0, turns=[0.0, 1e-3, 0.0, 0.0, 0.0])
     chosen = nearest_others(cameras, 2, 2, NEAR)
@@ -126,7 +126,7 @@ def test_a_view_that_the_others_cannot_foretell_has_no_figure_and_a_warning(engi
     assert (warning["field"], warning["index"]) == ("cameras", 8)
     assert "view 8 is not foretold" in warning["message"]
     assert "near = 2 by 0 px, need at least 0.25" in warning["message"]
-    assert f"foretold by others: {rows[0]['psnr']:.1f}, {rows[1]['psnr']:.1f}, no parallax dB" in check_line(
+    assert f"predicted by others: {rows[0]['psnr']:.1f}, {rows[1]['psnr']:.1f}, no parallax dB" in check_line(
         document["check"]
     )
 

@@ -1,4 +1,4 @@
-"""What is told about poses that were projected, or that float32 had gone over before they came."""
+"""Notices about poses that were projected to rotations, or that were float32 before they arrived."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def drifted(matrix, size, seed):
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("direction", ["c2w", "w2c"])
 def test_a_projected_pose_is_told_with_what_that_moves(direction, seed):
-    """The principal ray as it was given, seen by the projected camera."""
+    """The principal ray of the given pose, seen by the projected camera."""
     given = drifted(pose(), 9e-5, seed)
     one = parsed(given, direction)
     [notice] = pose_notices([camera(pose()), one], near=1.0)

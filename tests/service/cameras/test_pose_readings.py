@@ -1,5 +1,6 @@
-"""Other readings of the poses: those that match alike are all named, and photographs that EXIF turns are one."""
+"""Other readings of the poses: all that match equally well are named, and so is rotating photographs as EXIF says."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,11 +8,17 @@ import pytest
 from plane_scene import PlaneScene, photograph
 from sample_photographs import sample_cameras, sample_pixels, sample_views
 
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.camera_file import parse_camera_file
 from gapmes.service.cameras.depth_range import DepthRange, depth_range
+from gapmes.service.cameras.pose_readings import other_readings
 from gapmes.service.errors import ContradictionError
 from gapmes.service.matching.photo_checks import check_photos
 from gapmes.service.photographs.images import Photo, fit_view
+from gapmes.service.photographs.upright import upright
 
+GL = np.diag([1.0, -1.0, -1.0, 1.0])
+inv = np.linalg.inv
 DEPTHS = DepthRange(2.0, 8.0, "given")
 
 
@@ -34,13 +41,46 @@ def test_readings_that_match_alike_are_all_named():
     )
 
 
-@pytest.mark.parametrize("orientation", [2, 3, 4])
+def transforms(matrices: list[np.ndarray]) -> tuple[Camera, ...]:
+    frames = [{"file_path": str(i), "transform_matrix": matrix.tolist()} for i, matrix in enumerate(matrices)]
+    return parse_camera_file({"w": 320, "h": 240, "fl_x": 250, "frames": frames}).cameras
+
+
+def between(cameras: tuple[Camera, ...]) -> np.ndarray:
+    one, other = (camera.world_from_cam for camera in cameras)
+    return inv(one) @ other
+
+
+@pytest.mark.parametrize(
+    ("written", "place", "told", "mended"),
+    [
+        (lambda c2w: c2w, 1, "in a transforms.json OpenCV axes: negate columns 1 and 2 of each", lambda m: m @ GL),
+        (inv, 0, "invert them, .*of a transforms.json negate columns 1 and 2 then", lambda m: inv(m) @ GL),
+        (lambda c2w: inv(c2w @ GL), 2, "of a transforms.json invert them", inv),
+    ],
+)
+def test_cures_are_those_of_a_transforms_json_too(written, place, told, mended):
+    """It has OpenGL axes, and takes no word for others."""
+    poses = [camera.world_from_cam for camera in sample_cameras((1, 5))]
+    matrices = [written(pose) for pose in poses]
+    reading = other_readings(transforms(matrices))[place]
+    np.testing.assert_allclose(between(reading.cameras), inv(poses[0]) @ poses[1], atol=1e-12)
+    assert re.search(told, f"{reading.looks_like}: {reading.cure}")
+    np.testing.assert_allclose(
+        between(transforms([mended(matrix) for matrix in matrices])), inv(poses[0]) @ poses[1], atol=1e-12
+    )
+
+
+STORED = {2: 2, 3: 3, 4: 4, 5: 5, 6: 8, 7: 7, 8: 6}  # the orientation that undoes another; both turned by 90 degrees
+
+
+@pytest.mark.parametrize("orientation", STORED)
 @pytest.mark.parametrize("indices", [(1, 5), (0, 3, 6)])
 def test_photographs_that_exif_turns_are_named(indices, orientation):
-    """Stored mirrored, upside down or both, while the cameras are those of what is seen."""
+    """Stored mirrored, upside down, on their side, or two of these, while the cameras are those of what is seen: the
+    photographs are square, and their sizes tell nothing."""
     views = sample_views(indices)
-    turned = {2: np.s_[:, ::-1], 3: np.s_[::-1, ::-1], 4: np.s_[::-1]}[orientation]
-    photos = [Photo(np.ascontiguousarray(sample_pixels(index)[turned]), orientation=orientation) for index in indices]
+    photos = [Photo(upright(sample_pixels(index), STORED[orientation]), orientation=orientation) for index in indices]
     stored = [fit_view(p, c, 256, 256) for p, c in zip(photos, sample_cameras(indices), strict=True)]
     depths = depth_range([view.camera for view in views])
     (notice,) = check_photos(stored, depths, trust_poses=True, numbers=range(4, 4 + len(views)))
@@ -50,3 +90,21 @@ def test_photographs_that_exif_turns_are_named(indices, orientation):
     assert f"(these look like {cure}" in notice["message"]
     as_stored = [replace(view, orientation=orientation) for view in views]  # under cameras of what is stored
     assert check_photos(as_stored, depths) == []
+
+
+@pytest.mark.parametrize(("size", "orientation", "left"), [((96, 72), 6, 1), ((96, 72), 3, 3), ((96, 97), 6, 6)])
+def test_photographs_whose_size_tells_that_they_are_not_turned_have_no_other_reading(size, orientation, left):
+    """The camera has the stored size, and turned by 90 degrees the photograph has another."""
+    width, height = size
+    photo = Photo(np.zeros((height, width, 3), np.uint8), orientation=orientation)
+    camera = Camera.make(width, height, 80, 80, width / 2, height / 2, np.eye(4))
+    assert fit_view(photo, camera, 64, 64).orientation == left
+
+
+def test_pictures_that_are_not_square_are_not_turned_by_90_degrees():
+    """Of a network whose crop of a square photograph on its side shows other parts of it."""
+    pixels = [upright(sample_pixels(index), 8) for index in (1, 5)]
+    cameras = sample_cameras((1, 5))
+    stored = [fit_view(Photo(p, orientation=6), c, 192, 256) for p, c in zip(pixels, cameras, strict=True)]
+    notices = check_photos(stored, depth_range(cameras), trust_poses=True)
+    assert all("EXIF" not in notice["message"] for notice in notices)

@@ -1,4 +1,4 @@
-"""transforms.json: its defaults, its axes, and which lenses it may name."""
+"""transforms.json: its defaults, its axes, and the lenses that it may have."""
 
 import math
 
@@ -151,3 +151,11 @@ def test_a_field_of_view_in_degrees_is_refused():
     with pytest.raises(IntrinsicsError, match="camera_angle_x = 50") as caught:
         parse_camera_file({"camera_angle_x": 50.0, "w": 400, "h": 300, "frames": transforms()["frames"]})
     assert "radians" in caught.value.cure
+
+
+@pytest.mark.parametrize(("key", "other", "fixed"), [("axes", "OpenCV", "opengl"), ("pose", "w2c", "c2w")])
+def test_another_convention_is_refused_and_not_passed_over(key, other, fixed):
+    with pytest.raises(CameraError, match=f"{key} is {other.lower()}, and poses .* are {fixed}") as caught:
+        parse_camera_file(transforms() | {key: other})
+    assert caught.value.field == key
+    assert len(parse_camera_file(transforms() | {key: fixed}).cameras) == len(transforms()["frames"])

@@ -1,4 +1,4 @@
-"""Checks of the cameras alone: plausible sets pass without a word, each mistake is refused with its name."""
+"""Checks of the cameras alone: plausible sets pass without a warning, each mistake is refused by name."""
 
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ def test_the_parallax_threshold_is_a_quarter_of_a_pixel_at_near(baseline, passes
 
 @pytest.mark.parametrize("times", [1e31, 1e200])
 def test_a_baseline_beyond_float32_is_refused_whatever_is_trusted(times):
-    """The network reckons in float32 with near as its unit, and refuses results that are not finite."""
+    """The network computes in float32 with near as its unit, and refuses results that are not finite."""
     cameras = ring((0, 0.2, 0.4))
     pose = cameras[2].world_from_cam.copy()
     pose[:3, 3] *= times
@@ -140,7 +140,7 @@ def test_world_to_camera_is_recognised():
 
 
 def test_inverting_is_no_cure_where_it_brings_cameras_hardly_farther_apart():
-    """Side by side at a hair's breadth: the inverse poses stand as close."""
+    """Cameras side by side at a tiny distance: the inverse poses are as close."""
     pose = np.eye(4)
     pose[0, 3] = 1e-4
     (camera,) = ring((0,))

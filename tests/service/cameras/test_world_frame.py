@@ -1,4 +1,4 @@
-"""Pixels' Gaussians moved to other depths: the same pixels, the same size in the picture, nothing else touched."""
+"""Moving pixels' Gaussians to other depths: they keep their pixels and their size in the picture, and all else."""
 
 from __future__ import annotations
 

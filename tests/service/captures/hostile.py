@@ -1,4 +1,4 @@
-"""What the tests of harmful captures share: archives by hand, and a bound on memory."""
+"""Helpers of the tests of harmful captures: archives built by hand, and a bound on memory."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def archive_of(*members: tuple[str, bytes], method: int = zipfile.ZIP_DEFLATED) 
 
 @contextmanager
 def peak_below(limit: int) -> Iterator[None]:
-    """What is allocated inside at one time stays below so many bytes."""
+    """The allocations inside never exceed so many bytes at one time."""
     tracemalloc.start()
     try:
         yield

@@ -1,4 +1,4 @@
-"""One scene in every format is the same cameras, from a folder, from a zip and from one folder deeper in it."""
+"""One scene in every format gives the same cameras, from a folder, from a zip and from a nested folder."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_every_format_gives_the_same_rays(tmp_path: Path, form: str, packed: str
 
 
 def test_the_first_of_several_camera_files_counts(tmp_path: Path) -> None:
-    """From the last to the first, so that each wins over those before."""
+    """Added from the last to the first, so that each wins over those before."""
     steps = [
         (write_realestate10k, "realestate10k"),
         (write_llff, "llff"),
@@ -78,7 +78,7 @@ def test_the_first_of_several_camera_files_counts(tmp_path: Path) -> None:
 
 
 def test_cameras_that_3dgs_training_leaves_are_passed_over(tmp_path: Path) -> None:
-    """Alone they are refused by what they are."""
+    """On their own they are refused, and the refusal says what they are."""
     entry = {"id": 0, "img_name": "view 0000", "width": 96, "height": 72, "position": [0, 0, 0], "fx": 80, "fy": 80}
     (tmp_path / "cameras.json").write_text(json.dumps([entry | {"rotation": np.eye(3).tolist()}]))
     with pytest.raises(CameraError, match="is the list of cameras that 3DGS training leaves") as caught:

@@ -1,4 +1,4 @@
-"""The views that are chosen of a capture: the score as written, and what it must prefer."""
+"""The choice of views from a capture: the score as documented, and its preferences."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gapmes.service.errors import InputError, ViewCountError, ViewError
 
 
 def around(angles: list[float], radius: float = 4.0) -> list[Camera]:
-    """Cameras on a circle about the origin that look at it, at these degrees."""
+    """Cameras on a circle about the origin that look at it, at these angles in degrees."""
     cameras = []
     for angle in angles:
         pose = np.eye(4)
@@ -30,7 +30,7 @@ def around(angles: list[float], radius: float = 4.0) -> list[Camera]:
 
 
 def wandering(seed: int, count: int) -> list[Camera]:
-    """Cameras somewhere in a box that look somewhere ahead."""
+    """Cameras at random places in a box that look roughly ahead."""
     rng, cameras = np.random.default_rng(seed), []
     for _ in range(count):
         pose = np.eye(4)

@@ -1,4 +1,4 @@
-"""COLMAP's files as COLMAP itself reads them: pycolmap writes and reads the models that ours are compared with."""
+"""COLMAP's files as COLMAP reads them: pycolmap writes and reads the models that ours are compared with."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from capture_scenes import arc, colmap_model, names, write_colmap, zipped
+from capture_scenes import arc, colmap_model, names, write_colmap
 
 from gapmes.service.captures.capture import open_capture, read_camera_file
 from gapmes.service.captures.colmap import PARAMETERS
@@ -112,10 +112,13 @@ def test_binary_wins_over_text_and_a_named_file_is_its_model(tmp_path: Path) -> 
     write_colmap(tmp_path, arc(3))
     colmap_model(arc(5), names(5)).write_text(str(tmp_path / "sparse/0"))
     assert len(read_camera_file(tmp_path).views) == 3
-    for name in ("images.bin", "cameras.bin", "points3D.bin"):
-        assert len(read_camera_file(tmp_path / "sparse/0" / name).views) == 3
+    for form, count in (("bin", 3), ("txt", 5)):
+        for name in ("images", "cameras", "points3D"):
+            assert len(read_camera_file(tmp_path / f"sparse/0/{name}.{form}").views) == count
     (tmp_path / "sparse/0/cameras.bin").unlink()
     assert len(read_camera_file(tmp_path).views) == 5
+    with pytest.raises(CameraError, match=r"whole COLMAP model, need cameras\.bin and images\.bin beside it"):
+        read_camera_file(tmp_path / "sparse/0/points3D.bin")
     (tmp_path / "sparse/0/cameras.txt").unlink()
     with pytest.raises(CameraError, match=r"images\.bin is not in a whole COLMAP model"):
         read_camera_file(tmp_path / "sparse/0/images.bin")
@@ -169,10 +172,10 @@ def test_lenses_bend_as_colmap_says(tmp_path: Path, model: str) -> None:
     camera = pycolmap.Reconstruction(str(folder)).cameras[7]
     rays = np.random.default_rng(0).uniform(-0.5, 0.5, (200, 2))
     theirs = camera.img_from_cam(np.c_[rays, np.ones(200)])
-    x, y = lens.bent(*rays.T)
+    x, y = lens.distorted(*rays.T)
     np.testing.assert_allclose(x * lens.fx + lens.cx, theirs[:, 0], atol=1e-11)
     np.testing.assert_allclose(y * lens.fy + lens.cy, theirs[:, 1], atol=1e-11)
-    back = np.stack(lens.straight((theirs[:, 0] - lens.cx) / lens.fx, (theirs[:, 1] - lens.cy) / lens.fy), axis=1)
+    back = np.stack(lens.undistorted((theirs[:, 0] - lens.cx) / lens.fx, (theirs[:, 1] - lens.cy) / lens.fy), axis=1)
     np.testing.assert_allclose(back, rays, atol=1e-12)
 
 
@@ -238,73 +241,3 @@ def test_names_that_do_not_end_are_refused() -> None:
         read_images(io.BytesIO(head + b"x" * 5000 + b"\0" + bytes(8)), "images.bin")
     with pytest.raises(CameraError, match=r"ends after .* in the middle of an entry"):
         read_images(io.BytesIO(head + b"xyz"), "images.bin")
-
-
-def write_models(root: Path, counts: dict[str, int], *, text: bool = False) -> None:
-    """A project with photographs and a model of so many images in each folder."""
-    for folder, count in counts.items():
-        write_colmap(root, arc(count), folder, text=text)
-
-
-@pytest.mark.parametrize("text", [False, True])
-@pytest.mark.parametrize("packed", [False, True])
-def test_of_several_models_one_is_read_and_the_others_are_named(tmp_path: Path, text: bool, packed: bool) -> None:
-    root, path = tmp_path / "scene", tmp_path / "scene"
-    write_models(root, {"sparse/0": 3, "sparse/1": 5, "sparse/10": 2, "sparse/2": 4}, text=text)
-    (root / "sparse" / "notes").mkdir()
-    if packed:
-        path = tmp_path / "capture.zip"
-        path.write_bytes(zipped(root, inside="inner/"))
-    inside, form = ("inner/" if packed else ""), ("txt" if text else "bin")
-    found = open_capture(path).choose(Wish())
-    assert found.indices == (0, 1, 2)
-    (notice,) = found.warnings
-    assert notice == {
-        "code": "several_models",
-        "field": "capture",
-        "message": f"4 COLMAP models are there: {inside}sparse/0 (3 images) is read, passed over are {inside}sparse/1 "
-        f"(5 images), {inside}sparse/2 (4 images), {inside}sparse/10 (2 images) (for another one name a file of it, "
-        f"such as {inside}sparse/1/images.{form}; in a zip keep its folder alone)",
-    }
-
-
-def test_many_models_are_counted(tmp_path: Path) -> None:
-    write_models(tmp_path, {"sparse": 2} | {f"colmap/sparse/{index}": 2 for index in range(7)})
-    (notice,) = open_capture(tmp_path).table.warnings
-    assert "8 COLMAP models are there: sparse (2 images) is read" in notice["message"]
-    assert "colmap/sparse/4 (2 images), 2 more (for" in notice["message"]
-
-
-@pytest.mark.parametrize("data", [b"", b"\1\0\0", b"\xff" * 8])
-def test_a_model_that_is_not_read_may_be_damaged(tmp_path: Path, data: bytes) -> None:
-    write_models(tmp_path, {"sparse/0": 2, "sparse/1": 2})
-    (tmp_path / "sparse/1/images.bin").write_bytes(data)
-    (notice,) = open_capture(tmp_path).table.warnings
-    assert "passed over are sparse/1 (for another" in notice["message"]
-
-
-@pytest.mark.parametrize("folder", ["sparse/1", "sparse", "colmap/sparse/3", "colmap/sparse"])
-def test_a_named_model_has_the_photographs_of_its_project(
-    tmp_path: Path, folder: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_models(tmp_path, {folder: 3, "sparse/0": 2})
-    for path in (tmp_path / folder / "images.bin", Path(folder) / "cameras.bin", Path("images.bin")):
-        monkeypatch.chdir(tmp_path / folder if len(path.parts) == 1 else tmp_path)
-        found = open_capture(path).choose(Wish())
-        assert found.selection["cameras"] == f"{folder}/images.bin"
-        assert found.paths == tuple(f"images/{name}" for name in names(3))
-        assert found.warnings == ()
-        assert found.read(1)
-
-
-def test_a_named_model_with_photographs_beside_it_keeps_them(tmp_path: Path) -> None:
-    write_models(tmp_path, {"sparse/0": 2})
-    (tmp_path / "images").rename(tmp_path / "sparse/0/images")
-    found = open_capture(tmp_path / "sparse/0/images.bin").choose(Wish())
-    assert found.paths == tuple(f"images/{name}" for name in names(2))
-
-
-def test_a_single_model_is_not_talked_about(tmp_path: Path) -> None:
-    write_models(tmp_path, {"sparse/0": 2})
-    (tmp_path / "sparse/1").mkdir()
-    assert open_capture(tmp_path).choose(Wish()).warnings == ()

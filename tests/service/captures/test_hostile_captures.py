@@ -1,4 +1,4 @@
-"""Captures that mean harm or are damaged, archives apart: models cut short, arrays that are none, too much of all."""
+"""Hostile or damaged captures, except archives: truncated models, invalid arrays, too much of everything."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gapmes.service.captures.capture import Capture, open_capture
 from gapmes.service.captures.files import FolderFiles, read_bounded
 from gapmes.service.captures.recognise import recognised, table_of_bytes
 from gapmes.service.captures.select import Wish
-from gapmes.service.errors import CameraError, CaptureError
+from gapmes.service.errors import CameraError, CaptureError, PoseError
 
 
 def test_every_way_to_cut_a_binary_model_short(tmp_path: Path) -> None:
@@ -52,6 +52,17 @@ def test_counts_that_nothing_can_have(tmp_path: Path, name: str, place: int, val
     path.write_bytes(data)
     with pytest.raises(CameraError, match=words):
         open_capture(tmp_path)
+
+
+def test_a_frame_at_an_infinite_place_is_refused_and_nothing_else_is_said(tmp_path: Path) -> None:
+    """numpy's own warnings are errors in these tests."""
+    write_colmap(tmp_path, arc(2))
+    path = tmp_path / "sparse/0/frames.bin"
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<d", data, 8 + 4 + 4 + 32, np.inf)
+    path.write_bytes(data)
+    with pytest.raises(PoseError, match="NaN or infinite"):
+        open_capture(tmp_path).choose(Wish())
 
 
 def test_points_are_passed_over_without_being_held(tmp_path: Path) -> None:

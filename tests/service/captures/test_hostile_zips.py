@@ -1,12 +1,14 @@
-"""Zips that mean harm or are damaged: refused early, with both numbers, and never with anything but our errors."""
+"""Hostile or damaged zips: refused early, with both numbers, and only with our own errors."""
 
 from __future__ import annotations
 
 import io
+import os
 import stat
 import struct
 import zipfile
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 from capture_scenes import WRITERS, arc, zipped
@@ -16,7 +18,7 @@ from hypothesis import strategies as st
 
 from gapmes.service.captures import archive
 from gapmes.service.captures.archive import ZipFiles
-from gapmes.service.captures.capture import Capture
+from gapmes.service.captures.capture import Capture, open_capture
 from gapmes.service.captures.files import read_bounded
 from gapmes.service.captures.select import Wish
 from gapmes.service.errors import CaptureError, GapmesError
@@ -66,7 +68,7 @@ def test_other_compressions(method: int) -> None:
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 def test_a_link_is_no_file() -> None:
-    """What it holds is the name of another one."""
+    """Its content is the name of another file."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as made:
         link = zipfile.ZipInfo("images/000.png")
@@ -175,7 +177,7 @@ def test_what_is_put_before_an_archive_is_not_passed_over(prefix: bytes) -> None
 
 
 def test_what_was_parsed_is_counted_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Should `zipfile` ever find another list than the one that was bounded."""
+    """In case `zipfile` ever reads another list than the one that was bounded."""
     monkeypatch.setattr(archive, "_check_directory", lambda _: 1)
     with pytest.raises(CaptureError, match="2 files were read of its list of 1"):
         opened(archive_of(("a.txt", b"x"), ("b.txt", b"y")))
@@ -216,6 +218,15 @@ def test_what_is_no_zip(data: bytes) -> None:
 def test_an_empty_zip_has_no_cameras() -> None:
     with pytest.raises(CaptureError, match="holds no cameras, only nothing"):
         Capture.of(opened(archive_of()))
+
+
+@pytest.mark.parametrize("data", [b"PK\x03\x04", archive_of()])
+def test_a_zip_that_is_refused_is_closed(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "capture.zip").write_bytes(data)
+    before = os.listdir("/proc/self/fd")
+    with pytest.raises(CaptureError) as refused:  # whose traceback keeps what it names
+        open_capture(tmp_path / "capture.zip")
+    assert (os.listdir("/proc/self/fd"), refused.value.field) == (before, "capture")
 
 
 @pytest.fixture(scope="module")

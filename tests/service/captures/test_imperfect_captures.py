@@ -1,5 +1,4 @@
-"""Captures as people have them: lists written by hand, a view that cannot be used, a model without its first, zips of
-Windows."""
+"""Real captures: lists written by hand, an unusable view, a model without its first view, zips from Windows."""
 
 from __future__ import annotations
 
@@ -93,7 +92,7 @@ def with_a_pose_of_zeros(text: str) -> str:
 
 
 def with_a_fisheye(text: str) -> str:
-    """Of the eighth of the cameras, which is that of view 7."""
+    """The eighth camera, that of view 7, becomes a fisheye."""
     return re.sub(r"(?m)^(26 )PINHOLE( .*)$", r"\1OPENCV_FISHEYE\2 0 0 0 0", text)
 
 
@@ -107,7 +106,7 @@ def with_a_fisheye(text: str) -> str:
 def test_a_view_that_cannot_be_used_keeps_none_of_the_others(
     tmp_path: Path, file: str, change: Callable[[str], str], error: type[Exception], words: str
 ) -> None:
-    """It is not chosen, which is told; who names it hears why."""
+    """It is not chosen, and a warning says so; naming it gives the reason."""
     write_colmap(tmp_path, arc(9), text=True)
     for name in ("rigs.txt", "frames.txt"):
         (tmp_path / "sparse/0" / name).unlink()
@@ -146,7 +145,7 @@ def test_a_model_without_its_first_is_found(tmp_path: Path, folder: str) -> None
 
 
 def with_backslashes(data: bytes) -> bytes:
-    """The same archive as some archivers of Windows write it."""
+    """The same archive as some Windows archivers write it."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as before, zipfile.ZipFile(buffer, "w") as after:
         after.writestr("scan\\", b"")

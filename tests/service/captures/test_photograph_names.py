@@ -1,4 +1,4 @@
-"""Which photograph a name means: never that of another view, whatever folders and spellings it is kept under."""
+"""A name finds its photograph, never that of another view, in any folder and spelling."""
 
 from __future__ import annotations
 
@@ -53,6 +53,14 @@ def test_a_photograph_belongs_to_one_view(tmp_path: Path) -> None:
         capture.choose(Wish())
     assert (caught.value.field, caught.value.index) == ("views.image", 2)
     assert capture.choose(Wish(select="0,1")).paths == ("images/a.png", "images/b.png")
+
+
+@pytest.mark.parametrize("name", ["imag\0es/0.png", "0\0.png", "imag\ud800es/0.png", "x" * 300 + "/y.png"])
+def test_names_that_no_file_can_have_are_of_none(tmp_path: Path, name: str) -> None:
+    capture = open_capture(capture_of(tmp_path, ["a.png", name], ["images/a.png", "images/b.png"]))
+    with pytest.raises(ImageError, match="does not exist") as caught:
+        capture.choose(Wish())
+    assert caught.value.index == 1
 
 
 def test_folders_may_be_in_another_case(tmp_path: Path) -> None:

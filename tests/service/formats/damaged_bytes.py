@@ -1,4 +1,4 @@
-"""Files with bytes that were flipped, cut out or put in anywhere."""
+"""Files with bytes flipped, removed or inserted anywhere."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 
 def damaged(data: st.DataObject, source: bytes) -> bytes:
-    """In one to four places, as `data` has it."""
+    """`data` with damage in one to four places."""
     raw = bytearray(source)
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, max(0, len(raw) - 1)))

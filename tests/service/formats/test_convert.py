@@ -1,4 +1,4 @@
-"""`gapmes convert`: what it writes, what it says of the cost, and what it refuses; `gapmes render` of every format."""
+"""`gapmes convert`: its output, its report of the cost, and its refusals; `gapmes render` of every format."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_cameras_that_were_passed_over_are_told(ply: Path, tmp_path: Path, capfd
     write_colmap(tmp_path, arc(2), "sparse/1")
     document = converted(capfd, ply, ply.with_name("out.spz"), "--measure", tmp_path)
     assert len(document["psnr"]) == 3
-    assert any("passed over are sparse/1 (2 images)" in warning for warning in document["warnings"])
+    assert any("ignored: sparse/1 (2 images)" in warning for warning in document["warnings"])
 
 
 def test_the_format_may_be_named(ply: Path, capfd: pytest.CaptureFixture[str]) -> None:

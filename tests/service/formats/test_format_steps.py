@@ -1,4 +1,4 @@
-"""Every format comes back within half a step of each of its fields, as docs/formats.md has it."""
+"""Every format reproduces each field to half a step, as docs/formats.md states."""
 
 from __future__ import annotations
 

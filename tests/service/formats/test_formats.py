@@ -1,4 +1,4 @@
-"""Every format writes the same bytes always and reads them to the same numbers; gsply reads the same as we do."""
+"""Every format always writes the same bytes and reads them to the same numbers; gsply reads the same as we do."""
 
 from __future__ import annotations
 

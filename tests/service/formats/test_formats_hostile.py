@@ -1,4 +1,4 @@
-"""Damaged and hostile files of the coarse formats: refused early with the numbers, within bounded memory."""
+"""Damaged and hostile files of the quantised formats: refused early with the numbers, in bounded memory."""
 
 from __future__ import annotations
 
@@ -84,9 +84,9 @@ def test_a_spz_is_read_no_further_than_its_header_says() -> None:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert len(reading.gaussians) == 2
-    assert "what behind the Gaussians was passed over" in reading.notes()
+    assert "what follows the Gaussians was ignored" in reading.notes()
     assert peak < 2**20  # 0.3 MB measured
-    assert inspect_gaussians(SPZ + b"\n")[0].notes()[0] == "what behind the Gaussians was passed over"
+    assert inspect_gaussians(SPZ + b"\n")[0].notes()[0] == "what follows the Gaussians was ignored"
     assert "an extension behind" in inspect_gaussians(spz_file(2, body=bytes(40), flags=2))[0].notes()[0]
     with pytest.raises(TooManyGaussians, match="has 3000000 Gaussians, the limit is 1000000"):
         inspect_gaussians(spz_file(3_000_000, body=bytes(2**20)), max_count=1_000_000)
@@ -127,6 +127,7 @@ def test_a_limit_on_the_count_holds_for_every_format(name: str) -> None:
         (b"element sh 300", b"element sh 299", "sh", "9 properties and 299 rows, need 9, 24 or 45 and 300"),
         (b"property uchar f_rest_8\n", b"", "sh", "8 properties"),
         (b"uchar f_rest_8", b"char f_rest_8", "sh", "f_rest_8"),
+        (b"element vertex", b"property list uchar uchar more\nelement vertex", "chunk", "has list properties"),
         (b"binary_little_endian", b"ascii", "header", r"is ASCII, need binary \(save it as binary\)"),
     ],
 )
@@ -175,7 +176,7 @@ def test_what_nobody_reads_of_a_compressed_ply_is_told() -> None:
     tables += b"".join(COMPRESSED[chunks + 16 * i : chunks + 16 * (i + 1)] + b"7" for i in range(300))
     reading, found = inspect_gaussians(header + tables + COMPRESSED[vertices:] + bytes(8))
     assert found.extension == "compressed.ply"
-    assert reading.notes() == ["properties passed over: weight, label\\x1b[2J", "elements passed over: camera"]
+    assert reading.notes() == ["properties ignored: weight, label\\x1b[2J", "elements ignored: camera"]
     assert_same(reading.gaussians, read_gaussians(COMPRESSED))
     assert inspect_gaussians(COMPRESSED)[0].notes() == []
 

@@ -1,4 +1,4 @@
-"""Our .ply comes back as it went, whatever the numbers; viewers find what they expect in it."""
+"""Our .ply is read back unchanged, whatever the numbers, and has what viewers expect."""
 
 import io
 import re

@@ -1,4 +1,4 @@
-"""Rows behind those that a header declares are said, and nothing else that stands there."""
+"""Rows behind those that a header declares are reported, and nothing else behind them is."""
 
 from __future__ import annotations
 

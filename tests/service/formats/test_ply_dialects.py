@@ -1,5 +1,5 @@
-"""Dialects of other writers: what is certain is converted and said, what is doubtful is read as usual and said, and a
-right file is never taken for another."""
+"""Dialects of other writers: certain ones are converted and reported, doubtful ones are read as usual and reported, and
+a correct file is never taken for another."""
 
 from __future__ import annotations
 
@@ -213,7 +213,7 @@ def test_red_green_and_blue_stand_in_for_the_constant_band(kind: type, full: flo
     assert np.abs(colour - np.stack([levels[n] / full for n in names], axis=1)).max() <= 1e-6
     assert "colours were taken from red, green and blue" in reading.notes()[0]
     both = inspect_ply(foreign(source, **levels))
-    assert both.notes() == ["properties passed over: red, green, blue"]
+    assert both.notes() == ["properties ignored: red, green, blue"]
 
 
 def test_colours_beyond_their_range_and_half_a_constant_band_are_refused() -> None:
@@ -275,8 +275,8 @@ def test_other_elements_and_properties_and_infinite_logits_are_said() -> None:
     reading = inspect_ply(data)
     assert reading.gaussians.opacities[:3].tolist() == [1, 0, 1]
     assert reading.notes() == [
-        "properties passed over: filter_3D",
-        "elements passed over: extrinsic",
+        "properties ignored: filter_3D",
+        "elements ignored: extrinsic",
         "3 of 20 opacities are infinite logits and were taken as 0 or 1",
     ]
 

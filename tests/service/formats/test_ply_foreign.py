@@ -1,4 +1,4 @@
-"""Files of other writers are read rightly; broken and hostile ones are refused with the place and the numbers."""
+"""Files of other writers are read correctly; broken and hostile ones are refused with the place and the numbers."""
 
 import io
 import tracemalloc

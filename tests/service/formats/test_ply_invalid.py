@@ -1,4 +1,4 @@
-"""Rows that cannot be read rightly: dropped and counted by property where the caller asks for that."""
+"""Invalid rows: dropped and counted by property on request."""
 
 import numpy as np
 import pytest

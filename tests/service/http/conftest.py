@@ -1,4 +1,4 @@
-"""A running application over a stand-in model; `http_requests` has the requests."""
+"""A running application with a stand-in model; requests are in `http_requests`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def client(settings: Settings) -> Iterator[TestClient]:
 
 @pytest.fixture
 def unharmed(client: TestClient, settings: Settings) -> Iterator[None]:
-    """Around a test: a good request works afterwards and nothing was left in the store."""
+    """Wraps a test: a good request works afterwards, and the store has nothing new."""
     good = post(client)
     before = stored(settings)
     yield

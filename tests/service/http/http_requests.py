@@ -1,4 +1,4 @@
-"""Well-formed requests that the tests bend, and what every refusal must look like."""
+"""Well-formed requests for tests to modify, and the form of every refusal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`gapmes serve` as a process of its own, with a client that waits until it is ready."""
+"""`gapmes serve` in a process of its own, with a client that waits until it is ready."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import httpx
 def serving(
     store: Path, model: Path, log: Path, *more: str, shell: str = "", **environment: str
 ) -> Iterator[tuple[httpx.Client, Any]]:
-    """`shell`: where it leads the streams, such as `>&-`."""
+    """`shell`: redirections of the streams, such as `>&-`."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]

@@ -1,4 +1,4 @@
-"""Who may ask, from where, and what an answer tells: the key, other origins, ids, counts, tags and ranges."""
+"""Access and its answers: the key, other origins, ids, counts, tags and ranges."""
 
 from __future__ import annotations
 

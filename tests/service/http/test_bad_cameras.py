@@ -1,4 +1,4 @@
-"""Photographs and cameras that are bad, over HTTP: status, code, field, index and cure; the next request works."""
+"""Bad photographs and cameras over HTTP: status, code, field, index and cure; the next request works."""
 
 from __future__ import annotations
 

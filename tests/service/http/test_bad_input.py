@@ -1,4 +1,4 @@
-"""Bad input of every kind: the right status, code, field and index, and a cure; the next request works, the store is
+"""Bad input of every kind: the right status, code, field, index and cure; the next request works, and the store is
 unchanged."""
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def test_wrong_number_of_images(client: TestClient, count: int) -> None:
 )
 @pytest.mark.parametrize("choice", [{}, {"context": "3"}])
 def test_far_too_many_images(client: TestClient, count: int, words: str, choice: dict[str, str]) -> None:
-    """Counted by us, or, where there are more, by the parser, which reads no further."""
+    """Counted by us or, if there are even more, by the parser, which stops reading."""
     images = [photograph(0, 32, 32)] * count
     body = assert_problem(post(client, images, camera_object(2), **choice), 422, "view_count", "images")
     assert body["detail"] == words
@@ -39,7 +39,7 @@ def test_far_too_many_images(client: TestClient, count: int, words: str, choice:
 
 
 def test_as_many_images_as_may_be_chosen_from(client: TestClient) -> None:
-    """Of 60, which is not too many, the cameras are two."""
+    """60 images are not too many, but there are only two cameras."""
     images = [photograph(0, 32, 32)] * 60
     body = assert_problem(post(client, images, camera_object(2), context="3"), 422, "view_count", "cameras")
     assert body["detail"] == "2 cameras for 60 images"
@@ -52,7 +52,7 @@ def test_far_too_many_views(client: TestClient) -> None:
 
 @pytest.mark.parametrize("name", ["views", "near", "select", "max_error", "model", "unknown"])
 def test_text_that_is_too_long_is_read_no_further(client: TestClient, name: str) -> None:
-    """So that nothing is made of it: a name for each comma, say."""
+    """Nothing is built from it, such as a name for each comma."""
     body = assert_problem(post(client, **{name: "0," * 9000}), 413, "upload_too_large", name)
     assert body["detail"] == "is a text field of more than 16384 bytes"
     assert post(client, **{name: "0," * 5000}).json()["code"] != "upload_too_large"

@@ -27,7 +27,7 @@ MULTIPART = "multipart/form-data; boundary=x"
 
 @pytest.fixture(scope="module")
 def address(standin_model: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, int]]:
-    """Of a service with a key."""
+    """The address of a service with a key."""
     folder = tmp_path_factory.mktemp("left")
     environment = {"GAPMES_API_KEY": KEY, "GAPMES_MAX_UPLOAD_BYTES": str(LIMIT)}
     with serving(folder / "scenes", standin_model, folder / "log", **environment) as (client, _):
@@ -36,7 +36,7 @@ def address(standin_model: Path, tmp_path_factory: pytest.TempPathFactory) -> It
 
 
 def head(length: int | None, method: str = "POST", path: str = "/check", **headers: str) -> bytes:
-    """A request without its body, of this length or in chunks."""
+    """A request without its body, with this length or in chunks."""
     lines = [f"{method} {path} HTTP/1.1", "Host: gapmes"]
     lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
     lines.append("Transfer-Encoding: chunked" if length is None else f"Content-Length: {length}")
@@ -48,7 +48,7 @@ def connected(address: tuple[str, int]) -> socket.socket:
 
 
 def answer(connection: socket.socket) -> tuple[int, dict[str, str]]:
-    """Status and headers of the next answer, whose body is read too."""
+    """Status and headers of the next answer; its body is read too."""
     stream = connection.makefile("rb")
     status = int(stream.readline().split()[1])
     headers = {}
@@ -70,7 +70,7 @@ REFUSED = {
 @pytest.mark.parametrize("chunked", [False, True])
 @pytest.mark.parametrize("status", REFUSED)
 def test_of_a_refused_body_no_more_is_read_than_helps(address: tuple[str, int], status: int, *, chunked: bool) -> None:
-    """The answer is there while the client still sends; then its connection ends."""
+    """The answer arrives while the client still sends; then the connection is closed."""
     length = LIMIT + 1 if status == 413 else LIMIT
     path = "/reconstruct" if status == 406 else "/check"
     piece = FILE.ljust(MIB, b"x")
@@ -165,7 +165,7 @@ def test_a_body_that_was_refused_for_being_slow_is_not_waited_for(status: int, f
 
 
 def test_who_asks_before_sending_is_told_at_once(address: tuple[str, int]) -> None:
-    """Not to go on, and then why not."""
+    """It is told not to continue, and then why."""
     with connected(address) as connection:
         connection.sendall(head(5, Expect="100-continue"))
         found, headers = answer(connection)

@@ -1,4 +1,4 @@
-"""The bound on all request bodies together: who is refused, and when the bytes of another count no more."""
+"""The common bound on all request bodies: which requests are refused, and when the bytes of another are released."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Scope = dict[str, Any]
 
 
 class App:
-    """Reads the whole body, tells it, and answers when it may."""
+    """Reads the whole body, reports it, and answers when it may."""
 
     def __init__(self) -> None:
         self.may_answer = asyncio.Event()

@@ -1,4 +1,4 @@
-"""Captures over HTTP: zips, cameras in every format beside photographs, and which views are used of how many."""
+"""Captures over HTTP: zips, cameras in every format beside photographs, and the choice of views."""
 
 from __future__ import annotations
 
@@ -293,4 +293,4 @@ def test_models_that_were_passed_over_are_told(client: TestClient, tmp_path: Pat
     ):
         (told,) = [warning for warning in answer.json()["warnings"] if warning["code"] == "several_models"]
         assert told["field"] == field
-        assert "sparse/0 (3 images) is read, passed over are sparse/1 (2 images)" in told["message"]
+        assert "sparse/0 (3 images) is read; ignored: sparse/1 (2 images)" in told["message"]

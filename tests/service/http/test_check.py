@@ -1,4 +1,4 @@
-"""`POST /check` and what the page shows of a scene: cameras as they were understood, inputs, the viewer's files."""
+"""`POST /check` and the page's view of a scene: the cameras as understood, the inputs, the viewer's files."""
 
 from __future__ import annotations
 
@@ -127,6 +127,19 @@ def test_it_warns_of_photographs_as_a_reconstruction_does(client: TestClient, se
     told = [warning for warning in asked if warning["code"] == "undistorted"]
     assert [warning["index"] for warning in told] == [0, 1]
     assert all(warning in done for warning in told)
+
+
+def test_it_warns_of_bars_as_a_reconstruction_does(client: TestClient) -> None:
+    pixels = np.array(Image.open(io.BytesIO(photograph(14))).convert("RGB"))
+    pixels[:10] = pixels[-10:] = 0
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG")
+    parts = transforms_form([photograph(13), buffer.getvalue()], (96, 72))
+    asked, done = (client.post(route, files=parts).json()["warnings"] for route in ("/check", "/reconstruct"))
+    (told,) = [warning for warning in asked if warning["code"] == "border_left_out"]
+    assert told["index"] == 1
+    assert "11 px at the top and 11 px at the bottom" in told["message"]
+    assert told in done
 
 
 @pytest.fixture(scope="module")

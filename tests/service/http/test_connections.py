@@ -1,4 +1,4 @@
-"""Connections that are silent, too many, or whose answers nobody reads, over plain sockets: which end, which stay."""
+"""Silent, excess and unread connections, over plain sockets: which are closed, which stay."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ GET = b"GET %b HTTP/1.1\r\nHost: gapmes\r\n\r\n"
 
 
 class App:
-    """Answers at once, with more than anybody buffers, or after a while."""
+    """Answers at once, with more than any buffer holds, or after a while."""
 
     def __init__(self) -> None:
         self.ended = threading.Event()  # the large answer is over, sent or not
@@ -86,7 +86,7 @@ def asked(connection: socket.socket, path: bytes = b"/") -> bytes:
 
 
 def rest(connection: socket.socket) -> bytes:
-    """All that comes until the other side ends it, which may be told the hard way."""
+    """All data until the other side closes the connection, also by a reset."""
     found = b""
     try:
         while data := connection.recv(2**20):
@@ -113,7 +113,7 @@ def test_a_connection_without_a_whole_head_ends(
 def test_a_request_that_is_answered_is_not_silent(
     monkeypatch: pytest.MonkeyPatch, app: App, address: tuple[str, int]
 ) -> None:
-    """However long that takes; nor is one that comes in pieces."""
+    """However long the answer takes; nor is a request that arrives in pieces."""
     monkeypatch.setattr(module, "HEAD_S", 1.0)
     with connected(address) as connection:
         for byte in GET % b"/wait":
@@ -127,7 +127,7 @@ def test_a_request_that_is_answered_is_not_silent(
 def test_of_too_many_the_one_that_is_silent_for_the_longest_time_goes(
     monkeypatch: pytest.MonkeyPatch, app: App, address: tuple[str, int], caplog: pytest.LogCaptureFixture
 ) -> None:
-    """But for what was sent with a connection, which is read first."""
+    """Data that was sent with a connection is read first."""
     monkeypatch.setattr(module, "most_connections", lambda: 3)
     monkeypatch.setattr(module, "CROWDED_S", 0.3)
     with connected(address) as busy, connected(address) as first, connected(address) as second:

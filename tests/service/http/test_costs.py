@@ -1,10 +1,12 @@
-"""What a request may cost: headers read once, nothing long on the event loop, no body read in front of a full queue."""
+"""The cost of a request: headers are read once, nothing long runs on the event loop, no body is read before a full
+queue."""
 
 from __future__ import annotations
 
 import asyncio
 import errno
 import os
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -15,9 +17,10 @@ from http_requests import assert_problem, camera_object, photograph, post, store
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
-from gapmes.service.errors import StorageFull
+from gapmes.service.errors import GapmesError, ServiceBusy, StorageFull
 from gapmes.service.http import inputs, pairing
 from gapmes.service.scenes.database import Database
+from gapmes.service.scenes.scene_index import SceneIndex
 from gapmes.service.scenes.store import SceneStore
 from gapmes.service.settings import Settings
 
@@ -49,27 +52,45 @@ def test_too_many_cameras(client: TestClient, kind: str) -> None:
     assert body["detail"] == "has 2001 views, the limit is 2000"
 
 
-def test_parsing_and_hashing_leave_the_event_loop_alone(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    on_loop = {}
+def watched(monkeypatch: pytest.MonkeyPatch, *functions: tuple[Any, str]) -> dict[str, set[bool]]:
+    """By name of a function, of an owner each, whether its calls were on the event loop's thread."""
+    on_loop: dict[str, set[bool]] = {name: set() for _, name in functions}
 
     def watch(owner: Any, name: str) -> None:
         original = getattr(owner, name)
 
-        def watched(*args: Any, **options: Any) -> Any:
+        def noted(*args: Any, **options: Any) -> Any:
             try:
                 asyncio.get_running_loop()
-                on_loop[name] = True
+                on_loop[name].add(True)
             except RuntimeError:
-                on_loop[name] = False
+                on_loop[name].add(False)
             return original(*args, **options)
 
-        monkeypatch.setattr(owner, name, watched)
+        monkeypatch.setattr(owner, name, noted)
 
-    for owner, name in ((inputs, "parse_json"), (inputs, "table_of_bytes"), (inputs, "match_names")):
+    for owner, name in functions:
         watch(owner, name)
-    watch(SceneStore, "scene_id")
+    return on_loop
+
+
+def test_parsing_and_hashing_leave_the_event_loop_alone(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    functions = ((inputs, "parse_json"), (inputs, "table_of_bytes"), (inputs, "match_names"), (SceneStore, "scene_id"))
+    on_loop = watched(monkeypatch, *functions)
     assert post(client).status_code in (200, 201)
-    assert on_loop == dict.fromkeys(("parse_json", "table_of_bytes", "match_names", "scene_id"), False)
+    assert on_loop == {name: {False} for _, name in functions}
+
+
+def test_noting_that_a_scene_is_read_leaves_the_event_loop_alone(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may be a write, which waits where another program has locked the index."""
+    links = post(client).json()["links"]
+    on_loop = watched(monkeypatch, (SceneIndex, "used"))
+    for link in (*links["files"].values(), links["views"][0], links["preview"], links["sheet"], links["inputs"][0]):
+        assert client.get(link).status_code == 200
+    assert client.get(f"{links['self']}/viewer.ply").status_code == 200
+    assert on_loop == {"used": {False}}
 
 
 def test_a_full_queue_answers_before_the_body_is_read(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -164,23 +185,46 @@ def test_a_full_disk_is_507_and_nothing_is_broken(
         assert post(client, [photograph(60), photograph(61)]).status_code == 201
 
 
-def test_a_full_disk_keeps_the_service_from_nothing_but_writing(
-    settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("owner", [tempfile, Path])
+def test_a_film_that_finds_no_room_is_507(client: TestClient, monkeypatch: pytest.MonkeyPatch, owner: Any) -> None:
+    """For its folder, or for the film itself."""
+    link = post(client).json()["links"]["preview"]
+
+    def full(*_: Any, **__: Any) -> Any:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(owner, "mkdtemp" if owner is tempfile else "replace", full)
+    assert_problem(client.get(link, params={"frames": 2}), 507, "storage_full")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "code"), [(StorageFull, 507, "storage_full"), (ServiceBusy, 503, "service_busy")]
+)
+def test_a_full_disk_or_a_locked_index_keeps_the_service_from_nothing_but_writing(
+    settings: Settings,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    error: type[GapmesError],
+    status: int,
+    code: str,
 ) -> None:
-    """Started anew with an index that takes nothing more: it becomes ready, and shows what is there."""
+    """Started anew after a crash, with an index that takes nothing more: it becomes ready, and shows what is there."""
     own = settings.model_copy(update={"store": tmp_path, "drain_seconds": 1.0})
     with TestClient(create_app(own), raise_server_exceptions=False) as client:
         wait_until_ready(client)
         scene = post(client).json()
+    with Database(tmp_path / "index.sqlite").write() as connection:
+        job = "INSERT INTO jobs (id, scene_id, state, kept, owner, created) VALUES ('1', '2', 'running', 1, 'gone', 0)"
+        connection.execute(job)
 
-    def full(*_: Any) -> None:
-        raise StorageFull("no space for the index")
+    def refused(*_: Any) -> None:
+        raise error("the index cannot be written")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Database, "write", full)
+        patch.setattr(Database, "write", refused)
         with TestClient(create_app(own), raise_server_exceptions=False) as client:
             wait_until_ready(client)
             assert client.get("/render", params={"scene": scene["id"]}).status_code == 200
             assert client.get(scene["links"]["ply"]).status_code == 200
             assert [one["id"] for one in client.get("/scenes").json()["scenes"]] == [scene["id"]]
-            assert_problem(post(client, [photograph(70), photograph(71)]), 507, "storage_full")
+            assert_problem(post(client, [photograph(70), photograph(71)]), status, code)

@@ -1,4 +1,4 @@
-"""A process that has to end answers those who still wait: with why and what to do, whatever they wait for."""
+"""A process that must end answers all waiting requests with the reason and a cure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes that were damaged from outside, over HTTP: refused by name, deleted, or made anew for who asks again."""
+"""Scenes damaged from outside, over HTTP: refused by name, deleted, or made again on request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The open API tells headers and HEAD: what answers have is in it, and what it has is in docs/http.md."""
+"""The OpenAPI schema describes headers and HEAD as they are answered, and docs/http.md names all that it has."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""docs/http.md names every code of an error or a warning, every route and parameter, and its example of a scene is like
-a real one; docs/operations.md names every metric and all that lies in a store."""
+"""docs/errors.md names every error and warning code, docs/http.md every route and parameter, and the example scene of
+docs/scene-document.md resembles a real one; docs/operations.md names every metric and everything in a store."""
 
 from __future__ import annotations
 
@@ -23,13 +23,15 @@ from gapmes.service.scenes.scene_files import is_id
 from gapmes.service.settings import Settings
 
 ROOT = Path(__file__).parents[3]
-TEXT = (ROOT / "docs" / "http.md").read_text(encoding="utf-8")
-OPERATIONS = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
+TEXT, ERRORS, SCENE, OPERATIONS = (
+    (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    for name in ("http", "errors", "scene-document", "operations")
+)
 
 
 def documented_codes() -> dict[str, int]:
     """In the order of the table."""
-    rows = re.findall(r"^\| (\d{3}) \| (.*?) \|", TEXT, re.MULTILINE)
+    rows = re.findall(r"^\| (\d{3}) \| (.*?) \|", ERRORS, re.MULTILINE)
     return {code: int(status) for status, codes in rows for code in re.findall(r"`(\w+)`", codes)}
 
 
@@ -59,7 +61,7 @@ def test_every_code_is_documented() -> None:
 
 
 def test_every_warning_is_documented() -> None:
-    table = TEXT.partition("## Warnings")[2]
+    table = ERRORS.partition("## Warnings")[2]
     assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == warning_codes()
     assert "names_differ" in warning_codes()
 
@@ -84,7 +86,7 @@ def test_bounds_of_pictures_are_documented() -> None:
 
 
 def test_example_of_a_scene_document_has_the_keys_of_a_real_one(client: TestClient) -> None:
-    (text,) = (block for block in re.findall(r"```json\n(.*?)```", TEXT, re.DOTALL) if '"gaussians"' in block)
+    (text,) = (block for block in re.findall(r"```json\n(.*?)```", SCENE, re.DOTALL) if '"gaussians"' in block)
     cameras = camera_object(2)
     names = ["000.png", "004.png"]
     for view, name in zip(cameras["views"], names, strict=True):
@@ -111,7 +113,7 @@ def assert_same_keys(example: Any, real: Any, path: str) -> None:
 
 
 def test_numbers_of_the_example_add_up() -> None:
-    (text,) = (block for block in re.findall(r"```json\n(.*?)```", TEXT, re.DOTALL) if '"gaussians"' in block)
+    (text,) = (block for block in re.findall(r"```json\n(.*?)```", SCENE, re.DOTALL) if '"gaussians"' in block)
     example = json.loads(text)
     pruned, rows = example["pruning"], [row for row in example["left_out"] if row["what"].startswith("Gaussians")]
     assert example["gaussians"]["count"] == pruned["kept"]

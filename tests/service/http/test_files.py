@@ -1,4 +1,4 @@
-"""A scene in every format over HTTP: what is served is what the writers write, with tags, and nothing is kept."""
+"""A scene in every format over HTTP: the writers' bytes are served, with tags, and nothing is kept."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from starlette.testclient import TestClient
 from gapmes.service.formats.dialect import STANDARD
 from gapmes.service.formats.ply import inspect_ply
 from gapmes.service.formats.registry import FORMATS, inspect_gaussians
-from gapmes.service.http import scenes
+from gapmes.service.http import files, scenes
 from gapmes.service.settings import Settings
 
 MADE = [name for name in FORMATS if name != "ply"]
@@ -56,6 +56,18 @@ def test_a_tag_is_answered_by_304_and_head_makes_nothing(
     assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", etag)
 
 
+@pytest.mark.parametrize("name", [*MADE, "viewer.ply"])
+def test_what_is_made_has_another_tag_in_another_release(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Which may write it otherwise: a browser must not keep what the last one wrote."""
+    links = post(client).json()["links"]
+    url = links["files"].get(name, f"{links['self']}/{name}")
+    before = client.head(url).headers["etag"]
+    monkeypatch.setattr(files, "DRAWING_REVISION", files.DRAWING_REVISION + 1)
+    assert client.get(url, headers={"If-None-Match": before}).status_code == 200
+
+
 def test_ranges_are_of_the_ply_alone(client: TestClient) -> None:
     """What is made for an answer has no ranges: a client that asks for one gets all of it (RFC 9110 section 14.2)."""
     scene = post(client).json()
@@ -65,6 +77,15 @@ def test_ranges_are_of_the_ply_alone(client: TestClient) -> None:
         whole = client.get(scene["links"]["files"][name], headers={"Range": "bytes=0-3"})
         assert (whole.status_code, whole.headers["accept-ranges"]) == (200, "none")
         assert len(whole.content) > 4
+
+
+@pytest.mark.parametrize("asked", ["bytes=0-9", "bytes=99999999-"])
+def test_head_tells_of_the_whole_file_whatever_range_it_brings(client: TestClient, asked: str) -> None:
+    url = post(client).json()["links"]["ply"]
+    whole, part = client.head(url), client.head(url, headers={"Range": asked})
+    assert part.status_code == 200
+    assert "content-range" not in part.headers
+    assert part.headers["content-length"] == whole.headers["content-length"] == str(len(client.get(url).content))
 
 
 @pytest.mark.parametrize(
@@ -131,7 +152,7 @@ def test_a_scene_that_goes_while_it_is_converted_is_not_found(
 
 
 def test_conversions_wait_for_their_turn(client: TestClient, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """One after the other, as many as there are slots for."""
+    """One after the other, in as many slots as there are."""
     scene = post(client).json()
     at_once, most, lock = 0, 0, threading.Lock()
     real = FORMATS["splat"].write

@@ -1,4 +1,4 @@
-"""Heads of requests as HTTP/1.1 allows them: targets in absolute form, two lengths, lists in several lines."""
+"""Request heads that HTTP/1.1 allows: absolute targets, two lengths, lists in several lines."""
 
 from __future__ import annotations
 

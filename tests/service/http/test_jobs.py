@@ -1,4 +1,4 @@
-"""Jobs over HTTP: asked for, followed, cancelled, and computed once for all who ask."""
+"""Jobs over HTTP: requested, followed, cancelled, and computed once for all requests."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_a_failed_job_says_why_as_a_request_does(client: TestClient) -> None:
 
 
 def test_a_client_that_goes_away_takes_its_work_along(held: tuple[TestClient, threading.Event]) -> None:
-    """One request waits behind a job; its client leaves; the work is never begun."""
+    """One request waits behind a job; its client disconnects; its work never begins."""
     client, going = held
     wait_for(client, ask(client), "running")
     prepared = post_scope(client, 50)
@@ -184,7 +184,7 @@ def test_a_client_that_goes_away_takes_its_work_along(held: tuple[TestClient, th
 
 
 def post_scope(client: TestClient, seed: int) -> tuple[dict[str, Any], bytes]:
-    """A request as the server would hand it over."""
+    """A request as the server passes it on."""
     sent: list[Any] = []
     client.event_hooks["request"].append(sent.append)
     try:
@@ -238,8 +238,15 @@ def test_a_job_of_another_model_file_is_not_computed_by_this_one(
 ) -> None:
     """A scene's id tells which model made it: a service that was started anew with another one says so."""
     client, going = held
+    checked, slow = threading.Event(), Reconstructor.reconstruct
+
+    def reported(self: Reconstructor, *arguments: Any, **options: Any) -> Any:
+        checked.set()
+        return slow(self, *arguments, **options)
+
+    monkeypatch.setattr(Reconstructor, "reconstruct", reported)
     first, job = ask(client), ask(client, 10)
-    wait_for(client, first, "running")
+    assert checked.wait(60)  # "running" alone is told before the model is compared
     monkeypatch.setattr("gapmes.service.jobs.work.ALGORITHM_REVISION", -1)
     going.set()
     assert wait_for(client, job, "failed")["problem"]["code"] == "model_changed"

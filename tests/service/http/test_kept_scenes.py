@@ -1,4 +1,4 @@
-"""A scene whose picture, film, zip or file is being made, or waits to be, is not evicted meanwhile."""
+"""A scene is not evicted while its picture, film, zip or file is being made or waits to be."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ def crowded(alone: TestClient, monkeypatch: pytest.MonkeyPatch) -> SceneStore:
     return other
 
 
-@pytest.mark.parametrize("kind", ["views", "preview", "sheet", "spz"])
+@pytest.mark.parametrize("kind", ["views", "preview", "sheet", "spz", "viewer"])
 def test_a_scene_is_kept_until_what_is_asked_of_it_is_made(alone: TestClient, crowded: SceneStore, kind: str) -> None:
     links = post(alone, PHOTOGRAPHS).json()["links"]
-    links |= {"spz": links["files"]["spz"], "views": links["views"][1]}
+    links |= {"spz": links["files"]["spz"], "views": links["views"][1], "viewer": f"{links['self']}/viewer.ply"}
     answer = alone.get(links[kind])
     assert answer.status_code == 200
     assert alone.get(links["self"]).status_code == 200

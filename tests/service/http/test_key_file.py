@@ -1,4 +1,4 @@
-"""The key of a service of several processes, where a file has it."""
+"""The key of a service of several processes, read from a file."""
 
 from __future__ import annotations
 

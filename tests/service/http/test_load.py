@@ -159,7 +159,7 @@ def test_what_was_not_taken_as_it_was_is_in_the_document(client: TestClient) -> 
     assert scene["dropped"] == [{"reason": "invalid x", "count": 1}]
     assert (scene["gaussians"]["count"], scene["file"]["rows"]) == (59, 60)
     messages = [warning["message"] for warning in scene["warnings"]]
-    assert messages == ["properties passed over: label", "1 of 60 Gaussians dropped, invalid in x (1)"]
+    assert messages == ["properties ignored: label", "1 of 60 Gaussians dropped, invalid in x (1)"]
     other = load_raw(client, binary_file(columns(ply_bytes(moderate(60, 4, 0)))), rotation="xyzw").json()
     assert other["id"] != scene["id"]
     assert other["warnings"] == []

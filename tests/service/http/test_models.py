@@ -1,4 +1,4 @@
-"""Several models behind one service: chosen by name, loaded when one is first asked for, kept within a budget."""
+"""Several models in one service: chosen by name, loaded on first use, kept within a budget."""
 
 from __future__ import annotations
 

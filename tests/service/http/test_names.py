@@ -1,4 +1,4 @@
-"""File names pair photographs with cameras, stay with the request that sent them, and may hold anything."""
+"""File names pair photographs with cameras, belong to their request, and may contain anything."""
 
 from __future__ import annotations
 

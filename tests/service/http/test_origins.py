@@ -1,5 +1,5 @@
-"""Pages of other origins change nothing: what a browser sends for them is refused, what is the service's own, or no
-browser's, passes."""
+"""Pages of other origins cannot change anything: their requests are refused; the service's own, and those without a
+browser, pass."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The service's own small parts by themselves: the lane, Accept, JSON parsing, problem documents."""
+"""The service's small parts: the lane, Accept, JSON parsing, problem documents."""
 
 from __future__ import annotations
 

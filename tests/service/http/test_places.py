@@ -1,4 +1,4 @@
-"""Numbers that are of this moment: how many requests hold places, here and in all processes that live."""
+"""Current counts: how many requests hold places, in this process and in all live ones."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_places_of_every_kind_are_shown(client: TestClient) -> None:
 
 
 def test_places_are_summed_over_the_processes_that_live(tmp_path: Path) -> None:
-    """One that is killed gives none back, and holds none."""
+    """A killed process returns no place, and holds none."""
     environment = os.environ | {"PROMETHEUS_MULTIPROC_DIR": str(tmp_path)}
     words = [sys.executable, "-c", TAKES]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "env": environment, "text": True}

@@ -1,4 +1,4 @@
-"""The parser of posted forms, whatever release of the framework is under it: what ends it early closes its files."""
+"""The parser of posted forms, with any release of the framework: ending it early closes its files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`GET /scenes/{id}/preview` and `/sheet`: what they show, what they may cost, and when drawing ends early."""
+"""`GET /scenes/{id}/preview` and `/sheet`: their contents, their cost limits, and when drawing ends early."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def test_a_full_lane_is_503(client: TestClient, scene: dict[str, Any], monkeypat
 def test_drawing_ends_when_the_client_leaves(
     client: TestClient, scene: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is gone while the third picture is drawn: that one is the last."""
+    """The client disconnects while the third picture is drawn: that one is the last."""
     drawn = []
     left = threading.Event()
     original = drawing.effort_draw

@@ -1,4 +1,4 @@
-"""Queries: each parameter once, none beside a form, and looked at without a thread."""
+"""Queries: each parameter once, none together with a form, and checked without a thread."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def test_a_parameter_is_given_once(client: TestClient, path: str, field: str) ->
 
 @pytest.mark.parametrize("number", ["1_0", "0_0", "%2B0", "%D9%A0", ""])
 def test_a_whole_number_is_decimal_digits(client: TestClient, number: str) -> None:
-    """Python reads more as one."""
+    """Python itself accepts more forms."""
     job = f"/jobs/{'0' * 32}/events?after={number}"
     assert_problem(client.get(job), 422, "parameter_invalid", "after")
     if number:
@@ -28,7 +28,7 @@ def test_a_whole_number_is_decimal_digits(client: TestClient, number: str) -> No
 
 @pytest.mark.parametrize("route", ["/reconstruct", "/check", "/scenes"])
 def test_options_of_a_form_are_not_in_the_query(client: TestClient, route: str) -> None:
-    """Where they would be passed over."""
+    """They would be ignored there."""
     answer = client.post(f"{route}?near=2", files={"file": ("a.ply", b"ply")})
     body = assert_problem(answer, 422, "invalid_input", "near", cured=True)
     assert body["detail"] == "is in the query beside a form"

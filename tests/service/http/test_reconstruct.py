@@ -1,4 +1,4 @@
-"""`POST /reconstruct` answers a scene in three forms, pairs by name or order, and computes the same input once."""
+"""`POST /reconstruct` answers with a scene in three forms, pairs by name or order, and computes equal input once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`GET /render`: views, cameras, sizes, channels, formats, and the refusal of what makes no sense."""
+"""`GET /render`: views, cameras, sizes, channels, formats, and refusals of invalid combinations."""
 
 from __future__ import annotations
 

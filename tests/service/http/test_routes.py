@@ -1,4 +1,4 @@
-"""Paths and methods: what is offered where, HEAD wherever GET is, and what is told of a path that is none."""
+"""Paths and methods: what each path offers, HEAD wherever GET is, and the answer for unknown paths."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_the_head_of_what_is_not_there_says_so(client: TestClient) -> None:
 @pytest.mark.parametrize("path", ["/reconstruct/", "/render/", "/check//"])
 @pytest.mark.parametrize("method", ["GET", "POST"])
 def test_a_slash_too_many_leads_nowhere(client: TestClient, method: str, path: str) -> None:
-    """And to no other host than that which was asked."""
+    """In particular to no other host."""
     answer = client.request(method, path, headers={"Host": "other.example"}, follow_redirects=False)
     body = assert_problem(answer, 404, "route_not_found", cured=True)
     assert body["cure"] == f"leave out the slash at the end: {path.rstrip('/')}"

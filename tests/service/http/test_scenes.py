@@ -1,4 +1,4 @@
-"""The store over HTTP: list, read, download, delete; ids that are no ids."""
+"""The store over HTTP: list, read, download, delete; invalid ids."""
 
 from __future__ import annotations
 

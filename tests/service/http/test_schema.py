@@ -1,4 +1,4 @@
-"""The service does what its own schema says: schemathesis asks every route for what that allows, and for what not."""
+"""The service follows its own schema: schemathesis sends every route valid and invalid requests."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SAID_IN_WORDS += ("GET /scenes/{scene_id}/preview",)
 
 @pytest.fixture(scope="module")
 def schema(standin_model: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[schemathesis.BaseSchema]:
-    """Of a service with a scene in it."""
+    """The schema of a service with a scene in it."""
     folder = tmp_path_factory.mktemp("schema")
     with serving(folder / "scenes", standin_model, folder / "log") as (client, _):
         assert post(client).status_code == 201

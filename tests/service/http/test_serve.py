@@ -1,4 +1,4 @@
-"""`gapmes serve` as processes: it ends in order when told to, and a worker that is killed loses nothing."""
+"""`gapmes serve` in processes: it ends in order on request, and a killed worker loses nothing."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from gapmes.service.scenes.database import Database
 
 @pytest.fixture
 def refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing may be started."""
+    """A refused start: no process may be started."""
     monkeypatch.setattr(uvicorn, "run", None)
 
 
@@ -45,7 +45,7 @@ def one_line(capfd: pytest.CaptureFixture[str]) -> str:
 def test_a_store_that_is_refused_is_refused_once(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], workers: int
 ) -> None:
-    """Not by one worker after the other, each of which is replaced."""
+    """Not by each worker in turn, each of which would be replaced."""
     with Database(tmp_path / "index.sqlite").write() as connection:
         connection.execute("PRAGMA user_version = 99")
     (tmp_path / "file").write_text("no folder")
@@ -138,13 +138,13 @@ def test_names_that_nothing_reads_are_said_before_models_are_prepared(
 
 
 def workers(process: subprocess.Popen[bytes]) -> list[int]:
-    """Processes that answer, not the one that watches them nor the interpreter's own helper."""
+    """The processes that answer, without the one that supervises them and the interpreter's own helper."""
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     return [int(pid) for pid in children if b"spawn_main" in known_of(int(pid), "cmdline")]
 
 
 def known_of(pid: int, name: str) -> bytes:
-    """A file of /proc, empty for a process that has gone meanwhile."""
+    """A file of /proc, empty for a process that has ended."""
     try:
         return Path(f"/proc/{pid}/{name}").read_bytes()
     except OSError:
@@ -231,7 +231,7 @@ def test_it_ends_in_order_with_its_terminal(tmp_path: Path, standin_model: Path)
 
 
 def test_it_outlives_its_terminal_where_that_is_asked_for(tmp_path: Path, standin_model: Path) -> None:
-    """As with nohup."""
+    """For example with nohup."""
     with hangup(signal.SIG_IGN), serving(tmp_path / "scenes", standin_model, tmp_path / "log") as (client, process):
         process.send_signal(signal.SIGHUP)
         assert post(client).status_code == 201

@@ -1,4 +1,4 @@
-"""The service around its work: probes, the page, errors of every kind, start-up that loads no torch."""
+"""The service as a whole: probes, the page, errors of every kind, start-up without torch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Large answers lie on disk while they are sent: whole, in pieces, without a name, and in memory where that is all."""
+"""Large answers are on disk while they are sent: complete, in pieces, without a name, and in memory if the disk is
+full."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a running service tidies now and then: each part of it whatever becomes of the other."""
+"""Periodic tidying of a running service: each part runs whether or not another fails."""
 
 from __future__ import annotations
 

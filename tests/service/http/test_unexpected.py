@@ -1,9 +1,11 @@
-"""Faults of the service: who asked can read that there was one, and the log leads from the request to it."""
+"""Internal errors: the client is told that there was one, and the log leads from the request to it."""
 
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
+import os
 from collections.abc import Iterator
 from typing import Any, cast
 
@@ -16,6 +18,7 @@ from gapmes.service.app import create_app
 from gapmes.service.http.problems import FaultsAnswered
 from gapmes.service.process.logs import REQUEST_ID
 from gapmes.service.reconstruct import Reconstructor
+from gapmes.service.scenes.store import SceneStore
 from gapmes.service.settings import Settings
 
 ORIGIN = "https://one.example"
@@ -58,6 +61,19 @@ def test_a_page_that_may_call_can_read_of_a_fault(called: TestClient, monkeypatc
     told = {"access-control-allow-origin": ORIGIN, "x-content-type-options": "nosniff", "x-request-id": "mine"}
     assert told.items() <= answer.headers.items()
     assert "secret" not in answer.text
+
+
+def test_who_finds_no_file_left_to_open_may_try_again(
+    called: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE), "scene.ply")
+
+    monkeypatch.setattr(SceneStore, "document", full)
+    answer = called.get(f"/scenes/{'a' * 32}")
+    assert_problem(answer, 503, "service_busy")
+    assert int(answer.headers["retry-after"]) > 0
+    assert ["Traceback" in caplog.text, caplog.text.count("the limit of open files")] == [False, 1]
 
 
 def test_a_fault_amid_an_answer_goes_on() -> None:

@@ -1,4 +1,4 @@
-"""One of several processes: when it says that the service is ready, when it answers, when it ends."""
+"""One of several processes: when it reports the service ready, when it answers, when it ends."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gapmes.service.settings import Settings
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """What the processes share."""
+    """The folder that the processes share."""
     (tmp_path / "shared").mkdir()
     monkeypatch.setenv(FOLDER, str(tmp_path / "shared"))
     return tmp_path / "shared"
@@ -145,7 +145,7 @@ def test_one_that_was_told_to_end_before_it_could_hear_it_ends(
 
     before = signal.signal(signal.SIGTERM, server.handle_exit)
     try:
-        signal.raise_signal(signal.SIGTERM)
+        server.handle_exit(signal.SIGTERM, None)
         asyncio.run(asyncio.wait_for(lifespan(), 60))
     finally:
         signal.signal(signal.SIGTERM, before)

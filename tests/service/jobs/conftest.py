@@ -1,4 +1,4 @@
-"""A store's jobs, whose runners end with the test, and their table alone."""
+"""A store's jobs, whose runners end with the test, and their table on its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A store's jobs for tests: a table, a spool, and runners that compute with whatever function."""
+"""A store's jobs for tests: a table, a spool, and runners that run any function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Processes that are killed: what they computed is taken over, what waited there waits no more."""
+"""Killed processes: their jobs are taken over, and requests that waited there count no more."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+from full_disk import full_disk
 from job_place import A, Place
 
 from gapmes.service.jobs.leases import Lease
@@ -90,6 +92,16 @@ def test_requests_of_a_killed_process_wait_no_more(place: Place) -> None:
     assert place.table.cancel("1").state == "cancelled"
 
 
+@pytest.mark.parametrize("left", [b"", b"["])
+def test_a_job_whose_left_end_cannot_be_read_ends(place: Place, left: bytes) -> None:
+    """As a power cut may leave it; whoever waits must hear of an end."""
+    (place.root / "jobs" / "1").mkdir(parents=True)
+    (place.root / "jobs" / "1" / "end.json").write_bytes(left)
+    place.table.submit("1", A)
+    place.runner(lambda *_: None)
+    assert place.ended(seconds=20.0).state == "failed"
+
+
 def test_slots_of_the_living_count_together(tmp_path: Path) -> None:
     one, two = Lease(tmp_path, 3), Lease(tmp_path, 2)
     (tmp_path / "dead").write_text("5")
@@ -99,6 +111,14 @@ def test_slots_of_the_living_count_together(tmp_path: Path) -> None:
     assert one.slots() == 6
     two.release()
     assert one.slots() == 4
+
+
+def test_a_process_that_starts_on_a_full_disk_counts_as_one_slot(tmp_path: Path) -> None:
+    with full_disk(0):
+        full = Lease(tmp_path, 3)
+    other = Lease(tmp_path, 2)
+    assert other.slots() == 3
+    assert other.gone([full.name]) == set()
 
 
 def test_the_living_are_not_taken_for_dead(tmp_path: Path) -> None:

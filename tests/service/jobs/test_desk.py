@@ -1,4 +1,4 @@
-"""The desk while requests wait: whose going away cancels a job, and whose does not."""
+"""The desk while requests wait: which departures cancel a job, and which do not."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gapmes.service.settings import Settings
 
 @pytest.fixture
 def desk(tmp_path: Path) -> Desk:
-    """Without models, so that nothing is computed here."""
+    """A desk without models, so that nothing is computed here."""
     return Desk(SceneStore(tmp_path), Settings(store=tmp_path))
 
 

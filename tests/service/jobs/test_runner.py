@@ -1,4 +1,4 @@
-"""The threads that compute: every way in which a job ends, and processes that do not."""
+"""The computing threads: every way in which a job ends, and processes that do not."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_stages_are_told_as_they_happen(place: Place) -> None:
 
 
 def gone(path: Path) -> None:
-    """It goes a moment after the end is noted."""
+    """Wait for its removal, shortly after the end is noted."""
     deadline = time.monotonic() + 120
     while path.exists():
         assert time.monotonic() < deadline
@@ -253,3 +253,65 @@ def test_the_end_of_a_job_is_noted_even_if_the_disk_is_full_for_a_while(
     place.submit()
     assert place.ended().state == "done"
     assert len(calls) == 4
+
+
+@pytest.mark.parametrize("wanted_again", [False, True])
+def test_the_inputs_of_a_job_that_is_over_make_room_for_its_end(
+    place: Place, monkeypatch: pytest.MonkeyPatch, wanted_again: bool
+) -> None:
+    """What somebody may want again keeps them, however full the disk is."""
+    monkeypatch.setattr("gapmes.service.jobs.runner.RETRY_S", 0.01)
+    name = "end_cancelled" if wanted_again else "end"
+    real, there, used = getattr(place.table, name), [], []
+
+    def inputs() -> bool:
+        return (place.root / "jobs" / "1" / "work.json").exists()
+
+    def full(*arguments: Any) -> bool:
+        there.append(inputs())
+        if len(there) < 3:
+            raise StorageFull("no space for the index", field="store")
+        return real(*arguments)
+
+    monkeypatch.setattr(place.table, name, full)
+    monkeypatch.setattr(place.table, "use_room", lambda: used.append(inputs()))
+    place.runner(endless if wanted_again else lambda *_: None)
+    place.submit()
+    if wanted_again:
+        place.until(lambda job: job.state == "running")
+        place.table.cancel("1")
+    assert place.ended().state == ("cancelled" if wanted_again else "done")
+    assert there == [True, wanted_again, wanted_again]
+    assert used == ([] if wanted_again else [False, False])  # at once, before the next write takes it
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_an_end_that_could_not_be_noted_is_taken_over(
+    place: Place, monkeypatch: pytest.MonkeyPatch, fails: bool
+) -> None:
+    """With its inputs gone nobody can compute it again, and nobody has to."""
+    monkeypatch.setattr("gapmes.service.jobs.runner.RETRY_S", 0.01)
+    real, tried = place.table.end, []
+
+    def full(*_: Any) -> bool:
+        tried.append(None)
+        raise StorageFull("no space for the index", field="store")
+
+    def compute(*_: object) -> None:
+        if fails:
+            raise InputError("no", field="x", cure="y")
+
+    monkeypatch.setattr(place.table, "end", full)
+    first = place.runner(compute)
+    place.submit()
+    while len(tried) < 3:
+        time.sleep(0.01)
+    first.stop(5.0)
+    first._lease.release()
+    monkeypatch.setattr(place.table, "end", real)
+    second = place.runner(lambda *_: pytest.fail("computed again"))
+    job = place.ended()
+    second.stop(5.0)
+    assert job.state == ("failed" if fails else "done")
+    assert (job.problem or {}).get("code") == ("invalid_input" if fails else None)
+    assert not (place.root / "jobs" / "1").exists()

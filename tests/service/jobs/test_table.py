@@ -1,4 +1,4 @@
-"""Jobs in the database: one active job per scene, claimed once, ended once, whoever asks and whatever dies."""
+"""Jobs in the database: one active job per scene, claimed once, ended once, with any clients and any crash."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gapmes.service.scenes.database import Database
 
 
 def counted() -> dict[str, float]:
-    """Ends of jobs by state, as the metrics have them."""
+    """Ended jobs by state, as in the metrics."""
     return {state: OWN.get_sample_value("gapmes_jobs_total", {"state": state}) or 0.0 for state in ENDED}
 
 

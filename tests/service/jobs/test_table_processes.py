@@ -1,4 +1,4 @@
-"""Jobs in the database while processes end: killed, stopped, draining, or taken for dead and still at it."""
+"""Jobs in the database when processes end: killed, stopped, draining, or presumed dead but still running."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bands of harmonics that are 0 are left out: the same pictures to the bit, and not one band more than those."""
+"""Bands of harmonics that are 0 are left out: the pictures stay the same to the bit, and no other band is left out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Leaving Gaussians out: the proved bound against what is drawn, in float64 as well, and the exact case."""
+"""Leaving Gaussians out: the proved bound against drawn pictures, in float64 as well, and the exact case."""
 
 import math
 from functools import cache

@@ -1,4 +1,4 @@
-"""One Gaussian per square of pixels, and leaving out the faint ones: which stay, how large, and what that changes."""
+"""One Gaussian per square of pixels, and leaving out faint ones: which stay, their size, and the change."""
 
 import clouds
 import numpy as np

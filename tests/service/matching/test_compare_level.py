@@ -1,4 +1,4 @@
-"""The comparison at many depths against the one at a depth per pixel, whose way there is another one."""
+"""The comparison at many depths against the one at a single depth per pixel, which samples in another way."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Confirmed pixels: against a slow reference pixel by pixel, and what must never be confirmed."""
+"""Confirmed pixels: against a slow reference pixel by pixel, and pixels that must never be confirmed."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_other_colours_do_not_confirm(views: list[FittedView]) -> None:
 
 
 def test_a_twin_from_nearly_the_same_place_confirms_nothing(views: list[FittedView]) -> None:
-    """It would agree at any depth."""
+    """It would agree with any depth."""
     pose = views[0].camera.world_from_cam.copy()
     pose[0, 3] += 1e-6
     twin = replace(views[0], camera=views[0].camera.posed(pose))

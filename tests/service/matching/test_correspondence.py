@@ -1,4 +1,4 @@
-"""Which other views tell a view's depths: those from elsewhere, however far away one more of them is."""
+"""Which other views determine a view's depths: those with parallax, however far away another one is."""
 
 from __future__ import annotations
 

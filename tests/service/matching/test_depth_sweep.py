@@ -1,4 +1,4 @@
-"""Narrowing the depth range by the photographs of a plane, whose depths are known."""
+"""Narrowing the depth range by photographs of a plane of known depth."""
 
 from dataclasses import replace
 

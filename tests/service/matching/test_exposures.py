@@ -1,4 +1,4 @@
-"""Photographs of different exposure: factors are found by what matches, and colours brought to the middle one."""
+"""Photographs of different exposure: factors are found from matches, and colours scaled to the median."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from plane_scene import PlaneScene
 from gapmes.service import Reconstructor
 from gapmes.service.cameras.depth_range import DepthRange
 from gapmes.service.captures.capture import load_scene_folder
-from gapmes.service.matching.exposures import equalised, exposures
+from gapmes.service.matching.exposures import Exposures, equalised
+from gapmes.service.matching.exposures import exposures as exposures_of
+from gapmes.service.matching.pair_matches import PairMatches
 from gapmes.service.photographs.fitting import FittedPhotos
 from gapmes.service.photographs.images import FittedView, PackedView, Photo, decode_image, fit_view, match_photo
 from gapmes.service.shipped import sample_folder
 
 VIEWS = (1, 3, 5)
 GROUPS = (0, 1, 4, 5)  # each view's nearest is of its own pair
-EXACT = 0.015  # of a factor: measured 0.002 without clipping, 0.010 with it
+EXACT = 0.015  # of a factor: measured 0.004 without clipping, 0.010 with it
 
 
 @cache
@@ -33,6 +35,10 @@ def sample(which: tuple[int, ...] = VIEWS) -> tuple[tuple[Photo, ...], tuple, De
 def exposed(photo: Photo, factors: tuple[float, ...]) -> Photo:
     pixels = np.clip(np.rint(photo.rgb * np.asarray(factors)), 0, 255).astype(np.uint8)
     return replace(photo, rgb=pixels)
+
+
+def exposures(views: list[FittedView], depths: DepthRange) -> Exposures | None:
+    return exposures_of(PairMatches(views, depths))
 
 
 def fitted(photos: tuple[Photo, ...], size: int = 256, which: tuple[int, ...] = VIEWS) -> list[FittedView]:
@@ -76,6 +82,25 @@ def test_pairs_of_nearest_views_are_joined(factors: tuple[float, ...], gains: tu
     np.testing.assert_allclose(found.gains, np.repeat(np.array(gains)[:, None], 3, axis=1), rtol=EXACT)
 
 
+@pytest.mark.parametrize("factor", [1 / 10, 1 / 16, 1 / 40])
+@pytest.mark.parametrize("dark", [0, 1])
+def test_a_photograph_that_is_nearly_black_is_brought_to_the_exposure_of_the_other(factor: float, dark: int) -> None:
+    """As of a film that fades, or of 12 bits in a file for 16: all of it is darker than what is compared otherwise."""
+    photos, _, depths = sample()
+    factors = np.ones(2)
+    factors[dark] = factor
+    found = exposures(fitted(tuple(exposed(p, (f,) * 3) for p, f in zip(photos, factors, strict=False))), depths)
+    assert found is not None
+    np.testing.assert_allclose(found.gains, np.repeat((factor**0.5 / factors)[:, None], 3, axis=1), rtol=EXACT)
+
+
+@pytest.mark.parametrize("factors", [(1 / 40, 1 / 40), (1 / 40, 1 / 60), (1 / 30, 1 / 40)])
+def test_photographs_that_are_both_nearly_black_stay_without_a_large_factor(factors: tuple[float, float]) -> None:
+    photos, _, depths = sample()
+    views = fitted(tuple(exposed(p, (f,) * 3) for p, f in zip(photos, factors, strict=False)))
+    assert exposures(views, depths) is None
+
+
 def test_views_that_match_no_others_are_named_and_stay() -> None:
     """The last one shows something else."""
     photos, _, depths = sample()
@@ -86,7 +111,9 @@ def test_views_that_match_no_others_are_named_and_stay() -> None:
     assert found is not None
     assert found.parts == [[0, 1], [2]]
     np.testing.assert_allclose(found.gains, [[1.25] * 3, [0.8] * 3, [1] * 3], rtol=EXACT)
-    _, (notice,) = equalised(FittedPhotos(views, views, [PackedView.of(v) for v in views], []), depths, (4, 7, 9))
+    _, (notice,) = equalised(
+        FittedPhotos(views, views, [PackedView.of(v) for v in views], []), PairMatches(views, depths), (4, 7, 9)
+    )
     assert "not enough matches to compare these groups of views with each other: 4, 7; 9" in notice["message"]
 
 
@@ -105,6 +132,19 @@ def test_surfaces_that_shine_one_way_are_no_exposure() -> None:
     pixels[:, middle:] /= 1.25
     shaded = replace(photos[1], rgb=np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
     assert exposures(fitted((photos[0], shaded)), depths) is None
+
+
+def test_what_is_white_in_one_of_two_has_a_say() -> None:
+    """Both overexposed alike: where one half is brighter and not white, the other half, white there, is darker."""
+    photos, _, depths = sample()
+    pixels = [photo.rgb.astype(float) for photo in photos[:2]]
+    middle = pixels[0].shape[1] // 2
+    for side, sign in ((slice(None, middle), 1), (slice(middle, None), -1)):
+        level = 0.6 if sign > 0 else 4.0
+        pixels[0][:, side] *= level * 1.3**-sign
+        pixels[1][:, side] *= level * 1.3**sign
+    shaded = [replace(photos[0], rgb=np.clip(np.rint(levels), 0, 255).astype(np.uint8)) for levels in pixels]
+    assert exposures(fitted(tuple(shaded)), depths) is None
 
 
 def test_what_does_not_match_has_no_say() -> None:
@@ -139,7 +179,7 @@ def fitted_photos(photos: tuple[Photo, ...], *, detail: int) -> FittedPhotos:
 def test_every_crop_of_a_photograph_is_brought_to_it_and_it_is_told(detail: int) -> None:
     photos, _, depths = sample()
     given = fitted_photos((photos[0], exposed(photos[1], (0.64,) * 3)), detail=detail)
-    found, (notice,) = equalised(given, depths, (4, 7))
+    found, (notice,) = equalised(given, PairMatches(given.seen, depths), (4, 7))
     assert notice["code"] == "exposures_differ"
     assert notice["index"] == 7
     assert "view 7 has 0.64 times as much " in notice["message"]
@@ -157,14 +197,14 @@ def test_every_crop_of_a_photograph_is_brought_to_it_and_it_is_told(detail: int)
 def test_a_tint_is_told_by_its_channel() -> None:
     photos, _, depths = sample()
     given = fitted_photos((photos[0], exposed(photos[1], (1.1, 1.0, 0.75))), detail=1)
-    _, (notice,) = equalised(given, depths, (4, 7))
+    _, (notice,) = equalised(given, PairMatches(given.seen, depths), (4, 7))
     assert "view 7 has 0.75 times as much blue as view 4" in notice["message"]
 
 
 def test_of_one_exposure_nothing_is_copied() -> None:
     photos, _, depths = sample()
     given = fitted_photos(photos[:2], detail=1)
-    found, told = equalised(given, depths, (0, 1))
+    found, told = equalised(given, PairMatches(given.seen, depths), (0, 1))
     assert found is given
     assert told == []
 

@@ -1,4 +1,4 @@
-"""A given range that misses the scene is told, with the estimate and the end at which the photographs match best."""
+"""A given range that misses the scene is reported, with the estimate and the end where the photographs match best."""
 
 import numpy as np
 import pytest

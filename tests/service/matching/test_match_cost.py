@@ -1,4 +1,4 @@
-"""Costs of depths: zero where photographs agree, the limit where nothing is seen, gathered over what is known."""
+"""Costs of depths: zero where photographs agree, the limit where nothing is seen, aggregated over known pixels."""
 
 from __future__ import annotations
 

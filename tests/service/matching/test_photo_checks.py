@@ -1,4 +1,4 @@
-"""Do the photographs agree with the cameras: drawn photographs of a plane, under right and wrong poses."""
+"""Whether photographs agree with cameras: rendered photographs of a plane, under correct and wrong poses."""
 
 from dataclasses import replace
 
@@ -256,3 +256,14 @@ def test_correlation_depends_on_no_contrast_above_the_rounding_to_8_bits(spread)
     np.testing.assert_allclose(found[1], half, atol=1e-9)
     flat = np.full((24, 24), 0.5)
     assert np.abs(correlations(flat, flat[None], np.ones((1, 24, 24), bool))).max() < 1e-6
+
+
+def test_a_photograph_of_another_scene_among_three_is_named(plane_scene):
+    foreign = PlaneScene.make(np.random.default_rng(11)).images[1]
+    images = (plane_scene.images[0], foreign, plane_scene.images[2])
+    assert check_photos(fitted(plane_scene), DEPTHS) == []
+    (notice,) = check_photos(fitted(replace(plane_scene, images=images)), DEPTHS, numbers=(4, 7, 9))
+    assert notice["code"] == "view_hardly_matches"
+    assert notice["index"] == 7
+    assert notice["score"] < 0.68
+    assert "view 7 hardly matches any of the others" in notice["message"]

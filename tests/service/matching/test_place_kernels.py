@@ -1,4 +1,4 @@
-"""Where other views see pixels and what they have there: the compiled loops beside cameras and numpy, to the bit."""
+"""Where other views see pixels, and their values there: the compiled loops against cameras and numpy, to the bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loops over pixels against the same written with slices and single sums."""
+"""Loops over pixels against the same computation with slices and single sums."""
 
 from __future__ import annotations
 

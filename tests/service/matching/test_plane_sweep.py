@@ -1,4 +1,4 @@
-"""The coarse plane sweep: planes as close as their parallax asks for, batches that change nothing, masks."""
+"""The coarse plane sweep: planes as dense as parallax requires, batches without effect, masks."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""One photograph under two poses is told by its pixels, also in another encoding; frames that hardly moved are none."""
+"""One photograph under two poses is recognised by its pixels, also in another encoding; near-static frames are not."""
 
 import io
 from dataclasses import replace

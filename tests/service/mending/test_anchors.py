@@ -1,4 +1,4 @@
-"""Anchors: pictures of what is sure from between the inputs, and what fades because it hides it there."""
+"""Anchors: pictures of confirmed surfaces from between the inputs, and what fades because it hides them there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The backdrop: behind every surface, around every photograph, in its colours, and without a hole."""
+"""The backdrop: behind every surface, around every photograph, in its colours, and without holes."""
 
 from __future__ import annotations
 

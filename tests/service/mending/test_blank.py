@@ -1,4 +1,4 @@
-"""A blank backdrop goes to the far end where photographs contradict its depths; what else is black or white stays."""
+"""A blank backdrop moves to the far end if photographs contradict its depths; other black or white regions stay."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def posters(count: int = 2, dark: float = 0.02) -> tuple[list[FittedView], np.nd
 
 
 def inverted(views: list[FittedView]) -> list[FittedView]:
-    """The same before white."""
+    """The same in front of white."""
     return [replace(view, image=1 - view.image) for view in views]
 
 

@@ -1,4 +1,4 @@
-"""Compared: what stands behind a pixel that is not covered, and what every view adds."""
+"""The comparison: what is behind a pixel that is not covered, and the contribution of every view."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NAMES = ("slope", "moved", "shown", "excess")
 
 
 def splat(opacity: float, colour: np.ndarray = COLOUR) -> Gaussians:
-    """One that covers all of the picture, evenly."""
+    """A splat that covers the whole picture evenly."""
     return Gaussians.make([[0, 0, 2.0]], [[50.0] * 3], [[1.0, 0, 0, 0]], [opacity], ((colour - 0.5) / C0)[None, None])
 
 

@@ -1,4 +1,4 @@
-"""Continued depths: a plane goes on where it is not confirmed, if the photographs say so, and nothing else moves."""
+"""Continued depths: a plane goes on through unconfirmed pixels if the photographs agree, and nothing else moves."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_one_view_that_matches_is_enough(views: list[FittedView], spoiled: np.nd
 
 
 def test_a_twin_tells_nothing_and_disturbs_nothing(views: list[FittedView], spoiled: np.ndarray) -> None:
-    """From the same place every depth matches."""
+    """From the same position every depth matches."""
     pair, twin = continued(views[:2], spoiled[:2]), continued([*views[:2], views[0]], spoiled[[0, 1, 0]])
     assert (twin[0] == pair[0]).all()
 

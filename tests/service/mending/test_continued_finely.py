@@ -1,4 +1,4 @@
-"""Planes continued between the pixels: errors below a pixel end as well, and nothing bleeds in from behind a mask."""
+"""Planes continued between the pixels: errors below a pixel vanish as well, and masked regions have no influence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depths on a finer grid: exact on a plane, never across an edge, and back again the same."""
+"""Depths on a finer grid: exact on a plane, never across an edge, and back again unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scene finer than the network's grid: on which surfaces its Gaussians lie, and which colours they have."""
+"""A scene finer than the network's grid: the surfaces of its Gaussians, and their colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reconstructions with `detail`: which grid what is of, what they say, and what is refused."""
+"""Reconstructions with `detail`: the grid of each result, the scene document, and refusals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plane_scene import PlaneScene
 
-from gapmes.service import reconstruct
+from gapmes.service import inputs, reconstruct
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.errors import InputError
 from gapmes.service.harmonics import C0
@@ -60,13 +60,14 @@ def test_which_grid_each_step_works_on(engine: Engine, monkeypatch: pytest.Monke
     widths: dict[str, list[int]] = {}
 
     def recorded(name: str, place: int) -> None:
-        own = getattr(reconstruct, name)
+        module = inputs if name in ("check_photos", "narrowed") else reconstruct
+        own = getattr(module, name)
 
         def listening(*given: Any, **options: Any) -> Any:
             widths.setdefault(name, []).append(given[place][0].camera.width)
             return own(*given, **options)
 
-        monkeypatch.setattr(reconstruct, name, listening)
+        monkeypatch.setattr(module, name, listening)
 
     steps = {
         "check_photos": 0,

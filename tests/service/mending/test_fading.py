@@ -1,4 +1,4 @@
-"""Fading: what the photographs contradict goes, what they confirm stays, and nothing else happens."""
+"""Fading: Gaussians that the photographs contradict disappear, confirmed ones stay, and nothing else happens."""
 
 from __future__ import annotations
 
@@ -292,7 +292,8 @@ def test_a_line_says_what_faded(views: list[FittedView], spoiled: Gaussians) -> 
     result = faded(spoiled, views)
     line = fading_line({"fading": result.document()})
     assert line.startswith("fading in 4 passes: ")
-    assert f"of {result.halved:,} Gaussians, all that is drawn of {result.gone.sum():,}" in line
-    assert line.endswith(f"and moved colours by {255 * result.recoloured:.1f} of 255 on average")
+    lost = f"{result.halved:,} Gaussians lost half of their opacity or more, {result.gone.sum():,} are no longer drawn"
+    assert lost in line
+    assert line.endswith(f"and colours moved by {255 * result.recoloured:.1f} of 255 on average")
     assert "in 1 pass:" in fading_line({"fading": faded(spoiled, views, 1).document()})
     assert fading_line({"fading": faded(spoiled, views, 0).document()}) == "fading: off"

@@ -1,4 +1,4 @@
-"""Photographs at two sizes: each has its share of the sums, and what suits one grid of pixels alone is mended."""
+"""Photographs at two sizes: each has its share of the sums, and overfitting to one pixel grid is corrected."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def views() -> list[FittedView]:
 
 @pytest.fixture(scope="module")
 def larger() -> list[FittedView]:
-    """The same with twice the pixels each way."""
+    """The same with twice the pixels in each direction."""
     return plane_views(2 * SIDE)[::2]
 
 

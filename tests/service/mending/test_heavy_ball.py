@@ -1,4 +1,4 @@
-"""The heavy ball: steps, their momentum and limits."""
+"""The heavy-ball method: steps, their momentum and limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is done after the network: whose each Gaussian is, what takes the place of what, and what may fade."""
+"""The steps after the network: which pixel each Gaussian belongs to, what replaces what, and what may fade."""
 
 from __future__ import annotations
 

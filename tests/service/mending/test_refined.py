@@ -1,4 +1,4 @@
-"""Refined depths: nearer to the truth where photographs can tell, and untouched where they cannot."""
+"""Refined depths: closer to the truth where photographs determine them, and unchanged where they do not."""
 
 from __future__ import annotations
 

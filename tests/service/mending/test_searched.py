@@ -1,4 +1,4 @@
-"""Searched depths: a wrong surface is found again anywhere in the range, and nothing moves without a better match."""
+"""Searched depths: a wrong surface is corrected anywhere in the range, and nothing moves without a better match."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def off_px(views: list[FittedView], depths: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_a_wrong_patch_is_found_again(count: int, views: list[FittedView], spoiled: np.ndarray) -> None:
-    """To the next level."""
+    """Up to the next level."""
     found = searched(views[:count], spoiled[:count])
     assert off_px(views[:count], spoiled[:count])[0][PATCH].min() > 3
     assert (off_px(views[:count], found)[0][PATCH] < 1).mean() > 0.95  # found: all, by 0.35 px at most

@@ -1,4 +1,4 @@
-"""Planes through what is sure beside their definition, and what they say of themselves."""
+"""Planes through confirmed pixels against their definition, and the figures that describe them."""
 
 from __future__ import annotations
 

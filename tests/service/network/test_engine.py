@@ -1,4 +1,4 @@
-"""The engine: what it refuses to load and to run, and that equal inputs give equal bits."""
+"""The engine: what it refuses to load and to run, and equal bits from equal inputs."""
 
 import hashlib
 import os
@@ -75,7 +75,9 @@ def test_the_default_thread_count_needs_no_cpu_affinity(standin_model, monkeypat
     assert Engine(standin_model).threads == os.cpu_count()
 
 
-@pytest.mark.parametrize("name", ["openvino-fp16", "onnxruntime-x", "openvino", "openvino_fp32", "x"])
+@pytest.mark.parametrize(
+    "name", ["openvino-fp16", "onnxruntime-x", "openvino", "openvino_fp32", "x", None, 3, b"onnxruntime"]
+)
 def test_an_engine_that_is_none_is_refused(standin_model, name):
     """Its results would tell of another precision than they have."""
     with pytest.raises(ModelError, match="is no engine") as caught:

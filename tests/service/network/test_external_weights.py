@@ -1,4 +1,4 @@
-"""Weights in a file beside the graph: the same network, named by one sum, and refused where they are other weights."""
+"""External weights: the same network, identified by one hash, and refused if they are other weights."""
 
 from __future__ import annotations
 

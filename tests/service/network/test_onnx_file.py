@@ -1,4 +1,4 @@
-"""The header of an .onnx file: what the onnx package says of it, and `ValueError` alone for what is no such file."""
+"""The header of an .onnx file: as the onnx package reads it, and only `ValueError` for other files."""
 
 from __future__ import annotations
 

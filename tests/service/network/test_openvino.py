@@ -1,4 +1,4 @@
-"""OpenVINO beside onnxruntime: the same network within rounding, in the precision that was asked for, and said so."""
+"""OpenVINO against onnxruntime: the same network within rounding, in the requested precision, as reported."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ BF16_COST_DB = 0.7
 
 
 class Recording(Engine):
-    """Keeps what its last run gave."""
+    """Keeps the outputs of its last run."""
 
     def run(self, *arguments: Any, **named: Any) -> Arrays:
         self.last = super().run(*arguments, **named)
@@ -78,7 +78,7 @@ class Sample:
         return self._made[engine]
 
     def quality(self, engine: str) -> float:
-        """dB beside the photograph."""
+        """PSNR in dB against the photograph."""
         return psnr(self.made(engine)[2], self._truth(Engine(threads=1)).image)
 
     def _truth(self, engine: Engine) -> Any:

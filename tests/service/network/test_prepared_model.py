@@ -1,4 +1,4 @@
-"""The optimised model: the same bits, made once, and never in the way where it cannot be made or read."""
+"""The optimised model: the same bits, made once, and no obstacle if it cannot be made or read."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def outputs(engine: Engine, views: int = 2) -> dict[str, np.ndarray]:
 
 
 def mapped(path: Path) -> bool:
-    """Whether this process has the file in its memory as a file."""
+    """Whether this process has mapped the file into its memory."""
     return str(path) in Path("/proc/self/maps").read_text()
 
 

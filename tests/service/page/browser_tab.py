@@ -1,4 +1,4 @@
-"""Chromium, and a page of its own in it that remembers what went wrong."""
+"""Chromium, and a page in it that records errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def launched(playwright: Any, *flags: str) -> Any:
 
 
 class Tab:
-    """A page of its own, and what went wrong in it."""
+    """A page in its own tab, and the errors that occurred in it."""
 
     def __init__(self, browser: Any, address: str, **options: Any) -> None:
         self.address = address

@@ -1,4 +1,4 @@
-"""Chromium, driven by Playwright, over a service with the stand-in network; skipped where there is none of the two."""
+"""Chromium, driven by Playwright, with a service over the stand-in network; skipped if either is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A service on a port of this machine, as a browser sees it, and pictures read out of the browser."""
+"""A service on a local port, as a browser sees it, and pictures read from the browser."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RECONSTRUCTION_MS = 180_000  # patience, not a limit: three photographs take 15 
 
 @contextmanager
 def serving(settings: Settings) -> Iterator[str]:
-    """Its address, once it is ready."""
+    """The address of the service, once it is ready."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
@@ -60,7 +60,7 @@ def _ready(address: str) -> bool:
 
 @contextmanager
 def broken_answers() -> Iterator[str]:
-    """An address where every answer ends before it is whole."""
+    """An address at which every answer is cut off."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
 
         def answer() -> None:
@@ -89,7 +89,7 @@ def write_scene(folder: Path, images: list[bytes], cameras: Any) -> list[Path]:
 
 
 def choose(page: Any, paths: list[Path]) -> None:
-    """By the browser's own chooser, as a hand does."""
+    """Choose files in the browser's own file chooser, as a user does."""
     with page.expect_file_chooser() as chooser:
         page.click("#files")
     chooser.value.set_files(paths)

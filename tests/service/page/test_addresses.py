@@ -1,4 +1,4 @@
-"""What the page's address asks for: scenes and jobs, also those that are gone, and texts that lead elsewhere."""
+"""What the page's address names: scenes and jobs, also deleted ones, and texts that would lead elsewhere."""
 
 from __future__ import annotations
 
@@ -42,6 +42,7 @@ def test_what_is_no_id_never_becomes_a_path(tab: Tab, kind: str, text: str) -> N
     page.wait_for_selector(f"#{'problem' if kind == 'job' else 'view-problem'}:has-text('need 32 hex digits')")
     page.wait_for_selector("#picture[src^='blob:']")
     assert page.is_hidden("#cancel")
+    assert "job=" not in page.url
     assert not [path for path in asked if path.startswith("/jobs/")]
     assert httpx.get(f"{tab.address}/scenes/{newest}").status_code == 200
 

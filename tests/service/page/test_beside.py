@@ -1,4 +1,4 @@
-"""What stands beside the view: pictures of the inputs as they are seen, and the plan of the cameras."""
+"""The part beside the view: pictures of the inputs once they are seen, and the plan of the cameras."""
 
 from __future__ import annotations
 

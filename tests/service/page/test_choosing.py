@@ -1,4 +1,4 @@
-"""What the chooser of files shows, and what is told of a scene that was made of them."""
+"""The file chooser, and the description of a scene that was made from files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What helps, in the words of the page: never in those for requests, options or settings."""
+"""Cures in the page's own words: never in those of requests, options or settings."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ APART["views"][1]["c2w"][0][3] = 100.0
 @pytest.mark.parametrize(
     ("name", "cameras", "helps"),
     [
-        ("cameras.json", {}, "is it the right file? Cameras come as cameras.json, transforms.json"),
-        ("cameras.json", [], "is it the right file? Cameras come as cameras.json, transforms.json"),
-        ("package.json", {"name": "page", "version": "1.0.0"}, "is it the right file? Cameras come as cameras.json"),
-        ("transforms.json", {"frames": [{}, {}]}, "is it the right file? Cameras come as cameras.json"),
-        ("readme.txt", "# Read me", "is it the right file? Cameras come as cameras.json"),
-        ("cameras.json", APART, 'as they are, tick "Only warn where …" under Options'),
+        ("cameras.json", {}, "choose a camera file: cameras.json, transforms.json"),
+        ("cameras.json", [], "choose a camera file: cameras.json, transforms.json"),
+        ("package.json", {"name": "page", "version": "1.0.0"}, "choose a camera file: cameras.json"),
+        ("transforms.json", {"frames": [{}, {}]}, "choose a camera file: cameras.json"),
+        ("readme.txt", "# Read me", "choose a camera file: cameras.json"),
+        ("cameras.json", APART, 'as they are, tick "Only warn if …" under Options'),
     ],
 )
 def test_of_a_wrong_camera_file(tab: Tab, tmp_path: Path, name: str, cameras: Any, helps: str) -> None:
@@ -50,7 +50,7 @@ def test_of_a_wrong_camera_file(tab: Tab, tmp_path: Path, name: str, cameras: An
         (DeadlineExceeded("9 s", cure="use fewer views, or raise GAPMES_RECONSTRUCT_SECONDS"), "use fewer views"),
         (ModelNotReady("stage 'network'", cure="poll /readyz until it answers 200"), "the top of the page names"),
         (ViewCountError("1 image", field="images", cure="send a `capture`"), "choose 2 to 6 photographs"),
-        (FormatError("2 rows are invalid", field="ply", cure=DROP_CURE), "write the file anew"),
+        (FormatError("2 rows are invalid", field="ply", cure=DROP_CURE), "write the file again"),
         (OverlapError("0 %", field="cameras", cure="near?; if they are right, set trust_poses"), "near?; if they are"),
     ],
 )
@@ -68,7 +68,7 @@ def test_of_what_else_is_refused(tab: Tab, tmp_path: Path, error: Any, helps: st
 
 @pytest.mark.parametrize("answer", [{"message": "no upstream"}, [], None, "broken", {"title": 3}])
 def test_an_answer_that_is_no_problem_document_is_told_by_its_status(tab: Tab, tmp_path: Path, answer: Any) -> None:
-    """Such as that of a proxy."""
+    """For example that of a proxy."""
     page = tab.open()
     page.route("**/check", lambda route: route.fulfill(status=502, json=answer))
     page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))

@@ -1,4 +1,4 @@
-"""A job as the page follows it: where no stream of its events is to be had, and when it is to end."""
+"""The page follows a job: without a stream of its events, and while it is being cancelled."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_where_the_job_is_refused_too_its_words_are_shown(
     choose_two(page, tmp_path, seed=160)
     before = page.url
     page.click("#go")
-    page.wait_for_selector("#stage-name:has-text('2 requests are following jobs; asking again')")
+    page.wait_for_selector("#stage-name:has-text('2 requests are following jobs; retrying')")
     page.unroute("**/jobs/**")
     held_network.set()
     made(page, before)
@@ -58,7 +58,7 @@ def test_a_cancelled_job_is_ending_until_it_has_ended(tab: Tab, tmp_path: Path, 
     page.wait_for_selector("#stage-name:has-text('network')")
     page.focus("#cancel")
     page.keyboard.press("Enter")
-    page.wait_for_selector("#stage-name:has-text('ending after this stage')")
+    page.wait_for_selector("#stage-name:has-text('cancelling after this stage')")
     assert page.get_attribute("#cancel", "aria-disabled") == "true"
     held_network.set()
     page.wait_for_selector("#problem:has-text('cancelled')")

@@ -1,4 +1,4 @@
-"""What the page makes of the frame in which WebGL draws: by a frame of the test's own, and by the viewer itself."""
+"""The frame in which WebGL draws: with a frame of the test's own, and with the viewer itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keys and the focus: what belongs to the browser stays with it, and nobody is thrown back to the top of the page."""
+"""Keyboard and focus: the browser keeps its own keys, and the focus is never lost to the top of the page."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_only_the_first_button_turns(tab: Tab) -> None:
 
 
 def test_the_wheel_with_ctrl_stays_the_browsers(tab: Tab, scene: str) -> None:
-    """It enlarges the page, as a pinch on a trackpad does; alone it comes nearer."""
+    """It zooms the page, as a pinch on a trackpad does; without Ctrl it moves the camera closer."""
     page = opened(tab, scene)
     wheel = """([ctrlKey]) => document.getElementById("stage").dispatchEvent(
       new WheelEvent("wheel", { deltaY: -100, ctrlKey, bubbles: true, cancelable: true }))"""

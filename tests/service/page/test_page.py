@@ -1,4 +1,4 @@
-"""The page from photographs to a scene: sample, own images, refusals, reload in the middle, deletion."""
+"""The page from photographs to a scene: sample, own images, refusals, reload during a job, deletion."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_sample_end_to_end_with_the_shipped_network(browser: Any, tmp_path: Path
         error = np.mean((photo / 255.0 - again / 255.0) ** 2)
         assert -10 * np.log10(error) == pytest.approx(document["check"]["input_views"][0]["psnr"], abs=0.5)
         assert "expert 5" in page.inner_text("#about")
-        for title in ("What was left out", "How far to trust it", "Cameras and timings"):
+        for title in ("What was left out", "How far to trust the scene", "Cameras and timings"):
             page.click(f"summary:has-text('{title}')")
         page.wait_for_selector("#about meter")
         text = page.inner_text("#about")
@@ -122,7 +122,7 @@ def test_photographs_with_a_zipped_model_of_their_cameras(tab: Any, tmp_path: Pa
 
 
 def test_back_leads_out_of_a_scene_and_starting_over_starts_nothing(tab: Any, tmp_path: Path) -> None:
-    """Steps of the history are scenes; a job is none. "Try the sample", given up, does not send what comes later."""
+    """Steps of the history are scenes, not jobs. "Try the sample", once cancelled, does not send what comes later."""
     page = tab.open()
     first = page.url
     held: list[Any] = []

@@ -1,4 +1,4 @@
-"""The files of a new scene: what each is taken for, how one is taken out, and files that cannot be used as they are."""
+"""The files of a new scene: the kind of each, removing one, and files that cannot be used as they are."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gapmes.service.formats.registry import FORMATS
 
 def listed(page: Any) -> list[str]:
     return page.locator("#chosen-files button").evaluate_all(
-        "all => all.map(one => one.getAttribute('aria-label').replace('Take out ', ''))"
+        "all => all.map(one => one.getAttribute('aria-label').replace('Remove ', ''))"
     )
 
 
@@ -32,7 +32,7 @@ def test_one_file_of_gaussians_at_a_time(tab: Tab, tmp_path: Path) -> None:
     page.set_input_files("#files", [tmp_path / "31.splat", tmp_path / "32.splat"])
     page.wait_for_selector("#problem:has-text('2 at once, need one: 31.splat, 32.splat')")
     assert page.is_disabled("#go")
-    page.click("[aria-label='Take out 31.splat']")
+    page.click("[aria-label='Remove 31.splat']")
     scene = made(page, before)
     assert "from a .splat" in page.inner_text(f"li[data-id='{scene}']")
 
@@ -40,8 +40,8 @@ def test_one_file_of_gaussians_at_a_time(tab: Tab, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        (".DS_Store", "passed over"),
-        ("a.pdf", "passed over"),
+        (".DS_Store", "ignored"),
+        ("a.pdf", "ignored"),
         ("2.HEIC", "convert it to JPEG"),
         ("images.bin", "zip of its folder"),
     ],
@@ -54,8 +54,8 @@ def test_a_stray_file_spoils_nothing_and_can_be_taken_out(tab: Tab, tmp_path: Pa
     page.set_input_files("#files", files)
     page.wait_for_selector("#go:not([disabled])")
     assert told in page.inner_text(f"#chosen-files li:has-text('{name}')")
-    assert "4 files, 1 of them passed over" in page.inner_text("#so-far")
-    page.click(f"[aria-label='Take out {name}']")
+    assert "4 files, 1 of them ignored" in page.inner_text("#so-far")
+    page.click(f"[aria-label='Remove {name}']")
     page.wait_for_selector("#go:not([disabled])")
     assert listed(page) == ["0.png", "1.png", "cameras.json"]
     page.click("#clear")
@@ -64,14 +64,14 @@ def test_a_stray_file_spoils_nothing_and_can_be_taken_out(tab: Tab, tmp_path: Pa
 
 
 def test_files_are_taken_out_by_keys(tab: Tab, tmp_path: Path) -> None:
-    """The focus stays in the list while there is one."""
+    """The focus stays in the list as long as there is one."""
     page = tab.open()
     choose_two(page, tmp_path, seed=33)
-    page.focus("[aria-label='Take out 1.png']")
+    page.focus("[aria-label='Remove 1.png']")
     for left in (["0.png", "cameras.json"], ["0.png"]):
         page.keyboard.press("Enter")
         assert listed(page) == left
-        assert page.evaluate("document.activeElement.getAttribute('aria-label')") == f"Take out {left[-1]}"
+        assert page.evaluate("document.activeElement.getAttribute('aria-label')") == f"Remove {left[-1]}"
     page.keyboard.press("Enter")
     assert page.evaluate("document.activeElement.id") == "files"
     assert page.is_hidden("#chosen")
@@ -86,7 +86,7 @@ def test_another_photograph_of_the_same_name_is_told(tab: Tab, tmp_path: Path) -
     page.wait_for_selector("#go:not([disabled])")
     assert page.is_hidden("#replaced")
     choose(page, write_scene(tmp_path / "other", [photograph(36)], {})[:1])
-    page.wait_for_selector("#replaced:has-text('0.png takes the place of another file of that name')")
+    page.wait_for_selector("#replaced:has-text('0.png replaces another file of that name')")
     page.wait_for_selector("#go:not([disabled])")
     assert listed(page) == ["0.png", "1.png", "cameras.json"]  # in its place: cameras may be paired by order
 
@@ -164,7 +164,7 @@ def test_what_is_set_is_told_and_ends_with_the_try(tab: Tab, tmp_path: Path) -> 
     for name, value in (("near", "0.5"), ("far", "20")):
         page.fill(f"#{name}", value)
     page.check("#trust_poses")
-    assert page.inner_text("#options summary") == "Options: near 0.5, far 20, poses are trusted"
+    assert page.inner_text("#options summary") == "Options: near 0.5, far 20, poses trusted"
     choose_two(page, tmp_path, seed=40)
     assert "Depth from 0.5 to 20 (given)" in page.inner_text("#understood")
     page.click("#clear")

@@ -1,4 +1,4 @@
-"""What the page says when something is wrong, and that it goes on from there."""
+"""The page's messages when something is wrong, and that it continues from there."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_the_files_of_a_model_go_in_as_one_zip(tab: Any, tmp_path: Path) -> None
 
 
 def test_sixty_photographs_at_once(tab: Any, tmp_path: Path) -> None:
-    """More than a scene takes: it is asked how many of them are to be used, and nothing is refused."""
+    """More than a scene takes: the page asks how many to use, and nothing is refused."""
     page = tab.open()
     cameras = camera_object(60)
     for index, view in enumerate(cameras["views"]):
@@ -108,7 +108,7 @@ def test_sixty_photographs_at_once(tab: Any, tmp_path: Path) -> None:
     page.on("request", lambda request: asked.append(request.url))
     page.set_input_files("#files", write_scene(tmp_path, [photograph(k) for k in range(60)], cameras))
     page.wait_for_selector("#choice:has-text('60 photographs')")
-    page.wait_for_selector("#understood:has-text('Say how many')")
+    page.wait_for_selector("#understood:has-text('Choose how many')")
     assert not any(url.endswith("/check") for url in asked)
     assert page.is_disabled("#go")
     page.select_option("#context", "3")
@@ -187,18 +187,18 @@ def test_an_answer_that_breaks_off_is_told_and_the_page_goes_on(tab: Any, *, cut
 
         page.route("**/scenes?*", breaking)
         tab.open()
-        page.wait_for_selector("#view-problem:has-text('broke off')")
+        page.wait_for_selector("#view-problem:has-text('was cut off')")
         page.unroute("**/scenes?*")
         tab.open(f"/?scene={second}")
         page.route(f"**/scenes/{first}", breaking)
         page.click(f"li[data-id='{first}'] button >> nth=0")
-        page.wait_for_selector("#shelf-problem:has-text('broke off')")
+        page.wait_for_selector("#shelf-problem:has-text('was cut off')")
         page.unroute(f"**/scenes/{first}")
         page.click(f"li[data-id='{first}'] button >> nth=0")
         page.wait_for_url(lambda url: url.endswith(first))
         page.route("**/readyz", breaking)
         page.reload()
-        page.wait_for_selector("#state:has-text('broke off')")
+        page.wait_for_selector("#state:has-text('was cut off')")
         page.unroute("**/readyz")
         page.wait_for_selector("#state:has-text('Network')")
         page.wait_for_selector("#picture[src^='blob:']")
@@ -206,7 +206,7 @@ def test_an_answer_that_breaks_off_is_told_and_the_page_goes_on(tab: Any, *, cut
             page.click("#mode-server")
             page.route("**/render*", breaking)
             page.click("#nearer")
-            page.wait_for_selector("#view-problem:has-text('broke off')")
+            page.wait_for_selector("#view-problem:has-text('was cut off')")
 
 
 def test_with_a_full_disk_scenes_can_still_be_seen(browser: Any, standin_model: Path, tmp_path: Path) -> None:

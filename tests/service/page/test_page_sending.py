@@ -1,4 +1,4 @@
-"""What is on its way to the service: it can be given up at any moment, and a job is not lost to who looks elsewhere."""
+"""Uploads: they can be cancelled at any moment, and a job is not lost to a user who looks elsewhere."""
 
 from __future__ import annotations
 
@@ -166,3 +166,22 @@ def test_the_focus_goes_with_the_work(tab: Tab, tmp_path: Path, held_network: th
     page.focus("#clear")
     page.keyboard.press("Enter")
     assert page.evaluate(FOCUS) == "files"
+
+
+def test_a_check_that_is_under_way_is_not_given_up_for_another(tab: Tab) -> None:
+    """Nor is what waits for it: who asks for the sample while the page still loads its lists gets it."""
+    page = tab.page
+    lists: list[Any] = []
+    checks: list[Any] = []
+    page.route("**/scenes?*", lambda route: route.continue_() if lists else lists.append(route))
+    page.route("**/check", lambda route: route.continue_() if checks else checks.append(route))
+    page.goto(tab.address)
+    with page.expect_request("**/check"):
+        page.click("#sample")
+    while not (lists and checks):
+        page.wait_for_timeout(20)
+    before = page.url
+    lists[0].continue_()
+    page.wait_for_selector("#main[aria-busy=false]")
+    checks[0].continue_()
+    made(page, before)

@@ -1,4 +1,4 @@
-"""The page on a phone: its width and colours, fingers, and the way to what lies far below."""
+"""The page on a phone: its width and colours, touch, and the way to what is far below."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def phone(browser: Any, address: str) -> Iterator[Tab]:
 def test_a_phone_in_the_dark(phone: Tab, scene: str, tmp_path: Path) -> None:
     """Nothing is wider than the screen, buttons are large enough for a finger, the page is dark."""
     page = opened(phone, scene)
-    for title in ("How far to trust it", "Cameras and timings", "Options"):
+    for title in ("How far to trust the scene", "Cameras and timings", "Options"):
         page.click(f"summary:has-text('{title}')")
     page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
     page.wait_for_selector(".cards li")

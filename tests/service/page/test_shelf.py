@@ -1,4 +1,4 @@
-"""The list of scenes: it stays as long as it was, and tells which is on show and what went wrong in it."""
+"""The list of scenes: it keeps its length, marks the current scene, and shows its own errors."""
 
 from __future__ import annotations
 

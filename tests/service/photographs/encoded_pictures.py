@@ -1,4 +1,4 @@
-"""Random pictures, and files of them."""
+"""Random pictures and their encoded files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photographs on the network's grid: matched with their cameras, turned, cropped, with intrinsics that follow."""
+"""Photographs on the network's grid: paired with their cameras, rotated, cropped, with matching intrinsics."""
 
 from __future__ import annotations
 

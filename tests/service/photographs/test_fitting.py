@@ -1,14 +1,17 @@
-"""Photographs on their way to the network: one at a time at full size, and each with something left under its mask."""
+"""Fitting photographs to the network: one at a time at full size, each with some pixel left under its mask."""
 
 import io
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.camera_fields import view_through
 from gapmes.service.cameras.distortion import Lens
+from gapmes.service.cameras.pose import checked_pose
 from gapmes.service.errors import ImageError
 from gapmes.service.photographs import fitting as fitting_module
 from gapmes.service.photographs import images as images_module
@@ -110,3 +113,67 @@ def test_what_exif_says_is_told_whether_the_lens_bends_or_not(engine, bent, orie
     assert {notice["index"] for notice in notices} <= {1}
     if told:
         assert "the stored size 640 x 480" in notices[0]["message"]
+
+
+@pytest.mark.parametrize("bent", [False, True])
+@pytest.mark.parametrize(
+    ("stored", "seen", "told"), [((1000, 1005), (1005, 1000), False), ((47, 32), (1500, 1000), True)]
+)
+def test_what_exif_says_is_told_where_it_was_not_done(engine, bent, stored, seen, told):
+    """Nearly square, and turned; and so small that whole pixels change the aspect by 2 %, and left as it is stored."""
+    photo = Photo(np.random.default_rng(2).integers(0, 256, (*stored[::-1], 3), dtype=np.uint8), orientation=6)
+    lens = Lens(*seen, 1000.0, 1000.0, seen[0] / 2, seen[1] / 2, k1=0.05)
+    camera = view_through(None, lens if bent else replace(lens, k1=0.0), checked_pose(np.eye(4)), field="x").camera
+    buffer = io.BytesIO()
+    Image.fromarray(photo.rgb).save(buffer, "PNG", exif=_turned(6))
+    encoded = EncodedPhoto(buffer.getvalue(), lens=lens if bent else None)
+    for notices in (
+        fit_notices(photo, camera, encoded.lens, 1, engine.info),
+        fitted(encoded, camera, 1, engine.info)[2],
+    ):
+        assert [notice["code"] for notice in notices] == ["exif_orientation_ignored"] * told + ["undistorted"] * bent
+
+
+def _turned(orientation: int) -> Image.Exif:
+    exif = Image.Exif()
+    exif[0x112] = orientation
+    return exif
+
+
+def test_a_bent_photograph_of_another_resolution_has_a_pinhole_of_whole_pixels(engine):
+    """1000 x 666 px of a lens of 6000 x 4000: its pinhole of 7234 x 4302 px has 1205.7 x 716.3 there, 1206 x 716 in
+    whole pixels, whose aspect is another by more than 1 px. A square of the scene stands where its camera has it."""
+    lens = Lens(6000, 4000, 3900.0, 3900.0, 3000.0, 2000.0, k1=-0.25, k2=0.06)
+    camera = view_through(None, lens, checked_pose(np.eye(4)), field="x").camera
+    across = (np.arange(1000) + 0.5) * (6000 / 1000)
+    down = (np.arange(666) + 0.5) * (4000 / 666)
+    x, y = lens.undistorted(*np.meshgrid((across - lens.cx) / lens.fx, (down - lens.cy) / lens.fy))
+    square = (np.abs(x - 0.1) < 0.1) & (np.abs(y + 0.2) < 0.1)
+    pixels = np.repeat(np.where(square, 255, 0).astype(np.uint8)[:, :, None], 3, axis=2)
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG")
+    photo = EncodedPhoto(buffer.getvalue(), lens=lens)
+    view, _, notices = fitted(photo, camera, 0, engine.info)
+    assert [notice["code"] for notice in notices] == ["undistorted"]
+    height, width = view.image.shape[1:]
+    weights = view.image[0] / view.image[0].sum()
+    middle = weights.sum(axis=0) @ (np.arange(width) + 0.5), weights.sum(axis=1) @ (np.arange(height) + 0.5)
+    expected = view.camera.fx * 0.1 + view.camera.cx, view.camera.fy * -0.2 + view.camera.cy
+    np.testing.assert_allclose(middle, expected, atol=0.05)
+    wrong = camera.cropped(0, 0, 6000, 4000)
+    with pytest.raises(ImageError, match="its camera 6000 x 4000 px: the aspects differ"):
+        fitted(photo, wrong, 0, engine.info)
+    with pytest.raises(ImageError, match="its camera 6000 x 4000 px: the aspects differ"):
+        fit_notices(Photo(pixels), wrong, lens, 0, engine.info)
+
+
+def test_a_bent_photograph_that_is_smaller_than_the_scene_is_told_of_before_it_is_resampled(engine):
+    """Of a lens of 2000 x 1500 px a photograph of 100 x 75."""
+    lens = Lens(2000, 1500, 1800.0, 1800.0, 1000.0, 750.0, k1=-0.1)
+    camera = view_through(None, lens, checked_pose(np.eye(4)), field="x").camera
+    photo = Photo(np.random.default_rng(1).integers(0, 256, (75, 100, 3), dtype=np.uint8))
+    buffer = io.BytesIO()
+    Image.fromarray(photo.rgb).save(buffer, "PNG")
+    told = fit_notices(photo, camera, lens, 1, engine.info, 2)
+    assert [notice["code"] for notice in told] == ["undistorted", "detail_beyond_photograph"]
+    assert told == fitted(EncodedPhoto(buffer.getvalue(), lens=lens), camera, 1, engine.info, 2, finer=2)[2]

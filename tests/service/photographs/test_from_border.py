@@ -1,4 +1,4 @@
-"""What is joined to the border of the picture: against a walk from there, and on ways that wind."""
+"""Regions connected to the border of the picture: against a flood fill, and on winding paths."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Python programs give for a photograph: PIL images as what they show, bytes of any kind, cures else."""
+"""Photographs given in Python: PIL images as displayed, bytes of any kind, and cures for all else."""
 
 from __future__ import annotations
 

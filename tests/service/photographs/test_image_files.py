@@ -1,4 +1,4 @@
-"""What a file may cost before it is decoded: scans of a JPEG, pixels of several photographs together."""
+"""The cost of a file before it is decoded: scans of a JPEG, pixels of several photographs together."""
 
 import io
 import warnings

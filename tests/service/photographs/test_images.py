@@ -62,6 +62,12 @@ def test_bombs_are_413_before_decoding(width, height):
     assert (caught.value.status, caught.value.index) == (413, 1)
 
 
+def test_a_limit_above_pillows_own_is_not_named_as_the_reason():
+    own = 2 * Image.MAX_IMAGE_PIXELS
+    with pytest.raises(ImageTooLarge, match=f"has more pixels than the limit of {own}"):
+        decode_image(png_header(20_000, 10_000), index=0, max_pixels=400_000_000)
+
+
 def test_the_pixel_limit_is_an_option():
     data = encoded(Image.fromarray(picture(100, 100)))
     assert decode_image(data, index=0, max_pixels=10_000).width == 100

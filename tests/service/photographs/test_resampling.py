@@ -1,4 +1,4 @@
-"""A mask that leaves out nothing of a crop is none, and what is taken for out of reach is."""
+"""A mask that leaves out no pixel of a crop counts as none, and which pixels count as out of reach."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photographs of rolled cameras: turned with their cameras until all stand alike, for the network alone."""
+"""Photographs of rolled cameras: rotated with their cameras until all are aligned, for the network only."""
 
 from __future__ import annotations
 

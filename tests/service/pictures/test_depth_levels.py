@@ -1,4 +1,4 @@
-"""Depth pictures read back: half a level at most from what was drawn, by what the file says of itself."""
+"""Depth pictures read back: within half a level of the drawn depth, by the scale in the file."""
 
 from __future__ import annotations
 

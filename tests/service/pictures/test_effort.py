@@ -1,4 +1,4 @@
-"""A picture's effort: planes that nobody asked for are not drawn, and every setting is the splatter's own."""
+"""A picture's effort: outputs that are not requested are not drawn, and every setting is the splatter's own."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Films decoded again: every frame there, in order, at its time and like what was drawn; memory for one of them."""
+"""Films decoded again: all frames, in order, at their times and like the drawn ones; memory for one frame."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_every_frame_comes_back(format: Any, tmp_path: Path) -> None:
 
 
 def times_of(path: Path) -> list[int]:
-    """ms of each frame, of a film that begins anew by itself."""
+    """The duration of each frame in ms, of a film that loops."""
     with Image.open(path) as image:
         assert image.info["loop"] == 0
         times = []

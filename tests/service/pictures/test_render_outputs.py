@@ -1,4 +1,4 @@
-"""`gapmes render` as a user calls it: films, contact sheets and depth, and what it refuses before it draws."""
+"""`gapmes render` as a user runs it: films, contact sheets and depth, and its refusals before drawing."""
 
 from __future__ import annotations
 
@@ -291,11 +291,11 @@ def test_other_models_of_the_cameras_are_told(folder: Path, capfd: pytest.Captur
     arguments = ("-o", folder / "views", "--threads", 1, "--json")
     assert run("render", folder / "scene.ply", "--cameras", folder / "project", *arguments) == 0
     out, err = capfd.readouterr()
-    assert len(json.loads(out)["views"]) == 2
-    assert "warning: 2 COLMAP models are there: sparse/0 (2 images) is read, passed over are sparse/1 (3 images)" in err
-    assert run("render", folder / "scene.ply", "--cameras", folder / "project/sparse/1/images.bin", *arguments) == 0
+    assert len(json.loads(out)["views"]) == 3
+    assert "warning: 2 COLMAP models are there: sparse/1 (3 images) is read; ignored: sparse/0 (2 images)" in err
+    assert run("render", folder / "scene.ply", "--cameras", folder / "project/sparse/0/images.bin", *arguments) == 0
     document = json.loads(capfd.readouterr().out)
-    assert len(document["views"]) == 3
+    assert len(document["views"]) == 2
     assert not any("COLMAP" in warning for warning in document["warnings"])
 
 

@@ -1,4 +1,4 @@
-"""The allocator's settings, in a process of their own: what was freed goes back to the system, or is used again."""
+"""The allocator's settings, in a separate process: freed memory returns to the system, or is used again."""
 
 from __future__ import annotations
 

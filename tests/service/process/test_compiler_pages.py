@@ -1,5 +1,5 @@
-"""The compiler's pages leave a process that gives memory back, come back when they are needed, and are left alone where
-they are not as in their file."""
+"""The compiler's pages leave a process that releases memory, return when needed, and stay where they differ from their
+file."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ PATH = "/a folder/llvmlite/binding/libllvmlite.so"
 
 
 def numbers_of(program: str) -> list[float]:
-    """What a process of its own prints."""
+    """The numbers that a separate process prints."""
     command = [sys.executable, "-c", RESIDENT + program]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, timeout=300).stdout)
 

@@ -1,4 +1,4 @@
-"""Files that take the place of others: whole or not at all, also where IN is OUT and the disk is full."""
+"""Replacing files: completely or not at all, also if IN is OUT or the disk is full."""
 
 from __future__ import annotations
 
@@ -24,6 +24,14 @@ from full_disk import LIMIT, contents, full_disk
 from gapmes.service import write_gaussians, write_ply
 from gapmes.service.pictures.film import FilmShape, write_film
 from gapmes.service.process.disk import replace_file, replacing, write_file
+
+# Under nohup the signal would be ignored.
+COMMAND = """
+import signal
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+from gapmes.service.cli import main
+main()
+"""
 
 
 def write_gif(path: Path) -> None:
@@ -135,14 +143,9 @@ def test_a_pipe_hears_nothing_of_what_fails(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGHUP])
 def test_a_command_that_is_told_to_end_leaves_no_half_of_a_file(folder: Path, ending: signal.Signals) -> None:
-    words = [sys.executable, "-c", "from gapmes.service.cli import main; main()", *RENDER]
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it would be ignored, there and here
-    try:
-        there = contents(folder)
-        process = subprocess.Popen([*words, "film.gif", "--seconds", "600", "-q"], cwd=folder)
-    finally:
-        signal.signal(signal.SIGHUP, before)
-    with process:
+    there = contents(folder)
+    words = [sys.executable, "-c", COMMAND, *RENDER, "film.gif", "--seconds", "600", "-q"]
+    with subprocess.Popen(words, cwd=folder) as process:
         deadline = time.monotonic() + 120
         while not list(folder.glob(".gapmes-*")):
             assert time.monotonic() < deadline

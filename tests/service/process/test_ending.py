@@ -1,4 +1,4 @@
-"""The signals that end a command: what is half written goes, and who has decided otherwise keeps that."""
+"""Signals that end a command: partial files are removed, and ignored signals stay ignored."""
 
 from __future__ import annotations
 

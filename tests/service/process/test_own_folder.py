@@ -1,4 +1,4 @@
-"""Folders for a while: what a kill has left goes, what somebody uses stays."""
+"""Temporary folders: those left by a killed process are removed, those in use stay."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def aged(folder: Path) -> None:
 
 @pytest.fixture
 def left(tmp_path: Path) -> Path:
-    """Of a process that was killed."""
+    """The folder of a killed process."""
     subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
     [folder] = tmp_path.iterdir()
     assert (folder / "half").is_file()

@@ -1,4 +1,4 @@
-"""Processes that share a port know when all of them are loaded, and who comes later."""
+"""Processes that share a port know when all of them are loaded, also those that join later."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gapmes.service.process.peers import Peers, is_alive
 
 @pytest.fixture
 def gone() -> int:
-    """The number of a process that has ended."""
+    """The number of an ended process."""
     process = subprocess.Popen([sys.executable, "-c", ""])
     process.wait()
     return process.pid

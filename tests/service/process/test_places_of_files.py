@@ -1,4 +1,4 @@
-"""Where a path leads: streams that are open are written to and lose nothing, links are followed or refused by name."""
+"""Where a path leads: open streams are written to without loss, links are followed or refused by name."""
 
 from __future__ import annotations
 

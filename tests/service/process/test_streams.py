@@ -1,4 +1,4 @@
-"""Standard streams that the caller has closed: they lead nowhere, in this process and in those that it starts."""
+"""Standard streams that the caller has closed lead nowhere, in this process and in its children."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress on stderr: bars on a terminal, lines elsewhere; and text of others, which no terminal obeys."""
+"""Progress on stderr: bars on a terminal, lines elsewhere; and foreign text, without terminal escapes."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ from gapmes.service.progress import Stages
 
 # Draws bars, says so on stdout, and waits within them.
 DRAWING = """
-import os, time
+import os, signal, sys, time
 from gapmes.service.process.ending import ended_in_order
 from gapmes.service.process.terminal import ProgressBars
+signal.signal(int(sys.argv[1]), signal.SIG_DFL)  # under nohup it would be ignored
 with ended_in_order(), ProgressBars() as bars:
     os.write(1, b"drawn\\n")  # what is printed would appear above the bars
     for _ in range(12_000):
@@ -52,7 +53,7 @@ def test_names_of_properties_are_shown_and_not_obeyed(tmp_path: Path, capfd: pyt
     (tmp_path / "in.ply").write_bytes(binary_file(table))
     assert run("convert", tmp_path / "in.ply", tmp_path / "out.ply", "--measure", "off", "--json") == 0
     out, err = capfd.readouterr()
-    assert json.loads(out)["warnings"] == ["properties passed over: label\\x1b[31m"]
+    assert json.loads(out)["warnings"] == ["properties ignored: label\\x1b[31m"]
     assert "\x1b" not in err
 
 
@@ -70,10 +71,9 @@ def test_progress_is_drawn_on_a_terminal_and_written_elsewhere(capfd: pytest.Cap
 @pytest.mark.parametrize("ending", SIGNALS)
 def test_a_signal_leaves_the_terminal_its_cursor(monkeypatch: pytest.MonkeyPatch, ending: signal.Signals) -> None:
     monkeypatch.setenv("TERM", "xterm")
-    before = signal.signal(ending, signal.SIG_DFL)  # under nohup it would be ignored, there and here
     ours, theirs = pty.openpty()
-    with subprocess.Popen([sys.executable, "-c", DRAWING], stdout=subprocess.PIPE, stderr=theirs) as process:
-        signal.signal(ending, before)
+    command = [sys.executable, "-c", DRAWING, str(int(ending))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"drawn\n"
         process.send_signal(ending)

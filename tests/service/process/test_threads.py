@@ -1,4 +1,4 @@
-"""Threads by the container's limit: both versions of control groups, limits above the own group, and none."""
+"""Threads by the container's limit: both versions of cgroups, limits of parent groups, and no limit."""
 
 from __future__ import annotations
 

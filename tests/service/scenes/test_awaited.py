@@ -1,4 +1,4 @@
-"""A scene that a job has just made is there until who asked for it has seen that it is."""
+"""A scene that a job has just made stays until its client has seen that it exists."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes of the store that were damaged from outside: refused by name, counted as none, replaced, removed, evicted."""
+"""Scenes in the store that were damaged from outside: refused by name, not counted, replaced, removed, evicted."""
 
 from __future__ import annotations
 

@@ -1,16 +1,25 @@
-"""The store's SQLite file: versions, whole transactions, a full disk, many who open it at once."""
+"""The store's SQLite file: versions, complete transactions, a full disk, concurrent opening."""
 
 from __future__ import annotations
 
+import os
+import resource
 import sqlite3
 import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from full_disk import full_disk
 
-from gapmes.service.errors import GapmesError, StorageFull
+from gapmes.service.errors import GapmesError, ServiceBusy, StorageFull
 from gapmes.service.jobs.table import JobTable
+from gapmes.service.scenes import database as database_module
 from gapmes.service.scenes.database import Database
+from gapmes.service.scenes.scene_index import Indexed, SceneIndex
+
+ROOM = 150_000  # bytes of a file: for the tables, and for some writes to them
 
 # Version 1, with a job that is kept, one whose request waits, one that runs, and one that is done.
 VERSION_1 = """
@@ -80,7 +89,7 @@ def test_what_is_no_such_file_is_refused(tmp_path: Path) -> None:
 
 
 def damage(path: Path) -> None:
-    """All but the first page is something else."""
+    """Overwrite all but the first page."""
     with sqlite3.connect(path) as connection:
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     connection.close()
@@ -138,6 +147,26 @@ def test_a_full_disk_is_named(tmp_path: Path) -> None:
     assert database.rows("SELECT * FROM scenes") == []
 
 
+def test_the_log_of_writes_does_not_fill_the_disk_for_good(tmp_path: Path) -> None:
+    """Each write makes it longer, and it is the disk that ends that: then there is room again at once."""
+    database, refused = Database(tmp_path / "index.sqlite"), 0
+    with full_disk(ROOM):
+        for number in range(200):
+            try:
+                mark(database, number)
+            except StorageFull:
+                refused += 1
+                mark(database, number)
+    assert 0 < refused < 50
+    assert database.rows("SELECT id FROM scenes")[0]["id"] == "199"
+
+
+def mark(database: Database, number: int) -> None:
+    with database.write() as connection:
+        connection.execute("DELETE FROM scenes")
+        connection.execute("INSERT INTO scenes VALUES (?, 1, 1, 1, '{}')", [str(number)])
+
+
 def test_many_open_a_new_file_at_once(tmp_path: Path) -> None:
     failures = []
 
@@ -154,3 +183,67 @@ def test_many_open_a_new_file_at_once(tmp_path: Path) -> None:
         for thread in threads:
             thread.join()
     assert failures == []
+
+
+@contextmanager
+def no_file_left() -> Iterator[None]:
+    """This process can open no further file."""
+    before, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, most))
+    taken = []
+    try:
+        with suppress(OSError):
+            while True:
+                taken.append(os.open(os.devnull, os.O_RDONLY))
+        yield
+    finally:
+        for number in taken:
+            os.close(number)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (before, most))
+
+
+def test_a_thread_that_finds_no_file_left_may_try_again(tmp_path: Path) -> None:
+    """Its connection is its own; another that is open already serves on."""
+    database = Database(tmp_path / "index.sqlite")
+    told: list[BaseException | None] = []
+
+    def ask() -> None:
+        try:
+            database.rows("SELECT 1")
+            told.append(None)
+        except BaseException as error:
+            told.append(error)
+
+    def ask_elsewhere() -> None:
+        thread = threading.Thread(target=ask)
+        thread.start()
+        thread.join()
+
+    with no_file_left():
+        ask_elsewhere()
+        ask()
+    ask_elsewhere()
+    assert isinstance(told[0], ServiceBusy)
+    assert told[1:] == [None, None]
+
+
+def test_who_meets_a_locked_file_may_try_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Locked by a program that is none of the service's, such as a backup: reading goes on."""
+    monkeypatch.setattr(database_module, "BUSY_S", 0.05)
+    database = Database(tmp_path / "index.sqlite")
+    index = SceneIndex(database)
+    index.add([Indexed("s", 1, 1, 1, {})])
+    with closing(sqlite3.connect(tmp_path / "index.sqlite", isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(ServiceBusy, match=r"locked the index for 0\.05 s"):
+            index.remove(["s"])
+        index.used("s")
+        assert [row.used_ns for row in index.page(1)] == [1]
+    assert index.remove(["s"]) == 1
+
+
+def test_an_index_that_is_a_folder_is_no_busy_service(tmp_path: Path) -> None:
+    (tmp_path / "index.sqlite").mkdir()
+    with pytest.raises(GapmesError, match="cannot be used") as caught:
+        Database(tmp_path / "index.sqlite")
+    assert not isinstance(caught.value, ServiceBusy)

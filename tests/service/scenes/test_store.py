@@ -1,4 +1,4 @@
-"""The store: whole or nothing, first put wins, no path from outside, and a bounded cache."""
+"""The store: all or nothing, the first put wins, no path from outside, and a bounded cache."""
 
 import errno
 import fcntl

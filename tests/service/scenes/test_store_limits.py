@@ -1,4 +1,4 @@
-"""The store's limits: what goes when there is too much or it is too old, and what never does."""
+"""The store's limits: what is evicted by size or age, and what never is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arrays between guards: kernels write without bounds checks, and what lies beside their arrays must stay."""
+"""Arrays between guards: kernels write without bounds checks, and memory beside their arrays must not change."""
 
 from __future__ import annotations
 

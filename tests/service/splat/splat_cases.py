@@ -1,4 +1,4 @@
-"""Scenes, cameras and comparisons that the splatter's tests share."""
+"""Scenes, cameras and comparisons for the splatter's tests."""
 
 from __future__ import annotations
 

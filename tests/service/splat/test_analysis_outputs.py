@@ -1,4 +1,4 @@
-"""Median depth, peak weights, removed mass and counted pairs: against the reference, and what must hold of them."""
+"""Median depth, peak weights, removed mass and counted pairs: against the reference, and their invariants."""
 
 from dataclasses import replace
 

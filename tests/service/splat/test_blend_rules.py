@@ -1,4 +1,4 @@
-"""Knobs of the definition against the float64 reference, and the exact skips inside a tile."""
+"""Knobs of the definition against the float64 reference, and exact skipping inside a tile."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Kernels write without bounds checks: here what they fill lies between guards that must stay untouched."""
+"""Kernels write without bounds checks: the guards around their outputs must stay unchanged."""
 
 import numpy as np
 import pytest

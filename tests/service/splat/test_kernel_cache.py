@@ -1,6 +1,8 @@
-"""Compiled kernels find a writable folder of their own, and no kernel assumes NaN away."""
+"""Compiled kernels find a writable folder of their own, and no kernel assumes that NaN is absent."""
 
 import os
+import threading
+from collections.abc import Callable
 
 import numba
 import pytest
@@ -62,6 +64,34 @@ def test_kernels_go_where_the_stamp_says():
     warm_up()
     assert list(KERNELS.rglob("*.nbi"))
     assert str(KERNELS) != numba.config.CACHE_DIR  # other users of numba keep their own
+
+
+def test_kernels_decorated_at_once_leave_the_folder_of_others_alone(monkeypatch):
+    """Threads import modules of kernels when they first need them; the one that ends last must not restore ours."""
+    before, begun, ended = numba.config.CACHE_DIR, [threading.Event() for _ in range(2)], threading.Event()
+
+    def njit(**_: object) -> Callable:
+        def decorated(function: Callable) -> Callable:
+            begun[functions.index(function)].set()
+            (begun[1] if function is functions[0] else ended).wait(0.2)
+            return function
+
+        return decorated
+
+    def decorate(function: Callable) -> None:
+        kernel()(function)
+        ended.set()
+
+    functions = [lambda: 1, lambda: 2]
+    monkeypatch.setattr(numba, "njit", njit)
+    threads = [threading.Thread(target=decorate, args=(function,)) for function in functions]
+    threads[0].start()
+    assert begun[0].wait(5)
+    threads[1].start()
+    for thread in threads:
+        thread.join()
+    after, numba.config.CACHE_DIR = numba.config.CACHE_DIR, before
+    assert after == before
 
 
 def test_the_users_cache_folder_comes_next(monkeypatch, tmp_path, bare, denied):

@@ -1,4 +1,4 @@
-"""What an opacity does to a picture, against finite differences of the float64 reference."""
+"""The derivative of a picture by an opacity, against finite differences of the float64 reference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ranges are each run once, on any number of threads, and an error in one reaches the caller."""
+"""Every range runs once, on any number of threads, and an error in one reaches the caller."""
 
 import threading
 import time

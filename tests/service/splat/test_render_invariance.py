@@ -1,4 +1,4 @@
-"""What must not change the image: threads, order of the input, batches, units, tile borders, the world's origin."""
+"""What must not change the image: threads, input order, batches, units, tile borders, the world's origin."""
 
 from dataclasses import replace
 

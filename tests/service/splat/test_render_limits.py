@@ -1,4 +1,4 @@
-"""Extreme and empty input: a finite image or a named refusal, and everything left out is counted."""
+"""Extreme and empty input: a finite image or a refusal by name, and everything left out is counted."""
 
 import sys
 import tracemalloc

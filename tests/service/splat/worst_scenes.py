@@ -1,4 +1,4 @@
-"""Scenes whose rounding errors were looked for: found by climbing, and built of what climbing found."""
+"""Scenes with large rounding errors: found by hill climbing, and built from what it found."""
 
 from __future__ import annotations
 

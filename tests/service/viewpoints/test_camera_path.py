@@ -1,4 +1,4 @@
-"""Camera paths by their axioms: closed, through the inputs, even, smooth, and moving with the world."""
+"""Camera paths by their axioms: closed, through the inputs, uniform, smooth, and covariant with the world."""
 
 from __future__ import annotations
 

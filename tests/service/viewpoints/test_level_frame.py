@@ -1,4 +1,4 @@
-"""The frame for viewers: upright, about the pivot, in the pivot's depth; pictures are the same as in the world's."""
+"""The frame for viewers: upright, about the pivot, scaled by its depth; pictures are the same as in the world's."""
 
 from __future__ import annotations
 

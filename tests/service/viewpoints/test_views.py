@@ -1,4 +1,4 @@
-"""Named views: input views to the bit, places between them, and orbits that keep the pivot in the middle."""
+"""Named views: input views to the bit, positions between them, and orbits that keep the pivot centred."""
 
 import math
 

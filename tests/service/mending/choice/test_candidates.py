@@ -1,4 +1,4 @@
-"""What is known of the candidates: each number by its meaning, whatever the world, its unit and the order of views."""
+"""The features of the candidates: each number by its meaning, for any world, unit and order of views."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The small network beside its definition in float64."""
+"""The small network against its definition in float64."""
 
 from __future__ import annotations
 

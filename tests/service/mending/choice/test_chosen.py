@@ -1,4 +1,4 @@
-"""What is chosen: the candidate that is preferred, where there is a choice, and never what would reveal the unseen."""
+"""The choice: the preferred candidate, only for undecided pixels, and never one that would reveal the unseen."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _grid() -> np.ndarray:
 
 
 def always(place: int) -> ChoiceNetwork:
-    """Prefers one candidate, whatever is known."""
+    """Prefers one candidate regardless of its features."""
     zeros = [np.zeros(shape, np.float32) for shape in ((KNOWN, 1), (ABOUT, 1), (COUNT, 1), (1, 1), (1, 1), 1, 1)]
     prior = np.zeros(COUNT, np.float32)
     prior[place] = 20

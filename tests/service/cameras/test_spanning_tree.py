@@ -1,4 +1,4 @@
-"""The shortest ways between cameras: the tree of least length, whatever the order, and ties by the order."""
+"""The minimum spanning tree of cameras: the least length in any order, ties by the order."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.rotations import about_axis
-from gapmes.service.cameras.shortest_ways import shortest_ways
+from gapmes.service.cameras.spanning_tree import minimum_spanning_tree
 
 
 def at(*centers: Sequence[float]) -> list[Camera]:
@@ -20,12 +20,6 @@ def at(*centers: Sequence[float]) -> list[Camera]:
         pose[:3, 3] = center
         cameras.append(Camera.make(64, 48, 60.0, 60.0, 32.0, 24.0, pose))
     return cameras
-
-
-def places(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
-    """The ways as places in the list."""
-    index = {id(camera): place for place, camera in enumerate(cameras)}
-    return [(index[id(first)], index[id(second)]) for first, second in shortest_ways(cameras)]
 
 
 def length(cameras: Sequence[Camera], ways: Sequence[tuple[int, int]]) -> float:
@@ -42,13 +36,13 @@ def joins_all(count: int, ways: Sequence[tuple[int, int]]) -> bool:
 def test_a_path_is_walked_along() -> None:
     for count in range(2, 7):
         cameras = at(*([0.4 * step, 0.02 * step**2, 0.01 * step] for step in range(count)))
-        assert places(cameras) == list(pairwise(range(count)))
+        assert minimum_spanning_tree(cameras) == list(pairwise(range(count)))
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_no_tree_is_shorter(seed: int) -> None:
     cameras = at(*np.random.default_rng(seed).normal(size=(5, 3)))
-    found = places(cameras)
+    found = minimum_spanning_tree(cameras)
     assert joins_all(5, found)
     trees = [ways for ways in combinations(combinations(range(5), 2), 4) if joins_all(5, ways)]
     assert len(trees) == 5**3
@@ -57,21 +51,23 @@ def test_no_tree_is_shorter(seed: int) -> None:
 
 def test_the_order_of_cameras_does_not_matter() -> None:
     cameras = at(*np.random.default_rng(7).normal(size=(5, 3)))
-    expected = {frozenset(way) for way in places(cameras)}
+    expected = {frozenset(way) for way in minimum_spanning_tree(cameras)}
     for order in permutations(range(5)):
-        assert {frozenset(order[end] for end in way) for way in places([cameras[place] for place in order])} == expected
+        assert {
+            frozenset(order[end] for end in way) for way in minimum_spanning_tree([cameras[place] for place in order])
+        } == expected
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_of_equal_ways_those_along_the_order_are_taken_in_any_world(seed: int) -> None:
-    """A square that is walked around: its four sides are equally long but for rounding."""
+    """Cameras around a square: its four sides are equally long up to rounding."""
     rng = np.random.default_rng(seed)
     axis = rng.normal(size=3)
     turn = about_axis(axis / np.linalg.norm(axis), rng.uniform(0, 3))
     cameras = at(*(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) @ turn.T + rng.normal(size=3)))
-    assert places(cameras) == [(0, 1), (1, 2), (2, 3)]
+    assert minimum_spanning_tree(cameras) == [(0, 1), (1, 2), (2, 3)]
 
 
 def test_cameras_in_one_place_are_joined_too() -> None:
-    assert places(at([1, 2, 3], [1, 2, 3])) == [(0, 1)]
-    assert places(at([1, 2, 3])) == []
+    assert minimum_spanning_tree(at([1, 2, 3], [1, 2, 3])) == [(0, 1)]
+    assert minimum_spanning_tree(at([1, 2, 3])) == []

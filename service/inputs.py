@@ -1,0 +1,66 @@
+"""From photographs and cameras to the network's input: fitted to its grid, checked against each other, equalised."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from .cameras.camera import Camera
+from .cameras.depth_range import DepthRange
+from .cameras.view_checks import DEPTH_PLANES, Notice, range_notices
+from .matching.depth_sweep import coarse_notices, narrowed
+from .matching.epipolar import off_lines
+from .matching.exposures import equalised
+from .matching.missed_depths import missed_depths
+from .matching.pair_matches import PairMatches
+from .matching.photo_checks import check_photos
+from .matching.sharpness import less_sharp
+from .network.model_info import ModelInfo
+from .photographs.fitting import FittedPhotos, Picture, fitted_photos
+from .photographs.rolled import quarter_turns, turned_photos
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """Photographs on the network's grid, and what matching them has shown."""
+
+    photos: FittedPhotos  # at one exposure, as their cameras stand
+    turned: FittedPhotos  # the same, turned by quarter turns to stand alike (`rolled.py`)
+    turns: list[int]  # counterclockwise quarter turns of each
+    depths: DepthRange  # narrowed to where the photographs match
+    warnings: list[Notice]
+
+
+def prepared_inputs(
+    images: Sequence[Picture],
+    cameras: Sequence[Camera],
+    numbers: Sequence[int],
+    depths: DepthRange,
+    info: ModelInfo,
+    *,
+    detail: int,
+    finer: int,
+    trust_poses: bool,
+    done: Callable[[int], None],
+) -> Inputs:
+    """Fit, check and equalise V photographs of V cameras for the network of `info`.
+
+    `depths` is the range as given or estimated from the cameras; `detail`, `finer` and `done` are those of
+    `fitted_photos`, `trust_poses` that of `check_photos`; `numbers` are what the caller calls the views. Raises
+    `ImageError` for a photograph that cannot be used and `ContradictionError` where the photographs refute the poses.
+    """
+    given = fitted_photos(images, cameras, numbers, info, detail, finer=finer, done=done)
+    doubts = check_photos(given.seen, depths, trust_poses=trust_poses, numbers=numbers)
+    planes = info.depth_planes or DEPTH_PLANES
+    found = narrowed(depths, given.seen, planes)
+    pairs = PairMatches(given.seen, found)
+    photos, exposure = equalised(given, pairs, numbers)
+    turns = quarter_turns(cameras, square=info.height == info.width)
+    warnings = [
+        *given.notices,
+        *range_notices(found, planes),
+        *coarse_notices(depths, found, given.seen, planes),
+        *(doubts or [*(off_lines(pairs, numbers) or missed_depths(pairs)), *less_sharp(pairs, numbers)]),
+        *exposure,
+    ]
+    return Inputs(photos, turned_photos(photos, turns), turns, found, warnings)

@@ -1,0 +1,54 @@
+"""Verification as a separate command: files that do not belong together are refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import onnx
+import pytest
+
+from gapmes.export.metadata import add_metadata
+from gapmes.export.verify import main
+from gapmes.model.checkpoint import shipped_checkpoint
+from gapmes.service.shipped import shipped_model
+
+
+def refused(model: Path, checkpoint: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """The message of the refusal; nothing is written."""
+    report = model.with_name("report.json")
+    assert main([str(model), "--checkpoint", str(checkpoint), "--report", str(report)]) == 1
+    assert not report.exists()
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.startswith("refused: ")
+    assert told.err.count("\n") == 1
+    return told.err
+
+
+def test_what_is_no_model_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = tmp_path / "text.onnx"
+    text.write_text("text")
+    checkpoint = shipped_checkpoint("tiny")
+    assert "none.onnx cannot be read: No such file" in refused(tmp_path / "none.onnx", checkpoint, capsys)
+    assert "text.onnx cannot be loaded, it is no ONNX file" in refused(text, checkpoint, capsys)
+
+
+def test_another_checkpoint_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model, other = tmp_path / "tiny.onnx", tmp_path / "other.safetensors"
+    model.write_bytes(shipped_model().read_bytes())
+    other.write_bytes(b"other")
+    assert "tiny.onnx was made from" in refused(model, other, capsys)
+    assert "none.safetensors" in refused(model, tmp_path / "none.safetensors", capsys)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [("precision", "fp99", "gapmes.precision is 'fp99', need fp32 or int8"), ("config", "{}", "cannot build")],
+)
+def test_metadata_that_say_nothing_are_named(
+    key: str, value: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = onnx.load(shipped_model())
+    add_metadata(model, {key: value})
+    onnx.save(model, tmp_path / "odd.onnx")
+    assert said in refused(tmp_path / "odd.onnx", shipped_checkpoint("tiny"), capsys)

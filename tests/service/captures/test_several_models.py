@@ -1,0 +1,124 @@
+"""Captures with several COLMAP models, and models that are named: which is read, and where its photographs are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from capture_scenes import arc, names, write_colmap, zipped
+
+from gapmes.service.captures.capture import open_capture
+from gapmes.service.captures.select import Wish
+
+
+def write_models(root: Path, counts: dict[str, int], *, text: bool = False) -> None:
+    """A project with photographs and a model of so many images in each folder."""
+    for folder, count in counts.items():
+        write_colmap(root, arc(count), folder, text=text)
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("packed", [False, True])
+def test_of_several_models_one_is_read_and_the_others_are_named(tmp_path: Path, text: bool, packed: bool) -> None:
+    root, path = tmp_path / "scene", tmp_path / "scene"
+    write_models(root, {"sparse/0": 3, "sparse/1": 5, "sparse/10": 2, "sparse/2": 4}, text=text)
+    (root / "sparse" / "notes").mkdir()
+    if packed:
+        path = tmp_path / "capture.zip"
+        path.write_bytes(zipped(root, inside="inner/"))
+    inside, form = ("inner/" if packed else ""), ("txt" if text else "bin")
+    found = open_capture(path).choose(Wish())
+    assert found.indices == (0, 1, 2, 3, 4)
+    (notice,) = found.warnings
+    assert notice == {
+        "code": "several_models",
+        "field": "capture",
+        "message": f"4 COLMAP models are there: {inside}sparse/1 (5 images) is read; ignored: {inside}sparse/0 "
+        f"(3 images), {inside}sparse/2 (4 images), {inside}sparse/10 (2 images) (for another one name a file of it, "
+        f"such as {inside}sparse/0/images.{form}; in a zip keep its folder alone)",
+    }
+
+
+@pytest.mark.parametrize(
+    ("counts", "read"),
+    [
+        ({"sparse/0": 2, "sparse/1": 2, "sparse/2": 2}, "sparse/0"),
+        ({"sparse/2": 2, "sparse/10": 3}, "sparse/10"),
+        ({"sparse/0": 2, "sparse/0_before": 3, "colmap/sparse/0": 3}, "sparse/0"),
+        ({"sparse": 2, "sparse/1": 3}, "sparse"),
+        ({"colmap/sparse/0": 2, "colmap/sparse/1": 3}, "colmap/sparse/1"),
+    ],
+)
+def test_the_numbered_model_with_most_images_is_read(tmp_path: Path, counts: dict[str, int], read: str) -> None:
+    """The mapper numbers them as it finds them; what has another name is somebody's own."""
+    write_models(tmp_path, counts)
+    assert open_capture(tmp_path).choose(Wish()).selection["cameras"] == f"{read}/images.bin"
+
+
+def test_a_model_that_does_not_say_its_number_of_images_stays_the_first(tmp_path: Path) -> None:
+    write_models(tmp_path, {"sparse/0": 2, "sparse/1": 3}, text=True)
+    images = tmp_path / "sparse/0/images.txt"
+    images.write_text("".join(line for line in images.read_text().splitlines(True) if not line.startswith("#")))
+    assert open_capture(tmp_path).choose(Wish()).selection["cameras"] == "sparse/0/images.txt"
+
+
+def test_many_models_are_counted(tmp_path: Path) -> None:
+    write_models(tmp_path, {"sparse": 2} | {f"colmap/sparse/{index}": 2 for index in range(7)})
+    (notice,) = open_capture(tmp_path).table.warnings
+    assert "8 COLMAP models are there: sparse (2 images) is read" in notice["message"]
+    assert "colmap/sparse/4 (2 images), 2 more (for" in notice["message"]
+
+
+@pytest.mark.parametrize("data", [b"", b"\1\0\0", b"\xff" * 8])
+def test_a_model_that_is_not_read_may_be_damaged(tmp_path: Path, data: bytes) -> None:
+    write_models(tmp_path, {"sparse/0": 2, "sparse/1": 2})
+    (tmp_path / "sparse/1/images.bin").write_bytes(data)
+    (notice,) = open_capture(tmp_path).table.warnings
+    assert "ignored: sparse/1 (for another" in notice["message"]
+
+
+@pytest.mark.parametrize("folder", ["sparse/1", "sparse", "colmap/sparse/3", "colmap/sparse"])
+def test_a_named_model_has_the_photographs_of_its_project(
+    tmp_path: Path, folder: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_models(tmp_path, {folder: 3, "sparse/0": 2})
+    inside, named = tmp_path / folder, Path(folder)
+    for path in (inside / "images.bin", named / "cameras.bin", named, Path("images.bin"), Path()):
+        monkeypatch.chdir(tmp_path if path.is_relative_to(named) else inside)
+        found = open_capture(path).choose(Wish())
+        assert found.selection["cameras"] == f"{folder}/images.bin"
+        assert found.paths == tuple(f"images/{name}" for name in names(3))
+        assert found.warnings == ()
+        assert found.read(1)
+
+
+def test_a_named_model_with_photographs_beside_it_keeps_them(tmp_path: Path) -> None:
+    write_models(tmp_path, {"sparse/0": 2})
+    (tmp_path / "images").rename(tmp_path / "sparse/0/images")
+    found = open_capture(tmp_path / "sparse/0/images.bin").choose(Wish())
+    assert found.paths == tuple(f"images/{name}" for name in names(2))
+
+
+def test_a_single_model_is_not_talked_about(tmp_path: Path) -> None:
+    write_models(tmp_path, {"sparse/0": 2})
+    (tmp_path / "sparse/1").mkdir()
+    assert open_capture(tmp_path).choose(Wish()).warnings == ()
+
+
+def test_a_project_may_be_called_colmap(tmp_path: Path) -> None:
+    """As nerfstudio calls the folder of its models, which has no photographs."""
+    project = tmp_path / "colmap"
+    write_models(project, {"sparse/0": 3})
+    for path in (project, project / "sparse/0/images.bin", project / "sparse/0", project / "sparse"):
+        assert open_capture(path).choose(Wish()).paths == tuple(f"images/{name}" for name in names(3))
+    for path in (project / "images").iterdir():
+        path.rename(project / path.name)
+    (project / "images").rmdir()
+    assert open_capture(project).choose(Wish()).paths == tuple(names(3))
+
+
+def test_the_folder_of_a_single_model_stands_for_it(tmp_path: Path) -> None:
+    write_models(tmp_path, {"sparse/4": 3})
+    found = open_capture(tmp_path / "sparse").choose(Wish())
+    assert found.selection["cameras"] == "sparse/4/images.bin"
+    assert found.paths == tuple(f"images/{name}" for name in names(3))
