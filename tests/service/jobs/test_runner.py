@@ -193,10 +193,10 @@ def test_stopping_waits_for_what_runs_and_leaves_the_rest(place: Place) -> None:
 
 
 def test_stopping_leaves_what_takes_too_long_to_another(place: Place) -> None:
-    going = threading.Event()
-    runner = place.runner(lambda *_: going.wait(120))
+    begun, going = threading.Event(), threading.Event()
+    runner = place.runner(lambda *_: (begun.set(), going.wait(120)))
     place.submit()
-    place.until(lambda job: job.state == "running")
+    assert begun.wait(60)
     runner.stop(0.05)
     job = place.table.get("1")
     assert (job.state, job.attempts) == ("queued", 0)
@@ -209,10 +209,10 @@ def test_stopping_leaves_what_takes_too_long_to_another(place: Place) -> None:
 
 
 def test_stopping_ends_what_was_cancelled_and_its_inputs_go(place: Place) -> None:
-    going = threading.Event()
-    runner = place.runner(lambda *_: going.wait(120))
+    begun, going = threading.Event(), threading.Event()
+    runner = place.runner(lambda *_: (begun.set(), going.wait(120)))
     place.submit()
-    place.until(lambda job: job.state == "running")
+    assert begun.wait(60)
     place.table.cancel("1")
     runner.stop(0.05)
     assert place.table.get("1").state == "cancelled"
