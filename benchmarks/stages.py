@@ -16,7 +16,7 @@ from collections import defaultdict
 from pathlib import Path
 
 from gapmes.service.captures.capture import open_capture
-from gapmes.service.captures.select import Wish, checked_wish
+from gapmes.service.captures.select import ViewSelection, checked_selection
 from gapmes.service.formats.ply_write import write_ply
 from gapmes.service.mending.fade_passes import DEFAULT_PASSES
 from gapmes.service.network.backends.choice import DEFAULT_ENGINE, ENGINES
@@ -44,7 +44,7 @@ class Clock:
 def one_run(service: Reconstructor, capture: Path, views: str, passes: int) -> dict[str, float]:
     """Seconds by stage; `write .ply` is the time of writing the file, `all` that of everything, opening included."""
     start, clock = time.process_time(), Clock()
-    found = open_capture(capture).choose(checked_wish(Wish(views, None, field="views")))
+    found = open_capture(capture).choose(checked_selection(ViewSelection(views, None, field="views")))
     read = [found.read(place) for place in range(len(found.indices))]
     photos = [EncodedPhoto(data, lens=view.lens) for data, view in zip(read, found.file.views, strict=True)]
     scene = service.reconstruct(

@@ -23,7 +23,7 @@ UNKNOWN = Deviation(np.inf, np.inf, np.inf, 1.0, np.inf, finite=False)
 
 
 @dataclass(frozen=True)
-class BesideFloat64:
+class Float64Comparison:
     """One output of the exported file and of torch in float32, each against torch in float64."""
 
     exported: Deviation
@@ -53,7 +53,7 @@ def deviations(values: Outputs, reference: Outputs, flipped: NDArray[np.bool_], 
     }
 
 
-def beside_float64(values: Outputs, reference: Outputs, network: Network, case: Case) -> dict[str, BesideFloat64]:
+def beside_float64(values: Outputs, reference: Outputs, network: Network, case: Case) -> dict[str, Float64Comparison]:
     """Errors of both float32 results against torch in float64, excluding elements affected by a patch that took another
     route in either; infinite where float64 is not finite or a share of less than LEFT remains. The network is returned
     to float32."""
@@ -65,5 +65,5 @@ def beside_float64(values: Outputs, reference: Outputs, network: Network, case: 
     flipped = flipped_patches(values, exact, kept) | flipped_patches(reference, exact, kept)
     exported, single = (deviations(result, exact, flipped, case) for result in (values, reference))
     if share_left(flipped, exact) < LEFT:
-        return {name: BesideFloat64(UNKNOWN, UNKNOWN) for name in exported}
-    return {name: BesideFloat64(exported[name], single[name]) for name in exported}
+        return {name: Float64Comparison(UNKNOWN, UNKNOWN) for name in exported}
+    return {name: Float64Comparison(exported[name], single[name]) for name in exported}

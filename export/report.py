@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from .compare import Deviation
-from .deviations import BesideFloat64
+from .deviations import Float64Comparison
 from .pictures import PictureAgreement
 from .routes import RouteAgreement
 
@@ -22,7 +22,7 @@ class CaseResult:
     gates: str
     views: int
     outputs: dict[str, Deviation] = field(default_factory=dict)
-    beside_float64: dict[str, BesideFloat64] = field(default_factory=dict)  # for outputs beyond a limit
+    beside_float64: dict[str, Float64Comparison] = field(default_factory=dict)  # for outputs beyond a limit
     routes: RouteAgreement | None = None
     picture: PictureAgreement | None = None  # of the rendered results, where they were compared
     failures: list[str] = field(default_factory=list)
@@ -71,7 +71,7 @@ class Report:
                 views=case["views"],
                 outputs={name: Deviation(**_read(value)) for name, value in case["outputs"].items()},
                 beside_float64={
-                    name: BesideFloat64(Deviation(**_read(value["exported"])), Deviation(**_read(value["torch"])))
+                    name: Float64Comparison(Deviation(**_read(value["exported"])), Deviation(**_read(value["torch"])))
                     for name, value in case.get("beside_float64", {}).items()
                 },
                 routes=RouteAgreement(**_read(case["routes"])) if case["routes"] else None,

@@ -30,7 +30,7 @@ from gapmes.service.network.model_file import ModelFile, model_file
 from gapmes.service.process.with_parent import end_with_parent
 
 from .cases import Case, verification_cases
-from .deviations import LEFT, BesideFloat64, beside_float64, deviations, share_left, untouched_elements
+from .deviations import LEFT, Float64Comparison, beside_float64, deviations, share_left, untouched_elements
 from .gate_settings import GateSetting, gate_values, with_gates
 from .graph import SceneGraph, evaluated
 from .pictures import PictureAgreement, picture_agreement
@@ -128,7 +128,7 @@ def _run(case: Case, session: onnxruntime.InferenceSession, network: Network, to
     ]
     finite = all(found.finite for found in outputs.values())
     failures += [f"{name}: not finite" for name, found in outputs.items() if not found.finite]
-    exact: dict[str, BesideFloat64] = {}
+    exact: dict[str, Float64Comparison] = {}
     if beyond and finite and tolerance.rounding_factor is not None:
         exact = beside_float64(values, reference, network, case)
         result = replace(result, beside_float64={name: exact[name] for name, _, _ in beyond})

@@ -27,7 +27,6 @@ from .http import (
     viewer,
 )
 from .http.access import OPEN, SCHEMES, KeyNeeded
-from .http.curfew import AnsweredInTime
 from .http.described import describe
 from .http.heads import Heads
 from .http.limits import BodyLimit
@@ -36,6 +35,7 @@ from .http.origins import KnownPages
 from .http.parameters import given_once
 from .http.runtime import Runtime
 from .http.schemas import Problem
+from .http.shutdown_deadline import AnsweredInTime
 from .http.unread import BodyLeft
 from .progress import Listener
 from .settings import Settings
@@ -94,9 +94,9 @@ def create_app(
             CORSMiddleware, allow_origins=origins, allow_methods=["*"], allow_headers=["*"], expose_headers=EXPOSED
         )
     app.add_middleware(Heads)
-    app.add_middleware(AnsweredInTime, curfew=runtime.curfew, seconds=settings.drain_seconds)
+    app.add_middleware(AnsweredInTime, shutdown_deadline=runtime.shutdown_deadline, seconds=settings.drain_seconds)
     app.add_middleware(Observed)
-    app.add_middleware(BodyLeft, curfew=runtime.curfew)
+    app.add_middleware(BodyLeft, shutdown_deadline=runtime.shutdown_deadline)
     return app
 
 

@@ -9,7 +9,7 @@ from .cameras.camera import Camera
 from .cameras.depth_range import DepthRange
 from .cameras.view_checks import DEPTH_PLANES, Notice, range_notices
 from .matching.depth_sweep import coarse_notices, narrowed
-from .matching.epipolar import off_lines
+from .matching.epipolar import inexact_poses
 from .matching.exposures import equalised
 from .matching.missed_depths import missed_depths
 from .matching.pair_matches import PairMatches
@@ -60,7 +60,7 @@ def prepared_inputs(
         *given.notices,
         *range_notices(found, planes),
         *coarse_notices(depths, found, given.seen, planes),
-        *(doubts or [*(off_lines(pairs, numbers) or missed_depths(pairs)), *less_sharp(pairs, numbers)]),
+        *(doubts or [*(inexact_poses(pairs, numbers) or missed_depths(pairs)), *less_sharp(pairs, numbers)]),
         *exposure,
     ]
     return Inputs(photos, turned_photos(photos, turns), turns, found, warnings)

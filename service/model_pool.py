@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 @dataclass(eq=False)
-class _Place(Generic[T]):
+class _Entry(Generic[T]):
     """One thing: `loaded` is there from the moment at which its loading begins, and counts from then on."""
 
     size: int
@@ -41,25 +41,25 @@ class Pool(Generic[T]):
         self._changed = threading.Condition()
         self._queue: deque[object] = deque()  # who has asked and neither uses it nor loads it yet
         self._turn = 0
-        self._places: dict[str, _Place[T]] = {name: _Place(size) for name, size in sizes.items()}
+        self._entries: dict[str, _Entry[T]] = {name: _Entry(size) for name, size in sizes.items()}
 
     @contextmanager
     def using(self, name: str) -> Iterator[T]:
         """The thing, for as long as the block lasts; loads it where it is not there, once however many ask at the same
         time. What loading raises is raised for each of them, and the next one tries anew."""
-        place = self._places[name]
-        future, mine = self._enter(place)
+        entry = self._entries[name]
+        future, mine = self._enter(entry)
         try:
             if mine:
-                self._fill(name, place, future)
+                self._fill(name, entry, future)
             yield future.result()
         finally:
-            self._leave(place)
+            self._leave(entry)
 
     def loaded(self, name: str) -> bool:
         """Whether it is there and ready."""
         with self._changed:
-            future = self._places[name].loaded
+            future = self._entries[name].loaded
             return future is not None and future.done()
 
     def used_bytes(self) -> int:
@@ -67,51 +67,51 @@ class Pool(Generic[T]):
         with self._changed:
             return self._sum()
 
-    def _enter(self, place: _Place[T]) -> tuple[Future[T], bool]:
+    def _enter(self, entry: _Entry[T]) -> tuple[Future[T], bool]:
         """Wait for one's turn and for room, and count as a user; returns the thing, and whether one must load it."""
         ticket = object()
         with self._changed:
             self._queue.append(ticket)
             try:
-                while not (self._queue[0] is ticket and self._room_for(place)):
+                while not (self._queue[0] is ticket and self._room_for(entry)):
                     self._changed.wait()
-                place.users += 1
-                self._touch(place)
-                mine = place.loaded is None
-                future: Future[T] = place.loaded or Future()
-                place.loaded = future
+                entry.users += 1
+                self._touch(entry)
+                mine = entry.loaded is None
+                future: Future[T] = entry.loaded or Future()
+                entry.loaded = future
                 return future, mine
             finally:  # also where waiting was interrupted
                 self._queue.remove(ticket)
                 self._changed.notify_all()
 
-    def _fill(self, name: str, place: _Place[T], future: Future[T]) -> None:
+    def _fill(self, name: str, entry: _Entry[T], future: Future[T]) -> None:
         try:
             future.set_result(self._load(name))
         except BaseException as error:
             with self._changed:
-                place.loaded = None
+                entry.loaded = None
                 self._changed.notify_all()
             future.set_exception(error)
 
-    def _leave(self, place: _Place[T]) -> None:
+    def _leave(self, entry: _Entry[T]) -> None:
         with self._changed:
-            place.users -= 1
-            self._touch(place)
+            entry.users -= 1
+            self._touch(entry)
             self._changed.notify_all()
 
-    def _touch(self, place: _Place[T]) -> None:
+    def _touch(self, entry: _Entry[T]) -> None:
         self._turn += 1
-        place.used = self._turn
+        entry.used = self._turn
 
-    def _room_for(self, place: _Place[T]) -> bool:
+    def _room_for(self, entry: _Entry[T]) -> bool:
         """Whether it is there or may be loaded now; drops what must go for that, and nothing where that is not
         enough."""
-        if place.loaded is not None or self._budget is None:
+        if entry.loaded is not None or self._budget is None:
             return True
-        excess = self._sum() + place.size - self._budget
-        idle = sorted((other for other in self._places.values() if other.loaded and not other.users), key=_last_used)
-        going: list[_Place[T]] = []
+        excess = self._sum() + entry.size - self._budget
+        idle = sorted((other for other in self._entries.values() if other.loaded and not other.users), key=_last_used)
+        going: list[_Entry[T]] = []
         while excess > 0 and idle:
             going.append(idle.pop(0))
             excess -= going[-1].size
@@ -122,8 +122,8 @@ class Pool(Generic[T]):
         return True
 
     def _sum(self) -> int:
-        return sum(place.size for place in self._places.values() if place.loaded is not None)
+        return sum(entry.size for entry in self._entries.values() if entry.loaded is not None)
 
 
-def _last_used(place: _Place[T]) -> int:
-    return place.used
+def _last_used(entry: _Entry[T]) -> int:
+    return entry.used

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from gapmes.service.captures.capture import open_capture
-from gapmes.service.captures.select import Wish
+from gapmes.service.captures.select import ViewSelection
 from gapmes.service.formats.cost import picture_psnr
 from gapmes.service.formats.dialect import AUTO
 from gapmes.service.formats.registry import FORMATS
@@ -47,7 +47,7 @@ class Cost:
 def costs(service: Reconstructor, folder: Path, fade: int) -> dict[str, Cost]:
     """The cost of each format, by its extension."""
     capture = open_capture(folder)
-    found = capture.choose(Wish(context=2))
+    found = capture.choose(ViewSelection(context=2))
     photos = [EncodedPhoto(found.read(place), lens=view.lens) for place, view in enumerate(found.file.views)]
     scene = service.reconstruct(
         photos, found.file.cameras, near=found.file.near, far=found.file.far, fade=fade, leave_one_out=0

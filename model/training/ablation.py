@@ -32,7 +32,7 @@ POLL_SECONDS = 1.0
 Results = dict[str, dict[int, Scores]]
 
 
-class Board:
+class StudyProgress:
     """Which run of how many, its step and the time left; a bar on a terminal, lines elsewhere."""
 
     def __init__(self, console: Console, runs: Sequence[Run]) -> None:
@@ -105,9 +105,9 @@ def ablate(
     if lpips is not None:
         _add_lpips(results, runs, batches, lpips, console)
     check_comparable(results)
-    board = Board(console, open_runs)
+    progress = StudyProgress(console, open_runs)
     for run in open_runs:
-        with board.watch(run):
+        with progress.watch(run):
             results[run.name][run.seed] = scores = run.execute(batches, lpips)
         check_comparable(results)
         console.print(

@@ -21,7 +21,7 @@ from .colmap import folders_below_project, is_of_colmap
 from .files import Files, FolderFiles
 from .photographs import FOLDERS, Photographs
 from .recognise import MAX_CAMERA_BYTES, recognised, table_of_file
-from .select import DEFAULT_CONTEXT, Wish, several_named_views
+from .select import DEFAULT_CONTEXT, ViewSelection, several_named_views
 from .table import CameraTable
 from .usable import usable_views
 
@@ -97,7 +97,7 @@ class Capture:
         except ImageError:
             return None
 
-    def choose(self, wish: Wish, near: float | None = None, far: float | None = None) -> ChosenViews:
+    def choose(self, wanted: ViewSelection, near: float | None = None, far: float | None = None) -> ChosenViews:
         """The requested views; `near` and `far` of the user override those of the file.
 
         Without a request all views of a capture of up to six. In a larger one views are chosen among those with a
@@ -106,18 +106,18 @@ class Capture:
         """
         count = len(self.table.names)
         said: dict[str, Any] = {"format": self.table.kind, "cameras": self.table.source, "of": count}
-        if wish.select is not None:
-            indices = several_named_views(wish.select, self.names, field=wish.field, path_of=self._found)
+        if wanted.select is not None:
+            indices = several_named_views(wanted.select, self.names, field=wanted.field, path_of=self._found)
             return self._chosen(self.cameras(indices), indices, {"by": "select", **said})
-        if wish.context is None and count <= MAX_VIEWS:
+        if wanted.context is None and count <= MAX_VIEWS:
             indices = list(range(count))
             return self._chosen(self.cameras(indices), indices, {"by": "all", **said})
         there = self._with_photograph()
         said["without_photograph"] = count - len(there)
-        if wish.context is None and len(there) <= MAX_VIEWS:
+        if wanted.context is None and len(there) <= MAX_VIEWS:
             return self._chosen(self.cameras(there), there, {"by": "photographs", **said})
         there, file, warnings = usable_views(there, self.cameras)
-        choice = chosen_views(file.cameras, wish.context or DEFAULT_CONTEXT, *file.depths(near, far))
+        choice = chosen_views(file.cameras, wanted.context or DEFAULT_CONTEXT, *file.depths(near, far))
         indices = [there[place] for place in choice.places]
         return self._chosen(file.chosen(choice.places), indices, {"by": "score", **said, **choice.said}, warnings)
 

@@ -14,7 +14,7 @@ DEFAULT_CONTEXT = 3  # views of a capture that has more than six; a third costs 
 
 
 @dataclass(frozen=True)
-class Wish:
+class ViewSelection:
     """The user's selection. By default all views of up to six, else three that are chosen automatically."""
 
     select: str | None = None  # names or indices, separated by commas
@@ -22,20 +22,20 @@ class Wish:
     field: str = "select"  # name of the user's field or option for `select`
 
 
-def checked_wish(wish: Wish) -> Wish:
-    """The wish. Raises `ViewCountError` for a number outside 2..6, and `InputError` for both kinds of selection."""
-    if wish.context is not None and not MIN_VIEWS <= wish.context <= MAX_VIEWS:
+def checked_selection(wanted: ViewSelection) -> ViewSelection:
+    """Returns `wanted`. Raises `ViewCountError` for a number outside 2..6, `InputError` for both kinds of selection."""
+    if wanted.context is not None and not MIN_VIEWS <= wanted.context <= MAX_VIEWS:
         cure = f"leave it out for {DEFAULT_CONTEXT} of a large capture"
         raise ViewCountError(
-            f"{counted(wish.context, 'view')}, need {MIN_VIEWS} to {MAX_VIEWS}", field="context", cure=cure
+            f"{counted(wanted.context, 'view')}, need {MIN_VIEWS} to {MAX_VIEWS}", field="context", cure=cure
         )
-    if wish.select is not None and wish.select.count(",") >= MAX_VIEWS:
-        count = wish.select.count(",") + 1
+    if wanted.select is not None and wanted.select.count(",") >= MAX_VIEWS:
+        count = wanted.select.count(",") + 1
         cure = "name those that overlap most, or say how many to choose"
-        raise ViewCountError(f"{count} views, need {MIN_VIEWS} to {MAX_VIEWS}", field=wish.field, cure=cure)
-    if wish.context is not None and wish.select is not None:
-        raise InputError(f"is given beside {wish.field}", field="context", cure="name the views, or say how many")
-    return wish
+        raise ViewCountError(f"{count} views, need {MIN_VIEWS} to {MAX_VIEWS}", field=wanted.field, cure=cure)
+    if wanted.context is not None and wanted.select is not None:
+        raise InputError(f"is given beside {wanted.field}", field="context", cure="name the views, or say how many")
+    return wanted
 
 
 def named_views(

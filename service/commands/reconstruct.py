@@ -71,7 +71,7 @@ def reconstruct(
 ) -> None:
     """Reconstruct a scene from some of the views of a capture."""
     from ..captures.capture import open_capture
-    from ..captures.select import Wish, checked_wish
+    from ..captures.select import ViewSelection, checked_selection
     from ..formats.encoded import Encoded
     from ..formats.ply import ply_bytes
     from ..formats.registry import format_of_path
@@ -90,8 +90,8 @@ def reconstruct(
     chosen = checked_engine(engine)
     budget = Budget(parse_max_error(max_error), certify, min_opacity=min_opacity, stride=stride)
     checked_detail(detail, stride)
-    wish = checked_wish(Wish(views, context, field="views"))
-    found = open_capture(capture).choose(wish, near, far)
+    wanted = checked_selection(ViewSelection(views, context, field="views"))
+    found = open_capture(capture).choose(wanted, near, far)
     near, far = found.file.depths(near, far)
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)

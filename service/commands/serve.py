@@ -66,7 +66,7 @@ def serve(
     import uvicorn
 
     from ..http.connections import BACKLOG, HEAD_S, ask_for_files
-    from ..http.curfew import GRACE_S
+    from ..http.shutdown_deadline import GRACE_S
     from ..models import Models
     from ..process import watched_process
     from ..process.logs import configure

@@ -11,8 +11,8 @@ from typing import IO, Any
 
 from ..pictures.picture import png
 from ..viewpoints.scene_views import SceneViews
-from .drawing import Sitting
-from .gate import Gone, Pause
+from .concurrency import Gone, Pause
+from .drawing import PictureSeries
 from .runtime import Runtime
 from .spilled import spilled
 
@@ -20,14 +20,14 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date of a zip: a time stamp would
 
 
 async def zip_bundle(runtime: Runtime, document: Mapping[str, Any], views: Sequence[str], gone: Gone) -> IO[bytes]:
-    """`scene.ply`, `scene.json` and `renders/view_<spec>.png`, drawn one by one in the lane of pictures and packed in
+    """`scene.ply`, `scene.json` and `renders/view_<spec>.png`, drawn one by one in the queue of pictures and packed in
     that of files. The caller keeps the scene from eviction."""
     scene_views = SceneViews.of_document(document)
     cameras = {spec: scene_views.resolve(spec, field="views") for spec in views}
 
     def drawn(pause: Pause) -> dict[str, bytes]:
-        sitting = Sitting(runtime, document["id"], scene_views, None, pause)
-        return {spec: png(sitting.pixels(camera)) for spec, camera in cameras.items()}
+        series = PictureSeries(runtime, document["id"], scene_views, None, pause)
+        return {spec: png(series.pixels(camera)) for spec, camera in cameras.items()}
 
     pictures = await runtime.pictures.run_in_steps(drawn, gone) if cameras else {}
     return await runtime.files.run(lambda: spilled(_packed(runtime, document, pictures), runtime.store.root), gone)

@@ -40,7 +40,7 @@ async def check(request: Request, runtime: RuntimeDep) -> Response:
     network or storing anything. Answers with the cameras in the service's conventions, the depth range and
     thumbnails."""
     models = runtime.models  # refuses until there is one
-    async with runtime.uploads.place():
+    async with runtime.uploads.slot():
         upload = await read_upload(request, runtime.settings, models.names)
         info = models.get(upload.work.model).file.info
         understood = partial(_understood, upload, runtime.settings, info)

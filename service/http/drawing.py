@@ -22,8 +22,8 @@ from ..pictures.effort import draw as effort_draw
 from ..pictures.picture import Channel
 from ..revision import DRAWING_REVISION
 from ..viewpoints.scene_views import SceneViews
+from .concurrency import Pause
 from .files import etag_of
-from .gate import Pause
 from .runtime import Runtime
 
 if TYPE_CHECKING:
@@ -67,8 +67,8 @@ def _check_time(begun: float, seconds: float) -> None:
         )
 
 
-class Sitting:
-    """Several pictures of one scene, between which other requests of the lane may run; `seconds` sums up the time of
+class PictureSeries:
+    """Several pictures of one scene, between which other requests of the queue may run; `seconds` sums up the time of
     waiting and drawing. The caller keeps the scene from eviction."""
 
     def __init__(

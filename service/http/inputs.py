@@ -14,7 +14,7 @@ from ..captures.archive import SIGNATURES, ZipFiles
 from ..captures.capture import Capture
 from ..captures.choose import chosen_views
 from ..captures.recognise import recognised, table_of_bytes
-from ..captures.select import Wish, several_named_views
+from ..captures.select import ViewSelection, several_named_views
 from ..captures.table import CameraTable
 from ..captures.usable import usable_views
 from ..errors import CameraError, CaptureError, InputError, MalformedRequest, UploadTooLarge
@@ -51,7 +51,7 @@ def _cured() -> Iterator[None]:
 def posted(
     document: str | bytes,
     images: Sequence[NamedImage],
-    wish: Wish,
+    wanted: ViewSelection,
     settings: Settings,
     near: float | None,
     far: float | None,
@@ -68,12 +68,12 @@ def posted(
 
     warnings = (*(notice | {"field": "cameras"} for notice in table.warnings), *match.warnings)
     said: dict[str, Any] = {"by": "all", "format": table.kind, "cameras": table.source, "of": len(images)}
-    if wish.select is not None:
-        places = several_named_views(wish.select, names, field=wish.field)
+    if wanted.select is not None:
+        places = several_named_views(wanted.select, names, field=wanted.field)
         file, said = cameras(places), said | {"by": "select"}
-    elif wish.context is not None:
+    elif wanted.context is not None:
         there, file, refused = usable_views(range(len(images)), cameras)
-        choice = chosen_views(file.cameras, wish.context, *file.depths(near, far))
+        choice = chosen_views(file.cameras, wanted.context, *file.depths(near, far))
         places, file = [there[place] for place in choice.places], file.chosen(choice.places)
         warnings, said = (*warnings, *refused), said | {"by": "score", **choice.said}
     else:
@@ -86,7 +86,9 @@ def posted(
 
 
 @_cured()
-def captured(stream: BinaryIO, wish: Wish, settings: Settings, near: float | None, far: float | None) -> Inputs:
+def captured(
+    stream: BinaryIO, wanted: ViewSelection, settings: Settings, near: float | None, far: float | None
+) -> Inputs:
     """The inputs from a zip of photographs and cameras; `near` and `far` override those of the camera file."""
     if stream.read(4) not in SIGNATURES:
         raise CaptureError("is not a zip", field="capture", cure="zip the photographs with their camera file")
@@ -94,7 +96,7 @@ def captured(stream: BinaryIO, wish: Wish, settings: Settings, near: float | Non
     most = ZIPPED * settings.max_camera_bytes
     capture = Capture.of(files, max_pixels=settings.max_image_pixels, max_camera_bytes=most)
     _check_listed(capture.table, "capture")
-    found = capture.choose(wish, near, far)
+    found = capture.choose(wanted, near, far)
     check_count(len(found.indices))
     size = sum(files.size(path) for path in found.paths)
     if size > settings.max_upload_bytes:  # by the zip's directory; a member that is longer is refused while it is read

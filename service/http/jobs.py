@@ -61,7 +61,7 @@ async def job_events(
 ) -> Response:
     """Server-sent events `state` and `stage`, numbered, from the first or after the last one received, with comments as
     a heartbeat; the stream ends with the job."""
-    runtime.desk.table.get(job_id)
+    runtime.jobs.table.get(job_id)
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     if request.method == "HEAD":
         return head_alone(EVENTS, headers)
@@ -76,7 +76,7 @@ async def job_events(
 @router.get("/jobs/{job_id:path}", response_model=JobSchema)
 def get_job(job_id: str, runtime: RuntimeDep) -> Response:
     """The job's state, how many jobs are ahead, its current stage, and at the end its scene or the problem."""
-    job = runtime.desk.table.get(job_id)
+    job = runtime.jobs.table.get(job_id)
     headers = {"Cache-Control": "no-store"}
     return json_response(job_document(runtime, job), headers=headers)
 
@@ -85,12 +85,12 @@ def get_job(job_id: str, runtime: RuntimeDep) -> Response:
 def cancel_job(job_id: str, runtime: RuntimeDep) -> Response:
     """Cancel a job: a queued one at once, a running one after its current stage. A job that has ended stays unchanged,
     and one whose scene other requests wait for goes on."""
-    return json_response(job_document(runtime, runtime.desk.cancel(job_id)))
+    return json_response(job_document(runtime, runtime.jobs.cancel(job_id)))
 
 
 def job_document(runtime: Runtime, job: Job) -> dict[str, Any]:
     """The job as JSON values; `problem` and `links.scene` are present once they exist."""
-    table = runtime.desk.table
+    table = runtime.jobs.table
     document: dict[str, Any] = {
         "id": job.id,
         "state": job.state,
@@ -110,8 +110,8 @@ def job_document(runtime: Runtime, job: Job) -> dict[str, Any]:
 
 
 async def _events(request: Request, runtime: Runtime, job_id: str, after: int) -> AsyncGenerator[str]:
-    table, heard = runtime.desk.table, time.monotonic()
-    async with runtime.streams.place():
+    table, heard = runtime.jobs.table, time.monotonic()
+    async with runtime.streams.slot():
         yield f"retry: {RETRY_MS}\n\n"
         while not runtime.stopping:
             over = table.get(job_id).over  # read before the events, of which none follows the end

@@ -76,7 +76,7 @@ def _form_schema() -> dict[str, Any]:
 async def load_scene(request: Request, query: Annotated[LoadFields, Query()], runtime: RuntimeDep) -> Response:
     """Load a .ply, .compressed.ply, .splat or .spz, posted as a raw body or as part `file` of a form, which may also
     have `cameras`; without cameras a default one is used. 201 for a new scene, else 200, both with Location."""
-    async with runtime.uploads.place():
+    async with runtime.uploads.slot():
         settings = runtime.settings
         kind = media_type(request)
         if kind == FORM:

@@ -49,5 +49,5 @@ def metrics(runtime: RuntimeDep) -> Response:
         forget_dead(Path(os.environ[FOLDER]))
         MultiProcessCollector(registry)
     own = b"" if SHARED else generate_latest(OWN)
-    registry.register(_Now(runtime.store, runtime.desk.table))
+    registry.register(_Now(runtime.store, runtime.jobs.table))
     return Response(own + generate_latest(registry), media_type=CONTENT_TYPE_LATEST)

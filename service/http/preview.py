@@ -22,9 +22,9 @@ from ..process.own_folder import own_folder
 from ..viewpoints.camera_path import PathName, loop
 from ..viewpoints.framing import even, frame, within
 from ..viewpoints.scene_views import SceneViews
-from .drawing import Sitting, picture_tag
+from .concurrency import Pause
+from .drawing import PictureSeries, picture_tag
 from .files import matches, not_modified
-from .gate import Pause
 from .parameters import Parameters
 from .render import KEPT
 from .responses import head_alone, server_timing
@@ -93,13 +93,13 @@ async def preview(
     with ExitStack() as held:  # until the last picture is drawn
         views, shape, cameras, background, etag = await anyio.to_thread.run_sync(asked, held)
 
-        def work(sitting: Sitting) -> bytes:
+        def work(series: PictureSeries) -> bytes:
             with full_is_refused("the film"), own_folder(FILMS) as folder:
                 path = folder / f"film.{shape.format}"
-                write_film(path, shape, map(sitting.pixels, cameras))
+                write_film(path, shape, map(series.pixels, cameras))
                 return path.read_bytes()
 
-        begin = partial(Sitting, runtime, scene_id, views, background)
+        begin = partial(PictureSeries, runtime, scene_id, views, background)
         return await _answer(request, runtime, etag, MEDIA_TYPES[shape.format], begin, work)
 
 
@@ -133,14 +133,14 @@ async def sheet(
         title = "Inputs, drawn again" if check else "Views"
         scores = [view["psnr"] for view in check["input_views"]] if check else [None] * len(views.cameras)
 
-        def work(sitting: Sitting) -> bytes:
+        def work(series: PictureSeries) -> bytes:
             cells = []
             for index, (camera, score) in enumerate(zip(views.cameras, scores, strict=True)):
                 like = "" if score is None else f"   {score:.1f} dB PSNR"  # no pixel to compare under its mask
-                cells.append(Cell(sitting.pixels(within(camera, CELL)), f"view {index}{like}"))
+                cells.append(Cell(series.pixels(within(camera, CELL)), f"view {index}{like}"))
             return encode_image(contact_sheet(rows_of(title, cells)), query.format)
 
-        begin = partial(Sitting, runtime, scene_id, views, background)
+        begin = partial(PictureSeries, runtime, scene_id, views, background)
         return await _answer(request, runtime, etag, f"image/{query.format}", begin, work)
 
 
@@ -149,10 +149,10 @@ async def _answer(
     runtime: Runtime,
     etag: str,
     media_type: str,
-    begin: Callable[[Pause], Sitting],
-    work: Callable[[Sitting], bytes],
+    begin: Callable[[Pause], PictureSeries],
+    work: Callable[[PictureSeries], bytes],
 ) -> Response:
-    """The response with what `work` draws in the lane of pictures, or 304; nothing is drawn for HEAD."""
+    """The response with what `work` draws in the queue of pictures, or 304; nothing is drawn for HEAD."""
     cache = {"ETag": etag, "Cache-Control": KEPT}
     if matches(request, etag):
         return not_modified(etag, cache)
@@ -160,9 +160,9 @@ async def _answer(
         return head_alone(media_type, cache)
 
     def timed(pause: Pause) -> tuple[bytes, dict[str, float]]:
-        sitting, start = begin(pause), time.perf_counter()
-        data = work(sitting)
-        seconds = sitting.seconds
+        series, start = begin(pause), time.perf_counter()
+        data = work(series)
+        seconds = series.seconds
         return data, seconds | {"encode": time.perf_counter() - start - sum(seconds.values())}
 
     start = time.perf_counter()

@@ -21,7 +21,7 @@ from .runtime import Runtime, RuntimeDep
 from .scenes import with_links
 from .schemas import Job, SceneDocument
 from .spilled import SpilledResponse, spilled
-from .upload import Told, read_upload
+from .upload import RequestSummary, read_upload
 from .waiting import ended
 
 router = APIRouter(tags=["reconstruction"])
@@ -46,35 +46,35 @@ async def reconstruct(request: Request, runtime: RuntimeDep) -> Response:
     with the header `Prefer: respond-async`."""
     form = accepted(", ".join(request.headers.getlist("accept")))
     models = runtime.models  # raises `ModelNotReady` until the default model is loaded
-    runtime.desk.table.check_room()  # before the body is read: a full queue costs no memory
+    runtime.jobs.table.check_room()  # before the body is read: a full queue costs no memory
     runtime.scenes.check()
     kept = wanted_async(request.headers.getlist("prefer"))
     async with AsyncExitStack() as held:
-        async with runtime.uploads.place():  # slow senders do not occupy a place in `scenes`
+        async with runtime.uploads.slot():  # slow senders do not occupy a slot of `scenes`
             upload = await read_upload(request, runtime.settings, models.names)
             upload.check_asked()
-            work, told = upload.work, Told.of(upload)
+            work, summary = upload.work, RequestSummary.of(upload)
             del upload
             scene_id = await anyio.to_thread.run_sync(work.scene_id, models.get(work.model).identity)
             job, new = None, False
             if not kept:
-                await held.enter_async_context(runtime.scenes.place())
+                await held.enter_async_context(runtime.scenes.slot())
             scene = held.enter_context(ExitStack())  # keeps the scene from eviction until the answer is made
             if kept or not await anyio.to_thread.run_sync(_there, runtime.store, scene_id, scene):
-                submit = partial(runtime.desk.submit, work, scene_id, kept=kept)
+                submit = partial(runtime.jobs.submit, work, scene_id, kept=kept)
                 job, new = await anyio.to_thread.run_sync(submit)
                 request.scope["state"][JOB] = job.id
                 del submit
             del work  # frees the photographs, which are on disk now
             request.scope[RELEASE]()
         if job is not None and kept:
-            return accepted_job(runtime, job, told.document())
+            return accepted_job(runtime, job, summary.document())
         if job is not None:
-            job = await ended(runtime.desk, job, runtime.settings.wait_seconds, request.is_disconnected)
+            job = await ended(runtime.jobs, job, runtime.settings.wait_seconds, request.is_disconnected)
             if job.state != "done":
                 return problems.of_document(why_not(job))
             await anyio.to_thread.run_sync(lambda: scene.enter_context(runtime.store.keeping(scene_id)))
-        return await _answer(request, runtime, scene_id, form, told, 201 if new else 200)
+        return await _answer(request, runtime, scene_id, form, summary, 201 if new else 200)
 
 
 def _there(store: SceneStore, scene_id: str, held: ExitStack) -> bool:
@@ -87,10 +87,12 @@ def _there(store: SceneStore, scene_id: str, held: ExitStack) -> bool:
     return False
 
 
-async def _answer(request: Request, runtime: Runtime, scene_id: str, form: str, told: Told, status: int) -> Response:
+async def _answer(
+    request: Request, runtime: Runtime, scene_id: str, form: str, summary: RequestSummary, status: int
+) -> Response:
     """The stored scene, with members about this request: file names, pairing, selection and warnings."""
-    document = with_links(await anyio.to_thread.run_sync(runtime.store.document, scene_id), told.views)
-    document |= told.document() | {"warnings": [*told.warnings, *document["warnings"]]}
+    document = with_links(await anyio.to_thread.run_sync(runtime.store.document, scene_id), summary.views)
+    document |= summary.document() | {"warnings": [*summary.warnings, *document["warnings"]]}
     headers = {"Location": document["links"]["self"], "Vary": "Accept, Prefer"}
     if status == 201:
         headers["Server-Timing"] = server_timing(document["timings"])
@@ -101,6 +103,6 @@ async def _answer(request: Request, runtime: Runtime, scene_id: str, form: str, 
         body = await anyio.to_thread.run_sync(lambda: spilled(runtime.store.ply(scene_id), runtime.store.root))
     else:
         name = f"{scene_id}.zip"
-        body = await zip_bundle(runtime, document, told.views, request.is_disconnected)
+        body = await zip_bundle(runtime, document, summary.views, request.is_disconnected)
     headers["Content-Disposition"] = f'attachment; filename="{name}"'
     return SpilledResponse(body, form, headers, status)

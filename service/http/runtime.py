@@ -1,4 +1,4 @@
-"""The state of a running service: settings, store, jobs, lanes, and the models once the default one is loaded."""
+"""The state of a running service: settings, store, jobs, queues, and the models once the default one is loaded."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from fastapi import Depends, Request
 from uvicorn import Server
 
 from ..errors import ModelNotReady
-from ..jobs.desk import Desk
+from ..jobs.job_service import JobService
 from ..model_names import DEFAULT
 from ..process.peers import FOLDER, Peers
 from ..process.priority import give_way
 from ..progress import Listener, Stages, silent
 from ..scenes.store import SceneStore
 from ..settings import Settings
-from .curfew import Curfew
-from .gate import GLANCE_S, Lane, Places
+from .concurrency import GLANCE_S, ConcurrencyLimit, WorkQueue
+from .shutdown_deadline import ShutdownDeadline
 
 if TYPE_CHECKING:
     from ..models import Models
@@ -52,29 +52,31 @@ class Runtime:
             max_bytes=settings.store_bytes,
             max_days=settings.store_days,
         )
-        self.desk = Desk(self.store, settings)
-        self.pictures = Lane(
+        self.jobs = JobService(self.store, settings)
+        self.pictures = WorkQueue(
             "pictures",
             settings.render_concurrency,
             settings.render_waiting,
             settings.render_seconds,
             "drawing or waiting to",
         )
-        self.files = Lane(
+        self.files = WorkQueue(
             "files",
             settings.render_concurrency,
             settings.render_waiting,
             settings.render_seconds,
             "converting files or waiting to",
         )
-        self.looks = Lane(  # one photograph at a time is in memory at full size
+        self.looks = WorkQueue(  # one photograph at a time is in memory at full size
             "looks", 1, settings.max_uploads, settings.render_seconds, "having their photographs looked at"
         )
-        self.streams = Places("streams", settings.max_streams, "following jobs")
-        self.scenes = Places("scenes", settings.concurrency + settings.max_waiting, "waiting for their scenes")
-        self.uploads = Places("uploads", settings.max_uploads, "sending their photographs")
+        self.streams = ConcurrencyLimit("streams", settings.max_streams, "following jobs")
+        self.scenes = ConcurrencyLimit(
+            "scenes", settings.concurrency + settings.max_waiting, "waiting for their scenes"
+        )
+        self.uploads = ConcurrencyLimit("uploads", settings.max_uploads, "sending their photographs")
         self.peers = Peers(settings.workers, Path(os.environ[FOLDER]) if FOLDER in os.environ else None)
-        self.curfew = Curfew()
+        self.shutdown_deadline = ShutdownDeadline()
         self.stage = "start"
         self._listening = False
         self._told: float | None = None  # monotonic time of the signal to end
@@ -107,13 +109,13 @@ class Runtime:
                 task.cancel()
             passed = time.monotonic() - (self._told or 0.0)  # requests have used part of the time
             patience = max(1.0, self.settings.drain_seconds - passed)
-            await anyio.to_thread.run_sync(self.desk.close, patience)
+            await anyio.to_thread.run_sync(self.jobs.close, patience)
 
     def stop(self) -> None:
         """Shutdown begins: streams end, and only jobs that a request waits for are claimed."""
         if self._told is None:
             self._told = time.monotonic()
-            self.desk.drain()
+            self.jobs.drain()
 
     @property
     def stopping(self) -> bool:
@@ -148,7 +150,7 @@ class Runtime:
     async def _tidy(self) -> None:
         """Evict old scenes and delete old jobs every `TIDY_S` seconds."""
         while True:
-            for tidy in (self.store.evict_old, self.desk.tidy):  # each, even if the other fails
+            for tidy in (self.store.evict_old, self.jobs.tidy):  # each, even if the other fails
                 try:
                     await anyio.to_thread.run_sync(tidy)
                 except Exception:
@@ -159,7 +161,7 @@ class Runtime:
         """Cancel the remaining requests `drain_seconds` after the signal to end."""
         while self._told is None or time.monotonic() - self._told < self.settings.drain_seconds:
             await asyncio.sleep(GLANCE_S)
-        self.curfew.end()
+        self.shutdown_deadline.end()
 
     async def _end_if_failed(self) -> None:
         """End a process that failed to load, while others are loaded, so that the server replaces it."""
@@ -185,7 +187,7 @@ class Runtime:
                     pass
             with self._timed("kernels"):
                 warm_up()
-        self.desk.open(models)
+        self.jobs.open(models)
         self._models = models
         self.peers.loaded()
         self.stage = "ready"

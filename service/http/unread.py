@@ -7,7 +7,7 @@ import anyio
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from .curfew import GRACE_S, Curfew
+from .shutdown_deadline import GRACE_S, ShutdownDeadline
 
 SMALL, SMALL_S = 64 * 2**10, 5.0  # a body of at most so many declared bytes is read before the answer, within that time
 SLOW = 408  # after this status the rest of a body is not awaited
@@ -20,8 +20,8 @@ class BodyLeft:
     after the rest of the body was read, up to a limit: closing a connection with unread bytes makes the system reset
     it, and many clients then lose the answer."""
 
-    def __init__(self, app: ASGIApp, curfew: Curfew) -> None:
-        self._app, self._curfew = app, curfew
+    def __init__(self, app: ASGIApp, shutdown_deadline: ShutdownDeadline) -> None:
+        self._app, self._curfew = app, shutdown_deadline
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope) if scope["type"] == "http" else Headers()

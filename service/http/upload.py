@@ -13,7 +13,7 @@ from starlette.datastructures import FormData, UploadFile
 from ..cameras.foretold import DEFAULT_OTHERS, checked_others
 from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from ..captures.archive import SIGNATURES
-from ..captures.select import Wish, checked_wish
+from ..captures.select import ViewSelection, checked_selection
 from ..errors import (
     DepthRangeError,
     InputError,
@@ -76,7 +76,7 @@ class Upload:
 
 
 @dataclass(frozen=True)
-class Told:
+class RequestSummary:
     """Members of the answer that are about the request itself."""
 
     images: tuple[str, ...]  # file names
@@ -86,7 +86,7 @@ class Told:
     views: tuple[str, ...]
 
     @classmethod
-    def of(cls, upload: Upload) -> Told:
+    def of(cls, upload: Upload) -> RequestSummary:
         """Of an upload, without keeping its photographs in memory."""
         pairing = upload.pairing
         names = tuple(image.name for image in pairing.images)
@@ -122,10 +122,10 @@ async def _parse(form: FormData, settings: Settings, models: Sequence[str]) -> U
         if name not in FIELDS:
             raise InputError("is not a field of this route", field=name[:100], cure=f"fields: {', '.join(FIELDS)}")
     model = checked_name(_text(form, "model") or DEFAULT, models)
-    wish = checked_wish(Wish(_text(form, "select") or None, whole(form, "context", None)))
+    wanted = checked_selection(ViewSelection(_text(form, "select") or None, whole(form, "context", None)))
     views = _views(form)
     near, far = number(form, "near", DepthRangeError), number(form, "far", DepthRangeError)
-    inputs = await _inputs(form, settings, wish, near, far)
+    inputs = await _inputs(form, settings, wanted, near, far)
     pairing = inputs.pairing
     lenses = tuple(view.lens for view in pairing.views)
     numbers = tuple(inputs.selection["views"])  # as the client counts the views
@@ -161,22 +161,24 @@ def _budget(form: FormData, views: tuple[str, ...]) -> Budget:
     )
 
 
-async def _inputs(form: FormData, settings: Settings, wish: Wish, near: float | None, far: float | None) -> Inputs:
+async def _inputs(
+    form: FormData, settings: Settings, wanted: ViewSelection, near: float | None, far: float | None
+) -> Inputs:
     capture = _single(form, "capture")
     if capture is None:
-        images = await _images(form, wish)
+        images = await _images(form, wanted)
         document = await _cameras(form, settings.max_camera_bytes)
-        return await anyio.to_thread.run_sync(lambda: posted(document, images, wish, settings, near, far))
+        return await anyio.to_thread.run_sync(lambda: posted(document, images, wanted, settings, near, far))
     for name in ("images", "cameras"):
         if form.getlist(name):
             raise InputError(f"is given beside {name}", field="capture", cure="it holds photographs and cameras")
     if not isinstance(capture, UploadFile):
         raise InputError("is a text field, need a file part", field="capture", cure="curl -F capture=@capture.zip")
     stream = capture.file
-    return await anyio.to_thread.run_sync(lambda: captured(stream, wish, settings, near, far))
+    return await anyio.to_thread.run_sync(lambda: captured(stream, wanted, settings, near, far))
 
 
-async def _images(form: FormData, wish: Wish) -> list[NamedImage]:
+async def _images(form: FormData, wanted: ViewSelection) -> list[NamedImage]:
     parts = form.getlist("images")
     if len(parts) > MAX_IMAGES:
         raise _too_many(f"{len(parts)} images")
@@ -188,7 +190,7 @@ async def _images(form: FormData, wish: Wish) -> list[NamedImage]:
             )
         files.append(part)
     few = len(parts) < MIN_VIEWS
-    if few or (len(parts) > MAX_VIEWS and wish.select is None and wish.context is None):
+    if few or (len(parts) > MAX_VIEWS and wanted.select is None and wanted.context is None):
         raise ViewCountError(
             f"{counted(len(parts), 'image')}, need {MIN_VIEWS} to {MAX_VIEWS}",
             field="images",

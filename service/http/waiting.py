@@ -11,14 +11,14 @@ import anyio.to_thread
 from starlette.requests import ClientDisconnect
 
 from ..errors import DeadlineExceeded
-from ..jobs.desk import Desk
+from ..jobs.job_service import JobService
 from ..jobs.rows import Job
-from .gate import Gone
+from .concurrency import Gone
 
 FIRST_S, LAST_S, SHARE = 0.005, 0.2, 0.05  # polling interval: a share of the time passed, between these bounds
 
 
-async def ended(desk: Desk, job: Job, patience_s: float, gone: Gone) -> Job:
+async def ended(jobs: JobService, job: Job, patience_s: float, gone: Gone) -> Job:
     """The job once it has ended. Raises `ClientDisconnect` or `DeadlineExceeded`; then the job is cancelled if nobody
     else wants it.
 
@@ -28,7 +28,7 @@ async def ended(desk: Desk, job: Job, patience_s: float, gone: Gone) -> Job:
     over = goes_on = False
     try:
         while True:
-            job = desk.table.get(job.id)
+            job = jobs.table.get(job.id)
             if job.over:
                 over = True
                 return job
@@ -42,9 +42,9 @@ async def ended(desk: Desk, job: Job, patience_s: float, gone: Gone) -> Job:
                 raise ClientDisconnect
             await anyio.sleep(min(max(SHARE * passed, FIRST_S), LAST_S))
     except asyncio.CancelledError:
-        goes_on = desk.draining
+        goes_on = jobs.draining
         raise
     finally:
         if not over:
             with anyio.CancelScope(shield=True):
-                await anyio.to_thread.run_sync(partial(desk.leave, job.id, goes_on=goes_on))
+                await anyio.to_thread.run_sync(partial(jobs.leave, job.id, goes_on=goes_on))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..photographs.images import FittedView
-from .correspondence import PARALLAX_PX, disagreement, parallax, seen_by
+from .correspondence import PARALLAX_PX, disagreement, parallax, reprojected
 from .plane_means import plane_means
 from .window_match import contrast, correlations
 
@@ -42,7 +42,7 @@ def confirmed(views: Sequence[FittedView], depths: F64) -> NDArray[np.bool_]:
 
 def _agrees(view: FittedView, grey: F64, depth: F64, other: FittedView, other_depth: F64) -> NDArray[np.bool_]:
     """(H, W) where `other` confirms `view`, whose grey (H, W) and z-depth (H, W) are given."""
-    seen = seen_by(view, depth, other)
+    seen = reprojected(view, depth, other)
     colour = seen.value(other.image.transpose(1, 2, 0))
     agreed = seen.where & (parallax(view, seen, other) >= PARALLAX_PX)
     agreed &= disagreement(view, seen, other, other_depth) < AGREEMENT_PX

@@ -24,7 +24,7 @@ KEPT = 0.999  # bilinear weight of kept pixels above which, up to rounding, no m
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Reprojection:
     """The pixels (H, W) of one view, reprojected into another."""
 
     column: F64  # (H, W) real-valued pixel index: 0 is the centre of the first pixel
@@ -41,7 +41,7 @@ class Seen:
         return found
 
 
-def seen_by(view: FittedView, depth: F64, other: FittedView) -> Seen:
+def reprojected(view: FittedView, depth: F64, other: FittedView) -> Reprojection:
     """The pixels of `view` at z-depths `depth` (H, W), in the cameras' units, as `other` sees them."""
     column, row, z = (np.empty(depth.shape) for _ in range(3))
     inside = np.empty(depth.shape, np.bool_)
@@ -52,21 +52,21 @@ def seen_by(view: FittedView, depth: F64, other: FittedView) -> Seen:
     where = inside
     if other.mask is not None:
         where = inside & (bilinear(other.mask.astype(np.float32)[..., None], column, row)[..., 0] > KEPT)
-    return Seen(column, row, np.where(where, z, 1.0), inside, where)
+    return Reprojection(column, row, np.where(where, z, 1.0), inside, where)
 
 
 def _parts(camera: Camera) -> tuple[F64, F64]:
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy]), np.ascontiguousarray(camera.world_from_cam[:3])
 
 
-def disagreement(view: FittedView, seen: Seen, other: FittedView, other_depth: F64) -> F64:
+def disagreement(view: FittedView, seen: Reprojection, other: FittedView, other_depth: F64) -> F64:
     """(H, W) px of parallax between a pixel's depth in the other view and that view's own depth `other_depth` (h, w)
     at the same place."""
     theirs = seen.value(other_depth[..., None])[..., 0]
     return np.abs(1 / seen.z - 1 / theirs) * pixels_per_inverse_depth(view, other)
 
 
-def parallax(view: FittedView, seen: Seen, other: FittedView) -> F64:
+def parallax(view: FittedView, seen: Reprojection, other: FittedView) -> F64:
     """(H, W) distance in px, in the other view, between a pixel's reprojection and that of its ray's point at infinity.
 
     0 at the epipole, whatever the baseline; infinite where the point at infinity lies behind the other view. With t the
@@ -96,7 +96,7 @@ def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:
     return lens.fx * length * float(np.sqrt(1 + (tall - 1) * ((tall + 1) * down**2 + forward**2)))
 
 
-def from_elsewhere(views: Sequence[FittedView], index: int, depth: F64) -> dict[int, float]:
+def views_with_parallax(views: Sequence[FittedView], index: int, depth: F64) -> dict[int, float]:
     """The other views that have parallax to view `index`: index -> `pixels_per_inverse_depth`.
 
     Left out are those below LEAST_WAY of the largest, unless a point at the median of the z-depths `depth` (H, W) has

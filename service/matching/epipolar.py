@@ -39,7 +39,7 @@ SIDE = 256  # px of the shorter side up to which that is so; from there on they 
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class EpipolarResidual:
     """Epipolar residuals of a pair of views."""
 
     pair: tuple[int, int]
@@ -48,18 +48,18 @@ class Beside:
     turn: float  # rad, angle of that rotation
 
 
-def off_lines(pairs: PairMatches, numbers: Sequence[int]) -> list[Notice]:
+def inexact_poses(pairs: PairMatches, numbers: Sequence[int]) -> list[Notice]:
     """The warning about the pair of neighbouring views with the largest residual beyond noise, if there is one.
 
     `numbers` are what the caller calls the views.
     """
     height, width = pairs.views[0].image.shape[1:]
     unit = max(1.0, min(height, width) / SIDE)
-    found = [beside for beside in epipolar_residuals(pairs) if beside.px > LEAST_PX * unit]
-    found = [beside for beside in found if beside.px > MOST_PX * unit or beside.turned_px < LEFT * beside.px]
+    found = [residual for residual in epipolar_residuals(pairs) if residual.px > LEAST_PX * unit]
+    found = [residual for residual in found if residual.px > MOST_PX * unit or residual.turned_px < LEFT * residual.px]
     if not found:
         return []
-    worst = max(found, key=lambda beside: beside.px)
+    worst = max(found, key=lambda residual: residual.px)
     one, other = (numbers[view] for view in worst.pair)
     message = (
         f"at {width} x {height} px what views {one} and {other} have in common stands {worst.px:.2f} px (median) "
@@ -67,13 +67,15 @@ def off_lines(pairs: PairMatches, numbers: Sequence[int]) -> list[Notice]:
         f"by {np.degrees(worst.turn):.2g} degrees it would be {worst.turned_px:.2f} px"
     )
     if len(found) > 1:
-        others = [" and ".join(str(numbers[view]) for view in beside.pair) for beside in found if beside is not worst]
+        others = [
+            " and ".join(str(numbers[view]) for view in residual.pair) for residual in found if residual is not worst
+        ]
         message += f"; the same of views {', '.join(others)}"
     cure = "are poses and intrinsics exact, and those of these very photographs? refine them, for example with COLMAP"
     return [{"code": "poses_inexact", "field": "cameras", "message": f"{message} ({cure})", "px": round(worst.px, 3)}]
 
 
-def epipolar_residuals(pairs: PairMatches) -> list[Beside]:
+def epipolar_residuals(pairs: PairMatches) -> list[EpipolarResidual]:
     """Per pair of nearest neighbours with ENOUGH matches; distances are in px of the views."""
     pictures = [_picture(view) for view in pairs.views]
     residuals = []
@@ -84,7 +86,7 @@ def epipolar_residuals(pairs: PairMatches) -> list[Beside]:
         if len(px) >= ENOUGH:
             turn, rest = _turned(px, turning)
             size = float(np.linalg.norm(turn))
-            residuals.append(Beside(pair, float(np.median(np.abs(px))), float(np.median(np.abs(rest))), size))
+            residuals.append(EpipolarResidual(pair, float(np.median(np.abs(px))), float(np.median(np.abs(rest))), size))
     return residuals
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..photographs.images import FittedView
-from .correspondence import Seen, seen_by
+from .correspondence import Reprojection, reprojected
 from .guided_filter import GuidedFilter
 from .plane_kernels import compare_planes
 
@@ -35,17 +35,17 @@ def features(view: FittedView) -> F32:
 def difference(view: FittedView, own: F32, depth: F64, other: FittedView, others: F32) -> F64:
     """(H, W) mean absolute difference of the `features` of both views at z-depths `depth` (H, W) in the cameras' units,
     truncated at LIMIT, and LIMIT where the other view does not see the point."""
-    return difference_there(own, seen_by(view, depth, other), others)
+    return difference_there(own, reprojected(view, depth, other), others)
 
 
-def difference_there(own: F32, seen: Seen, others: F32) -> F64:
+def difference_there(own: F32, seen: Reprojection, others: F32) -> F64:
     """As `difference`, for pixels that were reprojected already."""
     cost = np.empty(seen.z.shape)
     compare_planes(own, others, seen.column, seen.row, seen.where.view(np.uint8), LIMIT, cost)
     return cost
 
 
-class Gathering:
+class CostAggregation:
     """Aggregates costs by a guided filter (cost-volume filtering, Hosni et al. 2011), normalised over known pixels."""
 
     def __init__(self, view: FittedView, known: Mask) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..matching.confirmed import AGREEMENT_PX, SAME_COLOUR
-from ..matching.correspondence import from_elsewhere, seen_by
+from ..matching.correspondence import reprojected, views_with_parallax
 from ..photographs.from_border import from_border
 from ..photographs.images import FittedView
 
@@ -65,7 +65,7 @@ def _backdrop_moved(views: Sequence[FittedView], shades: Sequence[F32], depths: 
     if not even:
         return depths
     moved = np.where(blank, np.maximum(depths, far), depths)
-    ways = [from_elsewhere(views, index, depth) for index, depth in enumerate(depths)]
+    ways = [views_with_parallax(views, index, depth) for index, depth in enumerate(depths)]
     now, then = (_contradicted(views, ways, stack, blank) for stack in (depths, moved))
     return moved if now >= CONTRADICTED and then <= (now + CONTRADICTED if plain else FALL * now) else depths
 
@@ -83,7 +83,7 @@ def _joined(views: Sequence[FittedView], shades: Sequence[F32], level: float) ->
 
 
 def _contradicted(views: Sequence[FittedView], ways: Sequence[Mapping[int, float]], depths: F64, blank: Mask) -> float:
-    """Share of the blank pixels (V, H, W) whose depth another view contradicts; `ways` are `from_elsewhere` per
+    """Share of the blank pixels (V, H, W) whose depth another view contradicts; `ways` are `views_with_parallax` per
     view."""
     found = [_contradictions(views, index, ways[index], depths) for index in range(len(views))]
     return int((blank & np.stack(found)).sum()) / int(blank.sum())
@@ -93,7 +93,7 @@ def _contradictions(views: Sequence[FittedView], index: int, ways: Mapping[int, 
     """(H, W) pixels of view `index` whose depth at least one other view contradicts."""
     found, colours = np.zeros(depths[index].shape, np.bool_), views[index].image.transpose(1, 2, 0)
     for other, way in ways.items():
-        seen = seen_by(views[index], depths[index], views[other])
+        seen = reprojected(views[index], depths[index], views[other])
         theirs = seen.value((1 / depths[other])[..., None])[..., 0]
         before = (theirs - 1 / seen.z) * way > AGREEMENT_PX
         differs = np.abs(seen.value(views[other].image.transpose(1, 2, 0)) - colours).mean(axis=2) > SAME_COLOUR

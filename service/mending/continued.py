@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..matching.confirmed import confirmed
-from ..matching.correspondence import seen_by
-from ..matching.match_cost import GAIN, NOTHING, Gathering, difference, features
+from ..matching.correspondence import reprojected
+from ..matching.match_cost import GAIN, NOTHING, CostAggregation, difference, features
 from ..photographs.images import FittedView
 from .surfaces import surface
 
@@ -44,15 +44,15 @@ def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depth: F64, i
     kept = view.kept
     inverse = 1 / depth
     planes = [surface(view.image, inverse, sure, reach).within(inverse, kept) for reach in REACHES]
-    gathering = Gathering(view, kept)
+    aggregation = CostAggregation(view, kept)
     least, chosen = np.full(inverse.shape, GAIN), depth
     for other in (other for other in range(len(views)) if other != index):
 
         def cost(depths: F64, at: int = other) -> F64:
-            return gathering.of(kept * difference(view, pictures[index], depths, views[at], pictures[at]))
+            return aggregation.of(kept * difference(view, pictures[index], depths, views[at], pictures[at]))
 
         now = cost(1 / inverse)
-        now = np.where(seen_by(view, depth, views[other]).where, now, np.minimum(now, SURE_MATCH))
+        now = np.where(reprojected(view, depth, views[other]).where, now, np.minimum(now, SURE_MATCH))
         now = np.maximum(now, NOTHING)
         for plane in planes:
             share = (cost(1 / plane) + NOTHING) / now

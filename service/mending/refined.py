@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..matching.correspondence import disagreement, from_elsewhere, seen_by
-from ..matching.match_cost import GAIN, NOTHING, Gathering, difference, features
+from ..matching.correspondence import disagreement, reprojected, views_with_parallax
+from ..matching.match_cost import GAIN, NOTHING, CostAggregation, difference, features
 from ..photographs.images import FittedView
 
 F32 = NDArray[np.float32]
@@ -29,7 +29,7 @@ def refined(views: Sequence[FittedView], depths: F64) -> F64:
     For each of OFFSETS_PX the matching cost (`match_cost.py`) is averaged over the other views in which the pixel is
     visible: whose own depth there lies within VISIBLE_PX. The minimum of the aggregated costs, interpolated by a
     parabola, is taken if it is below GAIN times the cost of the current depth, by a margin of NOTHING. Masked pixels
-    and those visible in no other view keep their depth. Views without parallax are not compared (`from_elsewhere`).
+    and those visible in no other view keep their depth. Views without parallax are left out (`views_with_parallax`).
     """
     pictures = [features(view) for view in views]
     return np.stack([_of_view(views, pictures, depths, index) for index in range(len(views))])
@@ -37,14 +37,14 @@ def refined(views: Sequence[FittedView], depths: F64) -> F64:
 
 def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depths: F64, index: int) -> F64:
     view, inverse = views[index], 1 / depths[index]
-    others = from_elsewhere(views, index, depths[index])
+    others = views_with_parallax(views, index, depths[index])
     if not others:
         return depths[index]
     pixels = max(others.values())
     steps = [np.clip(inverse + offset / pixels, inverse / RANGE, inverse * RANGE) for offset in OFFSETS_PX]
     total, counted = np.zeros((len(OFFSETS_PX), *inverse.shape)), np.zeros(inverse.shape)
     for other in others:
-        seen = seen_by(view, depths[index], views[other])
+        seen = reprojected(view, depths[index], views[other])
         visible = seen.where & (disagreement(view, seen, views[other], depths[other]) < VISIBLE_PX)
         if view.mask is not None:
             visible &= view.mask
@@ -53,9 +53,9 @@ def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depths: F64, 
             for cost, step in zip(total, steps, strict=True):
                 cost += visible * difference(view, pictures[index], 1 / step, views[other], pictures[other])
     known = counted > 0
-    gathering = Gathering(view, known)
+    aggregation = CostAggregation(view, known)
     for cost in total:
-        cost[:] = gathering.of(cost / np.maximum(counted, 1))
+        cost[:] = aggregation.of(cost / np.maximum(counted, 1))
     offset, gains = _least(total)
     moved = np.clip(inverse + offset / pixels, inverse / RANGE, inverse * RANGE)
     return np.where(known & gains, 1 / moved, depths[index])

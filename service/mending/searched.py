@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from ..cameras.rotations import rotated
 from ..matching.coarse_views import pixel_grid
 from ..matching.confirmed import AGREEMENT_PX, TEXTURE, confirmed
-from ..matching.correspondence import disagreement, from_elsewhere, seen_by
-from ..matching.match_cost import GAIN, LIMIT, NOTHING, Gathering, difference, features
+from ..matching.correspondence import disagreement, reprojected, views_with_parallax
+from ..matching.match_cost import GAIN, LIMIT, NOTHING, CostAggregation, difference, features
 from ..matching.plane_kernels import compare_level
 from ..matching.plane_means import plane_means
 from ..matching.window_match import contrast
@@ -56,7 +56,7 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
     all).
     """
     inverse = 1 / depths[np.stack([view.kept for view in views])]
-    places = [from_elsewhere(views, index, depth) for index, depth in enumerate(depths)]
+    places = [views_with_parallax(views, index, depth) for index, depth in enumerate(depths)]
     elsewhere = [_nearest(apart) for apart in places]
     if not inverse.size or not all(elsewhere):
         return depths.copy()
@@ -74,7 +74,7 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
         found, agreed = best[index], np.zeros(sure[index].shape, np.bool_)
         pair = not any(second in places[first] for first in elsewhere[index] for second in elsewhere[index])
         for other, way in elsewhere[index].items():
-            seen = seen_by(view, found.depth, views[other])
+            seen = reprojected(view, found.depth, views[other])
             close = [
                 disagreement(view, seen, views[other], theirs) < AGREEMENT_PX
                 for theirs in (depths[other], best[other].depth)
@@ -109,14 +109,14 @@ def _best(
     steps = np.ceil((ends[1] - ends[0]) * max(elsewhere.values()) / STEP_PX)
     levels = np.linspace(*ends, int(np.clip(steps, 2, LEVELS)))
     sweeps = [_Sweep.of(view, own, views[other], pictures[other]) for other in elsewhere]
-    gathering = Gathering(view, kept)
+    aggregation = CostAggregation(view, kept)
     least, chosen = np.full(depth.shape, np.inf), np.zeros(depth.shape)
     for level in levels:
-        cost = reduce(np.minimum, [gathering.of(sweep.cost(level) * kept) for sweep in sweeps])
+        cost = reduce(np.minimum, [aggregation.of(sweep.cost(level) * kept) for sweep in sweeps])
         chosen[cost < least] = level
         np.minimum(least, cost, out=least)
     as_it_is = [difference(view, own, depth, views[other], pictures[other]) for other in elsewhere]
-    now = reduce(np.minimum, [gathering.of(cost * kept) for cost in as_it_is])
+    now = reduce(np.minimum, [aggregation.of(cost * kept) for cost in as_it_is])
     return _Best(1 / chosen, least < GAIN * now - NOTHING)
 
 

@@ -24,7 +24,7 @@ def configure(form: Literal["text", "json"], *, quiet: bool = False) -> None:
     handler = _Stderr()
     handler.setFormatter(_Json() if form == "json" else _Text())
     handler.addFilter(_with_request)
-    handler.addFilter(_Seldom())
+    handler.addFilter(_RateLimited())
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING if quiet else logging.INFO)
@@ -48,7 +48,7 @@ def _with_request(record: logging.LogRecord) -> bool:
     return True
 
 
-class _Seldom(logging.Filter):
+class _RateLimited(logging.Filter):
     """Rate limit for messages that clients can cause many times a second; each is a single line."""
 
     def __init__(self) -> None:

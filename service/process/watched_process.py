@@ -18,7 +18,7 @@ TO_END = (signal.SIGTERM, signal.SIGINT)
 LOOK_S = 0.2  # between checks for a signal while waiting for the answer to a ping
 
 
-class Told:
+class LockFreeEvent:
     """A replacement for `threading.Event` without a lock, which a signal handler could find held by the thread that it
     interrupts."""
 
@@ -45,10 +45,10 @@ class WatchedProcess(multiprocess.Process):
     worker until that minute is over, and replace no other meanwhile.
     """
 
-    def __init__(self, config: Config, sockets: list[socket], told: Told | None = None) -> None:
-        """`told` is set when the supervisor is to end."""
+    def __init__(self, config: Config, sockets: list[socket], ending: LockFreeEvent | None = None) -> None:
+        """`ending` is set when the supervisor is to end."""
         super().__init__(config, sockets)
-        self._told = told or Told()
+        self._ending = ending or LockFreeEvent()
 
     def start(self) -> None:
         """Start the worker, and close its end of the pipe here."""
@@ -62,7 +62,7 @@ class WatchedProcess(multiprocess.Process):
         try:
             self.parent_conn.send(b"ping")
             while not self.parent_conn.poll(max(0.0, min(LOOK_S, deadline - time.monotonic()))):
-                if self._told.is_set():
+                if self._ending.is_set():
                     return True
                 if time.monotonic() > deadline:
                     return False
@@ -78,7 +78,7 @@ class Watcher(multiprocess.Multiprocess):
 
     def __init__(self, config: Config, sockets: list[socket]) -> None:
         super().__init__(config, sockets)
-        self.should_exit: Any = Told()
+        self.should_exit: Any = LockFreeEvent()
         self._made: list[multiprocess.Process] = []  # running workers; uvicorn lists one only once it is ready
         multiprocess.Process = self._make  # type: ignore[assignment,misc]
         for number in TO_END:

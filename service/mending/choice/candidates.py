@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...matching.confirmed import confirmed
-from ...matching.correspondence import from_elsewhere, seen_by
-from ...matching.match_cost import LIMIT, Gathering, difference_there, features
+from ...matching.correspondence import reprojected, views_with_parallax
+from ...matching.match_cost import LIMIT, CostAggregation, difference_there, features
 from ...matching.plane_means import plane_means
 from ...matching.window_match import contrast
 from ...photographs.images import FittedView
@@ -60,7 +60,7 @@ class Matched:
         """The candidates of view `index`; None where none of its pixels is confirmed, all are decided, or no other view
         has parallax."""
         view, depth, sure = self.views[index], self.depths[index], self.sure[index]
-        ways, undecided = from_elsewhere(self.views, index, depth), view.kept & ~sure
+        ways, undecided = views_with_parallax(self.views, index, depth), view.kept & ~sure
         if not ways or not sure.any() or not undecided.any():
             return None
         way = max(ways.values())
@@ -79,10 +79,10 @@ class Matched:
         self, index: int, ways: Mapping[int, float], inverse: F64, undecided: Mask, known: NDArray[np.float16]
     ) -> None:
         """Fill in all features of `known` but those of the surfaces."""
-        gathering, of_all = Gathering(self.views[index], self.views[index].kept), inverse[:, undecided]
+        aggregation, of_all = CostAggregation(self.views[index], self.views[index].kept), inverse[:, undecided]
         middle = np.median(of_all, axis=0)
         for place, own in enumerate(of_all):
-            seen = self._seen(index, ways, max(ways.values()) / inverse[place], gathering)
+            seen = self._seen(index, ways, max(ways.values()) / inverse[place], aggregation)
             cost, share, front, sure = (plane[undecided] for plane in seen)
             apart = [np.tanh((own - other) / scale) for other in of_all[:2] for scale in (NEAR, FAR)]
             alike = np.mean(np.abs(of_all - own) < ALIKE, axis=0)
@@ -93,10 +93,10 @@ class Matched:
     def _outside(self, index: int, ways: Mapping[int, float]) -> Mask:
         """(H, W) pixels outside every other view's picture."""
         view, depth = self.views[index], self.depths[index]
-        return ~np.any([seen_by(view, depth, self.views[other]).inside for other in ways], axis=0)
+        return ~np.any([reprojected(view, depth, self.views[other]).inside for other in ways], axis=0)
 
     def _seen(
-        self, index: int, ways: Mapping[int, float], depth: F64, gathering: Gathering
+        self, index: int, ways: Mapping[int, float], depth: F64, aggregation: CostAggregation
     ) -> tuple[F64, F64, F64, F64]:
         """(H, W) each, over the other views: the least aggregated matching cost; the share of them that see the point;
         the largest distance in px by which it lies in front of their surface; and whether that surface is confirmed."""
@@ -104,9 +104,9 @@ class Matched:
         cost, share = np.full(depth.shape, LIMIT), np.zeros(depth.shape)
         front, sure = np.full(depth.shape, -MOST), np.zeros(depth.shape)
         for other, way in ways.items():
-            seen = seen_by(view, depth, self.views[other])
+            seen = reprojected(view, depth, self.views[other])
             now = view.kept * difference_there(own, seen, self.pictures[other])
-            cost = np.minimum(cost, gathering.of(now))
+            cost = np.minimum(cost, aggregation.of(now))
             share += seen.where / len(ways)
             theirs = seen.value(self.surfaces[other])
             gap = np.where(seen.where, np.clip((1 / seen.z - theirs[..., 0]) * way, -MOST, MOST), -MOST)

@@ -22,7 +22,7 @@ from capture_scenes import (
 )
 
 from gapmes.service.captures.capture import load_scene_folder, open_capture, read_camera_file
-from gapmes.service.captures.select import Wish
+from gapmes.service.captures.select import ViewSelection
 from gapmes.service.errors import CameraError, CaptureError, ImageError, IntrinsicsError
 
 RAYS_PX = 1e-4  # what is promised; worst 1.4e-14 px over all formats: each writes and reads float64
@@ -39,7 +39,7 @@ def test_every_format_gives_the_same_rays(tmp_path: Path, form: str, packed: str
         inside = "my capture/" if packed == "nested zip" else ""
         path = tmp_path / "capture.bin"  # content decides, not the name
         path.write_bytes(zipped(tmp_path / "scene", inside=inside))
-    found = open_capture(path).choose(Wish())
+    found = open_capture(path).choose(ViewSelection())
     assert found.indices == (0, 1, 2, 3, 4)
     assert found.selection["by"] == "all"
     pixels = np.array([[0.0, 0.0], [96.0, 0.0], [48.0, 36.0], [10.5, 71.5]])
@@ -112,9 +112,15 @@ def test_two_captures_in_one_zip_are_not_guessed_between(tmp_path: Path) -> None
 def test_bounds_are_those_of_the_chosen_views(tmp_path: Path) -> None:
     write_llff(tmp_path, arc(8))
     capture = open_capture(tmp_path)
-    assert (capture.choose(Wish("1,2")).file.near, capture.choose(Wish("1,2")).file.far) == (1.8, 11.0)
-    assert (capture.choose(Wish("IMG 006.png,0")).indices, capture.choose(Wish("6,0")).file.far) == ((6, 0), 15.0)
-    chosen = capture.choose(Wish())
+    assert (capture.choose(ViewSelection("1,2")).file.near, capture.choose(ViewSelection("1,2")).file.far) == (
+        1.8,
+        11.0,
+    )
+    assert (capture.choose(ViewSelection("IMG 006.png,0")).indices, capture.choose(ViewSelection("6,0")).file.far) == (
+        (6, 0),
+        15.0,
+    )
+    chosen = capture.choose(ViewSelection())
     assert chosen.file.near == pytest.approx(2.0 - 0.1 * max(chosen.indices))
 
 
@@ -122,7 +128,7 @@ def test_photographs_at_another_resolution_are_found(tmp_path: Path) -> None:
     """As mip-NeRF 360 has them: no images, but images_4."""
     write_llff(tmp_path, arc(3))
     (tmp_path / "images").rename(tmp_path / "images_4")
-    assert open_capture(tmp_path).choose(Wish()).paths[0] == "images_4/IMG 000.png"
+    assert open_capture(tmp_path).choose(ViewSelection()).paths[0] == "images_4/IMG 000.png"
 
 
 def test_names_are_found_in_another_case_or_folder(tmp_path: Path) -> None:
@@ -130,10 +136,10 @@ def test_names_are_found_in_another_case_or_folder(tmp_path: Path) -> None:
     (tmp_path / "images" / "left side").rename(tmp_path / "images" / "x")
     for path in sorted((tmp_path / "images" / "x").iterdir()):
         path.rename(tmp_path / "images" / path.name.upper())
-    assert open_capture(tmp_path).choose(Wish()).paths == ("images/VIEW 0000.PNG", "images/VIEW 0001.PNG")
+    assert open_capture(tmp_path).choose(ViewSelection()).paths == ("images/VIEW 0000.PNG", "images/VIEW 0001.PNG")
     (tmp_path / "images" / "VIEW 0000.PNG").unlink()
     with pytest.raises(ImageError, match=r"left side/view 0000\.png does not exist") as caught:
-        open_capture(tmp_path).choose(Wish())
+        open_capture(tmp_path).choose(ViewSelection())
     assert caught.value.index == 0
 
 
@@ -141,10 +147,10 @@ def test_frames_of_a_clip_may_have_any_names_in_their_order(tmp_path: Path) -> N
     write_realestate10k(tmp_path, arc(3))
     for index, path in enumerate(sorted((tmp_path / "images").iterdir())):
         path.rename(tmp_path / f"{index:05d}.png")
-    assert open_capture(tmp_path).choose(Wish()).paths == ("00000.png", "00001.png", "00002.png")
+    assert open_capture(tmp_path).choose(ViewSelection()).paths == ("00000.png", "00001.png", "00002.png")
     (tmp_path / "00001.png").unlink()
     with pytest.raises(CaptureError, match="3 cameras without names need 3 photographs in one folder, there are 2 in"):
-        open_capture(tmp_path).choose(Wish())
+        open_capture(tmp_path).choose(ViewSelection())
 
 
 def test_no_frame_of_a_clip_gets_the_photograph_that_another_one_names(tmp_path: Path) -> None:
@@ -154,15 +160,15 @@ def test_no_frame_of_a_clip_gets_the_photograph_that_another_one_names(tmp_path:
     images = tmp_path / "images"
     assert not open_capture(tmp_path).by_sorted_name
     (images / "1000000.png").rename(images / "zz.png")
-    for wish in (Wish("0,2"), Wish()):
+    for wanted in (ViewSelection("0,2"), ViewSelection()):
         with pytest.raises(ImageError, match="1000000 does not exist") as caught:
-            open_capture(tmp_path).choose(wish)
+            open_capture(tmp_path).choose(wanted)
         assert caught.value.index == 0
-    assert open_capture(tmp_path).choose(Wish("1,2")).paths == ("images/1033366.png", "images/1066732.png")
+    assert open_capture(tmp_path).choose(ViewSelection("1,2")).paths == ("images/1033366.png", "images/1066732.png")
     for number, path in enumerate(sorted(images.iterdir())):
         path.rename(images / f"{number}.png")
     assert open_capture(tmp_path).by_sorted_name
-    assert open_capture(tmp_path).choose(Wish("0,2")).paths == ("images/0.png", "images/2.png")
+    assert open_capture(tmp_path).choose(ViewSelection("0,2")).paths == ("images/0.png", "images/2.png")
 
 
 def test_time_stamps_that_are_also_numbers_of_frames_do_not_spoil_the_order(tmp_path: Path) -> None:
@@ -172,10 +178,10 @@ def test_time_stamps_that_are_also_numbers_of_frames_do_not_spoil_the_order(tmp_
     (tmp_path / "clip.txt").write_text("\n".join([lines[0], "0 " + lines[1].split(" ", 1)[1], *lines[2:]]))
     for number, path in enumerate(sorted((tmp_path / "images").iterdir())):
         path.rename(tmp_path / "images" / f"{number}.png")
-    assert open_capture(tmp_path).choose(Wish()).paths == ("images/0.png", "images/1.png", "images/2.png")
+    assert open_capture(tmp_path).choose(ViewSelection()).paths == ("images/0.png", "images/1.png", "images/2.png")
     (tmp_path / "images" / "2.png").unlink()  # now nothing tells whose the photograph 1 is
     with pytest.raises(ImageError, match="1033366 does not exist"):
-        open_capture(tmp_path).choose(Wish())
+        open_capture(tmp_path).choose(ViewSelection())
 
 
 def test_of_a_large_model_those_with_a_photograph_are_used(tmp_path: Path) -> None:
@@ -183,14 +189,14 @@ def test_of_a_large_model_those_with_a_photograph_are_used(tmp_path: Path) -> No
     for path in sorted((tmp_path / "images" / "left side").iterdir()):
         if path.name not in ("view 0003.png", "view 0005.png", "view 0011.png"):
             path.unlink()
-    found = open_capture(tmp_path).choose(Wish())
+    found = open_capture(tmp_path).choose(ViewSelection())
     assert found.indices == (3, 5, 11)
     assert (found.selection["by"], found.selection["without_photograph"]) == ("photographs", 17)
-    assert open_capture(tmp_path).choose(Wish(context=2)).indices in ((3, 5), (5, 11))
+    assert open_capture(tmp_path).choose(ViewSelection(context=2)).indices in ((3, 5), (5, 11))
     (tmp_path / "images" / "left side" / "view 0003.png").unlink()
     (tmp_path / "images" / "left side" / "view 0005.png").unlink()
     with pytest.raises(ImageError, match=r"0000\.png does not exist"):
-        open_capture(tmp_path).choose(Wish())
+        open_capture(tmp_path).choose(ViewSelection())
 
 
 def test_a_scene_folder_has_pinholes_only(tmp_path: Path) -> None:
@@ -199,7 +205,7 @@ def test_a_scene_folder_has_pinholes_only(tmp_path: Path) -> None:
     assert load_scene_folder(tmp_path).image_paths[1] == tmp_path / "images/left side/view 0001.png"
     document = json.loads((tmp_path / "transforms.json").read_text())
     (tmp_path / "transforms.json").write_text(json.dumps(document | {"k1": -0.2}))
-    assert open_capture(tmp_path).choose(Wish()).file.views[0].lens is not None
+    assert open_capture(tmp_path).choose(ViewSelection()).file.views[0].lens is not None
     with pytest.raises(IntrinsicsError, match=r"by \d.* px, need less than 0\.5 px"):
         load_scene_folder(tmp_path)
 
@@ -220,7 +226,7 @@ def test_what_is_beside_a_capture_does_not_matter(tmp_path: Path) -> None:
     (tmp_path / "images" / "notes.md").write_text("x")
     (tmp_path / "__MACOSX").mkdir()
     write_cameras_json(tmp_path / "__MACOSX", arc(2))
-    assert open_capture(tmp_path).choose(Wish()).indices == (0, 1, 2)
+    assert open_capture(tmp_path).choose(ViewSelection()).indices == (0, 1, 2)
 
 
 @pytest.mark.parametrize(
@@ -240,7 +246,7 @@ def test_rows_that_are_no_camera(tmp_path: Path, place: int, value: float, error
     write_photographs(tmp_path, ["a.png", "b.png", "c.png"])
     np.save(tmp_path / "poses_bounds.npy", rows)
     with pytest.raises(error, match=words) as caught:
-        open_capture(tmp_path).choose(Wish())
+        open_capture(tmp_path).choose(ViewSelection())
     assert caught.value.index == 1
 
 
@@ -260,5 +266,5 @@ def test_lines_that_are_no_camera(tmp_path: Path, change, words: str) -> None:
     lines[2] = " ".join(change(lines[2].split()))
     (tmp_path / "clip.txt").write_text("\n".join(lines))
     with pytest.raises(CameraError, match=words) as caught:
-        open_capture(tmp_path).choose(Wish())
+        open_capture(tmp_path).choose(ViewSelection())
     assert caught.value.index == 1

@@ -14,7 +14,7 @@ from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.cameras.view_checks import check_views
 from gapmes.service.captures import choose
 from gapmes.service.captures.choose import chosen_views, scene_depths
-from gapmes.service.captures.select import Wish, checked_wish, named_views, several_named_views
+from gapmes.service.captures.select import ViewSelection, checked_selection, named_views, several_named_views
 from gapmes.service.errors import InputError, ViewCountError, ViewError
 
 
@@ -215,11 +215,11 @@ def test_a_single_view_is_too_few_for_a_reconstruction_alone() -> None:
 
 
 def test_wishes_that_cannot_be() -> None:
-    assert checked_wish(Wish("0,1")) == Wish("0,1")
+    assert checked_selection(ViewSelection("0,1")) == ViewSelection("0,1")
     for count, said in ((0, "0 views"), (1, "1 view"), (7, "7 views")):
         with pytest.raises(ViewCountError, match=f"{said}, need 2 to 6"):
-            checked_wish(Wish(context=count))
+            checked_selection(ViewSelection(context=count))
     with pytest.raises(ViewCountError, match="100001 views, need 2 to 6"):
-        checked_wish(Wish("," * 100_000))
+        checked_selection(ViewSelection("," * 100_000))
     with pytest.raises(InputError, match="is given beside select"):
-        checked_wish(Wish("0,1", 2))
+        checked_selection(ViewSelection("0,1", 2))

@@ -15,7 +15,7 @@ from gapmes.service.captures.capture import open_capture, read_camera_file
 from gapmes.service.captures.colmap import PARAMETERS
 from gapmes.service.captures.colmap_binary import read_images
 from gapmes.service.captures.colmap_model import MODELS
-from gapmes.service.captures.select import Wish
+from gapmes.service.captures.select import ViewSelection
 from gapmes.service.errors import CameraError, IntrinsicsError, PoseError
 
 
@@ -206,7 +206,7 @@ def test_lines_that_are_wrong_are_named(tmp_path: Path, file: str, change, error
     assert change[0] in path.read_text()
     path.write_text(path.read_text().replace(*change))
     with pytest.raises(error, match=words):
-        open_capture(tmp_path).choose(Wish())
+        open_capture(tmp_path).choose(ViewSelection())
 
 
 def test_comments_empty_lines_and_carriage_returns(tmp_path: Path) -> None:

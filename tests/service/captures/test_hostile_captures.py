@@ -16,7 +16,7 @@ from hostile import archive_of, opened, peak_below
 from gapmes.service.captures.capture import Capture, open_capture
 from gapmes.service.captures.files import FolderFiles, read_bounded
 from gapmes.service.captures.recognise import recognised, table_of_bytes
-from gapmes.service.captures.select import Wish
+from gapmes.service.captures.select import ViewSelection
 from gapmes.service.errors import CameraError, CaptureError, PoseError
 
 
@@ -62,7 +62,7 @@ def test_a_frame_at_an_infinite_place_is_refused_and_nothing_else_is_said(tmp_pa
     struct.pack_into("<d", data, 8 + 4 + 4 + 32, np.inf)
     path.write_bytes(data)
     with pytest.raises(PoseError, match="NaN or infinite"):
-        open_capture(tmp_path).choose(Wish())
+        open_capture(tmp_path).choose(ViewSelection())
 
 
 def test_points_are_passed_over_without_being_held(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_a_text_of_too_many_lines() -> None:
 def test_a_photograph_that_unpacks_to_too_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_cameras_json(tmp_path, arc(2))
     capture = Capture.of(opened(zipped(tmp_path)))
-    found = capture.choose(Wish())
+    found = capture.choose(ViewSelection())
     monkeypatch.setattr("gapmes.service.captures.photographs.MAX_PHOTOGRAPH_BYTES", 100)
     with pytest.raises(CaptureError, match=r"view 0000\.png has \d+ bytes or more, the limit is 100"):
         found.read(0)

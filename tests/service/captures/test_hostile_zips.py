@@ -20,7 +20,7 @@ from gapmes.service.captures import archive
 from gapmes.service.captures.archive import ZipFiles
 from gapmes.service.captures.capture import Capture, open_capture
 from gapmes.service.captures.files import read_bounded
-from gapmes.service.captures.select import Wish
+from gapmes.service.captures.select import ViewSelection
 from gapmes.service.errors import CaptureError, GapmesError
 
 
@@ -249,6 +249,6 @@ def test_damaged_zips_are_read_or_refused(whole: dict[str, bytes], data: st.Data
         harmed[place] = data.draw(st.integers(0, 255))
     cut = data.draw(st.integers(0, 40))
     with suppress(GapmesError):
-        found = Capture.of(opened(bytes(harmed[: len(harmed) - cut]))).choose(Wish())
+        found = Capture.of(opened(bytes(harmed[: len(harmed) - cut]))).choose(ViewSelection())
         for place in range(len(found.paths)):
             found.read(place)

@@ -17,7 +17,7 @@ from gapmes.service.cameras.camera_fields import CameraFile
 from gapmes.service.captures.archive import ZipFiles
 from gapmes.service.captures.capture import open_capture, read_camera_file
 from gapmes.service.captures.colmap_text import read_images
-from gapmes.service.captures.select import Wish
+from gapmes.service.captures.select import ViewSelection
 from gapmes.service.captures.usable import usable_views
 from gapmes.service.errors import CameraError, CaptureError, IntrinsicsError, PoseError
 
@@ -114,9 +114,9 @@ def test_a_view_that_cannot_be_used_keeps_none_of_the_others(
     text = path.read_text()
     path.write_text(change(text))
     assert path.read_text() != text
-    assert open_capture(tmp_path).choose(Wish(select="0,1")).warnings == ()
-    for wish in (Wish(), Wish(context=2)):
-        found = open_capture(tmp_path).choose(wish)
+    assert open_capture(tmp_path).choose(ViewSelection(select="0,1")).warnings == ()
+    for wanted in (ViewSelection(), ViewSelection(context=2)):
+        found = open_capture(tmp_path).choose(wanted)
         assert 7 not in found.indices
         assert found.selection["of"] == 9
         (warning,) = found.warnings
@@ -125,7 +125,7 @@ def test_a_view_that_cannot_be_used_keeps_none_of_the_others(
         assert warning["index"] == 7
         assert words in warning["message"]
     with pytest.raises(error, match=words):
-        open_capture(tmp_path).choose(Wish(select="0,7"))
+        open_capture(tmp_path).choose(ViewSelection(select="0,7"))
 
 
 def test_where_no_two_views_can_be_used_the_first_reason_is_told(tmp_path: Path) -> None:
@@ -133,14 +133,14 @@ def test_where_no_two_views_can_be_used_the_first_reason_is_told(tmp_path: Path)
     path = tmp_path / "transforms.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"camera_model": "OPENCV_FISHEYE"}))
     with pytest.raises(IntrinsicsError, match="camera_model is OPENCV_FISHEYE") as caught:
-        open_capture(tmp_path).choose(Wish())
+        open_capture(tmp_path).choose(ViewSelection())
     assert caught.value.index == 0
 
 
 @pytest.mark.parametrize("folder", ["sparse/1", "sparse/12", "colmap/sparse/2"])
 def test_a_model_without_its_first_is_found(tmp_path: Path, folder: str) -> None:
     write_colmap(tmp_path, arc(3), folder)
-    found = open_capture(tmp_path).choose(Wish())
+    found = open_capture(tmp_path).choose(ViewSelection())
     assert (found.selection["cameras"], found.warnings) == (f"{folder}/images.bin", ())
 
 
@@ -159,7 +159,7 @@ def test_a_zip_with_the_slashes_of_windows(tmp_path: Path) -> None:
     write_cameras_json(tmp_path / "scan", arc(2))
     path = tmp_path / "scan.zip"
     path.write_bytes(with_backslashes(zipped(tmp_path / "scan")))
-    found = open_capture(path).choose(Wish())
+    found = open_capture(path).choose(ViewSelection())
     assert found.paths[1] == "scan/images/left side/view 0001.png"
     assert found.read(1) == photograph(1)
 

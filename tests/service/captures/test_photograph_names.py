@@ -13,7 +13,7 @@ from gapmes.service.cameras.camera_file import camera_document
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.files import FolderFiles
 from gapmes.service.captures.names import MOST_PARTS, Endings, places_of, same_file, same_path
-from gapmes.service.captures.select import Wish, named_views
+from gapmes.service.captures.select import ViewSelection, named_views
 from gapmes.service.errors import ImageError, ViewError
 
 RIG = [f"{camera}/{index:04d}.png" for camera in ("cam0", "cam1") for index in range(4)]
@@ -31,10 +31,10 @@ def test_photographs_of_one_camera_of_a_rig_are_not_those_of_the_other(tmp_path:
     """Without their folders they may be either's; with them, each is its own."""
     flat = capture_of(tmp_path / "flat", RIG, [f"images/{index:04d}.png" for index in range(4)])
     with pytest.raises(ImageError, match="does not exist") as caught:
-        open_capture(flat).choose(Wish())
+        open_capture(flat).choose(ViewSelection())
     assert "0000.png alone may be any of 2: keep their folders" in caught.value.cure
     half = capture_of(tmp_path / "half", RIG, [f"images/cam1/{index:04d}.png" for index in range(4)])
-    chosen = open_capture(half).choose(Wish())
+    chosen = open_capture(half).choose(ViewSelection())
     assert chosen.indices == (4, 5, 6, 7)
     assert chosen.selection["without_photograph"] == 4
     assert [chosen.read(place) for place in range(4)] == [photograph(seed) for seed in range(4)]
@@ -50,26 +50,26 @@ def test_as_much_of_a_name_counts_as_tells_it_from_the_others(tmp_path: Path, ab
 def test_a_photograph_belongs_to_one_view(tmp_path: Path) -> None:
     capture = open_capture(capture_of(tmp_path, ["a.png", "b.png", "a"], ["images/a.png", "images/b.png"]))
     with pytest.raises(ImageError, match=r"images/a\.png is the photograph of view 0 too") as caught:
-        capture.choose(Wish())
+        capture.choose(ViewSelection())
     assert (caught.value.field, caught.value.index) == ("views.image", 2)
-    assert capture.choose(Wish(select="0,1")).paths == ("images/a.png", "images/b.png")
+    assert capture.choose(ViewSelection(select="0,1")).paths == ("images/a.png", "images/b.png")
 
 
 @pytest.mark.parametrize("name", ["imag\0es/0.png", "0\0.png", "imag\ud800es/0.png", "x" * 300 + "/y.png"])
 def test_names_that_no_file_can_have_are_of_none(tmp_path: Path, name: str) -> None:
     capture = open_capture(capture_of(tmp_path, ["a.png", name], ["images/a.png", "images/b.png"]))
     with pytest.raises(ImageError, match="does not exist") as caught:
-        capture.choose(Wish())
+        capture.choose(ViewSelection())
     assert caught.value.index == 1
 
 
 def test_folders_may_be_in_another_case(tmp_path: Path) -> None:
     named = ["Images/Left/0.png", "Images/Right/0.png"]
     capture = open_capture(capture_of(tmp_path / "one", named, ["images/left/0.png", "images/right/0.PNG"]))
-    assert capture.choose(Wish()).paths == ("images/left/0.png", "images/right/0.PNG")
+    assert capture.choose(ViewSelection()).paths == ("images/left/0.png", "images/right/0.PNG")
     two = capture_of(tmp_path / "two", named, ["images/left/0.png", "images/RIGHT/0.png", "images/right/0.png"])
     with pytest.raises(ImageError, match=r"Right/0\.png does not exist"):
-        open_capture(two).choose(Wish())
+        open_capture(two).choose(ViewSelection())
 
 
 def test_a_folder_of_folders_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,7 +83,7 @@ def test_a_folder_of_folders_is_read_once(tmp_path: Path, monkeypatch: pytest.Mo
     capture = open_capture(capture_of(tmp_path, named, there))
     asked.clear()
     with pytest.raises(ImageError, match="does not exist"):
-        capture.choose(Wish())
+        capture.choose(ViewSelection())
     assert len(asked) == len(set(asked)) < 20
 
 
@@ -97,7 +97,7 @@ def test_letters_may_be_composed_or_not(tmp_path: Path, forms: tuple[str, str], 
     if packed:
         path = tmp_path / "scan.zip"
         path.write_bytes(zipped(root))
-    assert open_capture(path).choose(Wish()).read(1) == photograph(1)
+    assert open_capture(path).choose(ViewSelection()).read(1) == photograph(1)
     assert named_views(there[1], named, field="views") == [1]
 
 
@@ -127,11 +127,11 @@ def test_a_view_may_be_named_by_the_path_that_was_told(tmp_path: Path, folder: s
     named = [f"images/{index:03d}.png" for index in range(3)]
     there = [f"{folder}/{index:03d}.png" for index in range(3)]
     capture = open_capture(capture_of(tmp_path, named, there))
-    told = capture.choose(Wish(select="0,2")).selection["images"]
+    told = capture.choose(ViewSelection(select="0,2")).selection["images"]
     assert told == [there[0], there[2]]
-    assert capture.choose(Wish(select=",".join(told))).indices == (0, 2)
+    assert capture.choose(ViewSelection(select=",".join(told))).indices == (0, 2)
     with pytest.raises(ViewError, match="is not a view index"):
-        capture.choose(Wish(select="rgb/000.png,1"))
+        capture.choose(ViewSelection(select="rgb/000.png,1"))
 
 
 def test_a_folder_that_only_one_side_names_does_not_count() -> None:

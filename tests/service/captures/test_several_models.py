@@ -8,7 +8,7 @@ import pytest
 from capture_scenes import arc, names, write_colmap, zipped
 
 from gapmes.service.captures.capture import open_capture
-from gapmes.service.captures.select import Wish
+from gapmes.service.captures.select import ViewSelection
 
 
 def write_models(root: Path, counts: dict[str, int], *, text: bool = False) -> None:
@@ -27,7 +27,7 @@ def test_of_several_models_one_is_read_and_the_others_are_named(tmp_path: Path, 
         path = tmp_path / "capture.zip"
         path.write_bytes(zipped(root, inside="inner/"))
     inside, form = ("inner/" if packed else ""), ("txt" if text else "bin")
-    found = open_capture(path).choose(Wish())
+    found = open_capture(path).choose(ViewSelection())
     assert found.indices == (0, 1, 2, 3, 4)
     (notice,) = found.warnings
     assert notice == {
@@ -52,14 +52,14 @@ def test_of_several_models_one_is_read_and_the_others_are_named(tmp_path: Path, 
 def test_the_numbered_model_with_most_images_is_read(tmp_path: Path, counts: dict[str, int], read: str) -> None:
     """The mapper numbers them as it finds them; what has another name is somebody's own."""
     write_models(tmp_path, counts)
-    assert open_capture(tmp_path).choose(Wish()).selection["cameras"] == f"{read}/images.bin"
+    assert open_capture(tmp_path).choose(ViewSelection()).selection["cameras"] == f"{read}/images.bin"
 
 
 def test_a_model_that_does_not_say_its_number_of_images_stays_the_first(tmp_path: Path) -> None:
     write_models(tmp_path, {"sparse/0": 2, "sparse/1": 3}, text=True)
     images = tmp_path / "sparse/0/images.txt"
     images.write_text("".join(line for line in images.read_text().splitlines(True) if not line.startswith("#")))
-    assert open_capture(tmp_path).choose(Wish()).selection["cameras"] == "sparse/0/images.txt"
+    assert open_capture(tmp_path).choose(ViewSelection()).selection["cameras"] == "sparse/0/images.txt"
 
 
 def test_many_models_are_counted(tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_a_named_model_has_the_photographs_of_its_project(
     inside, named = tmp_path / folder, Path(folder)
     for path in (inside / "images.bin", named / "cameras.bin", named, Path("images.bin"), Path()):
         monkeypatch.chdir(tmp_path if path.is_relative_to(named) else inside)
-        found = open_capture(path).choose(Wish())
+        found = open_capture(path).choose(ViewSelection())
         assert found.selection["cameras"] == f"{folder}/images.bin"
         assert found.paths == tuple(f"images/{name}" for name in names(3))
         assert found.warnings == ()
@@ -95,14 +95,14 @@ def test_a_named_model_has_the_photographs_of_its_project(
 def test_a_named_model_with_photographs_beside_it_keeps_them(tmp_path: Path) -> None:
     write_models(tmp_path, {"sparse/0": 2})
     (tmp_path / "images").rename(tmp_path / "sparse/0/images")
-    found = open_capture(tmp_path / "sparse/0/images.bin").choose(Wish())
+    found = open_capture(tmp_path / "sparse/0/images.bin").choose(ViewSelection())
     assert found.paths == tuple(f"images/{name}" for name in names(2))
 
 
 def test_a_single_model_is_not_talked_about(tmp_path: Path) -> None:
     write_models(tmp_path, {"sparse/0": 2})
     (tmp_path / "sparse/1").mkdir()
-    assert open_capture(tmp_path).choose(Wish()).warnings == ()
+    assert open_capture(tmp_path).choose(ViewSelection()).warnings == ()
 
 
 def test_a_project_may_be_called_colmap(tmp_path: Path) -> None:
@@ -110,15 +110,15 @@ def test_a_project_may_be_called_colmap(tmp_path: Path) -> None:
     project = tmp_path / "colmap"
     write_models(project, {"sparse/0": 3})
     for path in (project, project / "sparse/0/images.bin", project / "sparse/0", project / "sparse"):
-        assert open_capture(path).choose(Wish()).paths == tuple(f"images/{name}" for name in names(3))
+        assert open_capture(path).choose(ViewSelection()).paths == tuple(f"images/{name}" for name in names(3))
     for path in (project / "images").iterdir():
         path.rename(project / path.name)
     (project / "images").rmdir()
-    assert open_capture(project).choose(Wish()).paths == tuple(names(3))
+    assert open_capture(project).choose(ViewSelection()).paths == tuple(names(3))
 
 
 def test_the_folder_of_a_single_model_stands_for_it(tmp_path: Path) -> None:
     write_models(tmp_path, {"sparse/4": 3})
-    found = open_capture(tmp_path / "sparse").choose(Wish())
+    found = open_capture(tmp_path / "sparse").choose(ViewSelection())
     assert found.selection["cameras"] == "sparse/4/images.bin"
     assert found.paths == tuple(f"images/{name}" for name in names(3))

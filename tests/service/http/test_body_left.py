@@ -14,7 +14,7 @@ import httpx
 import pytest
 from served_process import serving
 
-from gapmes.service.http.curfew import Curfew
+from gapmes.service.http.shutdown_deadline import ShutdownDeadline
 from gapmes.service.http.unread import MOST, SMALL, BodyLeft
 
 MIB = 2**20
@@ -159,7 +159,7 @@ def test_a_body_that_was_refused_for_being_slow_is_not_waited_for(status: int, f
         order.append("answer" if message["type"] == "http.response.start" else "end")
 
     scope = {"type": "http", "headers": [(b"content-length", b"5")]}
-    anyio.run(BodyLeft(refuses, Curfew()), scope, receive, send)
+    anyio.run(BodyLeft(refuses, ShutdownDeadline()), scope, receive, send)
     assert order[0] == first
     assert "wait" in order
 

@@ -95,7 +95,7 @@ def test_noting_that_a_scene_is_read_leaves_the_event_loop_alone(
 
 def test_a_full_queue_answers_before_the_body_is_read(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
     request = post(client).request
-    monkeypatch.setattr(client.app.state.runtime.desk.table, "_most", -1)  # a slot is free, which is a place, too
+    monkeypatch.setattr(client.app.state.runtime.jobs.table, "_most", -1)  # a slot is free, which is a place, too
     sent: list[dict[str, Any]] = []
 
     async def receive() -> dict[str, Any]:

@@ -127,7 +127,7 @@ def test_a_request_that_waits_keeps_a_cancelled_job_going(held: tuple[TestClient
     answers: list[Any] = []
     waiting = threading.Thread(target=lambda: answers.append(post(client)))
     waiting.start()
-    table = client.app.state.runtime.desk.table
+    table = client.app.state.runtime.jobs.table
     while table.get(job["id"]).waiting == 0:
         time.sleep(0.01)
     assert client.delete(job["links"]["self"]).json()["state"] == "running"
@@ -173,7 +173,7 @@ def test_a_client_that_goes_away_takes_its_work_along(held: tuple[TestClient, th
         await client.app(prepared[0], receive, send)
 
     task = client.portal.start_task_soon(request_that_leaves)
-    table = client.app.state.runtime.desk.table
+    table = client.app.state.runtime.jobs.table
     while table.counts()["queued"] == 0:
         time.sleep(0.01)
     left.set()

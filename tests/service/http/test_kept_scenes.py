@@ -15,7 +15,7 @@ from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
 from gapmes.service.http import bundle, drawing
-from gapmes.service.http.gate import Lane
+from gapmes.service.http.concurrency import WorkQueue
 from gapmes.service.scenes.store import SceneStore
 from gapmes.service.settings import Settings
 
@@ -34,9 +34,9 @@ def alone(settings: Settings, tmp_path_factory: pytest.TempPathFactory) -> Itera
 
 @pytest.fixture
 def crowded(alone: TestClient, monkeypatch: pytest.MonkeyPatch) -> SceneStore:
-    """As another process, which evicts what nobody reads: before each turn of a lane, and after each picture."""
+    """As another process, which evicts what nobody reads: before each turn of a queue, and after each picture."""
     other = SceneStore(alone.app.state.runtime.store.root, max_days=1e-9)
-    turn, draw = Lane.run_in_steps, drawing.effort_draw
+    turn, draw = WorkQueue.run_in_steps, drawing.effort_draw
 
     async def crowded_turn(*arguments: Any) -> Any:
         other.evict_old()
@@ -47,7 +47,7 @@ def crowded(alone: TestClient, monkeypatch: pytest.MonkeyPatch) -> SceneStore:
         other.evict_old()
         return drawn
 
-    monkeypatch.setattr(Lane, "run_in_steps", crowded_turn)
+    monkeypatch.setattr(WorkQueue, "run_in_steps", crowded_turn)
     monkeypatch.setattr(drawing, "effort_draw", crowded_draw)
     return other
 
@@ -110,11 +110,11 @@ def test_a_zip_is_drawn_in_steps_for_as_long_as_somebody_waits(
     draw, packed = drawing.effort_draw, bundle._packed
 
     def watched_draw(*arguments: Any, **options: Any) -> Any:
-        taken.append(runtime.pictures.places.taken)
+        taken.append(runtime.pictures.limit.taken)
         return draw(*arguments, **options)
 
     def watched_pack(*arguments: Any) -> bytes:
-        taken.append(runtime.pictures.places.taken)
+        taken.append(runtime.pictures.limit.taken)
         return packed(*arguments)
 
     monkeypatch.setattr(drawing, "effort_draw", watched_draw)

@@ -167,7 +167,7 @@ def left_by_a_service(settings: Settings, further: str, store: Path, monkeypatch
         monkeypatch.context() as patch,
         serving(settings.model_copy(update={"models": further, "store": store, "drain_seconds": 0})) as client,
     ):
-        patch.setattr(client.app.state.runtime.desk._runner, "_next", lambda: None)
+        patch.setattr(client.app.state.runtime.jobs._runner, "_next", lambda: None)
         job = post(client, model="base", prefer="respond-async").json()
         assert job["state"] == "queued"
         work = Spool(store / ".jobs").get(job["id"])

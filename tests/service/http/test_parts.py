@@ -1,4 +1,4 @@
-"""The service's small parts: the lane, Accept, JSON parsing, problem documents."""
+"""The service's small parts: the queue, Accept, JSON parsing, problem documents."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from starlette.requests import ClientDisconnect
 
 from gapmes.service.errors import InputError, MalformedRequest, NotAcceptable, ServiceBusy
-from gapmes.service.http.gate import Lane
+from gapmes.service.http.concurrency import WorkQueue
 from gapmes.service.http.jobs import wanted_async
 from gapmes.service.http.limits import parse_json
 from gapmes.service.http.responses import JSON, PLY, ZIP, accepted
@@ -27,30 +27,30 @@ async def gone() -> bool:
     return True
 
 
-def held(lane: Lane, seconds: float) -> asyncio.Task[None]:
-    return asyncio.create_task(lane.run(lambda: time.sleep(seconds), here))
+def held(queue: WorkQueue, seconds: float) -> asyncio.Task[None]:
+    return asyncio.create_task(queue.run(lambda: time.sleep(seconds), here))
 
 
 def test_a_lane_takes_as_many_as_it_says() -> None:
     async def scenario() -> None:
-        lane = Lane("pictures", 1, 1, 9.0, "drawing")
-        tasks = [held(lane, 0.05), held(lane, 0.05)]
+        queue = WorkQueue("pictures", 1, 1, 9.0, "drawing")
+        tasks = [held(queue, 0.05), held(queue, 0.05)]
         await asyncio.sleep(0)
         with pytest.raises(ServiceBusy, match="2 requests are drawing, the limit is 2"):
-            await lane.run(lambda: None, here)
+            await queue.run(lambda: None, here)
         await asyncio.gather(*tasks)
-        assert await lane.run(lambda: 7, here) == 7
+        assert await queue.run(lambda: 7, here) == 7
 
     asyncio.run(scenario())
 
 
 def test_a_lane_survives_a_failure_inside() -> None:
     async def scenario() -> None:
-        lane = Lane("pictures", 1, 0, 9.0, "drawing")
+        queue = WorkQueue("pictures", 1, 0, 9.0, "drawing")
         for _ in range(3):
             with pytest.raises(ZeroDivisionError):
-                await lane.run(lambda: 1 / 0, here)
-        assert await lane.run(lambda: 7, here) == 7
+                await queue.run(lambda: 1 / 0, here)
+        assert await queue.run(lambda: 7, here) == 7
 
     asyncio.run(scenario())
 
@@ -60,16 +60,16 @@ def test_nothing_is_drawn_for_a_client_that_left_or_waited_too_long() -> None:
     drawn: list[str] = []
 
     async def scenario() -> None:
-        lane, over = Lane("pictures", 1, 5, 0.2, "drawing"), threading.Event()
-        task = asyncio.create_task(lane.run(lambda: over.wait(120), here))
+        queue, over = WorkQueue("pictures", 1, 5, 0.2, "drawing"), threading.Event()
+        task = asyncio.create_task(queue.run(lambda: over.wait(120), here))
         await asyncio.sleep(0.01)
         with pytest.raises(ClientDisconnect):
-            await lane.run(lambda: drawn.append("left"), gone)
+            await queue.run(lambda: drawn.append("left"), gone)
         with pytest.raises(ServiceBusy, match=r"no turn within 0\.2 s"):
-            await lane.run(lambda: drawn.append("late"), here)
+            await queue.run(lambda: drawn.append("late"), here)
         over.set()
         await task
-        await lane.run(lambda: drawn.append("next"), here)
+        await queue.run(lambda: drawn.append("next"), here)
 
     asyncio.run(scenario())
     assert drawn == ["next"]

@@ -11,11 +11,11 @@ from starlette.testclient import TestClient
 
 TAKES = """
 import asyncio, sys
-from gapmes.service.http.gate import Places
+from gapmes.service.http.concurrency import ConcurrencyLimit
 async def main():
-    pictures, uploads = Places("pictures", 9, "drawing"), Places("uploads", 9, "sending")
-    async with pictures.place(), pictures.place(), uploads.place():
-        async with pictures.place():
+    pictures, uploads = ConcurrencyLimit("pictures", 9, "drawing"), ConcurrencyLimit("uploads", 9, "sending")
+    async with pictures.slot(), pictures.slot(), uploads.slot():
+        async with pictures.slot():
             pass
         print("taken", flush=True)
         sys.stdin.read()
@@ -45,7 +45,7 @@ def test_places_of_every_kind_are_shown(client: TestClient) -> None:
 
     runtime, held = client.app.state.runtime, client.portal.wrap_async_context_manager
     assert taken() == [0] * 6
-    with held(runtime.streams.place()), held(runtime.pictures.places.place()), held(runtime.pictures.places.place()):
+    with held(runtime.streams.slot()), held(runtime.pictures.limit.slot()), held(runtime.pictures.limit.slot()):
         assert taken() == [2, 0, 0, 0, 1, 0]
     assert taken() == [0] * 6
 

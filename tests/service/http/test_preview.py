@@ -18,7 +18,7 @@ from starlette.testclient import TestClient
 
 from gapmes.service.errors import ServiceBusy
 from gapmes.service.http import drawing
-from gapmes.service.http.gate import Lane
+from gapmes.service.http.concurrency import WorkQueue
 from gapmes.service.pictures import film
 from gapmes.service.pictures.contact_sheet import CELL, GAP
 from gapmes.service.pictures.picture_error import psnr
@@ -171,7 +171,7 @@ def test_unknown_scenes(client: TestClient, scene_id: str, kind: str) -> None:
 
 
 def test_a_full_lane_is_503(client: TestClient, scene: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client.app.state.runtime.pictures.places, "most", 0)
+    monkeypatch.setattr(client.app.state.runtime.pictures.limit, "most", 0)
     for kind in ("preview", "sheet"):
         assert_problem(client.get(scene["links"][kind]), 503, "service_busy")
 
@@ -223,7 +223,7 @@ def test_others_come_between_two_steps() -> None:
     order: list[str] = []
 
     async def scenario() -> None:
-        lane = Lane("pictures", 1, 5, 9.0, "drawing")
+        queue = WorkQueue("pictures", 1, 5, 9.0, "drawing")
         first = threading.Event()
         asked = threading.Event()
 
@@ -234,16 +234,16 @@ def test_others_come_between_two_steps() -> None:
                 asked.wait(120)
                 pause()
 
-        running = asyncio.create_task(lane.run_in_steps(film_of_three, here))
+        running = asyncio.create_task(queue.run_in_steps(film_of_three, here))
         while not first.is_set():
             await asyncio.sleep(0.001)
-        pictures = [asyncio.create_task(lane.run(lambda: order.append("picture"), here)) for _ in range(2)]
-        while lane.places.taken < 3:
+        pictures = [asyncio.create_task(queue.run(lambda: order.append("picture"), here)) for _ in range(2)]
+        while queue.limit.taken < 3:
             await asyncio.sleep(0.001)
         asked.set()
         await asyncio.gather(running, *pictures)
-        assert await lane.run(lambda: 7, here) == 7
-        assert lane.places.taken == 0
+        assert await queue.run(lambda: 7, here) == 7
+        assert queue.limit.taken == 0
 
     asyncio.run(scenario())
     assert order == ["frame 0", "picture", "picture", "frame 1", "frame 2"]
@@ -255,7 +255,7 @@ def test_a_lane_survives_steps_that_end_early(ending: type[Exception]) -> None:
     steps: list[int] = []
 
     async def scenario() -> None:
-        lane = Lane("pictures", 1, 5, 1.0, "drawing")
+        queue = WorkQueue("pictures", 1, 5, 1.0, "drawing")
         release = threading.Event()
         begun = threading.Event()
 
@@ -269,26 +269,26 @@ def test_a_lane_survives_steps_that_end_early(ending: type[Exception]) -> None:
                 if ending is ZeroDivisionError and number == 1:
                     raise ZeroDivisionError
                 if ending is ServiceBusy and number == 0:
-                    while lane.places.taken < 2:
+                    while queue.limit.taken < 2:
                         release.wait(0.001)
                     release.wait(0.02)
                 pause()
 
-        running = asyncio.create_task(lane.run_in_steps(function, gone))
+        running = asyncio.create_task(queue.run_in_steps(function, gone))
         blocking = None
         if ending is ServiceBusy:
             while not begun.is_set():
                 await asyncio.sleep(0.001)
-            blocking = asyncio.create_task(lane.run(lambda: release.wait(120), here))
+            blocking = asyncio.create_task(queue.run(lambda: release.wait(120), here))
         with pytest.raises(ending):
             await running
         release.set()
         if blocking is not None:
             await blocking
         for _ in range(2):  # neither lost nor doubled
-            assert await lane.run(lambda: 7, here) == 7
-        assert lane.places.taken == 0
-        assert not lane._turns.locked()
+            assert await queue.run(lambda: 7, here) == 7
+        assert queue.limit.taken == 0
+        assert not queue._turns.locked()
 
     asyncio.run(scenario())
     assert len(steps) == (1 if ending is ServiceBusy else 2)

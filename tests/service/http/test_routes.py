@@ -58,7 +58,7 @@ def test_nothing_is_drawn_for_a_head(client: TestClient, monkeypatch: pytest.Mon
     def drawn(*_: object, **__: object) -> None:
         raise AssertionError("this was drawn")
 
-    for module, name in ((render, "draw"), (preview, "Sitting"), (viewer, "ply_bytes")):
+    for module, name in ((render, "draw"), (preview, "PictureSeries"), (viewer, "ply_bytes")):
         monkeypatch.setattr(module, name, drawn)
     for path in (*links["views"], links["preview"], links["sheet"], f"{links['self']}/viewer.ply"):
         head = client.head(path)

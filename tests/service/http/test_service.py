@@ -186,8 +186,8 @@ def test_a_full_queue_refuses_with_retry_after(settings: Settings, tmp_path: Pat
         runtime = full.state.runtime
         assert post(client).status_code == 201
         for held, name, full_at, ask in (  # a slot is free, which is a place, too
-            (runtime.desk.table, "_most", -1, lambda: post(client, [photograph(5), photograph(6)])),
-            (runtime.pictures.places, "most", 0, lambda: client.get("/render?view=0")),
+            (runtime.jobs.table, "_most", -1, lambda: post(client, [photograph(5), photograph(6)])),
+            (runtime.pictures.limit, "most", 0, lambda: client.get("/render?view=0")),
         ):
             before = getattr(held, name)
             setattr(held, name, full_at)

@@ -29,7 +29,7 @@ def test_what_is_beyond_a_limit_goes_at_the_start(settings: Settings, tmp_path: 
     assert store.totals()[0] == 2
 
 
-@pytest.mark.parametrize("broken", ["store", "desk"])
+@pytest.mark.parametrize("broken", ["store", "jobs"])
 def test_what_cannot_be_tidied_does_not_keep_the_rest_from_it(
     settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, broken: str
 ) -> None:
@@ -43,7 +43,7 @@ def test_what_cannot_be_tidied_does_not_keep_the_rest_from_it(
 
     monkeypatch.setattr(runtime_module, "TIDY_S", 0.001)
     monkeypatch.setattr(runtime.store, "evict_old", lambda: tidy("store"))
-    monkeypatch.setattr(runtime.desk, "tidy", lambda: tidy("desk"))
+    monkeypatch.setattr(runtime.jobs, "tidy", lambda: tidy("jobs"))
 
     async def for_two_rounds() -> None:
         task = asyncio.create_task(runtime._tidy())
@@ -52,5 +52,5 @@ def test_what_cannot_be_tidied_does_not_keep_the_rest_from_it(
         task.cancel()
 
     asyncio.run(asyncio.wait_for(for_two_rounds(), 120))
-    assert told[:4] == ["store", "desk", "store", "desk"]
+    assert told[:4] == ["store", "jobs", "store", "jobs"]
     assert "a number that no clock shows" in caplog.text

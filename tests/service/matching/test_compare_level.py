@@ -10,7 +10,7 @@ from guarded import Guarded, beside_nan
 from plane_views import SIDE, plane_depths, plane_views
 
 from gapmes.service.cameras.rotations import about_axis
-from gapmes.service.matching.correspondence import seen_by
+from gapmes.service.matching.correspondence import reprojected
 from gapmes.service.matching.match_cost import LIMIT, difference, features
 from gapmes.service.matching.plane_kernels import compare_level
 from gapmes.service.mending.searched import _Sweep
@@ -43,7 +43,7 @@ def test_what_a_mask_of_the_other_view_hides_is_not_seen() -> None:
     half = np.arange(SIDE)[None] < np.full((SIDE, 1), SIDE // 2)
     level = float(1 / np.median(depth))
     masked = swept(view, replace(other, mask=half)).cost(level)
-    place = seen_by(view, np.full_like(depth, 1 / level), other)
+    place = reprojected(view, np.full_like(depth, 1 / level), other)
     shown, hidden = place.where & (place.column < SIDE // 2 - 2), place.column > SIDE // 2
     assert (masked[hidden] == LIMIT).all()
     assert (masked[shown] < LIMIT).mean() > 0.9

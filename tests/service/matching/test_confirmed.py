@@ -12,7 +12,7 @@ from plane_views import SIDE, in_another_world, plane_depths
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.matching.confirmed import AGREEMENT_PX, GOOD_MATCH, PARALLAX_PX, SAME_COLOUR, TEXTURE, confirmed
-from gapmes.service.matching.correspondence import parallax, seen_by
+from gapmes.service.matching.correspondence import parallax, reprojected
 from gapmes.service.photographs.images import FittedView, Photo, fit_view
 
 
@@ -135,9 +135,9 @@ def test_ahead_of_a_camera_that_goes_forward_nothing_is_confirmed() -> None:
         camera = Camera.make(SIDE, SIDE, 70.0, 66.0, 30.0, 34.0, pose)
         views.append(fit_view(Photo(photograph(camera, waves, phases)), camera, SIDE, SIDE))
     depths = plane_depths(views)
-    moved = parallax(views[0], seen_by(views[0], depths[0], views[1]), views[1])
+    moved = parallax(views[0], reprojected(views[0], depths[0], views[1]), views[1])
     column, row = np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5)
-    seen = seen_by(views[0], depths[0], views[1]).where
+    seen = reprojected(views[0], depths[0], views[1]).where
     np.testing.assert_allclose(moved[seen], (np.hypot(column - 30, row - 34) / (DEPTH - 1))[seen], rtol=1e-12)
     found = confirmed(views, depths)[0]
     assert (
@@ -152,7 +152,7 @@ def test_what_is_infinitely_far_behind_the_other_view_moves_infinitely(views: li
     pose[:3, :3] = pose[:3, :3] @ about_axis(np.array([0.0, 1.0, 0.0]), np.pi)
     pose[:3, 3] += 2 * DEPTH * views[0].camera.rotation[:, 2]
     facing = replace(views[0], camera=views[0].camera.posed(pose))  # it sees the same points from the other side
-    seen = seen_by(views[0], plane_depths(views)[0], facing)
+    seen = reprojected(views[0], plane_depths(views)[0], facing)
     assert seen.where.sum() > 1000
     assert np.isposinf(parallax(views[0], seen, facing)).all()
 

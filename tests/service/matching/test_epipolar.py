@@ -15,7 +15,7 @@ from gapmes.service.cameras.depth_range import DepthRange
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.matching.coarse_views import pixel_grid
-from gapmes.service.matching.epipolar import Beside, epipolar_residuals, off_lines
+from gapmes.service.matching.epipolar import EpipolarResidual, epipolar_residuals, inexact_poses
 from gapmes.service.matching.pair_matches import PairMatches
 from gapmes.service.photographs.images import FittedView, Photo, decode_image, fit_view, match_photo
 from gapmes.service.shipped import sample_folder
@@ -41,7 +41,7 @@ def turned(pairs: PairMatches, which: int, axis: Sequence[float], degrees: float
     return PairMatches(views, pairs.depths)
 
 
-def of_pair(pairs: PairMatches) -> Beside:
+def of_pair(pairs: PairMatches) -> EpipolarResidual:
     (found,) = epipolar_residuals(pairs)
     return found
 
@@ -50,7 +50,7 @@ def of_pair(pairs: PairMatches) -> Beside:
 def test_exact_poses_stand_on_their_lines(made: Callable[[], PairMatches]) -> None:
     pairs = made()
     assert of_pair(pairs).px < EXACT_PX
-    assert off_lines(pairs, (0, 1)) == []
+    assert inexact_poses(pairs, (0, 1)) == []
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -77,7 +77,7 @@ def test_px_are_those_by_which_the_picture_moves() -> None:
 
 
 def test_it_is_told_with_the_views_and_the_turn() -> None:
-    (notice,) = off_lines(turned(sample(), 1, (1, 0, 0), 0.5), (4, 7))
+    (notice,) = inexact_poses(turned(sample(), 1, (1, 0, 0), 0.5), (4, 7))
     assert notice["code"] == "poses_inexact"
     assert "what views 4 and 7 have in common stands " in notice["message"]
     assert notice["px"] > 0.5
@@ -86,10 +86,10 @@ def test_it_is_told_with_the_views_and_the_turn() -> None:
 
 def test_of_three_views_the_worst_pair_is_named_first() -> None:
     pairs = turned(sample((1, 3, 5)), 2, (1, 0, 0), 0.6)
-    (notice,) = off_lines(pairs, (4, 7, 9))
+    (notice,) = inexact_poses(pairs, (4, 7, 9))
     assert "what views 7 and 9 have in common" in notice["message"]
     assert "the same of" not in notice["message"]
-    (notice,) = off_lines(turned(sample((1, 3, 5)), 1, (1, 0, 0), 0.6), (4, 7, 9))
+    (notice,) = inexact_poses(turned(sample((1, 3, 5)), 1, (1, 0, 0), 0.6), (4, 7, 9))
     assert "; the same of views " in notice["message"]
 
 
@@ -106,7 +106,7 @@ def test_larger_pictures_may_be_off_by_more() -> None:
     views = [replace(v, camera=v.camera.posed(c.world_from_cam)) for v, c in zip(views, cameras, strict=True)]
     large = PairMatches(views, small.depths)
     assert of_pair(large).px > 1.5 * of_pair(small).px
-    (of_small,), (of_large,) = off_lines(small, (0, 1)), off_lines(large, (0, 1))
+    (of_small,), (of_large,) = inexact_poses(small, (0, 1)), inexact_poses(large, (0, 1))
     assert "usual is 0.1 to 0.5" in of_small["message"]
     assert "usual is 0.2 to 1.0" in of_large["message"]
 

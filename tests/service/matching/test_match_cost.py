@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from plane_views import SIDE, plane_depths
 
-from gapmes.service.matching.correspondence import seen_by
-from gapmes.service.matching.match_cost import GRADIENT, LIMIT, Gathering, difference, features
+from gapmes.service.matching.correspondence import reprojected
+from gapmes.service.matching.match_cost import GRADIENT, LIMIT, CostAggregation, difference, features
 from gapmes.service.photographs.images import FittedView
 
 
@@ -34,7 +34,7 @@ def test_the_right_depth_costs_least(views: list[FittedView]) -> None:
     depth = plane_depths(views)[0]
     own, others = features(views[0]), features(views[1])
     right, wrong = (difference(views[0], own, k * depth, views[1], others) for k in (1.0, 1.1))
-    both = seen_by(views[0], depth, views[1]).where & seen_by(views[0], 1.1 * depth, views[1]).where
+    both = reprojected(views[0], depth, views[1]).where & reprojected(views[0], 1.1 * depth, views[1]).where
     assert both.mean() > 0.5
     assert np.median(right[both]) < 0.3 * np.median(wrong[both])  # found: 0.14
     assert (wrong <= LIMIT).all()
@@ -43,7 +43,7 @@ def test_the_right_depth_costs_least(views: list[FittedView]) -> None:
 def test_what_is_not_seen_costs_the_limit(views: list[FittedView]) -> None:
     depth = plane_depths(views)[0]
     cost = difference(views[0], features(views[0]), depth, views[1], features(views[1]))
-    hidden = ~seen_by(views[0], depth, views[1]).where
+    hidden = ~reprojected(views[0], depth, views[1]).where
     assert hidden.any()
     assert (cost[hidden] == LIMIT).all()
 
@@ -51,5 +51,5 @@ def test_what_is_not_seen_costs_the_limit(views: list[FittedView]) -> None:
 def test_unknown_costs_do_not_count(views: list[FittedView]) -> None:
     """Where all that is known costs the same, so does everything near it."""
     known = np.random.default_rng(2).random((SIDE, SIDE)) < 0.8
-    found = Gathering(views[0], known).of(np.where(known, 0.1, 0.0))
+    found = CostAggregation(views[0], known).of(np.where(known, 0.1, 0.0))
     assert np.abs(found[known] - 0.1).max() < 1e-9

@@ -9,7 +9,7 @@ import pytest
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.rotations import about_axis
-from gapmes.service.matching.correspondence import Seen, seen_by
+from gapmes.service.matching.correspondence import Reprojection, reprojected
 from gapmes.service.matching.place_kernels import FARTHEST, sample_places
 from gapmes.service.photographs.bilinear import bilinear
 from gapmes.service.photographs.images import FittedView
@@ -38,7 +38,7 @@ def by_camera(here: FittedView, depth: np.ndarray, there: FittedView) -> tuple[n
 def test_places_are_those_of_the_cameras(turn: float, ahead: float, offset: float) -> None:
     here, there = view(-0.1, (offset, 0.2, 0.0)), view(turn, (offset + 0.4, -0.1, ahead), OTHER)
     depth = np.random.default_rng(1).uniform(0.5, 4, (HEIGHT, WIDTH))
-    found: Seen = seen_by(here, depth, there)
+    found: Reprojection = reprojected(here, depth, there)
     pixels, z = by_camera(here, depth, there)
     before = z > 0
     inside = before & ((pixels > 0) & (pixels < OTHER[:2])).all(axis=2)
@@ -58,7 +58,7 @@ def test_a_mask_hides_what_is_inside() -> None:
     depth = np.random.default_rng(1).uniform(0.5, 4, (HEIGHT, WIDTH))
     mask = np.ones((OTHER[1], OTHER[0]), bool)
     mask[:14] = False
-    bare, masked = seen_by(here, depth, there), seen_by(here, depth, replace(there, mask=mask))
+    bare, masked = reprojected(here, depth, there), reprojected(here, depth, replace(there, mask=mask))
     assert (masked.inside == bare.inside).all()
     assert (masked.where == bare.inside & (bare.row >= 14)).all()  # in full on what the mask keeps
     assert 0 < masked.where.sum() < bare.inside.sum()
@@ -68,7 +68,7 @@ def test_a_mask_hides_what_is_inside() -> None:
 @pytest.mark.parametrize("depth", [np.nan, np.inf, -np.inf, 0.0])
 def test_depths_that_are_none_stay_outside(depth: float) -> None:
     """Of 0 is the place of the camera itself, behind the other here."""
-    found = seen_by(view(0.0, (0.0, 0.0, 0.0)), np.full((HEIGHT, WIDTH), depth), view(0.0, (0.3, 0.0, 0.5)))
+    found = reprojected(view(0.0, (0.0, 0.0, 0.0)), np.full((HEIGHT, WIDTH), depth), view(0.0, (0.3, 0.0, 0.5)))
     assert not found.inside.any()
     assert np.isfinite(found.z).all()
     assert (found.column == -1.5).all()
@@ -77,7 +77,7 @@ def test_depths_that_are_none_stay_outside(depth: float) -> None:
 
 def test_a_point_on_the_plane_of_the_other_camera_is_not_in_its_picture() -> None:
     here, there = view(0.0, (0.0, 0.0, 0.0)), view(0.0, (0.3, 0.0, 2.0))
-    found = seen_by(here, np.full((HEIGHT, WIDTH), 2.0), there)
+    found = reprojected(here, np.full((HEIGHT, WIDTH), 2.0), there)
     assert not found.inside.any()
     assert (found.column == -1.5).all()
     assert (found.row == -1.5).all()
@@ -86,7 +86,7 @@ def test_a_point_on_the_plane_of_the_other_camera_is_not_in_its_picture() -> Non
 def test_a_point_beside_the_other_camera_is_far_off_its_picture() -> None:
     """All but on the plane of its centre, where its place overflows."""
     here, there = view(0.0, (0.0, 0.0, 0.0)), view(0.0, (-1e100, 0.0, 1e-300))
-    found = seen_by(here, np.full((HEIGHT, WIDTH), np.nextafter(1e-300, 1.0)), there)
+    found = reprojected(here, np.full((HEIGHT, WIDTH), np.nextafter(1e-300, 1.0)), there)
     assert (found.column == FARTHEST - 0.5).all()
     assert np.isfinite(found.row).all()
     assert not found.inside.any()
@@ -103,6 +103,6 @@ def test_what_is_there_is_what_numpy_finds(channels: int, kind: type) -> None:
     expected = bilinear(values, column, row)
     assert expected.dtype == kind
     assert (found == expected).all()
-    seen = Seen(column, row, np.ones((9, 40)), np.ones((9, 40), bool), np.ones((9, 40), bool))
+    seen = Reprojection(column, row, np.ones((9, 40)), np.ones((9, 40), bool), np.ones((9, 40), bool))
     turned = np.ascontiguousarray(values.transpose(2, 0, 1)).transpose(1, 2, 0)  # as pictures are kept
     assert (seen.value(turned) == expected).all()

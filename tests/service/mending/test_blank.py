@@ -11,7 +11,7 @@ from plane_views import SIDE, in_another_world, plane_depths, plane_views
 
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.matching.coarse_views import pixel_grid
-from gapmes.service.matching.correspondence import from_elsewhere
+from gapmes.service.matching.correspondence import views_with_parallax
 from gapmes.service.mending import blank as module
 from gapmes.service.mending.blank import BLANK, CONTRADICTED, EVEN, LEAST_SHARE, blank_held, blank_moved
 from gapmes.service.photographs.from_border import from_border
@@ -237,7 +237,7 @@ def test_contradictions_are_what_the_definition_says() -> None:
     depths = with_black_at(views, black, BEFORE) * rng.uniform(0.9, 1.1, black.shape)
     contradicted, untold = 0, 0
     for index, view in enumerate(views):
-        found = module._contradictions(views, index, from_elsewhere(views, index, depths[index]), depths)
+        found = module._contradictions(views, index, views_with_parallax(views, index, depths[index]), depths)
         for y, x in rng.integers(0, SIDE, (400, 2)):
             ray = view.camera.rays(np.array([[x + 0.5, y + 0.5]]))[0]
             point = view.camera.center + depths[index, y, x] * ray

@@ -10,7 +10,7 @@ from plane_views import PATCH, SIDE, in_another_world, plane_depths
 
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.matching.confirmed import confirmed
-from gapmes.service.matching.correspondence import seen_by
+from gapmes.service.matching.correspondence import reprojected
 from gapmes.service.mending.continued import continued
 from gapmes.service.photographs.images import FittedView
 
@@ -41,7 +41,7 @@ def test_what_fits_no_better_stays(views: list[FittedView], spoiled: np.ndarray)
     rng, truth = np.random.default_rng(8), plane_depths(views)
     strangers = []
     for index, view in enumerate(views[1:], start=1):
-        seen = seen_by(views[0], truth[0], view)
+        seen = reprojected(views[0], truth[0], view)
         image = view.image.copy()
         rows, columns = (np.round(axis[PATCH]).astype(int).clip(0, SIDE - 1) for axis in (seen.row, seen.column))
         box = np.s_[:, max(rows.min() - 8, 0) : rows.max() + 9, max(columns.min() - 8, 0) : columns.max() + 9]
@@ -76,7 +76,7 @@ def test_what_stands_before_the_plane_and_nobody_else_sees_stays(
     depths = truth.copy()
     depths[0][PATCH] /= 4
     for other in views[1:]:
-        assert not seen_by(views[0], depths[0], other).where[PATCH].any()
+        assert not reprojected(views[0], depths[0], other).where[PATCH].any()
     image = views[0].image.copy()
     image[(slice(None), *PATCH)] = np.random.default_rng(9).uniform(0.4, 0.6, (3, 16, 16))
     thing = [replace(views[0], image=image), *views[1:]]

@@ -9,7 +9,7 @@ import pytest
 from plane_views import SIDE, in_another_world, plane_depths
 
 from gapmes.service.cameras.rotations import about_axis
-from gapmes.service.matching.correspondence import disagreement, pixels_per_inverse_depth, seen_by
+from gapmes.service.matching.correspondence import disagreement, pixels_per_inverse_depth, reprojected
 from gapmes.service.matching.match_cost import GAIN, NOTHING
 from gapmes.service.mending.refined import OFFSETS_PX, RANGE, _least, refined
 from gapmes.service.photographs.images import FittedView
@@ -161,7 +161,7 @@ def test_the_least_cost_lies_between_the_steps() -> None:
 def test_what_a_depth_leads_to_agrees_with_itself(views: list[FittedView]) -> None:
     """The plane's depths meet in the other view; an offset is measured in px."""
     depths = plane_depths(views)
-    seen = seen_by(views[0], depths[0], views[1])
+    seen = reprojected(views[0], depths[0], views[1])
     assert seen.where.mean() > 0.6
     inner = seen.where & (seen.column > 0) & (seen.column < SIDE - 1) & (seen.row > 0) & (seen.row < SIDE - 1)
     assert disagreement(views[0], seen, views[1], depths[1])[inner].max() < 0.01  # its depth between pixels is no line

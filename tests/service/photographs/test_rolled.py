@@ -115,8 +115,8 @@ def test_a_scene_hardly_changes_where_one_camera_was_upside_down(engine: Engine)
     plane = PlaneScene.make(np.random.default_rng(5), count=2)
     pixels, camera = plane.images[1][::-1, ::-1], turned_camera(plane.cameras[1], 2)
 
-    def scene(image: np.ndarray, seen_by: Camera) -> Scene:
-        images, cameras = [plane.images[0], image], [plane.cameras[0], seen_by]
+    def scene(image: np.ndarray, reprojected: Camera) -> Scene:
+        images, cameras = [plane.images[0], image], [plane.cameras[0], reprojected]
         return Reconstructor(engine).reconstruct(images, cameras, near=plane.near, far=plane.far)
 
     usual, found = scene(plane.images[1], plane.cameras[1]), scene(pixels, camera)

@@ -12,7 +12,7 @@ import pytest
 import uvicorn
 from uvicorn.supervisors import multiprocess
 
-from gapmes.service.process.watched_process import Told, WatchedProcess, Watcher
+from gapmes.service.process.watched_process import LockFreeEvent, WatchedProcess, Watcher
 
 CONFIG = uvicorn.Config("gapmes.service.serving:app", factory=True, workers=2)
 
@@ -40,10 +40,10 @@ def test_the_end_of_a_worker_that_has_not_answered_is_heard_of() -> None:
 
 
 def test_a_worker_that_does_not_answer_keeps_nobody_from_ending() -> None:
-    told = Told()
-    worker = WatchedProcess(CONFIG, [], told)
+    ending = LockFreeEvent()
+    worker = WatchedProcess(CONFIG, [], ending)
     heard, asked = asked_while_stopped(worker)
-    told.set()
+    ending.set()
     asked.join(120)
     assert heard == [True]
     worker.kill()
@@ -62,11 +62,11 @@ class Worker:
     def start(self) -> None:
         self.done.append("start")
 
-    def wait_until_ready(self, _: float, told: Told) -> bool:
+    def wait_until_ready(self, _: float, ending: LockFreeEvent) -> bool:
         heard = signal.getsignal(signal.SIGTERM)  # called, not raised: without a handler it would end the tests
         assert callable(heard)
         heard(signal.SIGTERM, None)
-        return not told.is_set()
+        return not ending.is_set()
 
     def kill(self) -> None:
         self.done.append("kill")
@@ -90,7 +90,7 @@ def watcher(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watcher]:
 def test_a_signal_to_end_is_heard_while_workers_are_replaced(watcher: Watcher, monkeypatch: pytest.MonkeyPatch) -> None:
     """The workers hear it at once, too: what one that is being replaced still has to do takes none of their time."""
     killed: list[tuple[int, int]] = []
-    monkeypatch.setattr(os, "kill", lambda *told: killed.append(told))
+    monkeypatch.setattr(os, "kill", lambda *sent: killed.append(sent))
     monkeypatch.setattr(multiprocess, "Process", Worker)
     workers: Any = [Worker(), Worker()]
     watcher.processes = list(workers)
@@ -106,7 +106,7 @@ def test_a_worker_that_takes_another_ones_place_hears_it_before_that_one_has_end
 ) -> None:
     """The library lists it only when the one before has ended, which may take that one's whole time."""
     killed: list[tuple[int, int]] = []
-    monkeypatch.setattr(os, "kill", lambda *told: killed.append(told))
+    monkeypatch.setattr(os, "kill", lambda *sent: killed.append(sent))
     fresh: Any = Worker()
     watcher._made.append(fresh)
     watcher._end(signal.SIGTERM, None)

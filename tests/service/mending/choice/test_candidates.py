@@ -11,7 +11,7 @@ from plane_views import PATCH, SIDE, in_another_world, plane_depths, with_wrong_
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.matching.confirmed import confirmed
 from gapmes.service.matching.correspondence import pixels_per_inverse_depth
-from gapmes.service.matching.match_cost import Gathering, difference, features
+from gapmes.service.matching.match_cost import CostAggregation, difference, features
 from gapmes.service.matching.window_match import contrast
 from gapmes.service.mending.choice.candidates import ABOUT, COUNT, KNOWN, REACHES, Candidates, Matched
 from gapmes.service.mending.surfaces import described_surface
@@ -107,7 +107,7 @@ def by_definition(views: list[FittedView], stacks: list[np.ndarray], row: int, c
     place, middle = (row, column), np.median([plane[row, column] for plane in inverse])
     known = []
     for candidate, plane in enumerate(inverse):
-        cost = Gathering(view, view.kept).of(difference(view, own, way / plane, other, others))[place]
+        cost = CostAggregation(view, view.kept).of(difference(view, own, way / plane, other, others))[place]
         point = view.camera.unproject(np.array([[column + 0.5, row + 0.5]]), np.array([way / plane[place]]))
         (px,), (z,) = other.camera.project(point)
         seen = bool(z > 0 and (px > 0).all() and (px < SIDE).all())

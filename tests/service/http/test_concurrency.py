@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from gapmes.service.errors import ServiceBusy
-from gapmes.service.http.gate import Lane, Pause
+from gapmes.service.http.concurrency import Pause, WorkQueue
 
 FILMS = 60  # more than the 40 worker threads that everybody shares
 
@@ -30,10 +30,10 @@ def test_films_that_pause_leave_a_thread_for_the_one_whose_turn_it_is() -> None:
     done: list[int] = []
 
     async def all_at_once() -> None:
-        lane = Lane("pictures", 1, 200, 10.0, "drawing")
+        queue = WorkQueue("pictures", 1, 200, 10.0, "drawing")
 
         async def one() -> None:
-            done.append(await lane.run_in_steps(_film, _stays))
+            done.append(await queue.run_in_steps(_film, _stays))
 
         async with anyio.create_task_group() as tasks:
             for _ in range(FILMS):
@@ -45,18 +45,18 @@ def test_films_that_pause_leave_a_thread_for_the_one_whose_turn_it_is() -> None:
 
 def test_one_more_than_wait_is_refused() -> None:
     async def three() -> None:
-        lane, over = Lane("pictures", 1, 1, 600.0, "drawing"), threading.Event()
+        queue, over = WorkQueue("pictures", 1, 1, 600.0, "drawing"), threading.Event()
 
         async def hold() -> None:
-            await lane.run(lambda: over.wait(600), _stays)
+            await queue.run(lambda: over.wait(600), _stays)
 
         async with anyio.create_task_group() as tasks:
             for _ in range(2):
                 tasks.start_soon(hold)
-            while lane.places.taken < 2:
+            while queue.limit.taken < 2:
                 await anyio.sleep(0.001)
             with pytest.raises(ServiceBusy, match="2 requests are drawing, the limit is 2"):
-                await lane.run(lambda: None, _stays)
+                await queue.run(lambda: None, _stays)
             over.set()
 
     anyio.run(three)

@@ -17,7 +17,7 @@ from http_requests import assert_problem, photograph, post
 from served_process import serving, until
 from test_serve import cameras_of
 
-from gapmes.service.http.curfew import AnsweredInTime, Curfew
+from gapmes.service.http.shutdown_deadline import AnsweredInTime, ShutdownDeadline
 
 HEAD = b"POST /reconstruct HTTP/1.1\r\nHost: x\r\nContent-Type: multipart/form-data; boundary=x\r\n"
 HEAD += b"Content-Length: 99\r\n\r\n"
@@ -84,11 +84,11 @@ def test_an_answer_that_has_begun_is_no_other_one(*, begun: bool) -> None:
         sent.append(message)
 
     async def run() -> None:
-        curfew = Curfew()
+        shutdown_deadline = ShutdownDeadline()
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(AnsweredInTime(waits, curfew, 1.0), {"type": "http"}, _receive, send)
+            tasks.start_soon(AnsweredInTime(waits, shutdown_deadline, 1.0), {"type": "http"}, _receive, send)
             await anyio.sleep(0.01)
-            curfew.end()
+            shutdown_deadline.end()
 
     anyio.run(run)
     assert [message.get("status") for message in sent] == ([200] if begun else [503, None])
@@ -103,7 +103,7 @@ def test_who_is_ended_for_another_reason_ends() -> None:
 
     async def run() -> None:
         with anyio.move_on_after(0.01) as scope:
-            await AnsweredInTime(waits, Curfew(), 1.0)({"type": "http"}, _receive, send)
+            await AnsweredInTime(waits, ShutdownDeadline(), 1.0)({"type": "http"}, _receive, send)
         assert scope.cancelled_caught
 
     anyio.run(run)

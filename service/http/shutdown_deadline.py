@@ -15,7 +15,7 @@ from . import problems
 GRACE_S = 2  # after it, to send these answers; then the server closes the connections
 
 
-class Curfew:
+class ShutdownDeadline:
     """Tasks that are cancelled at the deadline. To be used from the event loop's thread only."""
 
     def __init__(self) -> None:
@@ -46,8 +46,8 @@ class Curfew:
 class AnsweredInTime:
     """ASGI middleware: 503 for a request that has no answer at the deadline, instead of a closed connection."""
 
-    def __init__(self, app: ASGIApp, curfew: Curfew, seconds: float) -> None:
-        self._app, self._curfew, self._seconds = app, curfew, seconds
+    def __init__(self, app: ASGIApp, shutdown_deadline: ShutdownDeadline, seconds: float) -> None:
+        self._app, self._curfew, self._seconds = app, shutdown_deadline, seconds
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":

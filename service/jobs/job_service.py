@@ -31,7 +31,7 @@ _log = logging.getLogger("gapmes")
 LEASES, SPOOL = ".processes", ".jobs"  # folders beside the scenes
 
 
-class Desk:
+class JobService:
     """The jobs of one store: submitted at any time, computed by its runner once `open` has given it the models."""
 
     def __init__(self, store: SceneStore, settings: Settings) -> None:
@@ -90,7 +90,7 @@ class Desk:
             if work.scene_id(models.get(work.model).identity) != scene_id:
                 changed = "the job was asked for with another model file, engine or release"
                 raise ModelChanged(changed, cure="ask for it again")
-            with _told(models, work.model, hear) as reconstructor:
+            with _reporting_loads(models, work.model, hear) as reconstructor:
                 metrics.reconstructed(compute(work, scene_id, reconstructor, store, settings, hear))
             trim()  # the scene is no longer referenced
 
@@ -166,7 +166,7 @@ class Desk:
 
 
 @contextmanager
-def _told(models: Models, name: str, hear: Listener) -> Iterator[Reconstructor]:
+def _reporting_loads(models: Models, name: str, hear: Listener) -> Iterator[Reconstructor]:
     """The model, in use during the block. If it has to be loaded, that is reported as a stage of the job."""
     with ExitStack() as held:
         if models.loaded(name):

@@ -1,4 +1,4 @@
-"""Limits on concurrent requests: counted places, and lanes that run work on threads in order of arrival."""
+"""Limits on concurrent requests: counted slots, and queues that run work on threads in order of arrival."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Pause = Callable[[], None]  # called on the worker thread
 GLANCE_S = 0.1  # between checks for that
 
 
-class Places:
+class ConcurrencyLimit:
     """At most `most` requests at the same time; one more raises `ServiceBusy`."""
 
     def __init__(self, name: str, most: int, doing: str) -> None:
@@ -33,13 +33,13 @@ class Places:
         self._take(0)
 
     def check(self) -> None:
-        """Raises `ServiceBusy` if no place is free."""
+        """Raises `ServiceBusy` if no slot is free."""
         if self.taken >= self.most:
             raise ServiceBusy(f"{self.taken} requests are {self._doing}, the limit is {self.most}", cure="retry later")
 
     @asynccontextmanager
-    async def place(self) -> AsyncIterator[None]:
-        """Occupy a place during the block. Raises `ServiceBusy`."""
+    async def slot(self) -> AsyncIterator[None]:
+        """Occupy a slot during the block. Raises `ServiceBusy`."""
         self.check()
         self._take(self.taken + 1)
         try:
@@ -52,27 +52,27 @@ class Places:
         self._gauge.set(taken)
 
 
-class Lane:
+class WorkQueue:
     """Runs functions on worker threads, `slots` at once in order of arrival; up to `waiting` more may queue."""
 
     def __init__(self, name: str, slots: int, waiting: int, patience_s: float, doing: str) -> None:
-        """A function waits at most `patience_s` for its turn; `name` and `doing` as in `Places`."""
+        """A function waits at most `patience_s` for its turn; `name` and `doing` as in `ConcurrencyLimit`."""
         self._turns = asyncio.Semaphore(slots)
         self._threads = anyio.CapacityLimiter(slots + waiting)  # of its own, since a paused function keeps its thread
         self._patience_s = patience_s
-        self.places = Places(name, slots + waiting, doing)
+        self.limit = ConcurrencyLimit(name, slots + waiting, doing)
 
     async def run(self, function: Callable[[], T], gone: Gone) -> T:
         """Wait for a turn and run the function on a worker thread.
 
-        Raises `ServiceBusy` if the lane is full or the wait too long, and `ClientDisconnect` if the client has left.
+        Raises `ServiceBusy` if the queue is full or the wait too long, and `ClientDisconnect` if the client has left.
         """
         return await self.run_in_steps(lambda _: function(), gone)
 
     async def run_in_steps(self, function: Callable[[Pause], T], gone: Gone) -> T:
         """As `run`, for work of several steps. Between two steps the function calls its argument, which lets waiting
         requests run first and raises `ClientDisconnect` or `ServiceBusy` as before the first step."""
-        async with self.places.place():
+        async with self.limit.slot():
             await self._turn(gone)
             held = True
 
