@@ -93,14 +93,18 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
+IN_STORE = ("store", "delete scenes, or give it more room")
+IN_TEMPORARY = ("TMPDIR", "make room in the folder for temporary files, or set TMPDIR to a folder that has some")
+
+
 @contextmanager
-def full_is_refused(what: str) -> Iterator[None]:
-    """Raises `StorageFull` if the block fails on a full disk, a quota, or the process's limit on file sizes."""
+def full_is_refused(what: str, place: tuple[str, str] = IN_STORE) -> Iterator[None]:
+    """Raises `StorageFull` if the block fails on a full disk, a quota, or the process's limit on file sizes; `place` is
+    the error's field and cure."""
+    field, cure = place
     try:
         yield
     except OSError as error:
         if error.errno in _FULL:
-            raise StorageFull(
-                f"no space for {what}: {error.strerror}", field="store", cure="delete scenes, or give it more room"
-            ) from error
+            raise StorageFull(f"no space for {what}: {error.strerror}", field=field, cure=cure) from error
         raise

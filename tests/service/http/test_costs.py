@@ -19,6 +19,7 @@ from starlette.testclient import TestClient
 from gapmes.service.app import create_app
 from gapmes.service.errors import GapmesError, ServiceBusy, StorageFull
 from gapmes.service.http import inputs, pairing
+from gapmes.service.pictures.picture import png
 from gapmes.service.scenes.database import Database
 from gapmes.service.scenes.scene_index import SceneIndex
 from gapmes.service.scenes.store import SceneStore
@@ -187,14 +188,26 @@ def test_a_full_disk_is_507_and_nothing_is_broken(
 
 @pytest.mark.parametrize("owner", [tempfile, Path])
 def test_a_film_that_finds_no_room_is_507(client: TestClient, monkeypatch: pytest.MonkeyPatch, owner: Any) -> None:
-    """For its folder, or for the film itself."""
+    """For its folder, or for the film itself. Both are not in the store, which has nothing to do with it."""
     link = post(client).json()["links"]["preview"]
 
     def full(*_: Any, **__: Any) -> Any:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(owner, "mkdtemp" if owner is tempfile else "replace", full)
-    assert_problem(client.get(link, params={"frames": 2}), 507, "storage_full")
+    problem = assert_problem(client.get(link, params={"frames": 2}), 507, "storage_full", "TMPDIR")
+    assert "scenes" not in problem["cure"]
+
+
+def test_a_large_upload_that_finds_no_room_is_507(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any, **__: Any) -> Any:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    noise = np.random.default_rng(0).integers(0, 256, (640, 640, 3), dtype=np.uint8)
+    large = png(noise)
+    assert len(large) > 2**20  # what python keeps in memory
+    monkeypatch.setattr(tempfile.SpooledTemporaryFile, "rollover", full)
+    assert_problem(post(client, [large, photograph(1)]), 507, "storage_full", "TMPDIR")
 
 
 @pytest.mark.parametrize(
