@@ -7,8 +7,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file
 from torch import Tensor
 
 from .config import PRESETS, ModelConfig
@@ -16,9 +14,10 @@ from .network import GaPMeS
 from .overflow import refuse_overflow
 from .pretrained.files import read_tensors
 from .pretrained.recognise import looks_like
+from .pretrained.safetensors_file import read_safetensors, read_safetensors_metadata
 from .saved_tensors import save_tensors
 from .tensor_checks import refuse_non_finite, refuse_other_kinds
-from .weights_file import CheckpointError, why_no_file
+from .weights_file import CheckpointError, some, why_no_file, wrapper_of
 
 WEIGHTS_LICENCE = "MIT"
 SHIPPED = Path(__file__).parent / "weights"
@@ -49,10 +48,10 @@ def read_metadata(path: Path) -> dict[str, str]:
     if not path.is_file():
         raise CheckpointError(why_no_file(path))
     try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-    except (OSError, SafetensorError) as error:
-        raise CheckpointError(f"{path} cannot be read as safetensors: {error}{_likely(path)}") from error
+        metadata = read_safetensors_metadata(path)
+    except CheckpointError as error:
+        likely = _likely(path)
+        raise CheckpointError(f"{path} cannot be read as safetensors{likely}" if likely else str(error)) from error
     if "gapmes.config" not in metadata:
         raise CheckpointError(f"{path} carries no gapmes.config: it is no checkpoint of ours{_likely(path)}")
     return metadata
@@ -91,41 +90,48 @@ def read_config(path: Path) -> ModelConfig:
     text = read_metadata(path)["gapmes.config"]
     try:
         return ModelConfig.from_json(text)
-    except (KeyError, TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} has a configuration that this version cannot build: {error!r}") from error
+    except ValueError as error:
+        raise CheckpointError(f"{path} has a gapmes.config that this version cannot build: {error}") from error
 
 
 def load_checkpoint(path: Path) -> GaPMeS:
     """Build the network that the file describes and load every tensor strictly, in float32 and evaluation mode.
 
-    Raises `CheckpointError` that names what is missing, unexpected or misshapen, is not in floating point, has
-    numbers that are not finite, or computes some.
+    Names may be prefixed as by `torch.compile` (`wrapper_of`). Raises `CheckpointError` that names what is missing,
+    unexpected or misshapen, is not in floating point or not finite, or where the network overflows.
     """
     config = read_config(path)
-    expected, tensors = _tensors_of(path, config), load_file(path)
-    missing, unexpected = sorted(expected.keys() - tensors.keys()), sorted(tensors.keys() - expected.keys())
-    shapes = [
-        f"{name} {tuple(tensors[name].shape)} instead of {tuple(expected[name].shape)}"
-        for name in expected.keys() & tensors.keys()
-        if tensors[name].shape != expected[name].shape
-    ]
-    if missing or unexpected or shapes:
+    expected, (tensors, metadata) = _tensors_of(path, config), read_safetensors(path)
+    wrapper = wrapper_of(tensors)
+    tensors = {name.removeprefix(wrapper): value for name, value in tensors.items()}
+    if wrong := _misfit(expected, tensors):
         own = _preset_of(tensors)
         cure = f"; its tensors are preset {own}'s, its configuration has other {_differing(config, own)}" if own else ""
-        raise CheckpointError(
-            f"{path} does not fit its configuration (preset {config.preset}): missing {missing[:5]}, "
-            f"unexpected {unexpected[:5]}, misshapen {sorted(shapes)[:5]} ({len(missing)}, {len(unexpected)}, "
-            f"{len(shapes)} in all){cure}"
-        )
+        raise CheckpointError(f"{path} does not fit its configuration (preset {config.preset}): {wrong}{cure}")
     refuse_other_kinds(path, tensors)
     weights = {name: value.to(torch.float32) for name, value in tensors.items()}
     refuse_non_finite(path, weights)
     model = GaPMeS(config)
     kept = ("gapmes.licence", "gapmes.backbones")
-    model.provenance = {key: value for key, value in read_metadata(path).items() if key in kept}
+    model.provenance = {key: value for key, value in metadata.items() if key in kept}
     model.load_state_dict(weights)
     refuse_overflow(path, model.eval())
     return model
+
+
+def _misfit(expected: Mapping[str, Tensor], tensors: Mapping[str, Tensor]) -> str:
+    """Which tensors are missing, unexpected or misshapen, with their numbers; empty where all fit."""
+    misshapen = [
+        f"{name} {tuple(tensors[name].shape)} instead of {tuple(expected[name].shape)}"
+        for name in sorted(expected.keys() & tensors.keys())
+        if tensors[name].shape != expected[name].shape
+    ]
+    kinds = {
+        "missing": sorted(expected.keys() - tensors.keys()),
+        "unexpected": sorted(tensors.keys() - expected.keys()),
+        "misshapen": misshapen,
+    }
+    return "; ".join(f"{kind} ({len(names)}): {some(names)}" for kind, names in kinds.items() if names)
 
 
 def _tensors_of(path: Path, config: ModelConfig) -> Mapping[str, Tensor]:

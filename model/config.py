@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
+from reprlib import repr as brief  # what a file holds may be of any length
 from typing import Any
 
 PIXELS_PER_CELL = 4  # the paper's s = 4: the aligned grid has a quarter of the input resolution
@@ -32,8 +33,12 @@ class VitConfig:
     image_size: int  # px, the size that its position embedding is stored for
 
     def __post_init__(self) -> None:
-        """Raises `ValueError` for counts that no network has."""
+        """Raises `ValueError` for counts that no network has, and for sizes that do not go together."""
         _check_kinds(self)
+        if self.hidden % self.heads:
+            raise ValueError(f"hidden is {self.hidden}, need a multiple of heads, which is {self.heads}")
+        if self.image_size < self.patch:
+            raise ValueError(f"image_size is {self.image_size} px, need at least one patch, which is {self.patch} px")
 
 
 @dataclass(frozen=True)
@@ -70,16 +75,16 @@ class ModelConfig:
         """Raises `ValueError` for counts and names that no network has, and for routing that means nothing."""
         _check_kinds(self)
         if self.preset not in NAMES:
-            raise ValueError(f"preset is {self.preset!r}, need one of {', '.join(NAMES)}")
+            raise ValueError(f"preset is {brief(self.preset)}, need one of {', '.join(NAMES)}")
         if self.trunk not in TRUNKS:
-            raise ValueError(f"trunk is {self.trunk!r}, need one of {', '.join(TRUNKS)}")
+            raise ValueError(f"trunk is {brief(self.trunk)}, need one of {', '.join(TRUNKS)}")
         if self.sh_degree > MAX_DEGREE:
             raise ValueError(f"sh_degree is {self.sh_degree}, need at most {MAX_DEGREE}: a .ply holds no more")
         if not self.without_experts and not 1 <= self.top_k <= self.experts:
             raise ValueError(f"top_k is {self.top_k}, need 1 to {self.experts}: the network has so many experts")
         number = type(self.temperature) in (int, float)
         if not (number and COLDEST <= self.temperature <= HOTTEST):
-            raise ValueError(f"temperature is {self.temperature!r}, need a number of {COLDEST:g} to {HOTTEST:g}")
+            raise ValueError(f"temperature is {brief(self.temperature)}, need a number of {COLDEST:g} to {HOTTEST:g}")
 
     @property
     def size_step(self) -> int:
@@ -97,14 +102,32 @@ class ModelConfig:
     @staticmethod
     def from_json(text: str) -> ModelConfig:
         """Inverse of `to_json`; unknown keys are an error of the file, not ignored."""
-        values = _object("configuration", json.loads(text))
-        vits = {name: VitConfig(**_object(name, values[name])) for name in ("semantic_vit", "depth_vit")}
-        return ModelConfig(**(values | vits))
+        try:
+            document = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"configuration is no JSON: {error}") from error
+        values = _complete("configuration", document, ModelConfig)
+        for name in ("semantic_vit", "depth_vit"):
+            values[name] = VitConfig(**_known(name, _complete(name, values[name], VitConfig), VitConfig))
+        return ModelConfig(**_known("configuration", values, ModelConfig))
 
 
-def _object(name: str, value: Any) -> dict[str, Any]:
+def _complete(name: str, value: Any, kind: type[VitConfig | ModelConfig]) -> dict[str, Any]:
+    """A copy of the object `value`. Raises `ValueError` where it is none, or lacks a field that has no default."""
     if not isinstance(value, dict):
-        raise ValueError(f"{name} is {value!r}, need an object with its fields")
+        raise ValueError(f"{name} is {brief(value)}, need an object with its fields")
+    needed = [field.name for field in fields(kind) if field.default is MISSING]
+    if lacking := [field for field in needed if field not in value]:
+        raise ValueError(f"{name} lacks {', '.join(lacking)} ({len(lacking)} of the {len(needed)} fields it needs)")
+    return dict(value)
+
+
+def _known(name: str, value: dict[str, Any], kind: type[VitConfig | ModelConfig]) -> dict[str, Any]:
+    """`value` itself. Raises `ValueError` for a field that `kind` does not have."""
+    if unknown := sorted(value.keys() - {field.name for field in fields(kind)}):
+        raise ValueError(
+            f"{name} has the unknown field {brief(unknown[0])}: a newer version of gapmes may have written it"
+        )
     return value
 
 
@@ -113,10 +136,10 @@ def _check_kinds(config: VitConfig | ModelConfig) -> None:
     for field in fields(config):
         value, least = getattr(config, field.name), LEAST.get(field.name, 1)
         if field.type == "bool" and type(value) is not bool:
-            raise ValueError(f"{field.name} is {value!r}, need true or false")
+            raise ValueError(f"{field.name} is {brief(value)}, need true or false")
         most = MOST_BLOCKS if field.name in ONE_BY_ONE else MOST
         if field.type == "int" and not (type(value) is int and least <= value <= most):
-            raise ValueError(f"{field.name} is {value!r}, need a whole number of {least} to {most}")
+            raise ValueError(f"{field.name} is {brief(value)}, need a whole number of {least} to {most}")
 
 
 _VIT_TINY = VitConfig(hidden=96, layers=3, heads=4, patch=16, mlp_ratio=2, image_size=256)

@@ -14,12 +14,21 @@ from torch import Tensor, nn
 from .weights_file import CheckpointError
 
 PROBE_SIDE = 64  # px: every network takes it, and what overflows there does so at any size
+_FAILURES = (ArithmeticError, IndexError, RuntimeError, ValueError)  # of a network that computes
 
 
 def refuse_overflow(path: Path, network: nn.Module) -> None:
     """Raises `CheckpointError` for a file whose `network` overflows on two small pictures of noise, naming the layer
-    and the largest weight; it has to be in evaluation mode."""
-    if found := overflow(network, lambda: network(*_probe())):
+    and the largest weight, or cannot compute them; it has to be in evaluation mode."""
+    try:
+        found = overflow(network, lambda: network(*_probe()))
+    except _FAILURES as error:
+        told = next(iter(str(error).splitlines()), "")[:200]
+        raise CheckpointError(
+            f"{path}: its network cannot compute two pictures of {PROBE_SIDE} px ({type(error).__name__}: {told}); "
+            "sizes in its configuration do not go together: take the one that the weights were trained with"
+        ) from error
+    if found:
         raise CheckpointError(
             f"{path}: {found}; the file is damaged or was saved from a diverged run: take another file"
         )
@@ -32,7 +41,7 @@ def overflow(network: nn.Module, compute: Callable[[], object]) -> str:
         try:
             if _finite(compute()):
                 return ""
-        except (ArithmeticError, IndexError, RuntimeError, ValueError):
+        except _FAILURES:
             if not layers:
                 raise
     name, largest = _largest_weight(network)

@@ -12,8 +12,12 @@ from .weights_file import CheckpointError, some
 
 
 def refuse_other_kinds(path: Path, tensors: Mapping[str, Tensor]) -> None:
-    """Raises `CheckpointError` for integers, truth values and complex numbers, naming tensors and kinds."""
-    odd = [f"{name} is {_kind(value)}" for name, value in tensors.items() if not value.is_floating_point()]
+    """Raises `CheckpointError` for integers, booleans, complex and packed 4-bit numbers, naming tensors and dtypes."""
+    odd = [
+        f"{name} is {_kind(value)}"
+        for name, value in tensors.items()
+        if not value.is_floating_point() or _kind(value).startswith("float4")  # two in a byte: torch converts none
+    ]
     if odd:
         raise CheckpointError(
             f"{path} has {len(odd)} of {len(tensors)} tensors in other numbers than floating point "

@@ -1,12 +1,14 @@
-"""Shared by all readers of weights: their error, its lists of names, and a file's sha256."""
+"""Shared by all readers of weights: their error, its lists of names, prefixes of names, and a file's sha256."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 SHOWN = 5  # names in a message
+# What DistributedDataParallel, torch.compile, Lightning and DeepSpeed put before the names of a module within them.
+WRAPPERS = ("module.", "_orig_mod.", "model.", "_forward_module.")
 
 
 class CheckpointError(ValueError):
@@ -29,3 +31,14 @@ def file_sha256(path: Path) -> str:
 def some(names: Sequence[str]) -> str:
     """The first names of many, for a message."""
     return ", ".join(names[:SHOWN]) + (", …" if len(names) > SHOWN else "")
+
+
+def wrapper_of(names: Collection[str]) -> str:
+    """The prefix, of one wrapper or several in each other, that all of these names have; empty where one has none."""
+    found = ""
+    while names:
+        inner = [found + wrapper for wrapper in WRAPPERS if all(name.startswith(found + wrapper) for name in names)]
+        if not inner:
+            break
+        found = inner[0]
+    return found

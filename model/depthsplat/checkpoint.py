@@ -13,7 +13,7 @@ from ..pretrained.dinov2 import OPTIONAL, vit_parts
 from ..pretrained.files import TensorFile, read_tensors
 from ..pretrained.fit import Fit, LeftOut, Part, Recognised, fit
 from ..pretrained.recognise import VitFile, find_vit, looks_like
-from ..weights_file import CheckpointError
+from ..weights_file import CheckpointError, some, wrapper_of
 from .config import COARSEST, PLAIN, SCALE_MAX, VITS, Compatibility, DepthSplatConfig
 from .dpt import joined_channels
 from .network import DepthSplat
@@ -42,15 +42,16 @@ def load_depthsplat(
     is), and lists what is missing, unexpected or misshapen, or computes numbers that are not finite.
     """
     file = read_tensors(path)
-    root = ROOT if any(name.startswith(ROOT + TRUNK) for name in file.tensors) else ""
+    wrapper = wrapper_of(file.tensors)
+    root = wrapper + (ROOT if any(name.startswith(wrapper + ROOT + TRUNK) for name in file.tensors) else "")
     if not any(name.startswith(root + TRUNK) for name in file.tensors):
-        some = ", ".join(sorted(file.tensors)[:5])
         kind = looks_like(path, file.tensors)
         if "gapmes.config" in file.metadata:
             kind = "a checkpoint of ours, which gapmes-export takes without --architecture"
         raise CheckpointError(
             f"{path} is no checkpoint of DepthSplat: none of its {len(file.tensors)} tensors is named {TRUNK}* "
-            f"({some}, …); expected is a depthsplat-gs-….pth" + (f"; it holds {kind}" if kind else "")
+            f"({some(sorted(file.tensors))}); expected is a depthsplat-gs-….pth"
+            + (f"; it holds {kind}" if kind else "")
         )
     vit = find_vit(path, file.tensors, root + VIT)
     if scale_max is None:
@@ -61,7 +62,7 @@ def load_depthsplat(
 
     def names(source: str) -> tuple[Part, ...] | LeftOut | None:
         for prefix, owner in _KNOWN_BESIDE.items():
-            if source.startswith(prefix):
+            if source.startswith(wrapper + prefix):
                 return LeftOut(f"{owner} state, not the network's")
         if source.startswith(vit.prefix):
             parts = vit_parts(vit, source)

@@ -19,7 +19,7 @@ def read_config(path: Path) -> dict[str, Any]:
     """The published configuration; raises `CheckpointError` when it is no JSON object."""
     try:
         document = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise CheckpointError(f"{path} cannot be read as JSON: {error}") from error
     if not isinstance(document, dict):
         raise CheckpointError(f"{path} holds no JSON object")
@@ -36,6 +36,8 @@ def compare(path: Path, stated: Mapping[str, Any], ours: object, fields: Iterabl
     """Raise `CheckpointError` for the first of `fields` that the file states and `ours` has otherwise."""
     for field in fields:
         said, own = stated.get(field), getattr(ours, field)
-        if said is None or (list(said) == list(own) if isinstance(said, list) else said == own):
+        if isinstance(own, tuple):
+            own = list(own)  # as JSON has it
+        if said is None or said == own:
             continue
         raise CheckpointError(f"{path} states {field} = {said!r}, this network has {own!r}; {cure}")

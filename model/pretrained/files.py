@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from ..weights_file import CheckpointError, file_sha256, why_no_file
+from ..weights_file import CheckpointError, file_sha256, some, why_no_file
+from .safetensors_file import read_safetensors
 
 SAFETENSORS = ".safetensors"
 INDEX = ".safetensors.index.json"
@@ -50,7 +50,7 @@ def read_tensors(path: Path) -> TensorFile:
     if path.name.endswith(INDEX):
         return _read_shards(path)
     if path.suffix == SAFETENSORS:
-        tensors, metadata = _read_safetensors(path)
+        tensors, metadata = read_safetensors(path)
         return TensorFile(path, file_sha256(path), tensors, metadata)
     if path.suffix in TORCH:
         return _read_torch(path)
@@ -69,19 +69,11 @@ def _refuse_placeholders(path: Path) -> None:
         raise CheckpointError(f"{path} is a web page, not the weights; download the file itself")
 
 
-def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    try:
-        with safe_open(path, framework="pt", device="cpu") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, dict(file.metadata() or {})  # noqa: SIM118
-    except (OSError, SafetensorError) as error:
-        raise CheckpointError(f"{path} cannot be read as safetensors: {error}; download it again") from error
-
-
 def _read_shards(index: Path) -> TensorFile:
     try:
         document = json.loads(index.read_text())
         owners: dict[str, str] = dict(document["weight_map"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise CheckpointError(f"{index} is no index of shards: {error!r}") from error
     tensors: dict[str, Tensor] = {}
     lines = []
@@ -90,7 +82,7 @@ def _read_shards(index: Path) -> TensorFile:
         if not shard.is_file():
             raise CheckpointError(f"{index} names the shard {name}, which is not beside it; download it too")
         _refuse_placeholders(shard)
-        held, _ = _read_safetensors(shard)
+        held, _ = read_safetensors(shard)
         wrong = sorted({key for key, owner in owners.items() if owner == name} ^ held.keys())
         if wrong:
             raise CheckpointError(f"{shard} and {index.name} disagree on {len(wrong)} tensors: {', '.join(wrong[:5])}")
@@ -104,11 +96,10 @@ def _read_shards(index: Path) -> TensorFile:
 
 def shard_names(index: Path, owners: Mapping[str, str]) -> list[str]:
     """The files that an index names, sorted; raises `CheckpointError` for a name that leaves the index's folder."""
-    names = sorted(set(owners.values()))
-    for name in names:
+    for name in owners.values():
         if not isinstance(name, str) or Path(name).name != name or not name.endswith(SAFETENSORS):
             raise CheckpointError(f"{index} names the shard {name!r}, which is no safetensors file of its own folder")
-    return names
+    return sorted(set(owners.values()))
 
 
 def _read_torch(path: Path) -> TensorFile:
@@ -136,12 +127,22 @@ def _refusal(path: Path, error: Exception) -> str:
         )
     if "TorchScript" in str(error):
         return f"{path} is a TorchScript program, not a file of weights; it was not loaded. Cure: {CONVERT}"
+    if _is_zip_cut_short(path):
+        return (
+            f"{path} cannot be read as plain tensors: it is cut short, as its {path.stat().st_size} bytes lack the "
+            "directory that ends such a file; download it again"
+        )
     lines = [line for line in str(error).splitlines() if line.strip()]
     reason = next((line for line in lines if "Unsupported operand" in line), lines[0][:200] if lines else "")
     return (
         f"{path} cannot be read as plain tensors ({type(error).__name__}: {reason}); nothing of it was run. "
         f"It is damaged, so download it again, or a pickle of another kind: {CONVERT}"
     )
+
+
+def _is_zip_cut_short(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(4) == b"PK\x03\x04" and not zipfile.is_zipfile(path)
 
 
 def _unwrap(path: Path, content: Any) -> tuple[dict[str, Tensor], dict[str, str], tuple[str, ...], tuple[str, ...]]:
@@ -179,11 +180,18 @@ def _unwrap(path: Path, content: Any) -> tuple[dict[str, Tensor], dict[str, str]
         place = f" under {'.'.join(unwrapped)}" if unwrapped else ""
         raise CheckpointError(
             f"{path} holds {len(tensors)} tensors{place} and {len(others)} other values "
-            f"({', '.join(others[:5])}); the weights were looked for at the top and under {', '.join(NESTS)}"
+            f"({some(others)}); the weights were looked for at the top and under {', '.join(NESTS)}: "
+            "save the one state_dict that is meant, by itself"
         )
-    odd = [str(k) for k, v in tensors.items() if v.layout is not torch.strided or v.is_quantized or v.is_meta]
+    odd = [name for name, value in tensors.items() if not _is_plain(value)]
     if odd:
         raise CheckpointError(
-            f"{path}: {', '.join(odd[:5])} are sparse, quantised or empty; save them as plain tensors"
+            f"{path}: {some(odd)} ({len(odd)} of {len(tensors)}) are sparse, nested, quantised or on the meta device; "
+            "save them as plain tensors"
         )
     return tensors, metadata, tuple(unwrapped), tuple(set_aside)
+
+
+def _is_plain(value: Tensor) -> bool:
+    """Whether it is dense and has its numbers with it."""
+    return value.layout is torch.strided and not (value.is_nested or value.is_quantized or value.is_meta)

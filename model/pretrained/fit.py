@@ -57,12 +57,14 @@ class Fit:
     config_checked: bool = False  # a config.json lay beside it and agrees on what tensors cannot tell
 
     def summary(self) -> list[str]:
-        """What was recognised, and what was not used, by reason."""
+        """What was recognised, and what was not used, by reason, also what stood beside the weights in the file."""
         lines = [f"{self.recognised}, sha256 {self.sha256}: {len(self.used)} tensors used"]
         for what, names in (("left out", self.left_out), ("absent", self.absent)):
             for reason in sorted(set(names.values())):
                 those = tuple(name for name, given in names.items() if given == reason)
                 lines.append(f"{len(those)} {what} ({reason}): {some(those)}")
+        if self.set_aside:
+            lines.append(f"{len(self.set_aside)} not read (beside the weights): {some(self.set_aside)}")
         return lines
 
     def to_json(self) -> str:
@@ -117,8 +119,7 @@ def fit(
                 if shape == wanted:
                     pieces[part.target] = (value, part)
                 else:
-                    whole = "" if part.of == 1 else f" (a {part.of}th of {tuple(value.shape)})"
-                    misshapen.append(f"{source} {shape}{whole} instead of {wanted}")
+                    misshapen.append(_misshapen(used[part.target], value, part, wanted))
     absent = {name: reason for name, reason in (optional or {}).items() if name in expected and name not in used}
     missing = sorted(expected.keys() - used.keys() - absent.keys())
     report = Fit(
@@ -151,6 +152,13 @@ def _cut_shape(value: Tensor, part: Part) -> tuple[int, ...]:
     if value.ndim == 0 or value.shape[0] % part.of:
         return (-1,)  # equals no shape
     return (value.shape[0] // part.of, *value.shape[1:])
+
+
+def _misshapen(source: str, value: Tensor, part: Part, wanted: tuple[int, ...]) -> str:
+    """A tensor of the file with its whole shape and the one that is needed."""
+    if part.of > 1:  # that many of ours, one after the other
+        wanted = (part.of * wanted[0], *wanted[1:])
+    return f"{source} {tuple(value.shape)} instead of {wanted}"
 
 
 def _cut(value: Tensor, part: Part) -> Tensor:

@@ -10,7 +10,7 @@ from pathlib import Path
 from torch import Tensor
 
 from ..config import PRESETS, VitConfig
-from ..weights_file import CheckpointError
+from ..weights_file import CheckpointError, wrapper_of
 from .fit import Recognised
 
 ORIGINAL, TRANSFORMERS_4, TRANSFORMERS_5 = "original", "transformers 4", "transformers 5"
@@ -137,8 +137,10 @@ def looks_like(path: Path, tensors: Mapping[str, Tensor]) -> str:
 def network_kind(names: Collection[str]) -> str:
     """The same of what is no single ViT: DepthSplat's and UniMatch's, told from the names alone."""
 
+    wrapper = wrapper_of(names)
+
     def has(*beginnings: str) -> bool:
-        return any(name.startswith(beginnings) for name in names)
+        return any(name.removeprefix(wrapper).startswith(beginnings) for name in names)
 
     if has(*_DEPTHSPLAT) and has(*_GAUSSIANS):
         return "DepthSplat's tensors, which gapmes-export takes with --architecture depthsplat"

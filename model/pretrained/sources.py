@@ -135,7 +135,7 @@ def _from_hub(given: str, repository: str, revision: str | None, cache: Path | N
 def _fetch_shards(index: Path, file: Callable[[str], Path | None]) -> None:
     try:
         owners = dict(json.loads(index.read_text())["weight_map"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise CheckpointError(f"{index} is no index of shards: {error!r}") from error
     for name in shard_names(index, owners):
         if file(name) is None:

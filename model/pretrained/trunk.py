@@ -7,6 +7,7 @@ from pathlib import Path
 
 from torch import Tensor, nn
 
+from ..weights_file import wrapper_of
 from .files import read_tensors
 from .fit import Fit, LeftOut, Part, Recognised, fit
 from .recognise import looks_like
@@ -21,7 +22,9 @@ def load_trunk(trunk: nn.Module, source: str | Path, *, cache: Path | None = Non
     and then `trunk` is unchanged."""
     found = resolve(source, cache=cache)
     file = read_tensors(found.path)
-    root = next(r for r in ROOTS if r == "" or any(name.startswith(r + PARTS[0]) for name in file.tensors))
+    wrapper = wrapper_of(file.tensors)
+    roots = [wrapper + part for part in ROOTS if any(n.startswith(wrapper + part + PARTS[0]) for n in file.tensors)]
+    root = roots[0] if roots else wrapper
 
     def names(name: str) -> tuple[Part, ...] | LeftOut | None:
         own = name.removeprefix(root)
@@ -29,9 +32,9 @@ def load_trunk(trunk: nn.Module, source: str | Path, *, cache: Path | None = Non
             return (Part(own),)
         return LeftOut("another part of that network than its multi-view trunk")
 
-    layout = "DepthSplat's" if root else "UniMatch's"
-    kind = looks_like(found.path, file.tensors)
-    held = f"It holds {kind}. " if kind and not any(name.startswith(root + PARTS[0]) for name in file.tensors) else ""
+    layout = "UniMatch's" if root == wrapper else "DepthSplat's"
+    kind = "" if roots else looks_like(found.path, file.tensors)
+    held = f"It holds {kind}. " if kind else ""
     hint = held + "Expected are gmflow-scale1-…pth or gmdepth-scale1-…pth of UniMatch, or a checkpoint of DepthSplat."
     recognised = Recognised("multi-view trunk", f"{layout}, names under {root!r}", "", hint)
     expected: dict[str, Tensor] = trunk.state_dict()

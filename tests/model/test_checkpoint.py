@@ -110,7 +110,8 @@ KINDS: list[tuple[dict[str, tuple[int, ...]], str]] = [
         },
         "DepthSplat's tensors for depth alone.*--trunk-weights",
     ),
-    ({"module.encoder.depth_predictor.a": (1,)}, r"^(?!.*it holds)"),
+    ({"module.encoder.depth_predictor.a": (1,)}, "DepthSplat's tensors for depth alone.*--trunk-weights"),
+    ({"net.encoder.depth_predictor.a": (1,)}, r"^(?!.*it holds)"),
     ({"backbone.conv1.weight": (64, 3, 7, 7), "transformer.layers.0.a": (1,)}, "UniMatch's.*--trunk-weights"),
     (
         {"pos_embed": (1, 1370, 768), "patch_embed.proj.weight": (768, 3, 14, 14), "blocks.11.norm1.bias": (768,)},

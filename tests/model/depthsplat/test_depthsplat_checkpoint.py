@@ -109,6 +109,17 @@ def test_the_trainers_other_state_is_named_and_left_out(small: tuple[Path, Depth
     assert list(report.left_out) == ["losses.1.lpips.scale"]
 
 
+@pytest.mark.parametrize("wrapper", ["module.", "_orig_mod.", "model."])
+def test_names_within_a_wrapper_are_known(wrapper: str, small: tuple[Path, DepthSplat], tmp_path: Path) -> None:
+    tensors = published_layout(small[1]) | {"losses.1.lpips.scale": torch.ones(1)}
+    torch.save({"state_dict": {wrapper + name: value for name, value in tensors.items()}}, tmp_path / "wrapped.pth")
+    loaded, report = load_depthsplat(tmp_path / "wrapped.pth")
+    assert report.layout == f"DepthSplat's, names under '{wrapper}encoder.'"
+    assert list(report.left_out) == [f"{wrapper}losses.1.lpips.scale"]
+    name = "gaussian_head.2.bias"
+    assert torch.equal(loaded.state_dict()[name], small[1].state_dict()[name])
+
+
 def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
     torch.save({"fc.weight": torch.zeros(3, 3)}, tmp_path / "other.pth")
     with pytest.raises(CheckpointError, match=r"no checkpoint of DepthSplat.*expected is a depthsplat-gs"):
