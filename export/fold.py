@@ -6,11 +6,15 @@ of an export without any gain: onnxruntime has its own fusions, and runs either 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import onnx_ir as ir
 from onnx_ir.passes import common
 from onnxscript.optimizer import fold_constants
 
 LARGEST = 2**20  # most elements of constants that are deduplicated
+GATES = "network.mixture.gates."  # verification gives each constant of the gates a value of its own (gate_settings.py)
 
 
 def folded(model: ir.Model) -> ir.Model:
@@ -23,7 +27,10 @@ def folded(model: ir.Model) -> ir.Model:
         common.RemoveUnusedFunctionsPass(),
         common.RemoveUnusedOpsetsPass(),
         common.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0),
-        common.DeduplicateInitializersPass(size_limit=LARGEST),
+    )(model)
+    with _without_gates(model.graph):
+        common.DeduplicateInitializersPass(size_limit=LARGEST)(model)
+    ir.passes.Sequential(
         common.CommonSubexpressionEliminationPass(),
         common.OutputFixPass(),
         common.NameFixPass(),
@@ -40,3 +47,18 @@ def _skip_idle_transposes(graph: ir.Graph) -> None:
             assert given is not None
             if not result.is_graph_output():
                 result.replace_all_uses_with(given)
+
+
+@contextmanager
+def _without_gates(graph: ir.Graph) -> Iterator[None]:
+    """Within the context the gates' constants are no initializers of the graph, so that none is merged with an equal
+    one, such as the zeros of an untrained gate; the order of initializers stays."""
+    order = list(graph.initializers)
+    gates = {name: graph.initializers.pop(name) for name in order if name.startswith(GATES)}
+    try:
+        yield
+    finally:
+        kept = gates | {name: graph.initializers.pop(name) for name in tuple(graph.initializers)}
+        for name in order:
+            if name in kept:
+                graph.initializers.add(kept[name])

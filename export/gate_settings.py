@@ -11,10 +11,11 @@ from onnx import numpy_helper
 
 from gapmes.model.architectures import Network
 
+from .fold import GATES
 from .quantise import TRANSPOSED
 
 GateSetting = Literal["as trained", "all tied", "one expert", "two experts"]
-_GATES = "mixture.gates."
+_GATES = GATES.removeprefix("network.")
 # exp(-200 / tau) underflows to exactly 0 in float32, so that the second choice has no weight and does not run
 DECISIVE = 200.0
 
