@@ -30,12 +30,12 @@ from gapmes.service.network.model_file import ModelFile, model_file
 from gapmes.service.process.with_parent import end_with_parent
 
 from .cases import Case, verification_cases
-from .deviations import LEFT, Float64Comparison, beside_float64, deviations, share_left, untouched_elements
+from .deviations import LEFT, Outputs, beside_float64, deviations, share_left, untouched_elements
 from .gate_settings import GateSetting, gate_values, with_gates
 from .graph import SceneGraph, evaluated
 from .pictures import PictureAgreement, picture_agreement
 from .report import CaseResult, Report
-from .routes import agreement, ambiguous, flipped_patches
+from .routes import RouteAgreement, agreement, ambiguous, flipped_patches
 from .tolerance import TOLERANCES, Tolerance
 from .variant import Variant, load_variant
 
@@ -77,75 +77,94 @@ def _session(model: onnx.ModelProto, network: Network, gates: GateSetting) -> on
 
 
 def _run(case: Case, session: onnxruntime.InferenceSession, network: Network, tolerance: Tolerance) -> CaseResult:
-    """Compare one case. Routes may differ only with trained gates: under a gate setting both runtimes have equal
-    logits, and ties go to the lowest index in both."""
+    """Compare one case, as far as its outputs can be compared."""
     if case.flat:
         tolerance = tolerance.for_flat_images()
     elif case.undetermined:
         tolerance = tolerance.for_undetermined_matching()
     result = CaseResult(case.name, case.gates, case.views)
     logits = _GateLogits(network)
-    try:
-        with logits:
-            reference = evaluated(network, case.inputs, torch.float32)
-    except (IndexError, RuntimeError):
-        if told := _torch_overflow(network, case):
-            return replace(result, failures=told)
-        raise
-    if not all(np.isfinite(value).all() for value in reference.values()):
-        return replace(result, failures=_torch_overflow(network, case) or ["torch: numbers that are not finite"])
-    names = tuple(reference)
-    feed = {name: value.numpy() for name, value in zip(INPUTS, case.inputs.tensors(), strict=True)}
-    values = dict(zip(names, session.run(list(names), feed), strict=True))
-    wrong = [
-        f"{n}: shape is {values[n].shape}, need {reference[n].shape}"
-        for n in names
-        if values[n].shape != reference[n].shape
-    ]
-    if wrong:
-        return replace(result, failures=wrong)
-    failures = []
+    reference, failures = _of_torch(case, network, logits)
+    if failures:
+        return replace(result, failures=failures)
+    values = _of_file(case, session, tuple(reference))
+    if wrong := [n for n in reference if values[n].shape != reference[n].shape]:
+        return replace(result, failures=[f"{n}: shape is {values[n].shape}, need {reference[n].shape}" for n in wrong])
     kept = case.inputs.patch_mask.numpy()
     flipped = flipped_patches(values, reference, kept)
-    if names != REQUIRED_OUTPUTS:
+    if tuple(reference) != REQUIRED_OUTPUTS:
         trained = case.gates == "as trained"
         undecided = logits.undecided(network).reshape(kept.shape) if trained else np.zeros_like(kept)
         routes = agreement(flipped, undecided, kept)
-        result = replace(result, routes=routes)
-        allowed = tolerance.spare_flips + tolerance.unambiguous_flips * routes.patches if trained else 0
-        if routes.flipped_unambiguous > allowed:
-            failures.append(f"routes: {routes.flipped_unambiguous} of {routes.patches} differ, {allowed:.0f} allowed")
+        result, failures = replace(result, routes=routes), _route_failures(routes, trained, tolerance)
         if (left := share_left(flipped, reference)) < LEFT:
             failures.append(f"routes: only {left:.0%} of the values are left to compare, need {LEFT:.0%}")
             return replace(result, failures=failures)
-    outputs = deviations(values, reference, flipped, case)
-    result = replace(result, outputs=outputs)
-    beyond = [
-        (name, what, limit)
-        for name, found in outputs.items()
-        for what, limit in tolerance.of_output(name).items()
-        if not getattr(found, what) <= limit
-    ]
-    finite = all(found.finite for found in outputs.values())
-    failures += [f"{name}: not finite" for name, found in outputs.items() if not found.finite]
-    exact: dict[str, Float64Comparison] = {}
-    if beyond and finite and tolerance.rounding_factor is not None:
+    result = replace(result, outputs=deviations(values, reference, flipped, case))
+    finite = all(found.finite for found in result.outputs.values())
+    if finite and tolerance.rounding_factor is not None and (beyond := _beyond(result, tolerance)):
         exact = beside_float64(values, reference, network, case)
         result = replace(result, beside_float64={name: exact[name] for name, _, _ in beyond})
-    for name, what, limit in beyond:
-        failure = f"{name}: {what} {getattr(outputs[name], what):.2e}, allowed {limit:.1e}"
-        if name in exact:
-            ours, theirs = getattr(exact[name].exported, what), getattr(exact[name].torch, what)
-            allowed = tolerance.of_rounding(what, theirs)
-            if exact[name].torch.finite and ours <= max(limit, allowed):
-                continue
-            failure += f"; beside float64 {ours:.2e}, where torch has {theirs:.2e}, allowed {allowed:.1e}"
-        failures.append(failure)
+    failures += _value_failures(result, tolerance)
     if case.name == "sample" and finite:
         picture = picture_agreement(values, reference, untouched_elements(flipped, reference)["gaussian"], case)
         result = replace(result, picture=picture)
         failures += picture_failures(picture, tolerance)
     return replace(result, failures=failures)
+
+
+def _of_torch(case: Case, network: Network, logits: _GateLogits) -> tuple[Outputs, list[str]]:
+    """The outputs of the torch network, with its gates' logits recorded, or failures where it gives no finite ones."""
+    try:
+        with logits:
+            outputs = evaluated(network, case.inputs, torch.float32)
+    except (IndexError, RuntimeError):
+        if told := _torch_overflow(network, case):
+            return {}, told
+        raise
+    if all(np.isfinite(value).all() for value in outputs.values()):
+        return outputs, []
+    return {}, _torch_overflow(network, case) or ["torch: numbers that are not finite"]
+
+
+def _of_file(case: Case, session: onnxruntime.InferenceSession, names: tuple[str, ...]) -> Outputs:
+    """The same outputs of the exported file."""
+    feed = {name: value.numpy() for name, value in zip(INPUTS, case.inputs.tensors(), strict=True)}
+    return dict(zip(names, session.run(list(names), feed), strict=True))
+
+
+def _route_failures(routes: RouteAgreement, trained: bool, tolerance: Tolerance) -> list[str]:
+    """Routes may differ with trained gates only: under a gate setting both runtimes have equal logits, and ties go to
+    the lowest index in both."""
+    allowed = tolerance.spare_flips + tolerance.unambiguous_flips * routes.patches if trained else 0
+    if routes.flipped_unambiguous <= allowed:
+        return []
+    return [f"routes: {routes.flipped_unambiguous} of {routes.patches} differ, {allowed:.0f} allowed"]
+
+
+def _beyond(result: CaseResult, tolerance: Tolerance) -> list[tuple[str, str, float]]:
+    """Output, kind of error and limit, for every error beyond its limit."""
+    return [
+        (name, what, limit)
+        for name, found in result.outputs.items()
+        for what, limit in tolerance.of_output(name).items()
+        if not getattr(found, what) <= limit
+    ]
+
+
+def _value_failures(result: CaseResult, tolerance: Tolerance) -> list[str]:
+    """Outputs that are not finite, and errors beyond a limit that torch's own distance from float64 does not excuse."""
+    failures = [f"{name}: not finite" for name, found in result.outputs.items() if not found.finite]
+    for name, what, limit in _beyond(result, tolerance):
+        failure = f"{name}: {what} {getattr(result.outputs[name], what):.2e}, allowed {limit:.1e}"
+        if exact := result.beside_float64.get(name):
+            ours, theirs = getattr(exact.exported, what), getattr(exact.torch, what)
+            allowed = tolerance.of_rounding(what, theirs)
+            if exact.torch.finite and ours <= max(limit, allowed):
+                continue
+            failure += f"; beside float64 {ours:.2e}, where torch has {theirs:.2e}, allowed {allowed:.1e}"
+        failures.append(failure)
+    return failures
 
 
 def _torch_overflow(network: Network, case: Case) -> list[str]:
