@@ -177,8 +177,12 @@ def draw_routing(routed: Routed) -> Figure:
 
 
 def _ordinal(place: int) -> str:
-    """The ordinal of a choice counted from 0, in words up to the eighth."""
-    return ORDINALS[place] if place < len(ORDINALS) else f"{place + 1}th"
+    """The ordinal of a choice counted from 0, in words up to the eighth, then 9th, 11th, 21st."""
+    if place < len(ORDINALS):
+        return ORDINALS[place]
+    number = place + 1
+    teens = number % 100 in (11, 12, 13)
+    return f"{number}{'th' if teens else {1: 'st', 2: 'nd', 3: 'rd'}.get(number % 10, 'th')}"
 
 
 def _expert_legend(axes: Axes, routed: Routed) -> None:

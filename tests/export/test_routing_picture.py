@@ -40,6 +40,13 @@ def test_more_choices_than_have_a_name_are_numbered() -> None:
     rp.draw_routing(many)
 
 
+@pytest.mark.parametrize(
+    "said", ["9th", "10th", "11th", "12th", "13th", "21st", "22nd", "23rd", "24th", "101st", "111th", "113th", "122nd"]
+)
+def test_numbers_of_choices_end_as_they_are_read(said: str) -> None:
+    assert rp._ordinal(int(said[:-2]) - 1) == said
+
+
 def expected_pixel(photo: np.ndarray, colour: str, y: int, x: int) -> np.ndarray:
     red, green, blue = photo[:, y, x]
     grey = 0.299 * red + 0.587 * green + 0.114 * blue
