@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
@@ -16,13 +15,14 @@ from rich.markup import escape
 from gapmes.model.architectures import ARCHITECTURES
 from gapmes.model.checkpoint import read_config, shipped_checkpoint
 from gapmes.model.config import PRESETS
-from gapmes.model.depthsplat.config import Compatibility
+from gapmes.model.depthsplat.config import LARGEST_SCALE, SCALE_MIN, Compatibility
 from gapmes.model.weights_file import CheckpointError
 from gapmes.service.errors import InputError
 from gapmes.service.process.ending import ended_in_order
 from gapmes.service.process.terminal import ProgressBars, Quiet
 
 from .measurements import write_tables
+from .memory import OutOfMemory
 from .model_file import data_files
 from .pipeline import Exported, ExportRejected, VerificationBroken, export_checkpoint
 from .size import Size
@@ -148,7 +148,7 @@ def export(
                 quick=quick,
                 listener=bars,
             )
-    except (CheckpointError, InputError, VerificationBroken, ValueError, OSError) as error:
+    except (InputError, VerificationBroken, OutOfMemory, ValueError, OSError) as error:
         errors.print(f"[red]refused:[/] {escape(str(error))}", soft_wrap=True)
         if as_json:
             typer.echo(json.dumps({"error": {"detail": str(error)}}))
@@ -185,8 +185,11 @@ def _what(
             switches = Compatibility.named(compatibility or "none")
         except ValueError as error:
             raise typer.BadParameter(str(error), param_hint="--compatibility") from error
-        if scale_max is not None and not 0 < scale_max < math.inf:
-            raise typer.BadParameter(f"is {scale_max}, need a length above 0", param_hint="--scale-max")
+        if scale_max is not None and not SCALE_MIN < scale_max <= LARGEST_SCALE:
+            raise typer.BadParameter(
+                f"is {scale_max:g}, need a length above 0, of {SCALE_MIN:g} to {LARGEST_SCALE:g} units of the network",
+                param_hint="--scale-max",
+            )
         return checkpoint, Variant(architecture=architecture, compatibility=switches, scale_max=scale_max)
     for option, value in (("--compatibility", compatibility), ("--scale-max", scale_max)):
         if value is not None:

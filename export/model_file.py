@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
+import secrets
 from pathlib import Path
 
 import onnx
 from onnx.external_data_helper import set_external_data
+
+from gapmes.model.weights_file import file_sha256
+from gapmes.service.process.disk import replacing
+from gapmes.service.process.ending import unfinished
 
 from .metadata import add_metadata
 
@@ -23,7 +27,7 @@ def write_model(model: onnx.ModelProto, path: Path) -> None:
 
     From `EXTERNAL_BYTES` on, weights are stored in NAME.onnx.<first digits of their sha256>.data beside it. The graph
     is replaced last, so that at any moment the existing graph finds its own weights; then those of the previous graph
-    are deleted.
+    are deleted. Whatever ends the writing, no partial file stays (`replacing`).
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     changed = onnx.ModelProto()
@@ -31,14 +35,12 @@ def write_model(model: onnx.ModelProto, path: Path) -> None:
     _forget_digest(changed)
     before = data_files(path)
     data = None
-    part = path.with_name(path.name + ".part")
     try:
         if sum(len(tensor.raw_data) for tensor in model.graph.initializer) >= EXTERNAL_BYTES:
             data = _moved_outside(changed, path)
-        part.write_bytes(changed.SerializeToString(deterministic=True))
-        part.replace(path)
+        with replacing(path) as part:
+            part.write_bytes(changed.SerializeToString(deterministic=True))
     except BaseException:
-        part.unlink(missing_ok=True)
         if data is not None and data not in before:
             data.unlink()
         raise
@@ -62,26 +64,26 @@ def remove_model(path: Path) -> None:
 
 
 def _moved_outside(model: onnx.ModelProto, path: Path) -> Path:
-    part = path.with_name(path.name + ".data.part")
-    try:
-        places = []
-        with part.open("wb") as file:
-            for tensor in model.graph.initializer:
-                if len(tensor.raw_data) < LEAST_BYTES:
-                    continue
-                file.write(bytes(-file.tell() % ALIGNMENT))
-                places.append((tensor, file.tell(), len(tensor.raw_data)))
-                file.write(tensor.raw_data)
-        with part.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        data = path.with_name(f"{path.name}.{digest[:DIGITS]}.data")
-        for tensor, offset, length in places:
-            set_external_data(tensor, data.name, offset=offset, length=length)
-            tensor.ClearField("raw_data")
-        add_metadata(model, {DIGEST: digest})
-        part.replace(data)
-    finally:
-        part.unlink(missing_ok=True)
+    part = path.with_name(f".gapmes-{secrets.token_hex(8)}.data")
+    with unfinished(part):
+        try:
+            places = []
+            with part.open("wb") as file:
+                for tensor in model.graph.initializer:
+                    if len(tensor.raw_data) < LEAST_BYTES:
+                        continue
+                    file.write(bytes(-file.tell() % ALIGNMENT))
+                    places.append((tensor, file.tell(), len(tensor.raw_data)))
+                    file.write(tensor.raw_data)
+            digest = file_sha256(part)
+            data = path.with_name(f"{path.name}.{digest[:DIGITS]}.data")
+            for tensor, offset, length in places:
+                set_external_data(tensor, data.name, offset=offset, length=length)
+                tensor.ClearField("raw_data")
+            add_metadata(model, {DIGEST: digest})
+            part.replace(data)
+        finally:
+            part.unlink(missing_ok=True)
     return data
 
 

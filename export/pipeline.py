@@ -23,6 +23,7 @@ from gapmes.service.process.disk import named, replacing
 from gapmes.service.process.ending import unfinished
 from gapmes.service.progress import Listener, Stage, Stages, silent
 
+from . import memory
 from .build import export_graph
 from .metadata import add_metadata, contract_metadata
 from .model_file import remove_model, write_model
@@ -81,21 +82,21 @@ def export_checkpoint(
 
     Raises `ExportRejected` when a check fails: the file is then kept as `NAME.rejected.onnx` with its report, and `out`
     is not changed. Raises `InputError`, before any work, where `out` or its report cannot be written or `out` is the
-    checkpoint; `CheckpointError` and `ValueError` for a wrong checkpoint or size; `VerificationBroken` when there is no
-    verdict. The last, like an interrupt, leaves no files.
+    checkpoint; `CheckpointError` and `ValueError` for a wrong checkpoint or size; `OutOfMemory`; `VerificationBroken`
+    when there is no verdict. The last, like an interrupt, leaves no files.
     """
     _check_place(out, checkpoint)
     if out.is_symlink():
         out = out.resolve()
         _check_place(out, checkpoint)
     stages = Stages(listener)
-    with stages.stage("load checkpoint"):
+    with stages.stage("load checkpoint"), memory.enough_memory(height, width):
         loaded = load_variant(checkpoint, variant)
         network = loaded.network
-    with stages.stage("export graph"):
+    with stages.stage("export graph"), memory.enough_memory(height, width):
         model = export_graph(network, height, width)
     if precision == "int8":
-        with stages.stage("quantise"):
+        with stages.stage("quantise"), memory.enough_memory(height, width):
             model = quantised(model)
     metadata = contract_metadata(
         network,
@@ -174,16 +175,18 @@ def _accept(model: onnx.ModelProto, out: Path, report: Report, fit: Fit | None, 
     if fit is None:
         fit_path.unlink(missing_ok=True)  # of a file that was here before
         return Exported(out, report_path, report, None, None, timings)
-    fit.write(fit_path)
+    with named(fit_path), replacing(fit_path) as part:
+        fit.write(part)
     return Exported(out, report_path, report, fit, fit_path, timings)
 
 
 def _verify_elsewhere(
     model: Path, checkpoint: Path, report: Path, quick: bool, on_case: Callable[[int, int], None]
 ) -> Report:
-    command = [sys.executable, "-m", "gapmes.export.verify", str(model)]
-    command += ["--checkpoint", str(checkpoint), "--report", str(report), *(["--quick"] if quick else [])]
-    command += ["--parent", str(os.getpid())]
+    # With -P modules of the working folder, such as an onnx.py, do not take the place of installed ones.
+    isolated = [] if {"", os.getcwd()} & set(sys.path) else ["-P"]
+    command = [sys.executable, *isolated, "-m", "gapmes.export.verify", f"--checkpoint={checkpoint}"]
+    command += [f"--report={report}", f"--parent={os.getpid()}", *(["--quick"] if quick else []), "--", str(model)]
     # stderr goes to a file: a pipe that is not read would block the process when full
     with (
         TemporaryFile("w+") as errors,
@@ -205,8 +208,9 @@ def _verify_elsewhere(
 def _no_verdict(code: int, told: str) -> str:
     """Why the verification process ended without a verdict: the last line of a traceback, or the signal."""
     if code < 0:
-        cure = "; lack of memory may be why: take a smaller --size or --quick" if code == -signal.SIGKILL else ""
+        cure = f"; lack of memory may be why: {memory.CURE}, or --quick" if code == -signal.SIGKILL else ""
         name = next((known.name for known in signal.Signals if known == -code), f"signal {-code}")
         return f"the verification process was ended by {name}{cure}"
     last = next((line.strip() for line in reversed(told.splitlines()) if line.strip()), "it does not say why")
-    return f"the verification process ended with {code}: {last}"
+    cure = f"; {memory.CURE}" if memory.lacks_memory(last) else ""
+    return f"the verification process ended with {code}: {last}{cure}"

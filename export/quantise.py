@@ -14,6 +14,8 @@ from pathlib import Path
 import onnx
 from onnxruntime.quantization import QuantType, quantize_dynamic
 
+from gapmes.service.process.ending import unfinished
+
 TRANSPOSED = "_Transposed"  # the quantiser turns Gemm with a transposed weight into MatMul and renames the weight
 # Substrings of nodes and constants that keep float32: the gates, and the whole transformer across views of the full
 # trunk and of DepthSplat. Of the light trunk's it is the attention of the last block, which sends a sixth of a grey
@@ -27,7 +29,7 @@ _CROSS_VIEW_BLOCK = re.compile(r"trunk\.cross_view\.(\d+)\.")
 
 def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
     """The int8 variant of a float32 graph. Raises `ValueError` when nothing was quantised, or a float32 part was."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(prefix="gapmes-") as folder, unfinished(Path(folder)):
         source, target = Path(folder, "fp32.onnx"), Path(folder, "int8.onnx")
         bare = onnx.ModelProto()
         bare.CopyFrom(model)

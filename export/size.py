@@ -23,7 +23,7 @@ class Size(NamedTuple):
     @classmethod
     def parse(cls, text: str) -> Size:
         """Parse SIDE or HEIGHTxWIDTH. Raises `InputError` for other text and for sides outside `LEAST` to `MOST`."""
-        found = re.fullmatch(r"(\d+)(?:x(\d+))?", text, re.ASCII)
+        found = re.fullmatch(r"(\d{1,9})(?:x(\d{1,9}))?", text, re.ASCII)
         if not found:
             raise InputError(f"{text!r} is no size", field="size", cure="give a side, 256, or HEIGHTxWIDTH, 256x336")
         size = cls(int(found[1]), int(found[2] or found[1]))

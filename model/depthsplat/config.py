@@ -15,6 +15,7 @@ NEIGHBOURS = 2  # other views that a view is compared with, the nearest ones
 PLANES = 128  # candidates of the first scale, uniform in inverse depth
 SH_DEGREE = 2
 SCALE_MIN, SCALE_MAX = 1e-10, 3.0  # in the network's units: the service gives it the near depth as one
+LARGEST_SCALE = 1e6  # limit of `scale_max`: the far end of the widest depth range that exports are verified at
 
 VITS: dict[str, VitConfig] = {
     "small": VitConfig(hidden=384, layers=12, heads=6, patch=14, mlp_ratio=4, image_size=518),

@@ -80,6 +80,7 @@ def test_a_file_beyond_tolerance_is_rejected_and_kept_apart(
         (["--size", "\uff12\uff15\uff16"], 2, "HEIGHTxWIDTH"),
         (["--size", "16x64"], 2, "--size: is 16x64 px, need 32 or more"),
         (["--size", "100000"], 2, "--size: is 100000 px, need 4096 or less"),
+        (["--size", "9" * 5000], 2, "HEIGHTxWIDTH"),  # more digits than Python converts
         (["--preset", "huge"], 2, "tiny, small, base"),
         (["--precision", "fp4"], 2, "fp32, int8"),
         (["--preset", "base"], 1, "no weights are shipped"),
@@ -87,6 +88,16 @@ def test_a_file_beyond_tolerance_is_rejected_and_kept_apart(
         (["--scale-max", "0.1"], 2, "goes with --architecture depthsplat"),
         (["--architecture", "depthsplat", "--checkpoint", "x.pth", "--scale-max", "0"], 2, "need a length above 0"),
         (["--architecture", "depthsplat", "--checkpoint", "x.pth", "--scale-max", "nan"], 2, "need a length above 0"),
+        (
+            ["--architecture", "depthsplat", "--checkpoint", "x.pth", "--scale-max", "1e-11"],
+            2,
+            "of 1e-10 to 1e+06 units",
+        ),
+        (
+            ["--architecture", "depthsplat", "--checkpoint", "x.pth", "--scale-max", "1e39"],
+            2,
+            "of 1e-10 to 1e+06 units",
+        ),
         (["--checkpoint", str(Path(__file__))], 1, "cannot be read as safetensors"),
     ],
 )

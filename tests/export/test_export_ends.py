@@ -1,0 +1,138 @@
+"""Ends of an export without a verdict: a signal during a write, too little memory, a strange working folder."""
+
+from __future__ import annotations
+
+import signal
+import stat
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from test_export_place import QUICK, small, verdict
+from typer.testing import CliRunner
+
+from gapmes.export import pipeline
+from gapmes.export.cli import app
+from gapmes.export.model_file import write_model
+from gapmes.model.architectures import Loaded
+from gapmes.model.checkpoint import load_checkpoint
+from gapmes.model.pretrained.fit import Fit
+
+WRITES = """
+import signal, sys, tempfile, time
+from pathlib import Path
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+from gapmes.export import model_file, quantise
+from gapmes.service.process.ending import ended_in_order
+from test_export_place import small
+from test_model_file import product
+folder = Path(sys.argv[2])
+tempfile.tempdir = str(folder)
+model_file.EXTERNAL_BYTES = 1000 if sys.argv[1] == "weights" else 2**26
+def waits(*_):
+    print("now", flush=True)
+    time.sleep(600)
+write = Path.write_bytes
+def half(path, data):
+    write(path, data[:10])
+    waits()
+Path.write_bytes = half
+model_file.add_metadata = waits  # once the weights are written
+quantise._quantise = waits
+with ended_in_order():
+    if sys.argv[1] == "quantised":
+        quantise.quantised(small())
+    model_file.write_model(product(1), folder / "net.onnx")
+"""
+
+
+@pytest.mark.parametrize("what", ["graph", "weights", "quantised"])
+def test_a_signal_while_a_file_is_written_leaves_no_part_of_it(what: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", WRITES, what, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent) as process:
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline() == "now\n"
+            assert len(list(tmp_path.iterdir())) == 1  # what is unfinished
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(120) == -signal.SIGTERM
+        finally:
+            process.kill()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_model_that_is_replaced_keeps_its_mode(tmp_path: Path) -> None:
+    path = tmp_path / "net.onnx"
+    path.touch()
+    path.chmod(0o640)
+    write_model(small(), path)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_the_record_of_a_foreign_checkpoint_is_replaced_whole(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def breaks(_: Fit, path: Path) -> None:
+        path.write_text("{")
+        raise OSError(28, "No space left on device", str(path))
+
+    fit = Fit("a.pth", "0", "a network", "theirs", "", {}, {}, {})
+    monkeypatch.setattr(pipeline, "load_variant", lambda *_: Loaded(load_checkpoint(checkpoint), fit))
+    monkeypatch.setattr(pipeline, "export_graph", lambda *_: small())
+    monkeypatch.setattr(pipeline, "_verify_elsewhere", verdict)
+    monkeypatch.setattr(Fit, "write", breaks)
+    record = tmp_path / "net.checkpoint.json"
+    record.write_text("before")
+    with pytest.raises(OSError, match=r"No space left on device: '.*net\.checkpoint\.json'"):
+        pipeline.export_checkpoint(checkpoint, tmp_path / "net.onnx", **QUICK)
+    assert record.read_text() == "before"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["net.checkpoint.json", "net.onnx", "net.report.json"]
+
+
+@pytest.mark.parametrize("allocate", [torch.empty, np.empty])
+def test_a_lack_of_memory_is_refused_with_the_size(
+    allocate: Callable[[int], object], checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "export_graph", lambda *_: allocate(2**58))
+    arguments = ["--checkpoint", str(checkpoint), "--size", "64", "-o", str(tmp_path / "net.onnx")]
+    result = CliRunner().invoke(app, arguments, env={"COLUMNS": "400"})
+    assert result.exit_code == 1
+    assert "refused: not enough memory to export for 64x64 px" in result.output
+    assert "take a smaller --size" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_another_error_of_torch_is_no_lack_of_memory(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "export_graph", lambda *_: torch.zeros(2).reshape(3))
+    with pytest.raises(RuntimeError, match="invalid for input of size 2"):
+        pipeline.export_checkpoint(checkpoint, tmp_path / "net.onnx", **QUICK)
+
+
+@pytest.mark.parametrize(
+    "last",
+    [
+        "RuntimeError: [enforce fail at alloc_cpu.cpp:127] . DefaultCPUAllocator: can't allocate memory: you tried to",
+        "RuntimeException: [ONNXRuntimeError] : 6 : Failed to allocate memory for requested buffer of size 9",
+        "numpy._core._exceptions._ArrayMemoryError: Unable to allocate 1.0 EiB for an array",
+        "MemoryError",
+    ],
+)
+def test_a_verification_without_memory_says_what_helps(last: str) -> None:
+    assert pipeline._no_verdict(1, f"Traceback\n{last}\n").endswith(f"{last}; {pipeline.memory.CURE}")
+    assert "memory" not in pipeline._no_verdict(1, "RuntimeError: no room")
+
+
+def test_modules_of_the_working_folder_are_not_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also a checkpoint may be named like an option."""
+    (tmp_path / "onnx.py").write_text("raise RuntimeError('another onnx')")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(pipeline.VerificationBroken) as broken:
+        pipeline._verify_elsewhere(Path("-a.onnx"), Path("-x.pth"), Path("-r.json"), True, lambda *_: None)
+    assert "ended with 1: refused: " in str(broken.value)
+    assert "-a.onnx" in str(broken.value)
