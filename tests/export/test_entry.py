@@ -19,6 +19,22 @@ def test_without_torch_it_says_what_to_install() -> None:
     assert ended.stderr == "refused: gapmes-export needs torch: pip install 'gapmes[export]'\n"
 
 
+OUTDATED = """
+import sys, types
+sys.modules["transformers"] = types.ModuleType("transformers")
+from gapmes.export.entry import main
+main()
+"""
+
+
+def test_another_version_of_a_package_is_named() -> None:
+    ended = subprocess.run([sys.executable, "-c", OUTDATED], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr.startswith("refused: gapmes-export cannot use the installed transformers (cannot import name ")
+    assert ended.stderr.endswith("): pip install --upgrade 'gapmes[export]'\n")
+    assert ended.stderr.count("\n") == 1
+
+
 def test_with_it_the_command_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(sys, "argv", ["gapmes-export", "--help"])
     with pytest.raises(SystemExit) as ended:
