@@ -20,6 +20,7 @@ from gapmes.service.network.contract import INPUTS
 from .fold import folded
 from .graph import SceneGraph, folded_position_embeddings
 from .linear_layers import deployed_linear_layers
+from .memory import lacks_memory
 from .samples import random_scene
 from .size import Size
 
@@ -32,8 +33,8 @@ TRACE_VIEWS = 3  # at 2 views a loop over other views would run once; every coun
 def export_graph(network: Network, height: int, width: int) -> onnx.ModelProto:
     """The float32 graph of `network` for H x W pixels and 2 to 6 views, checked and shape-inferred.
 
-    Raises `ValueError` for a size that is not a multiple of the network's step, `onnx.checker.ValidationError` for a
-    broken graph.
+    Raises `ValueError` for a size that is not a multiple of the network's step and for a network that torch cannot
+    export, `onnx.checker.ValidationError` for a broken graph.
     """
     if misfit := Size(height, width).misfit(network.config.size_step):
         raise ValueError(misfit)
@@ -43,7 +44,14 @@ def export_graph(network: Network, height: int, width: int) -> onnx.ModelProto:
     shapes = {name: {0: views} for name in INPUTS}
     shapes["near_far"] = {}
     constants = folded_position_embeddings(network, height, width)
-    with torch.no_grad(), constants, deployed_linear_layers(network), _quiet_exporter(), _uncollected():
+    with (
+        torch.no_grad(),
+        constants,
+        deployed_linear_layers(network),
+        _quiet_exporter(),
+        _uncollected(),
+        _exportable(height, width),
+    ):
         program = torch.onnx.export(
             graph,
             example.tensors(),
@@ -77,6 +85,22 @@ def _quiet_exporter() -> Iterator[None]:
             yield
     finally:
         logger.setLevel(level)
+
+
+@contextmanager
+def _exportable(height: int, width: int) -> Iterator[None]:
+    """Raises `ValueError` in one line where the exporter fails, except for lack of memory."""
+    try:
+        yield
+    except torch.onnx.OnnxExporterError as error:
+        if lacks_memory(str(error)):
+            raise
+        cause = error.__cause__ or error
+        told = next(iter(str(cause).splitlines()), "")[:200]
+        raise ValueError(
+            f"torch {torch.__version__} cannot export this network for {height}x{width} px ({type(cause).__name__}: "
+            f"{told}); try the size that it was trained at, 256x256 for gapmes, and the versions of gapmes[export]"
+        ) from error
 
 
 @contextmanager

@@ -16,10 +16,12 @@ from test_export_place import QUICK, small, verdict
 from typer.testing import CliRunner
 
 from gapmes.export import pipeline
+from gapmes.export.build import export_graph
 from gapmes.export.cli import app
 from gapmes.export.model_file import write_model
 from gapmes.model.architectures import Loaded
 from gapmes.model.checkpoint import load_checkpoint
+from gapmes.model.network import GaPMeS
 from gapmes.model.pretrained.fit import Fit
 
 WRITES = """
@@ -112,6 +114,15 @@ def test_another_error_of_torch_is_no_lack_of_memory(
     monkeypatch.setattr(pipeline, "export_graph", lambda *_: torch.zeros(2).reshape(3))
     with pytest.raises(RuntimeError, match="invalid for input of size 2"):
         pipeline.export_checkpoint(checkpoint, tmp_path / "net.onnx", **QUICK)
+
+
+def test_a_network_that_torch_cannot_export_is_refused_in_one_line(network: GaPMeS) -> None:
+    network.forward = lambda *_: 1 // 0  # type: ignore[method-assign]
+    with pytest.raises(
+        ValueError, match=r"cannot export this network for 64x64 px \(ZeroDivisionError: .*\); try"
+    ) as told:
+        export_graph(network, 64, 64)
+    assert "\n" not in str(told.value)
 
 
 @pytest.mark.parametrize(
