@@ -173,7 +173,7 @@ def _one_of(value: str, choices: Collection[str], option: str) -> None:
 def _what(
     architecture: str, preset: str | None, checkpoint: Path | None, compatibility: str | None, scale_max: float | None
 ) -> tuple[Path, Variant]:
-    """The checkpoint and the network that it is read as. Raises `CheckpointError`."""
+    """The checkpoint to export, and the variant of its network. Raises `CheckpointError`."""
     if architecture == "depthsplat":
         if checkpoint is None:
             raise typer.BadParameter("depthsplat needs the path of a checkpoint", param_hint="--checkpoint")

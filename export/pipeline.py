@@ -146,7 +146,8 @@ def _verified(
 
 
 def _kept(model: onnx.ModelProto, path: Path, report: Report) -> tuple[Path, Report]:
-    """Write the model and its report; the report gets the sha256 of the final file, whose weights have another name."""
+    """Write the model and its report under their final names. The report gets the sha256 of the final file, which names
+    its external weights otherwise than the verified one."""
     report_path = _report_path(path)
     with named(path):
         write_model(model, path)

@@ -23,7 +23,7 @@ NetworkConfig = ModelConfig | DepthSplatConfig
 
 
 def config_from_json(text: str) -> NetworkConfig:
-    """Of an exported file's metadata. Raises `ValueError` and `TypeError` for one that this version cannot read."""
+    """Parse `gapmes.config` of an exported file. Raises `ValueError` and `TypeError` where this version cannot."""
     if "architecture" in json.loads(text):
         return DepthSplatConfig.from_json(text)
     return ModelConfig.from_json(text)
@@ -31,7 +31,7 @@ def config_from_json(text: str) -> NetworkConfig:
 
 @dataclass(frozen=True)
 class Loaded:
-    """A network in evaluation mode, and what became of every tensor of a file that is not ours."""
+    """A network in evaluation mode, and for a foreign checkpoint how each of its tensors was used."""
 
     network: Network
     fit: Fit | None
@@ -43,7 +43,10 @@ def load_network(
     compatibility: Compatibility = PLAIN,
     scale_max: float | None = None,
 ) -> Loaded:
-    """The last two are of DepthSplat. Raises `CheckpointError`."""
+    """Load a checkpoint as a network of that architecture; `compatibility` and `scale_max` apply to DepthSplat only.
+
+    Raises `CheckpointError`.
+    """
     if architecture == "depthsplat":
         return Loaded(*load_depthsplat(checkpoint, compatibility, scale_max))
     if architecture != "gapmes":
@@ -52,7 +55,8 @@ def load_network(
 
 
 def licence(checkpoint: Path, architecture: str) -> str:
-    """Of the weights, as their publisher states it. Raises `CheckpointError` for a file that is not ours."""
+    """The licence of the weights, as their publisher states it. Raises `CheckpointError` for a `gapmes` checkpoint that
+    cannot be read."""
     if architecture == "depthsplat":
         return DEPTHSPLAT_LICENCE
     return read_metadata(checkpoint).get("gapmes.licence", "not stated")

@@ -33,10 +33,7 @@ def shipped_checkpoint(preset: str) -> Path:
 
 
 def save_checkpoint(path: Path, model: GaPMeS, *, extra: dict[str, str] | None = None) -> None:
-    """Write the weights and the configuration, whole or not at all; the same again gives the same bytes.
-
-    Raises `OSError`.
-    """
+    """Write weights and configuration atomically; equal ones give equal bytes. Raises `OSError`."""
     tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
     metadata = {"gapmes.config": model.config.to_json(), "gapmes.licence": WEIGHTS_LICENCE}
     metadata |= model.provenance | (extra or {})

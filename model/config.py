@@ -10,7 +10,7 @@ from typing import Any
 PIXELS_PER_CELL = 4  # the paper's s = 4: the aligned grid has a quarter of the input resolution
 CELLS_PER_PATCH = 4  # a routed patch is 4 x 4 cells, that is 16 x 16 pixels
 PIXELS_PER_PATCH = PIXELS_PER_CELL * CELLS_PER_PATCH
-MOST = 4096  # upper limit of all counts; networks of this kind have a third of it
+MOST = 4096  # upper limit of all counts; the widest published ViT of this kind (ViT-g) has 1536 channels
 MOST_BLOCKS = 128  # upper limit of the counts in ONE_BY_ONE, which are built module by module
 ONE_BY_ONE = ("layers", "cross_view_blocks", "experts")
 COLDEST, HOTTEST = 1e-3, 1e3  # of the gates: logits in float32 are divided by it
@@ -23,7 +23,7 @@ LEAST = {"eighth_channels": 0, "cross_view_blocks": 0, "sh_degree": 0, "top_k": 
 
 @dataclass(frozen=True)
 class VitConfig:
-    """Shape of one vision transformer; `patch` is its own patch size in the pixels that it sees."""
+    """Shape of a vision transformer; `patch` is its patch size in pixels of the resized picture that it sees."""
 
     hidden: int
     layers: int

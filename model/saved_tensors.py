@@ -18,10 +18,10 @@ _ALIGNMENT = 8  # bytes: the header is padded with spaces to a multiple
 
 
 def save_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
-    """Write contiguous tensors of the processor with their metadata, and the folder where there is none.
+    """Write contiguous CPU tensors with their metadata; the folder is created if it is missing.
 
-    The package safetensors writes metadata in the order of a table that is shuffled anew every time, into a file that
-    its owner alone may read; here it is sorted, and the file may be read as any other new one. Raises `OSError`.
+    The package safetensors writes metadata in the random order of a hash table, into a file that only its owner may
+    read. Here metadata are sorted, and the file has the mode of any new file. Raises `OSError`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     shuffled, part = path.with_name(path.name + ".shuffled.part"), path.with_name(path.name + ".part")

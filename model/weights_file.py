@@ -18,7 +18,7 @@ class CheckpointError(ValueError):
 def why_no_file(path: Path) -> str:
     """What stands where a file of weights should, for a message."""
     if path.is_dir():
-        return f"{path}: is a folder, give the .safetensors file in it"
+        return f"{path}: is a folder, give the weights file in it"
     return f"{path}: {'is a device or a pipe, need a file' if path.exists() else 'no such file'}"
 
 

@@ -24,8 +24,8 @@ VIT = f"{TRUNK}pretrained."
 LICENCE = "MIT if it is one of the authors' own"  # as their page of models states it; a file does not tell whose it is
 _HEAD = "gaussian_head."
 _JOINED = "depth_predictor.upsampler.concat_projects.0.weight"
-# Where it is not SCALE_MAX: by the beginning of a published file's sha256, with which its name ends, as their page's
-# commands run it (small and base, trained last at 448x768).
+# Largest scales other than SCALE_MAX that the authors' commands give published files (small and base, trained last at
+# 448x768), by the first digits of a file's sha256, with which its name ends.
 _SCALE_MAXIMA = {"c08188db": 0.1, "f8ddd845": 0.1}
 _KNOWN_BESIDE = {"decoder.": "the renderer's", "losses.": "a training loss's"}
 
@@ -35,11 +35,11 @@ def load_depthsplat(
 ) -> tuple[DepthSplat, Fit]:
     """The network that the file holds, in float32 and evaluation mode, and what became of every tensor.
 
-    `scale_max`, of a Gaussian in the network's units, is no tensor's: None takes what the authors run the file with,
-    where its sha256 or the end of its name is that of a published one, else 3.
+    `scale_max` is the largest scale of a Gaussian in the network's units, which no tensor tells. None takes the value
+    that the authors run a published file with, if its sha256 or the end of its name is known, else 3.
 
     Raises `CheckpointError` for a file that cannot be read or is no DepthSplat of a published layout (naming what it
-    is), and lists what is missing, unexpected or misshapen, or computes numbers that are not finite.
+    is), for tensors that are missing, unexpected or misshapen (listing them), and for a network that overflows.
     """
     file = read_tensors(path)
     wrapper = wrapper_of(file.tensors)

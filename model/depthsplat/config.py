@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from ..config import VitConfig
 
 CNN_CHANNELS = (64, 96, 128)  # at 1/2, 1/2 and 1/4 resolution, or at 1/2, 1/4 and 1/8
-COARSEST = (4, 8)  # of the pictures' resolution, the share at which the published networks match first
+COARSEST = (4, 8)  # the published networks match first at 1/4 or at 1/8 of the pictures' resolution
 FEATURES = 128  # channels of the multi-view features at the coarsest resolution
 WINDOWS = 2  # attention windows along each axis
 NEIGHBOURS = 2  # other views that a view is compared with, the nearest ones
@@ -30,8 +30,8 @@ HEAD_WIDTHS = {"small": (48, 96, 192, 384), "base": (96, 192, 384, 768), "large"
 
 @dataclass(frozen=True)
 class Compatibility:
-    """Where the authors' code does what geometry does not say. All off by default; the published weights were trained
-    with all on, which `Compatibility.authors()` gives."""
+    """Switches that reproduce where the authors' code deviates from the geometry. All are off by default; the published
+    weights were trained with all of them on, which `Compatibility.authors()` gives."""
 
     reference_intrinsics: bool = False  # project into the other view with this view's intrinsics
     corner_pixels: bool = False  # match at the corners of feature cells instead of their centres

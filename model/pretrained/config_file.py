@@ -1,4 +1,5 @@
-"""What tensors cannot tell (heads, activations, the layers that feed a head), checked in the `config.json` beside."""
+"""Checks of the `config.json` beside published weights, for what tensors do not tell: attention heads, activations, the
+layers that a depth head reads."""
 
 from __future__ import annotations
 

@@ -25,8 +25,8 @@ _ANCHORS_ORIGINAL = re.compile(r"^(?P<prefix>(?:.*\.)?)(?:cls_token|pos_embed|pa
 # The original stores blocks in chunks where it was trained so; the number within a chunk counts from the first block.
 _BLOCK = re.compile(r"^(?:encoder\.layer\.|blocks\.(?:\d+\.(?=\d))?)(?P<block>\d+)\.(?P<rest>.+)$")
 
-# How some names begin: of DepthSplat whole, and of its head for Gaussians; of UniMatch, whose names a DepthSplat for
-# depth alone has as well, beside others.
+# How tensor names begin: in DepthSplat (with its trainer or without), in its Gaussian head, in UniMatch; and in a
+# depth-only DepthSplat, beside names of UniMatch.
 _DEPTHSPLAT, _GAUSSIANS = (
     ("encoder.depth_predictor.", "depth_predictor."),
     ("encoder.gaussian_head.", "gaussian_head."),
@@ -38,7 +38,7 @@ _UNIMATCH, _DEPTH_ALONE = ("backbone.conv1.", "transformer.layers."), ("pretrain
 class VitFile:
     """One ViT of a file; a number is 0 where the tensor that would tell it is not there."""
 
-    prefix: str  # of its names, with the dot
+    prefix: str  # of its tensor names, with the dot
     layout: str
     hidden: int
     layers: int
@@ -120,7 +120,7 @@ def find_vit(path: Path, tensors: Mapping[str, Tensor], prefix: str | None = Non
 
 
 def looks_like(path: Path, tensors: Mapping[str, Tensor]) -> str:
-    """What network these tensors are of and what takes it, or nothing where that cannot be told."""
+    """Which network these tensors belong to and which command takes it; empty where that cannot be told."""
     if kind := network_kind(tensors):
         return kind
     try:
@@ -135,7 +135,8 @@ def looks_like(path: Path, tensors: Mapping[str, Tensor]) -> str:
 
 
 def network_kind(names: Collection[str]) -> str:
-    """The same of what is no single ViT: DepthSplat's and UniMatch's, told from the names alone."""
+    """DepthSplat's or UniMatch's network, told from the names of its tensors alone, and what takes it; empty if it is
+    neither."""
 
     wrapper = wrapper_of(names)
 
@@ -185,5 +186,5 @@ def _measure(tensors: Mapping[str, Tensor], prefix: str, original: bool) -> VitF
 
 
 def _length(tensor: Tensor | None, axis: int) -> int:
-    """Of that axis, 0 where there is none: a wrong file may hold anything under a known name."""
+    """The length of an axis, or 0 where the tensor lacks it: a wrong file may hold anything under a known name."""
     return tensor.shape[axis] if tensor is not None and -tensor.ndim <= axis < tensor.ndim else 0
