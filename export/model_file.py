@@ -23,12 +23,13 @@ DIGITS = 12  # of it in that file's name
 
 
 def write_model(model: onnx.ModelProto, path: Path) -> None:
-    """Serialise `model` deterministically to `path`; `model` itself is not changed.
+    """Serialise `model` deterministically to `path`, of a symbolic link to its target; `model` itself is not changed.
 
     From `EXTERNAL_BYTES` on, weights are stored in NAME.onnx.<first digits of their sha256>.data beside it. The graph
     is replaced last, so that at any moment the existing graph finds its own weights; then those of the previous graph
     are deleted. Whatever ends the writing, no partial file stays (`replacing`).
     """
+    path = path.resolve()  # external weights lie beside the graph
     path.parent.mkdir(parents=True, exist_ok=True)
     changed = onnx.ModelProto()
     changed.CopyFrom(model)

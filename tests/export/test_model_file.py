@@ -59,3 +59,14 @@ def test_a_write_that_fails_leaves_nothing_of_its_own(tmp_path: Path) -> None:
     with pytest.raises(IsADirectoryError):
         write_model(product(1), tmp_path / "a.onnx")
     assert names(tmp_path) == {"a.onnx"}
+
+
+def test_behind_a_link_graph_and_weights_lie_together(tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir()
+    link = tmp_path / "served.onnx"
+    link.symlink_to(tmp_path / "real" / "net.onnx")
+    write_model(product(1), link)
+    assert link.is_symlink()
+    assert len(data_files(link.resolve())) == 1
+    assert names(tmp_path) == {"real", "served.onnx"}
+    onnx.load(link.resolve())
