@@ -44,6 +44,8 @@ from .workers import Worker
 
 log = logging.getLogger(__name__)
 
+STEPS, SKIPPED = "steps", "skipped"  # counts among the sums of what the log gives means of
+
 
 def train(
     config: ModelConfig,
@@ -60,16 +62,26 @@ def train(
     loaders: int = 0,
     listener: Listener = silent,
 ) -> GaPMeS:
-    """Run the recipe to its end in `folder` and return the averaged weights; continues from what is there.
+    """Run the recipe to its end in `folder`, or continue the run that is there; returns the averaged weights.
 
-    Every random number of a step comes from (seed, step, worker), so a resumed run sees what an unbroken one would
-    have seen. `backbones` gives the frozen parts of a preset that has them; `initial` is a checkpoint of this
-    configuration to start from instead of from random numbers, frozen parts and all; as many processes as `loaders`
-    draw scenes ahead, of each worker, which changes nothing but the time; `listener` hears of every step.
-    Several workers divide each step's scenes between them: raises `Refused` when they cannot, in a folder whose run
-    is another one or has another number of them or of their threads, and in one whose state or log is damaged. Raises
-    `CheckpointError` for a checkpoint of another configuration.
+    All random numbers of a step follow from (seed, step, worker), so that a resumed run repeats an uninterrupted one.
+
+    Args:
+        backbones: published weights for the frozen parts of a preset that has them.
+        initial: checkpoint of this configuration to start from, frozen parts included, instead of random weights.
+        worker: this process among those that divide the scenes of each step; only the first returns the average.
+        loaders: number of processes, for each worker, that generate scenes ahead; changes nothing but the time.
+        listener: is called at every step.
+
+    Raises:
+        Refused: the workers cannot share the scenes evenly, `folder` holds another run (recipe, start, kind of device,
+            number of workers or threads, ...), or its state or log is damaged.
+        CheckpointError: `initial` has another configuration.
+        ValueError: an interval or a number of scenes below 1; both `backbones` and `initial`.
     """
+    for name, value in (("validate_every", validate_every), ("validation_scenes", validation_scenes)):
+        if value < 1:
+            raise ValueError(f"{name} is {value}, need at least 1")
     if backbones is not None and initial is not None:
         raise ValueError("backbones: the weights to start from carry the frozen parts already; give one of both")
     if uneven := recipe.not_shared_by(worker.count):
@@ -112,7 +124,7 @@ def _run(
         log.info("%s: %s: %s", part, report.path, "; ".join(report.summary()))
     model = model.to(device).train()
     frozen = [p for p in model.parameters() if not p.requires_grad]
-    average = copy.deepcopy(model, {id(p): p for p in frozen}).requires_grad_(False)  # shares what does not change
+    average = copy.deepcopy(model, {id(p): p for p in frozen}).requires_grad_(False)  # frozen parts are shared
     coarse = coarse_pays(device)
     if coarse:
         compute_coarsely(model)
@@ -122,11 +134,12 @@ def _run(
         "revision": REVISION,
         "config": config.to_json(),
         "recipe": json.dumps(asdict(recipe), sort_keys=True),
-        "backbones": _sums(model.provenance.get(RECORD)),  # not in the state: other frozen parts are another run
+        "backbones": _sums(model.provenance.get(RECORD)),  # the state lacks the frozen parts
         "initial": None if initial is None else file_sha256(initial),
+        "device": torch.device(device).type,  # the gates' noise depends on it
         "precision": "bfloat16" if coarse else "float32",
-        "process count": str(worker.count),  # each draws its own noise, and what is withheld
-        "thread count": str(torch.get_num_threads()),  # sums in another order round otherwise
+        "process count": str(worker.count),  # each draws its own noise, and whether evidence is withheld
+        "thread count": str(torch.get_num_threads()),  # it decides the order of summation
     }
     start, seconds, sums = restore_state(folder, identity, model, average, optimiser)
     held_out: dict[str, list[TensorBatch]] = {}
@@ -145,7 +158,9 @@ def _run(
     steps = range(start, recipe.steps)
     with closing(drawn_steps(recipe, steps, worker, loaders)) as coming:
         for step in steps:
-            rate, parts = _step(model, optimiser, trained, recipe, step, next(coming), worker)  # kept by nobody
+            rate, parts = _step(
+                model, optimiser, trained, recipe, step, next(coming), worker
+            )  # no name: the batch is freed
             if not worker.leads:
                 continue
             listener(Stage("train", step + 1, recipe.steps))
@@ -164,7 +179,7 @@ def _run(
                 progress: dict[str, object] = {**identity, "step": step + 1, "seconds": elapsed, "sums": sums}
                 save_state(folder, progress, model, average, optimiser)
                 last_save = time.monotonic()
-    if worker.leads and not (folder / STATE).is_file():  # of no steps at all, and yet this run's folder
+    if worker.leads and not (folder / STATE).is_file():  # zero steps: mark the folder as this run's
         save_state(folder, {**identity, "step": start, "seconds": seconds, "sums": sums}, model, average, optimiser)
     elif worker.leads:
         save_weights(folder, average, recipe.steps)
@@ -182,7 +197,7 @@ def check_start(path: Path, config: ModelConfig) -> None:
 
 
 def _sums(record: str | None) -> str | None:
-    """Which weights the frozen parts have, wherever they lay and whatever they were called."""
+    """The sha256 of the weights of each frozen part, whatever their files are called."""
     if record is None:
         return None
     return json.dumps({part: row["sha256"] for part, row in json.loads(record).items()}, sort_keys=True)
@@ -202,6 +217,10 @@ def _step(
     scenes: StepScenes,
     worker: Worker,
 ) -> tuple[float, dict[str, float]]:
+    """One update of the weights; the learning rate, and what to add up for the log.
+
+    A step whose loss or gradient is not finite, in any process, changes no weights, and only its number is logged.
+    """
     rate = recipe.learning_rate_at(step)
     for group in optimiser.param_groups:
         group["lr"] = rate
@@ -211,27 +230,27 @@ def _step(
     model.depth.withheld = scenes.withheld
     loss, parts = _loss(model, scenes.batch.to(trained[0].device), recipe, step)
     optimiser.zero_grad(set_to_none=True)
-    loss.backward()
+    if torch.isfinite(loss):
+        loss.backward()
+    else:  # its gradient may be finite; a NaN in the mean gradient makes all processes skip the step
+        trained[0].grad = torch.full_like(trained[0], math.nan)
     worker.average_gradients(trained)
     norm = torch.nn.utils.clip_grad_norm_(trained, recipe.clip)
-    parts["steps"] = 1.0
-    if torch.isfinite(norm):
-        optimiser.step()
-        parts["gradient_norm"] = float(norm)
-    else:
-        parts["skipped"] = 1.0
-    return rate, parts
+    if not torch.isfinite(norm):
+        return rate, {STEPS: 1.0, SKIPPED: 1.0}
+    optimiser.step()
+    return rate, {**parts, "gradient_norm": float(norm), STEPS: 1.0}
 
 
 def _loss(model: GaPMeS, batch: TensorBatch, recipe: Recipe, step: int) -> tuple[Tensor, dict[str, float]]:
-    """Raises `Refused` where the network overflows, which frozen parts may bring along and a run may come to."""
+    """The loss and its parts; raises `Refused` if the network overflows: damaged initial weights, or divergence."""
     try:
         return training_loss(model, batch, recipe, step)
     except (IndexError, RuntimeError, ValueError) as error:
         given = (batch.images, batch.intrinsics, batch.poses, batch.near_far)
         if found := overflow(model, lambda: model(*given)):
             raise Refused(
-                f"step {step + 1}: {found}; what it began with is damaged or the run has diverged: use a new folder, "
+                f"step {step + 1}: {found}; the initial weights are damaged or the run has diverged: use a new folder, "
                 "with other weights or another seed"
             ) from error
         raise
@@ -244,6 +263,14 @@ def _average(average: GaPMeS, model: GaPMeS, decay: float) -> None:
             mean.lerp_(value, 1 - decay)
 
 
+def _means(sums: dict[str, float]) -> dict[str, float]:
+    """Means over the steps that were not skipped, and the share of those that were, if any."""
+    counts = {STEPS: sums.get(STEPS, 0.0), SKIPPED: sums.get(SKIPPED, 0.0)}
+    taken = counts[STEPS] - counts[SKIPPED]
+    means = {key: round(value / taken, 5) for key, value in sums.items() if key not in counts}
+    return means | ({SKIPPED: round(counts[SKIPPED] / counts[STEPS], 5)} if counts[SKIPPED] else {})
+
+
 def _report(
     folder: Path,
     step: int,
@@ -253,8 +280,7 @@ def _report(
     sums: dict[str, float],
     figures: dict[str, dict[str, object]],
 ) -> None:
-    count = sums.pop("steps", 1.0)
-    means = {key: round(value / count, 5) for key, value in sums.items()}
+    means = _means(sums)
     if "mse" in means:
         means["psnr"] = round(-10 * math.log10(max(means.pop("mse"), 1e-10)), 3)
     row = {"step": step, "minutes": round(elapsed / 60, 2), "rate": rate, "train": means, "validation": figures}

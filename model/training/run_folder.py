@@ -23,7 +23,7 @@ WEIGHTS = "weights.safetensors"
 LOG = "log.jsonl"
 LOCK = "lock"
 
-REVISION = "4"  # of the state's contents and the derivation of random numbers; runs of another cannot be continued
+REVISION = "5"  # of the state's contents and the derivation of random numbers; runs of another cannot be continued
 
 
 class Refused(ValueError):
