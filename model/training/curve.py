@@ -54,7 +54,7 @@ def read_curve(path: Path) -> Curve:
         raise ValueError(f"{path} has 0 rows, need at least 1; the first comes with the first validation")
 
     def column(*keys: str) -> F64:
-        return np.array([_number(row, keys) for row in rows], np.float64)
+        return np.array([_number(row, keys, path) for row in rows], np.float64)
 
     sets = ("wide", "narrow")
     return Curve(
@@ -66,10 +66,12 @@ def read_curve(path: Path) -> Curve:
     )
 
 
-def _number(row: dict[str, Any], keys: tuple[str, ...]) -> float:
+def _number(row: dict[str, Any], keys: tuple[str, ...], path: Path) -> float:
     value: Any = row
     for key in keys:
         value = value.get(key) if isinstance(value, dict) else None
+    if value is not None and not isinstance(value, int | float):
+        raise ValueError(f"{path}, step {row['step']}: {'.'.join(keys)} is {value!r}, need a number")
     return math.nan if value is None else float(value)
 
 

@@ -129,7 +129,17 @@ def test_the_picture_shows_the_curves_over_shaded_phases(run: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("", "0 rows"), ('{"step": 1, "minutes": 1}\n{"step": 2}\n', "line 2"), ("[1]\n", "line 1"), ("no\n", "line 1")],
+    [
+        ("", "0 rows"),
+        ('{"step": 1, "minutes": 1}\n{"step": 2}\n', "line 2"),
+        ("[1]\n", "line 1"),
+        ("no\n", "line 1"),
+        ('{"step": Infinity, "minutes": 1}\n', "line 1"),
+        ('{"step": 1, "minutes": NaN}\n', "line 1"),
+        (f'{{"step": 1{"0" * 400}, "minutes": 1}}\n', "line 1"),
+        ('{"step": 7, "minutes": 1, "train": {"psnr": [20.5]}}\n', "step 7: train.psnr is [20.5], need a number"),
+        ('{"step": 7, "minutes": 1, "train": {"psnr": "20"}}\n', "step 7: train.psnr is '20', need a number"),
+    ],
 )
 def test_a_damaged_log_is_refused_by_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str

@@ -32,6 +32,8 @@ from gapmes.model.training.workers import Worker
         ("--seed", "-1", "is -1, need at least 0"),
         ("--seed", "9" * 30, f"is {'9' * 30}, need at most {2**63 - 1}"),
         ("--device", "foo", "is 'foo', need cpu, cuda, cuda:NUMBER or auto"),
+        ("--device", "cuda:", "is 'cuda:', need cpu, cuda, cuda:NUMBER or auto"),
+        ("--device", "cuda:٣", "is 'cuda:٣', need cpu, cuda, cuda:NUMBER or auto"),
         ("--device", "cuda", "is 'cuda', but torch finds 0 graphics cards here: give cpu or auto"),
         ("--loaders", "-1", "is -1, need at least 0"),
         ("--scenes", "0", "is 0, need at least 1"),
@@ -110,7 +112,7 @@ def test_a_graphics_card_is_taken_where_torch_finds_one(monkeypatch: pytest.Monk
         monkeypatch.setattr(torch.cuda, "is_available", lambda cards=cards: cards > 0)
         monkeypatch.setattr(torch.cuda, "device_count", lambda cards=cards: cards)
         assert arguments.device("auto") == found
-    assert arguments.device("cuda:1") == "cuda:1"
+    assert arguments.device("cuda:1") == arguments.device("cuda:01") == "cuda:1"
     with pytest.raises(argparse.ArgumentTypeError, match="is 'cuda:2', but torch finds 2"):
         arguments.device("cuda:2")
 
