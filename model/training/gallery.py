@@ -46,7 +46,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--size", type=whole_number(16), default=112, help="px per view")
     parser.add_argument("--seed", type=any_seed(), default=4)
     options = parser.parse_args(arguments)
-    picture = Image.fromarray(gallery(options.rows, options.columns, options.size, options.seed))
+    try:
+        picture = Image.fromarray(gallery(options.rows, options.columns, options.size, options.seed))
+    except OSError as error:  # of the textures' cache
+        sys.stderr.write(f"refused: {error}\n")
+        return 1
     try:
         picture.save(options.out, quality=88)
     except (OSError, ValueError) as error:  # of a suffix that is no picture's

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gapmes.service.process.disk import named, replacing
 
 from .patterns import SIZE, draw
 from .photographs import photograph_crop
@@ -70,14 +71,26 @@ def cache_folder() -> Path:
 
 
 def load_atlas(seed: int = 0) -> TextureAtlas:
-    """The atlas of this version and seed, memory-mapped from the cache so that processes share it."""
+    """The atlas of this version and seed, memory-mapped from the cache so that processes share it.
+
+    A missing or damaged cache file is written anew, atomically, as other processes may do at the same time. Raises
+    `OSError`.
+    """
     path = cache_folder() / f"textures-v{VERSION}-seed{seed}.npy"
-    if not path.exists():
+    rows = _cached_rows(path)
+    if rows is None:
         atlas = build_atlas(seed)
         path.parent.mkdir(parents=True, exist_ok=True)
-        rows = np.concatenate([atlas.texels, atlas.flat[:, None].astype(np.uint8)], axis=1)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npy", delete=False) as part:
-            np.save(part, rows)
-        os.replace(part.name, path)  # whole or not at all, whoever else is drawing it
-    rows = np.load(path, mmap_mode="r")
+        with named(path), replacing(path) as part, part.open("wb") as file:
+            np.save(file, np.concatenate([atlas.texels, atlas.flat[:, None].astype(np.uint8)], axis=1))
+        rows = np.load(path, mmap_mode="r")
     return TextureAtlas(np.asarray(rows)[:, :ROW_BYTES], np.asarray(rows[:, ROW_BYTES]) != 0)
+
+
+def _cached_rows(path: Path) -> NDArray[np.uint8] | None:
+    """(COUNT, ROW_BYTES + 1) texels and `flat` of each texture; None unless the file has this size and type."""
+    try:
+        rows = np.load(path, mmap_mode="r")
+    except (FileNotFoundError, EOFError, ValueError):  # the last two: cut short, or another file
+        return None
+    return rows if (rows.shape, rows.dtype) == ((COUNT, ROW_BYTES + 1), np.uint8) else None

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gapmes.model.training import textures
 from gapmes.model.training.gallery import main
 from gapmes.model.training.scenes import SceneSampler
+from gapmes.model.training.textures import TextureAtlas
 
 
 def test_it_shows_both_inputs_of_each_scene_beside_its_depth(tmp_path: Path) -> None:
@@ -37,6 +39,19 @@ def test_a_place_that_cannot_be_written_is_refused_in_one_line(
     assert main(["--out", str(tmp_path / out), "--rows", "1", "--columns", "1", "--size", "16"]) == 1
     told = capsys.readouterr().err
     assert told.startswith(f"refused: {tmp_path / out} cannot be written: ")
+    assert told.count("\n") == 1
+
+
+def test_a_cache_that_cannot_be_made_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "taken").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "taken"))
+    monkeypatch.setattr(textures, "build_atlas", lambda _: TextureAtlas(np.empty((0, 0)), np.empty(0)))
+    assert main(["--out", str(tmp_path / "gallery.png"), "--rows", "1", "--columns", "1", "--size", "16"]) == 1
+    told = capsys.readouterr().err
+    assert told.startswith("refused: ")
+    assert str(tmp_path / "taken") in told
     assert told.count("\n") == 1
 
 

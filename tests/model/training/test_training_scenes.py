@@ -214,6 +214,35 @@ def test_atlas_is_reproducible_and_cached_whole(tmp_path, monkeypatch):
     assert [path.name for path in (tmp_path / "gapmes").iterdir()] == [f"textures-v{textures.VERSION}-seed4.npy"]
 
 
+@pytest.mark.parametrize("left", [0, 60, 5000, -1])
+def test_a_damaged_cache_is_drawn_anew(left, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(textures, "COUNT", 2)
+    monkeypatch.setattr(textures, "build_atlas", lambda seed: build_atlas(seed, 2))
+    load_atlas(4)
+    (path,) = (tmp_path / "gapmes").iterdir()
+    whole = path.read_bytes()
+    path.write_bytes(whole[:left])
+    np.testing.assert_array_equal(load_atlas(4).texels, build_atlas(4, 2).texels)
+    np.save(path, np.zeros((2, 7), np.uint8))
+    np.testing.assert_array_equal(load_atlas(4).texels, build_atlas(4, 2).texels)
+    assert path.read_bytes() == whole
+    assert list((tmp_path / "gapmes").iterdir()) == [path]
+
+
+def test_a_full_disk_leaves_nothing_in_the_cache(tmp_path, monkeypatch):
+    def full(file, _):
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(textures, "build_atlas", lambda seed: build_atlas(seed, 2))
+    monkeypatch.setattr(np, "save", full)
+    with pytest.raises(OSError, match=r"No space left on device: '.*textures-v\d+-seed4\.npy'"):
+        load_atlas(4)
+    assert not list((tmp_path / "gapmes").iterdir())
+
+
 def test_mip_levels_keep_the_mean():
     row = build_atlas(1, 1).texels[0]
     assert len(row) == ROW_BYTES
