@@ -18,9 +18,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from gapmes.service.errors import InputError
+from gapmes.service.process.disk import replace_file
 
 from . import arguments as kinds
-from .ablation_runs import VARIANTS, WIDE, Budget, Run, by_scene, run_in, write_whole
+from .ablation_runs import VARIANTS, WIDE, Budget, Run, by_scene, run_in
 from .ablation_table import Scores, check_comparable, tables
 from .lpips import Lpips
 from .step import TensorBatch
@@ -170,8 +171,8 @@ def write_results(out: Path, results: Results, budget: Budget) -> None:
         if runs
     }
     body = {"budget": asdict(budget), "baseline": WIDE, "variants": variants}
-    write_whole(out / RESULT, json.dumps(body, indent=1) + "\n")
-    write_whole(out / TABLES, tables(results, caption(results, budget)))
+    replace_file(out / RESULT, (json.dumps(body, indent=1) + "\n").encode())
+    replace_file(out / TABLES, tables(results, caption(results, budget)).encode())
 
 
 def caption(results: Results, budget: Budget) -> str:

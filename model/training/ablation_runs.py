@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from gapmes.service.process.disk import replace_file
 
 from ..checkpoint import load_checkpoint
 from ..config import ModelConfig, preset
@@ -161,7 +162,7 @@ class Run:
             "scores": by_scene(scores),
             "lpips_weights": scores.lpips_weights,
         }
-        write_whole(self.folder / SCORES, json.dumps(body) + "\n")
+        replace_file(self.folder / SCORES, (json.dumps(body) + "\n").encode())
 
     def _identity(self) -> dict[str, Any]:
         parts = {
@@ -191,10 +192,3 @@ def by_scene(scores: Scores) -> dict[str, list[float]]:
     """Every figure that the scores hold, one number per scene."""
     figures = {name: getattr(scores, name) for name in (*FIGURES, PERCEIVED)}
     return {name: values.tolist() for name, values in figures.items() if values is not None}
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,8 @@ from typing import Any
 
 import torch
 from torch import Tensor
+
+from gapmes.service.process.disk import replace_file
 
 from ..checkpoint import save_checkpoint
 from ..network import GaPMeS
@@ -85,15 +88,24 @@ def save_weights(folder: Path, average: GaPMeS, step: object) -> None:
 
 
 def read_state(path: Path, *, mmap: bool = False) -> dict[str, Any]:
-    """What `save_state` wrote; `mmap` leaves tensors in the file until they are used. Raises `Refused` for another
-    file and for a damaged one."""
+    """What `save_state` wrote. Raises `Refused` for another file and for a damaged one; with `mmap`, which leaves the
+    tensors in the file until they are used, damage in these is not noticed."""
     try:
         state = torch.load(path, weights_only=True, map_location="cpu", mmap=mmap)
+        if not mmap:
+            _check_sums(path)
     except Exception as error:  # a damaged file makes the restricted reader fail in any of a dozen ways
         raise _damaged(path, error) from error
     if not isinstance(state, dict):
         raise _damaged(path, TypeError(f"it holds a {type(state).__name__}"))
     return state
+
+
+def _check_sums(path: Path) -> None:
+    """Compare the CRC-32 of each part of a file of `torch.save`, a zip archive, which `torch.load` leaves unread."""
+    with zipfile.ZipFile(path) as archive:
+        if part := archive.testzip():
+            raise ValueError(f"{part} has another checksum than when it was written")
 
 
 def _damaged(path: Path, error: Exception) -> Refused:
@@ -160,6 +172,4 @@ def forget_rows_after(folder: Path, step: int) -> None:
             rows = read_rows(path)
         except ValueError as error:
             raise Refused(f"{error}; mend or remove the line, or use a new folder") from error
-        part = folder / (LOG + ".part")
-        part.write_text("".join(json.dumps(row) + "\n" for row in rows if row["step"] <= step))
-        os.replace(part, path)
+        replace_file(path, "".join(json.dumps(row) + "\n" for row in rows if row["step"] <= step).encode())

@@ -9,8 +9,9 @@ from pathlib import Path
 import numba
 import torch
 
+from gapmes.service.process.disk import replace_file
+
 from . import arguments as kinds
-from .ablation_runs import write_whole
 from .ablation_table import with_tables
 from .lpips import Lpips, default_weights
 
@@ -38,7 +39,7 @@ def asked_lpips(options: argparse.Namespace) -> Lpips | None:
 
 def fill_page(page: Path, text: str, marker: str) -> None:
     """Put `text` between the markers of a page; raises `ValueError` for a page without them, and `OSError`."""
-    write_whole(page, with_tables(page.read_text(encoding="utf-8"), text, marker))
+    replace_file(page, with_tables(page.read_text(encoding="utf-8"), text, marker).encode())
 
 
 def check_page(page: Path, marker: str) -> None:

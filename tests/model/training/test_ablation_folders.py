@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gapmes.model.training import ablation, ablation_runs
+from gapmes.model.training import ablation, ablation_runs, study
 from gapmes.model.training.ablation_runs import VARIANTS, Budget, run_in
 from gapmes.model.training.ablation_table import COMPLETE
 
@@ -59,3 +59,14 @@ def test_numbers_out_of_range_are_wrong_usage(
     assert ended.value.code == 2
     assert f"argument {option}: is {value}, need at " in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
+
+
+def test_a_page_that_is_filled_keeps_its_mode_and_the_link_to_it(tmp_path: Path) -> None:
+    page, link = tmp_path / "page.md", tmp_path / "link.md"
+    page.write_text("<!-- tables: begin -->\nold\n<!-- tables: end -->\n")
+    page.chmod(0o660)
+    link.symlink_to(page)
+    study.fill_page(link, "| new |\n", "tables")
+    assert page.read_text() == "<!-- tables: begin -->\n| new |\n<!-- tables: end -->\n"
+    assert page.stat().st_mode & 0o777 == 0o660
+    assert link.is_symlink()

@@ -82,6 +82,18 @@ def test_weights_without_a_state_are_not_written_over(tmp_path: Path) -> None:
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == kept
 
 
+def test_a_state_with_other_numbers_than_were_written_is_not_continued(tmp_path: Path) -> None:
+    """One byte differs in the middle, within a tensor, where the reader of torch compares no checksum."""
+    one = replace(SMALL, steps=1)
+    run(one, tmp_path)
+    content = bytearray((tmp_path / run_folder.STATE).read_bytes())
+    content[len(content) // 2] ^= 0x40
+    (tmp_path / run_folder.STATE).write_bytes(content)
+    torch.load(tmp_path / run_folder.STATE, weights_only=True)
+    with pytest.raises(run_folder.Refused, match=r"state\.pt cannot be read .*\(ValueError: .* has another checksum"):
+        run(one, tmp_path)
+
+
 def test_a_state_that_lacks_a_part_is_not_continued(tmp_path: Path) -> None:
     one = replace(SMALL, steps=1)
     run(one, tmp_path)
