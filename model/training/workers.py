@@ -102,7 +102,9 @@ def _start(
     try:
         work(Worker(rank, count), *arguments)
     except (Refused, CheckpointError, OSError) as error:  # told before the others lose this process
-        (folder / REFUSAL).write_text(str(error), encoding="utf-8")
+        own = folder / f"{REFUSAL}-{rank}"
+        own.write_text(str(error), encoding="utf-8")
+        own.replace(folder / REFUSAL)  # whole at any time: several processes may refuse at once
         raise
     finally:
         distributed.destroy_process_group()

@@ -143,6 +143,25 @@ def test_what_the_system_refuses_in_a_process_is_told_as_a_refusal(
     assert "No space left on device: 'state.pt.part'" in (tmp_path / workers.REFUSAL).read_text()
 
 
+def test_refusals_at_once_are_never_read_by_half(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While a second process writes its refusal, that of the first is there."""
+    monkeypatch.setattr(workers, "signal", Mock())
+    monkeypatch.setattr(workers, "distributed", Mock())
+    with pytest.raises(run_folder.Refused):
+        workers._start(0, 2, 1, tmp_path, _refuse, ())
+    real, seen = Path.write_text, []
+
+    def written(path: Path, text: str, **options: str) -> int:
+        with path.open("w"):  # as between opening and writing
+            seen.append((tmp_path / workers.REFUSAL).read_text())
+        return real(path, text, **options)
+
+    monkeypatch.setattr(Path, "write_text", written)
+    with pytest.raises(run_folder.Refused):
+        workers._start(1, 2, 1, tmp_path, _refuse, ())
+    assert seen == ["this is refused"]
+
+
 def _work_on(worker: Worker, folder: Path) -> None:
     (folder / f"{worker.rank}.pid").write_text(str(os.getpid()))
     time.sleep(600)
