@@ -111,6 +111,8 @@ def trained(samples: Samples, seed: int, steps: int, done: Callable[[int], None]
         taken = rows[rng.integers(len(rows), size=BATCH)]
         shares = network(known[taken].float(), about[taken].float()).softmax(1)
         loss = (shares * costs[taken]).sum(1).mean()
+        if not torch.isfinite(loss):
+            raise Refused(f"step {step + 1}: the loss is {loss.item()}, need a finite one: take another --seed")
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

@@ -42,7 +42,7 @@ class Lpips:
     """Holds the weights: `net.{i}.weight|bias` of five convolutions and `NetLinLayer_{i}.0.weight` (1, C, 1, 1)."""
 
     def __init__(self, weights: dict[str, Tensor]) -> None:
-        """Raises `InputError` that names a missing or misshapen tensor."""
+        """Raises `InputError` that names a tensor which is missing, misshapen or not finite."""
         for i, ((out, channels, kernel), _, _) in enumerate(LAYERS):
             shapes = {
                 f"net.{i}.weight": (out, channels, kernel, kernel),
@@ -53,6 +53,9 @@ class Lpips:
                 found = tuple(weights[name].shape) if name in weights else "missing"
                 if found != shape:
                     raise InputError(f"{name} is {found}, need {shape}", field="lpips")
+                if bad := int((~torch.isfinite(weights[name])).sum()):
+                    numbers = weights[name].numel()
+                    raise InputError(f"{name}: {bad} of {numbers} numbers are NaN or infinite", field="lpips")
         self._weights = {name: value.float() for name, value in weights.items()}
         digest = hashlib.sha256()
         for name, value in sorted(self._weights.items()):

@@ -61,8 +61,11 @@ def camera_document(depths: NDArray[np.float32], poses: NDArray[np.float64]) -> 
 
 def main(out_dir: Annotated[Path, typer.Argument(help="Folder for cameras.json and images/.")]) -> None:
     """Render the sample scene into a folder."""
+    try:
+        (out_dir / "images").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise typer.BadParameter(f"{out_dir} cannot be the folder of a scene: {error.strerror}") from error
     pixels, depths, poses = render_sample()
-    (out_dir / "images").mkdir(parents=True, exist_ok=True)
     for i, image in enumerate(pixels):
         Image.fromarray(image).save(out_dir / "images" / f"{i:03d}.png", optimize=True)
     text = json.dumps(camera_document(depths, poses), indent=1)

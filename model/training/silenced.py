@@ -169,6 +169,9 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, OSError, InputError) as error:
         console.print(f"refused: {error}", markup=False)
         return 1
+    except KeyboardInterrupt:
+        console.print("stopped; nothing is kept", markup=False)
+        return 130
     sys.stdout.write(text)
     return 0
 

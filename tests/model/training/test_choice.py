@@ -128,6 +128,17 @@ def test_scenes_of_the_figures_teach_nothing() -> None:
     assert held_out(samples).mean() == pytest.approx(1 / 8)
 
 
+def test_a_loss_that_is_not_finite_is_refused_and_nothing_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    samples = made_up(50, 3)
+    samples.about[:] = np.inf  # beyond float16
+    monkeypatch.setattr(choice, "_generated", lambda *_: iter([samples]))
+    assert choice.main([str(tmp_path / "out.npz"), "--steps", "3", "--quiet"]) == 1
+    assert capsys.readouterr().err == "refused: step 1: the loss is nan, need a finite one: take another --seed\n"
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_command_writes_the_network_and_its_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -79,3 +79,10 @@ def test_lpips_names_a_wrong_tensor() -> None:
         Lpips(weights)
     with pytest.raises(InputError, match="32"):
         Lpips(random_weights()).distance(*np.zeros((2, 3, 24, 24), np.float32))
+
+
+def test_lpips_refuses_weights_that_are_not_finite() -> None:
+    weights = random_weights()
+    weights["net.1.bias"][:2] = torch.tensor([torch.nan, torch.inf])
+    with pytest.raises(InputError, match=r"net\.1\.bias: 2 of 192 numbers are NaN or infinite"):
+        Lpips(weights)

@@ -7,9 +7,11 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+import typer
 from PIL import Image
 
 import gapmes.service
+from gapmes.model.training import sample_scene
 from gapmes.model.training.sample_scene import camera_document, render_sample
 from gapmes.service.cameras.camera import Camera
 
@@ -51,6 +53,14 @@ def test_shipped_camera_file_is_what_the_recipe_writes(rendered, document):
         np.testing.assert_allclose(ours.pop("c2w"), theirs.pop("c2w"), atol=1e-8)
         assert ours == theirs
     assert document == fresh
+
+
+@pytest.mark.parametrize("below", ["", "scene"])
+def test_a_place_that_is_no_folder_is_wrong_usage(below, tmp_path, monkeypatch):
+    monkeypatch.setattr(sample_scene, "render_sample", lambda: pytest.fail("worked"))
+    (tmp_path / "taken").touch()
+    with pytest.raises(typer.BadParameter, match=r"taken.* cannot be the folder of a scene: "):
+        sample_scene.main(tmp_path / "taken" / below)
 
 
 def test_scene_is_small_and_whole(document):

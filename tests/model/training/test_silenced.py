@@ -150,6 +150,15 @@ def test_the_command_measures_a_checkpoint_and_fills_its_page(
     assert "no such file" in capsys.readouterr().err
 
 
+def test_an_interrupt_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "measure", interrupted)
+    assert module.main([]) == 130
+    assert capsys.readouterr().err == "stopped; nothing is kept\n"
+
+
 def test_every_row_is_measured_with_its_part_silenced_and_the_first_with_none() -> None:
     model, console = load_checkpoint(shipped_checkpoint("tiny")), Console(file=io.StringIO())
     found = measure(model, 64, 1, Lpips(random_weights()), console)
