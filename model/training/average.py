@@ -75,7 +75,7 @@ def main(arguments: list[str] | None = None) -> int:
                 same = options.weights[digests.index(digest)]
                 parser.error(f"{options.weights[place]} holds the same weights as {same}: they would count twice")
         model = averaged(options.weights)
-    except CheckpointError as error:
+    except (CheckpointError, OSError) as error:
         parser.error(str(error))
     try:
         save_checkpoint(options.out, model, extra={MEAN_OF: ",".join(digests)})

@@ -68,6 +68,8 @@ def save_state(
     try:
         with part.open("wb") as file:
             torch.save(state, file)
+            file.flush()
+            os.fsync(file.fileno())  # before the rename: after a power failure one of the two states is there, whole
         os.replace(part, folder / STATE)
     except (OSError, RuntimeError) as error:
         part.unlink(missing_ok=True)

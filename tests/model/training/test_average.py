@@ -12,6 +12,7 @@ from small_networks import tiny
 
 from gapmes.model.checkpoint import load_checkpoint, read_metadata, save_checkpoint
 from gapmes.model.network import GaPMeS
+from gapmes.model.training import average
 from gapmes.model.training.average import MEAN_OF, averaged, main
 from gapmes.model.weights_file import CheckpointError, file_sha256
 
@@ -66,6 +67,18 @@ def test_a_missing_file_is_named_before_copies_are(runs: list[Path], capsys: pyt
     with pytest.raises(SystemExit):
         main([str(copy.with_name("mean.safetensors")), "missing.safetensors", str(runs[0]), str(copy)])
     assert "missing.safetensors: no such file" in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_read_is_wrong_usage(
+    runs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def denied(path: Path) -> str:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(average, "file_sha256", denied)
+    with pytest.raises(SystemExit, match="2"):
+        main([str(tmp_path / "out.safetensors"), *map(str, runs)])
+    assert f"Permission denied: '{runs[0]}'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("out", [".", ""])

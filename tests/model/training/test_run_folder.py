@@ -70,6 +70,26 @@ def test_a_full_disk_is_said_of_the_file(room: int, tmp_path: Path) -> None:
     assert not (tmp_path / (run_folder.STATE + ".part")).exists()
 
 
+def test_a_state_is_on_the_disk_before_it_replaces_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A power failure may undo neither, or the rename alone."""
+    done: list[str] = []
+    replace_, fsync = run_folder.os.replace, run_folder.os.fsync
+
+    def synced(handle: int) -> None:
+        done.append(f"sync {Path(f'/proc/self/fd/{handle}').readlink().name}")
+        fsync(handle)
+
+    def replaced(source: Path, target: Path) -> None:
+        done.append(f"rename {Path(source).name}")
+        replace_(source, target)
+
+    monkeypatch.setattr(run_folder.os, "fsync", synced)
+    monkeypatch.setattr(run_folder.os, "replace", replaced)
+    network = GaPMeS(preset("tiny"))
+    run_folder.save_state(tmp_path, {"step": 1}, network, network, torch.optim.SGD(network.parameters(), 0.1))
+    assert done[:2] == ["sync state.pt.part", "rename state.pt.part"]
+
+
 def test_weights_without_a_state_are_not_written_over(tmp_path: Path) -> None:
     """Their state was removed after the run, or they come from elsewhere."""
     one = replace(SMALL, steps=1)
