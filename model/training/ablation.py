@@ -135,7 +135,7 @@ def _add_lpips(
         planned[name][seed] = replace(results[name][seed], lpips_weights=lpips.fingerprint)
     check_comparable(planned)
     for number, ((name, seed), run) in enumerate(lacking.items(), 1):
-        results[name][seed] = run.perceive(results[name][seed], batches, lpips)
+        results[name][seed] = run.add_lpips(results[name][seed], batches, lpips)
         console.print(f"LPIPS {number} of {len(lacking)}  {name} (seed {seed}) was finished before", markup=False)
 
 

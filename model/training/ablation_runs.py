@@ -20,13 +20,13 @@ from .differences import differences
 from .log_rows import read_rows
 from .loop import train
 from .lpips import Lpips
-from .precision import coarse_pays
+from .precision import bfloat16_is_fast
 from .recipe import Phase, Recipe
 from .run_folder import LOG, WEIGHTS
 from .step import TensorBatch
 from .validation import validate, validation_batches
 
-# what a variant changes in the complete model (tau 0.8, six experts, top 2), which all tables share
+# fields of the configuration that a variant changes; the complete model has tau 0.8, six experts and top 2
 VARIANTS: dict[str, dict[str, object]] = {
     COMPLETE: {},
     "without-depth": {"without_depth": True},
@@ -42,9 +42,9 @@ SCORES = "scores.json"
 AGAIN = "remove the file, and the run is scored again"
 WIDE = (0.18, 0.5)  # baseline of the validation scenes, in units of the scene's median depth
 FIGURES = ("psnr", "ssim", "depth_error", "copy_psnr")
-PERCEIVED = "lpips"  # one more, where there are weights for it
+LPIPS = "lpips"  # one more figure, if weights for it are given
 SAME_WEIGHTS_DB = (
-    0.05  # one run scored twice: another number of threads rounds otherwise and may send a patch elsewhere
+    0.05  # between two scorings of one run: other threads round differently, which may route a patch to other experts
 )
 
 
@@ -64,7 +64,8 @@ class Budget:
                 raise ValueError(f"{name} is {value}, need at least 1")
 
     def recipe(self, seed: int) -> Recipe:
-        """One phase of two views at one size, nothing close, targets on the way, evidence always; a sixth warms up."""
+        """One phase with two views at one size; no near occluders, no targets off the path, no withheld evidence; a
+        sixth of the steps is warm-up."""
         phases = (Phase(1.0, (self.size,), self.training_scenes, (2,), (0.06, 0.6)),)
         warm_up = max(1, self.steps // 6)
         plain = replace(Recipe(), close_share=0.0, aside=0.0, withheld_until=0.0)
@@ -100,7 +101,7 @@ class Run:
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
             kept = {key: found[key] for key in self._identity()}
-            names = [*FIGURES, *([PERCEIVED] if PERCEIVED in found["scores"] else [])]
+            names = [*FIGURES, *([LPIPS] if LPIPS in found["scores"] else [])]
             figures = {name: np.array(found["scores"][name], np.float64) for name in names}
             scores = Scores(
                 int(found["parameters"]), float(found["minutes"]), **figures, lpips_weights=found.get("lpips_weights")
@@ -134,7 +135,7 @@ class Run:
         self._keep(scores)
         return scores
 
-    def perceive(self, scores: Scores, batches: Sequence[TensorBatch], lpips: Lpips) -> Scores:
+    def add_lpips(self, scores: Scores, batches: Sequence[TensorBatch], lpips: Lpips) -> Scores:
         """Add LPIPS to the scores of a finished run, from the weights that it left; nothing is trained.
 
         Raises `ValueError` when these weights do not have the PSNR that the scores tell, and `CheckpointError` when
@@ -169,7 +170,7 @@ class Run:
             "config": asdict(self.config),
             "recipe": asdict(self.budget.recipe(self.seed)),
             "budget": asdict(self.budget),
-            "precision": {"bfloat16": coarse_pays("cpu")},
+            "precision": {"bfloat16": bfloat16_is_fast("cpu")},
         }
         return json.loads(json.dumps(parts))  # tuples as JSON gives them back
 
@@ -182,7 +183,7 @@ def run_in(out: Path, name: str, seed: int, budget: Budget) -> Run:
 def scene_scores(model: GaPMeS, batches: Sequence[TensorBatch], minutes: float, lpips: Lpips | None = None) -> Scores:
     """Figures scene by scene, so that variants can be compared on the same ones; every batch holds one scene."""
     rows = [validate(model, [batch], lpips) for batch in batches]
-    names = [*FIGURES, *([PERCEIVED] if lpips is not None else [])]
+    names = [*FIGURES, *([LPIPS] if lpips is not None else [])]
     figures = {name: np.array([row[name] for row in rows], np.float64) for name in names}
     weights = None if lpips is None else lpips.fingerprint
     return Scores(sum(p.numel() for p in model.parameters()), minutes, **figures, lpips_weights=weights)
@@ -190,5 +191,5 @@ def scene_scores(model: GaPMeS, batches: Sequence[TensorBatch], minutes: float, 
 
 def by_scene(scores: Scores) -> dict[str, list[float]]:
     """Every figure that the scores hold, one number per scene."""
-    figures = {name: getattr(scores, name) for name in (*FIGURES, PERCEIVED)}
+    figures = {name: getattr(scores, name) for name in (*FIGURES, LPIPS)}
     return {name: values.tolist() for name, values in figures.items() if values is not None}

@@ -27,10 +27,10 @@ PAPER: dict[str, dict[str, str]] = {
         "top-1": "SSIM 0.691, so -2.5 %",
     },
 }
-# what is compared: field of `Scores`, how tables call it, digits
+# what is compared: field of `Scores`, its title in tables, decimals
 SHOWN = (("psnr", "PSNR", 2), ("ssim", "SSIM", 4), ("lpips", "LPIPS", 4), ("depth_error", "depth error", 4))
-NONE = "–"  # in the place of a figure that a run was scored without
-SAME_SCENE_DB = 1e-3  # figures are kept to 1e-4 dB; another number of threads may round the last of these otherwise
+NONE = "–"  # for a figure that a run was scored without
+SAME_SCENE_DB = 1e-3  # figures are rounded to 1e-4 dB; another number of threads may change the last digit
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class Paired:
-    """A mean difference and how far it may be off."""
+    """A mean difference with its standard errors."""
 
     mean: float
     scene_error: float  # standard error over scenes, nan for a single scene

@@ -22,7 +22,7 @@ from .step import TensorBatch
 from .step_scenes import StepScenes, draw_step
 from .workers import Worker, limit_threads
 
-Drawn = tuple[list[NDArray], int, bool]  # by pipe: tensors would take shared memory, which is scarce in a container
+Drawn = tuple[list[NDArray], int, bool]  # arrays: tensors would be sent through scarce shared memory
 
 
 def drawn_steps(recipe: Recipe, steps: range, worker: Worker, loaders: int) -> Generator[StepScenes]:
@@ -48,7 +48,7 @@ def _started(recipe: Recipe, steps: range, worker: Worker, loaders: int) -> Iter
         for number in range(min(loaders, len(steps))):
             receiver, sender = spawn.Pipe(duplex=False)
             pipes.append(receiver)
-            with sender, _without_interrupts():  # closed here: then the process' end is the pipe's end
+            with sender, _without_interrupts():  # the process holds the only sender: the pipe ends with it
                 own = (recipe, steps[number::loaders], worker, sender, os.getpid())
                 process = spawn.Process(target=_draw, args=own, daemon=True)
                 process.start()
@@ -67,10 +67,10 @@ def _started(recipe: Recipe, steps: range, worker: Worker, loaders: int) -> Iter
 def _without_interrupts() -> Iterator[None]:
     """Processes started within ignore the SIGINT that a terminal sends to the whole group. In the parent it is deferred
     to the end of the block."""
-    resource_tracker.ensure_running()  # its own start lets interrupts through again
+    resource_tracker.ensure_running()  # if it were started later, that would unblock SIGINT
     heard: list[int] = []
     usual = signal.getsignal(signal.SIGINT)
-    main = threading.current_thread() is threading.main_thread()  # which alone may say what a signal does
+    main = threading.current_thread() is threading.main_thread()  # only the main thread may set signal handlers
     if in_charge := main and usual is not None:
         signal.signal(signal.SIGINT, lambda number, _: heard.append(number))
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -85,7 +85,7 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def _draw(recipe: Recipe, steps: range, worker: Worker, sender: Connection, parent: int) -> None:
-    """In each process, in one thread."""
+    """Generate and send the batches of `steps`, in a process of its own with one thread."""
     end_with_parent(parent)
     limit_threads(1)
     for step in steps:
@@ -93,14 +93,14 @@ def _draw(recipe: Recipe, steps: range, worker: Worker, sender: Connection, pare
         arrays = [getattr(drawn.batch, field.name).numpy() for field in fields(TensorBatch)]
         try:
             sender.send((arrays, drawn.torch_seed, drawn.withheld))
-        except BrokenPipeError:  # who wanted it was ended
+        except BrokenPipeError:  # the training has ended
             return
 
 
 def _received(pipe: Connection) -> StepScenes:
     try:
         drawn: Drawn = pipe.recv()
-    except (EOFError, OSError) as error:  # before a message, and within one
+    except (EOFError, OSError) as error:  # it ended between two messages, or within one
         raise Refused(
             "a process that draws scenes ended, by lack of memory or by the error above; the same command goes on from "
             "the last state, with fewer --loaders in less memory"

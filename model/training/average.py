@@ -1,7 +1,7 @@
 """`python -m gapmes.model.training.average OUT.safetensors RUN.safetensors ...`: the mean of several runs' weights.
 
-Runs that go on from the same weights end in one valley of the loss, each off its middle by the noise of its own last
-scenes. The mean lies nearer to the middle than any of them (model soups, Wortsman et al. 2022), and is as fast as one.
+Runs that continue from the same weights end in one basin of the loss, each displaced by the noise of its last steps.
+Their mean lies closer to the centre (model soups, Wortsman et al. 2022), and is as fast as one network.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ MEAN_OF = "gapmes.mean_of"  # sha256 of every file that went in, in the checkpoi
 
 
 def averaged(paths: Sequence[Path]) -> GaPMeS:
-    """The network with the mean, in float64, of what was trained in every file, and with the frozen parts of all.
+    """The network whose trained parameters are the means over all files, computed in float64, and whose frozen parts
+    are those of every file.
 
     Raises `CheckpointError` for fewer than two files, and for one that has another configuration or other frozen parts
     than the first.

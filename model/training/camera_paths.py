@@ -20,12 +20,12 @@ STYLE_SHARES = (0.45, 0.25, 0.30)
 def camera_poses(
     rng: Rng, inputs: int, targets: int, baseline: float, depth: float, half_width: float, aside: float = 0.0
 ) -> F64:
-    """(inputs + targets, 4, 4) world_from_cam, inputs first, around the origin and looking along about +z.
+    """(inputs + targets, 4, 4) world_from_cam, inputs first, around the origin and looking roughly along +z.
 
-    `baseline` is the length of the path from the first to the last input and `depth` that of the scene, in the same
-    unit; `half_width` = tan(horizontal fov / 2). Targets lie on the path, up to 8 % beyond its ends; with `aside` each
-    is displaced by a normal deviate whose standard deviation is uniform between 0 and `aside` baselines, so that depth
-    errors at edges along the path become visible too.
+    `baseline` is the length of the path from the first to the last input and `depth` the median depth of the scene, in
+    the same unit; `half_width` = tan(horizontal fov / 2). Targets lie on the path, up to 8 % beyond its ends; with
+    `aside` each is displaced by a normal deviate whose standard deviation is uniform between 0 and `aside` baselines,
+    so that depth errors at edges along the path become visible too.
     """
     style = STYLES[rng.choice(3, p=STYLE_SHARES)]
     along = np.concatenate([np.linspace(0, 1, inputs), rng.uniform(-0.08, 1.08, targets)]) - 0.5
@@ -41,7 +41,7 @@ def camera_poses(
         direction = rng.normal(0, 1, 3) * spread
         direction /= np.linalg.norm(direction)
         centres = along[:, None] * direction * baseline
-        # Parallel axes lose the common field of view on wide baselines: then the cameras turn towards one another.
+        # On wide baselines parallel axes would have no common field of view: there the cameras are turned inwards.
         closeness = rng.uniform(0.0, 1.0)
         sideways = baseline * math.hypot(direction[0], direction[1])
         needed = 1.0 - 0.7 * half_width * depth / max(sideways, 1e-9)
@@ -55,7 +55,8 @@ def camera_poses(
 
 
 def _orbit(rng: Rng, along: F64, baseline: float, depth: float) -> tuple[F64, F64]:
-    """An arc of at most 40 degrees about a point near the middle of the scene, mostly level."""
+    """Camera centres on a mostly level arc of at most 40 degrees about a point near the middle of the scene, and that
+    point."""
     radius = depth * rng.uniform(0.85, 1.15)
     angles = along * min(2 * math.asin(min(1.0, baseline / (2 * radius))), WIDEST_ORBIT)
     rise = rng.normal(0, 0.3)

@@ -1,7 +1,7 @@
 """`python -m gapmes.model.training.choice OUT.npz`: trains the small network that chooses among candidates for depths.
 
-It wants what a picture wants: a small cost of each pixel, the mean of |error| / (|error| + 1.5 px) over its candidates
-by its preferences, so that what is far off counts little more than what is somewhat off.
+The loss of a pixel is the mean of a robust cost, |error| / (|error| + 1.5 px), over its candidates, weighted by the
+softmax of their scores. Large errors count little more than moderate ones, as they do in a rendered picture.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ from .workers import limit_threads
 HIDDEN = 32
 SCENES = 400
 STEPS, BATCH, RATE, WARM_UP, DECAY = 4_000, 2_048, 3e-3, 100, 1e-4
-SCALE = 1.5  # px: error that costs a half
-HELD_OUT = 8  # every eighth scene is for the figures alone
+SCALE = 1.5  # px: error with a cost of 1/2
+HELD_OUT = 8  # every eighth scene is held out for evaluation
 
 
 class Choice(nn.Module):
@@ -74,18 +74,18 @@ class Choice(nn.Module):
 
 
 def cost(error: Tensor) -> Tensor:
-    """0 to 1, of px."""
+    """Robust cost, 0 to 1, of errors in px."""
     return error.abs() / (error.abs() + SCALE)
 
 
 def held_out(samples: Samples) -> NDArray[np.bool_]:
-    """(N,) which pixels are of scenes that are for the figures alone."""
+    """(N,) which pixels belong to held-out scenes."""
     return samples.scene % HELD_OUT == HELD_OUT - 1
 
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Sums in another order would round otherwise."""
+    """Let torch use one thread: another number would sum in another order, and round differently."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -96,7 +96,8 @@ def _one_thread() -> Iterator[None]:
 
 @_one_thread()
 def trained(samples: Samples, seed: int, steps: int, done: Callable[[int], None] = lambda _: None) -> Choice:
-    """From random numbers of `seed`; the scenes of the figures are left out. `done` hears the steps."""
+    """Train from random weights of `seed` on all but the held-out scenes; `done` is called with the number of finished
+    steps. Raises `Refused` for a loss that is not finite."""
     torch.manual_seed(seed)
     network = Choice()
     rows = np.flatnonzero(~held_out(samples))
@@ -121,8 +122,8 @@ def trained(samples: Samples, seed: int, steps: int, done: Callable[[int], None]
 
 
 def figures(network: ChoiceNetwork, samples: Samples) -> dict[str, tuple[float, float]]:
-    """Mean cost, and share within a px, of the scenes that are left out: of the depth as it is, of what is preferred
-    and of the best candidate."""
+    """Mean cost and share of errors below 1 px on the held-out scenes: of the current depth, of the preferred candidate
+    and of the best one."""
     held = held_out(samples)
     error = np.abs(samples.error[:, held])
     best = network.preferences(samples.known[..., held], samples.about[:, held]).argmax(axis=0)
@@ -135,7 +136,7 @@ _state: dict[str, Reconstructor] = {}
 
 
 def _begin(parent: int) -> None:
-    """In each process: one thread, and a network of its own."""
+    """Initialise a process: one thread, and a network of its own."""
     end_with_parent(parent)
     limit_threads(1)
     _state["reconstructor"] = Reconstructor(None, threads=1)
@@ -152,12 +153,12 @@ def _generated(seed: int, scenes: int, processes: int) -> Iterator[Samples | Non
         try:
             yield from pool.map(_sampled, [seed] * scenes, range(scenes))
         except BaseException:
-            pool.shutdown(cancel_futures=True)  # or it would make all the others before it ends
+            pool.shutdown(cancel_futures=True)  # else all remaining scenes would be generated first
             raise
 
 
 def _collected(options: argparse.Namespace, stages: Stages) -> tuple[Samples, int]:
-    """All samples, and of how many scenes; raises `Refused` where there is nothing to train by, or to tell by."""
+    """All samples and the number of scenes that have any; raises `Refused` if training or evaluation has none."""
     with stages.stage("scenes", options.scenes) as done:
         parts = []
         for number, part in enumerate(_generated(options.seed, options.scenes, options.processes), start=1):

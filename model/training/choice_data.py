@@ -1,4 +1,4 @@
-"""Pixels of generated scenes that nothing confirms: their candidates, and how far off each of these is."""
+"""Training data of the choice: unconfirmed pixels of generated scenes, their candidates and the errors of these."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BASELINE = (0.08, 0.8)  # in median depths
 FIELD_OF_VIEW = (30.0, 80.0)  # degrees
 CLOSE_SHARE = 0.4  # of scenes with something close at the edge of one input
 PIXELS = 1_500  # of a view, at most
-FEWEST = 200
+FEWEST = 200  # of a view; one with fewer is left out
 
 
 class Samples(NamedTuple):
@@ -43,7 +43,7 @@ def scene_batch(seed: int, number: int) -> SceneBatch:
 
 
 def scene_samples(reconstructor: Reconstructor, seed: int, number: int) -> Samples | None:
-    """Of scene `number`, which has two views and a given depth range; nothing where nearly everything is confirmed."""
+    """Samples of scene `number`, with two views and its depth range given; None if nearly all pixels are confirmed."""
     batch = scene_batch(seed, number)
     views = input_views(batch)
     near, far = map(float, batch.near_far[0])

@@ -1,4 +1,4 @@
-"""Generated scenes as the service is given them: cameras in px, pictures rounded to 8 bits."""
+"""Generated scenes as views of the service: cameras in px, pictures as they were rendered or rounded to 8 bits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ F32 = NDArray[np.float32]
 
 
 def exact_views(batch: SceneBatch, scene: int = 0) -> list[FittedView]:
-    """Inputs, then targets, of one scene of the batch, as they were drawn."""
+    """Inputs, then targets, of one scene of the batch, as they were rendered."""
     return [
         generated_view(*parts)
         for parts in zip(batch.images[scene], batch.intrinsics[scene], batch.world_from_cam[scene], strict=True)

@@ -10,7 +10,7 @@ from .primitives import BOX, CYLINDER, ELLIPSOID, ROOM
 from .splat_projection import FASTMATH
 
 FARTHEST = 1e18  # a ray that hits nothing
-NEAREST = 1e-4  # hits closer than this are the surface the ray starts on
+NEAREST = 1e-4  # closer hits are those of the surface that the ray starts on
 
 
 @nb.njit(fastmath=FASTMATH, error_model="numpy", cache=True)
@@ -119,7 +119,7 @@ def nearest_hit(active, count, bounds, px, kinds, rotations, halves, origins, d0
 
 @nb.njit(fastmath=FASTMATH, error_model="numpy", cache=True)
 def occluded(count, kinds, centres, rotations, halves, x0, x1, x2, d0, d1, d2):
-    """Does a solid stand between the point x and the lamp at x + d? A room does not: the lamp may hang outside it."""
+    """Whether a solid lies between the point x and the light at x + d. Rooms cast no shadow: it may be outside them."""
     for p in range(count):
         if kinds[p] == ROOM:
             continue

@@ -15,11 +15,11 @@ from .rotations import tilt
 F64 = NDArray[np.float64]
 Rng = np.random.Generator
 
-MOST_PRIMITIVES = 26  # a ray costs about as much as there are
+MOST_PRIMITIVES = 26  # the cost of a ray is about proportional to it
 
 
 def make_world(rng: Rng, paint: Paint, half_width: float) -> World:
-    """A room, an outdoor place, things before a wall, or things alone; `half_width` = tan(horizontal fov / 2)."""
+    """A room, an outdoor place, objects before a wall, or objects alone; `half_width` = tan(horizontal fov / 2)."""
     layouts: tuple[Callable[[Rng, Paint, float], World], ...] = (_room, _outdoor, _before_wall, _objects_alone)
     return layouts[rng.choice(4, p=(0.45, 0.25, 0.15, 0.15))](rng, paint, half_width)
 
@@ -78,7 +78,7 @@ def _outdoor(rng: Rng, paint: Paint, half_width: float) -> World:
 
 
 def _before_wall(rng: Rng, paint: Paint, half_width: float) -> World:
-    """A big wall across the view and things before it, some of them afloat."""
+    """A large wall across the view and objects before it, some of them floating."""
     frame = tilt(rng, 0.1, 0.3, 0.2)
     back = rng.uniform(1.1, 2.2)
     wall = Primitive(
@@ -91,7 +91,7 @@ def _before_wall(rng: Rng, paint: Paint, half_width: float) -> World:
 
 
 def _objects_alone(rng: Rng, paint: Paint, half_width: float) -> World:
-    """A group of things before black, white or grey, mostly on a table top."""
+    """A group of objects before black, white or grey, mostly on a table top."""
     frame = tilt(rng, 0.05, 0.5, 0.03)
     solids, floor = [], rng.uniform(0.15, 0.4) * half_width
     if rng.random() < 0.65:
@@ -110,7 +110,7 @@ def _objects_alone(rng: Rng, paint: Paint, half_width: float) -> World:
 
 
 def _scatter(rng: Rng, paint: Paint, half_width: float, frame: F64, floor: float, count: int) -> list[Primitive]:
-    """Things in view between 0.42 and about 1.7: most stand on the floor, the others float and tumble."""
+    """Objects in view at depths of 0.42 to about 1.7: most stand on the floor, the others float, turned at random."""
     solids: list[Primitive] = []
     standing = rng.choice([0.9, 0.5, 0.1], p=(0.55, 0.25, 0.2))
     for _ in range(count):
@@ -125,9 +125,9 @@ def _scatter(rng: Rng, paint: Paint, half_width: float, frame: F64, floor: float
     return solids
 
 
-def close_thing(rng: Rng, paint: Paint, pose: F64, half_width: float, depth: float) -> list[Primitive]:
-    """Something near at the edge of the picture of a camera (4, 4), mostly a post across the whole edge, as of the door
-    that the photographer stands in; `depth` is that of the scene. Cameras beside see past it."""
+def near_occluder(rng: Rng, paint: Paint, pose: F64, half_width: float, depth: float) -> list[Primitive]:
+    """An object close to the camera at `pose` (4, 4), at the edge of its picture: mostly a bar along the whole edge,
+    like a door frame. `depth` is the median depth of the scene. The other cameras mostly see past the object."""
     away = depth * math.exp(rng.uniform(math.log(0.2), math.log(0.6)))
     edge = half_width * away
     level = rng.random() < 0.25  # a lintel or a sill

@@ -24,7 +24,7 @@ from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
 from ..weights_file import CheckpointError, file_sha256
 from .ahead import drawn_steps
 from .differences import differences
-from .precision import coarse_pays, compute_coarsely
+from .precision import bfloat16_is_fast, use_bfloat16
 from .recipe import Recipe
 from .run_folder import (
     REVISION,
@@ -125,9 +125,9 @@ def _run(
     model = model.to(device).train()
     frozen = [p for p in model.parameters() if not p.requires_grad]
     average = copy.deepcopy(model, {id(p): p for p in frozen}).requires_grad_(False)  # frozen parts are shared
-    coarse = coarse_pays(device)
-    if coarse:
-        compute_coarsely(model)
+    bfloat16 = bfloat16_is_fast(device)
+    if bfloat16:
+        use_bfloat16(model)
     trained = [p for p in model.parameters() if p.requires_grad]
     optimiser = torch.optim.AdamW(trained, lr=recipe.learning_rate, betas=(0.9, 0.98), weight_decay=recipe.weight_decay)
     identity: dict[str, str | None] = {
@@ -137,7 +137,7 @@ def _run(
         "backbones": _sums(model.provenance.get(RECORD)),  # the state lacks the frozen parts
         "initial": None if initial is None else file_sha256(initial),
         "device": torch.device(device).type,  # the gates' noise depends on it
-        "precision": "bfloat16" if coarse else "float32",
+        "precision": "bfloat16" if bfloat16 else "float32",
         "process count": str(worker.count),  # each draws its own noise, and whether evidence is withheld
         "thread count": str(torch.get_num_threads()),  # it decides the order of summation
     }
@@ -158,9 +158,7 @@ def _run(
     steps = range(start, recipe.steps)
     with closing(drawn_steps(recipe, steps, worker, loaders)) as coming:
         for step in steps:
-            rate, parts = _step(
-                model, optimiser, trained, recipe, step, next(coming), worker
-            )  # no name: the batch is freed
+            rate, parts = _step(model, optimiser, trained, recipe, step, next(coming), worker)  # frees the batch
             if not worker.leads:
                 continue
             listener(Stage("train", step + 1, recipe.steps))

@@ -1,4 +1,4 @@
-"""LPIPS with AlexNet features (Zhang et al. 2018): distance of two pictures as people judge it."""
+"""LPIPS with AlexNet features (Zhang et al. 2018): a learned perceptual distance between two pictures."""
 
 from __future__ import annotations
 

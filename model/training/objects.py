@@ -1,4 +1,4 @@
-"""The things that stand in a scene, built of a few solids each, and the choice of their textures."""
+"""The objects of a scene, built of a few solids each, and the choice of their textures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class Part:
-    """One solid of an object whose foot is at the origin; y points down, so that it extends to negative y."""
+    """One solid of an object that stands on the origin; y points down, so that the object extends to negative y."""
 
     kind: int
     centre: tuple[float, float, float]
@@ -39,7 +39,8 @@ class Paint:
         return cls(rng, usable, usable[atlas.flat[usable]])
 
     def faces(self, flat_share: float, same_share: float = 0.4) -> I64:
-        """(6,) texture indices, some of them flat, often all the same."""
+        """(6,) texture indices: each is one of the flat ones with probability `flat_share`; with `same_share` all
+        are equal."""
         faces = self.rng.choice(self.usable, 6)
         faces = np.where(self.rng.random(6) < flat_share, self.rng.choice(self.flat, 6), faces)
         return np.full(6, faces[0]) if self.rng.random() < same_share else faces
@@ -56,8 +57,8 @@ class Paint:
 
 
 def place(parts: Sequence[Part], paint: Paint, foot: F64, rotation: F64, untextured: float = 0.12) -> list[Primitive]:
-    """The object with its foot at `foot`, each part painted anew or all alike, or with the probability `untextured` in
-    plain colours."""
+    """The solids of an object that stands on `foot`. Most of them share their textures, the others draw their own; with
+    probability `untextured` all of these are flat."""
     size = max(max(part.half) for part in parts)
     flat_share = 1.0 if paint.rng.random() < untextured else 0.12
     alike = paint.faces(flat_share, 0.6)
@@ -144,6 +145,6 @@ OBJECTS: tuple[tuple[Callable[[Rng, float], list[Part]], float], ...] = (
 
 
 def random_object(rng: Rng, size: float) -> list[Part]:
-    """An object of about this half size."""
+    """An object whose half size is about `size`."""
     functions, weights = zip(*OBJECTS, strict=True)
     return functions[rng.choice(len(functions), p=np.array(weights) / sum(weights))](rng, size)

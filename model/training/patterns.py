@@ -99,7 +99,7 @@ def wood(rng: Rng) -> Image:
 
 
 def wall(rng: Rng) -> Image:
-    """Nearly flat paint or plaster: what matching finds nothing on."""
+    """Nearly uniform paint or plaster, on which stereo matching finds nothing."""
     colour = _palette(rng, 1)[0]
     return colour * (1 + rng.uniform(0.0, 0.06) * fractal(rng, rng.uniform(0.6, 2.0)))[..., None]
 
@@ -133,7 +133,7 @@ def strokes(rng: Rng) -> Image:
 
 
 def leaves(rng: Rng) -> Image:
-    """Dead leaves: opaque discs and bars of all sizes on one another, the occlusion statistics of photographs."""
+    """The dead leaves model: overlapping opaque discs and bars of all sizes, with occlusions as in photographs."""
     colours = _palette(rng, 24) if rng.random() < 0.7 else rng.random((24, 3)).astype(np.float32)
     image = np.broadcast_to(colours[0], (SIZE, SIZE, 3)).copy()
     smallest = rng.uniform(2.0, 6.0)

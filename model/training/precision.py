@@ -12,7 +12,7 @@ from ..network import GaPMeS
 from ..trunk import LightTrunk
 
 
-def coarse_modules(model: GaPMeS) -> list[nn.Module]:
+def bfloat16_modules(model: GaPMeS) -> list[nn.Module]:
     """The modules that take most of a step's time; none of them handles positions or depths."""
     depth, trunk = model.depth, model.trunk
     parts: list[nn.Module] = []
@@ -24,10 +24,10 @@ def coarse_modules(model: GaPMeS) -> list[nn.Module]:
     return parts + [part for part in model.heads.children() if isinstance(part, TaskHead)]
 
 
-def coarse_pays(device: torch.device | str) -> bool:
-    """Whether the device computes in bfloat16 natively or with its vector units.
+def bfloat16_is_fast(device: torch.device | str) -> bool:
+    """Whether the device computes in bfloat16 with its own instructions.
 
-    A processor without AVX-512 falls back to plain loops: a step took 34 s where float32 took 3.
+    A processor without AVX-512 falls back to scalar loops: a step took 34 s, and 3 s in float32.
     """
     if torch.device(device).type == "cuda":
         with torch.cuda.device(device):
@@ -35,12 +35,12 @@ def coarse_pays(device: torch.device | str) -> bool:
     return torch.backends.mkldnn.is_available() and bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
 
 
-def compute_coarsely(model: GaPMeS) -> None:
-    """From now on the coarse modules of `model` run under bfloat16 autocast and return float32; weights stay float32.
+def use_bfloat16(model: GaPMeS) -> None:
+    """Make `bfloat16_modules` compute under bfloat16 autocast from now on; they return float32, weights stay float32.
 
-    Not to be undone: copy the model before, the copy stays in float32.
+    This cannot be undone: a copy that is made before stays in float32.
     """
-    for module in coarse_modules(model):
+    for module in bfloat16_modules(model):
         module.forward = _in_bfloat16(module.forward)
 
 

@@ -1,4 +1,4 @@
-"""The solids, lamp and background that a scene is made of, and their packing into the arrays of the ray caster."""
+"""The solids, light and background that a scene is made of, and their packing into the arrays of the ray caster."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Primitive:
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A point lamp and a colour from everywhere."""
+    """A point light and an ambient one."""
 
     position: F64  # (3,)
     colour: F64  # (3,) at distance 0
@@ -48,7 +48,7 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """What a ray sees that hits nothing: a colour that changes from `low` against `up` to `high` along it."""
+    """Colour of rays that hit nothing: a gradient from `low`, opposite to `up`, to `high`, in its direction."""
 
     low: F64  # (3,)
     high: F64  # (3,)
@@ -97,7 +97,7 @@ class PackedWorlds:
 
 
 def pack(worlds: Sequence[World]) -> PackedWorlds:
-    """Put worlds side by side."""
+    """The arrays of several worlds, padded to the largest number of primitives."""
     batch, most = len(worlds), max(1, *(len(world.primitives) for world in worlds))
     packed = PackedWorlds(
         counts=np.array([len(world.primitives) for world in worlds], np.int64),

@@ -37,18 +37,18 @@ class Recipe:
     seed: int = 1
     learning_rate: float = 1e-3
     warm_up: int = 200  # steps
-    decay_from: float = 0.4  # share of the steps after which the learning rate falls in a line to 1 %
+    decay_from: float = 0.4  # share of the steps after which the learning rate decays linearly to 1 %
     weight_decay: float = 1e-4
     ema: float = 0.998
     clip: float = 1.0
     targets: int = 2
     zoom_share: float = 0.2  # of steps whose targets have twice the input resolution: keeps scales from collapsing
     noise_until: float = 0.75  # share of the steps after which there is no Gumbel noise, as in inference
-    withheld_until: float = 0.75  # share of the steps up to which matching evidence is kept back, from all to none
-    close_share: float = 0.33  # of scenes with something close at the edge of one input
-    aside: float = 0.3  # baselines: largest standard deviation of targets from the way between the inputs
-    input_noise: float = 0.01  # standard deviation, on every other step
-    depth_weight: tuple[float, float] = (1.0, 0.3)  # from, to
+    withheld_until: float = 0.75  # share of the steps after which matching evidence is no longer withheld
+    close_share: float = 0.33  # share of scenes with a near occluder at the edge of one input
+    aside: float = 0.3  # largest standard deviation of targets from the path of the inputs, in baselines
+    input_noise: float = 0.01  # standard deviation; in half of the steps, at random
+    depth_weight: tuple[float, float] = (1.0, 0.3)  # at the beginning and at the end
     ssim_weight: float = 0.2
     balance_weight: float = 0.01
     phases: tuple[Phase, ...] = (
@@ -80,17 +80,18 @@ class Recipe:
         return None
 
     def learning_rate_at(self, step: int) -> float:
-        """Linear warm-up, a plateau up to `decay_from`, and a line down to 1 %, so that the last phases still learn."""
+        """Linear warm-up, a plateau up to `decay_from`, linear decay to 1 %, so that the last phases still learn."""
         warm = min(1.0, (step + 1) / self.warm_up)
         left = 1 - max(0.0, step / self.steps - self.decay_from) / (1 - self.decay_from)
         return self.learning_rate * warm * (0.01 + 0.99 * left)
 
     def noise_scale_at(self, step: int) -> float:
-        """Factor of the Gumbel noise: from 1 in a line to 0; none in a recipe whose noise ends where it begins."""
+        """Factor of the Gumbel noise: decays linearly from 1 to 0 at `noise_until`; always 0 if that is 0."""
         return self._annealed(step, self.noise_until)
 
     def withheld_at(self, step: int) -> float:
-        """Probability that a process has no evidence in a step: what it leaves to learn is what training is for."""
+        """Probability that a process gets no matching evidence in a step, so that the network learns depth without it:
+        decays linearly from 1 to 0 at `withheld_until`; always 0 if that is 0."""
         return self._annealed(step, self.withheld_until)
 
     def _annealed(self, step: int, until: float) -> float:

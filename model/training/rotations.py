@@ -11,7 +11,7 @@ F64 = NDArray[np.float64]
 
 
 def euler(pitch: float, yaw: float, roll: float) -> F64:
-    """(3, 3) yaw about y, after pitch about x, after roll about z; radians."""
+    """(3, 3) R_y(yaw) R_x(pitch) R_z(roll); angles in radians."""
     ca, sa, cb, sb = math.cos(pitch), math.sin(pitch), math.cos(yaw), math.sin(yaw)
     cc, sc = math.cos(roll), math.sin(roll)
     about_x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
@@ -21,7 +21,7 @@ def euler(pitch: float, yaw: float, roll: float) -> F64:
 
 
 def tilt(rng: np.random.Generator, pitch: float, yaw: float, roll: float) -> F64:
-    """`euler` with normal angles of these standard deviations."""
+    """`euler` of normal angles with mean 0 and these standard deviations, in radians."""
     return euler(*(rng.normal(0, 1, 3) * (pitch, yaw, roll)))
 
 

@@ -26,7 +26,7 @@ WEIGHTS = "weights.safetensors"
 LOG = "log.jsonl"
 LOCK = "lock"
 
-REVISION = "5"  # of the state's contents and the derivation of random numbers; runs of another cannot be continued
+REVISION = "5"  # to raise when the state or the derivation of random numbers changes: older runs are then refused
 
 
 class Refused(ValueError):
@@ -55,8 +55,8 @@ def claimed(folder: Path) -> Iterator[None]:
 def save_state(
     folder: Path, progress: dict[str, object], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
 ) -> None:
-    """Save atomically all that continuing needs, except frozen parts, which are loaded as at the start; and the
-    averaged weights so far. Raises `OSError`."""
+    """Save atomically what resuming needs, and the averaged weights so far. Frozen parts are left out of the state: a
+    resumed run loads them as a new one does. Raises `OSError`."""
     trained = trained_names(model)
     state = {
         **progress,
@@ -73,7 +73,7 @@ def save_state(
         os.replace(part, folder / STATE)
     except (OSError, RuntimeError) as error:
         part.unlink(missing_ok=True)
-        # what torch's writer stumbled over, of which it does not tell
+        # torch's writer raises another error in place of the system's
         cause = error if isinstance(error, OSError) else error.__context__
         if isinstance(cause, OSError):
             raise OSError(cause.errno, cause.strerror, str(part)) from error
@@ -121,8 +121,11 @@ def _damaged(path: Path, error: Exception) -> Refused:
 def restore_state(
     folder: Path, identity: dict[str, str | None], model: GaPMeS, average: GaPMeS, optimiser: torch.optim.Optimizer
 ) -> tuple[int, float, dict[str, float]]:
-    """Step, seconds and sums since the last row of the log to go on from; raises `Refused` when the folder holds a run
-    of something else, or weights alone, and for a damaged state."""
+    """Load the state of the folder, if there is one, into the networks and the optimiser; returns its step, its
+    seconds, and the sums since the last row of the log.
+
+    Raises `Refused` if the folder holds another run or weights without a state, and for a damaged state.
+    """
     path = folder / STATE
     if not path.is_file():
         if (folder / WEIGHTS).exists():
@@ -164,7 +167,7 @@ def append_row(folder: Path, row: dict[str, object]) -> None:
 
 
 def forget_rows_after(folder: Path, step: int) -> None:
-    """Drop log rows after `step`, which a kill lost and which will be repeated, and an incomplete last row.
+    """Drop log rows after `step`, which will be repeated since no later state was saved, and an incomplete last row.
 
     Raises `Refused` that names a line which is no row.
     """

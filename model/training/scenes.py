@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera_paths import camera_poses
-from .layouts import close_thing, make_world
+from .layouts import make_world, near_occluder
 from .objects import Paint
 from .primitives import ROOM, World, pack
 from .rotations import uniform_rotation
@@ -20,7 +20,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Rng = np.random.Generator
 
-PROBE = 16  # px; a first look from the origin that measures how deep the scene is
+PROBE = 16  # px; side of a depth map that is rendered first, for the median depth and for what is hit
 LEAST_COVER = 0.35  # share of the probe that must hit something, else the world is drawn again
 LEAST_INPUT_COVER = 0.1  # the same for each input's own view
 CLEARANCE = 0.12  # in units of the scene depth: no solid comes nearer to a camera
@@ -47,7 +47,7 @@ class _Sample:
     world: World
     poses: F64  # (V + T, 4, 4) canonical frame
     lens: F64  # (4,) fx, fy, cx, cy, normalised
-    rng: Rng  # for everything that follows
+    rng: Rng  # for exposure, noise, depth range and world frame
 
 
 class SceneSampler:
@@ -76,12 +76,12 @@ class SceneSampler:
     ) -> SceneBatch:
         """The next `scenes` scenes at `size` px, or (height, width).
 
-        The way from the first to the last input is asked for log-uniform in `baseline`, in units of the median depth
-        that the origin sees; positions then tremble by 6 % of it, and rooms draw cameras together until all are
-        inside. The horizontal field of view is uniform in `field_of_view`, degrees. In a `close_share` of the scenes
-        something close stands at the edge of one input's picture, mostly out of the others'. With `aside` targets
-        leave the way between the inputs, as `camera_poses` says. Only input views carry the small exposure and noise
-        errors of a real camera.
+        The length of the path from the first to the last input is log-uniform in `baseline`, in units of the median
+        depth seen from the origin. Then positions are jittered by 6 % of it, and in rooms all cameras are moved towards
+        the origin until they are inside. The horizontal field of view is uniform in `field_of_view`, degrees. A share
+        `close_share` of the scenes has a near occluder at the edge of one input's picture, mostly outside of the
+        others'. `aside` displaces targets from the path, as `camera_poses` says. Only input views have the small
+        exposure errors and the noise of a real camera.
         """
         height, width = (size, size) if isinstance(size, int) else size
         samples = []
@@ -134,7 +134,7 @@ class SceneSampler:
             poses = camera_poses(rng, inputs, targets, length, middle, half_width, aside)
             world, poses = _cleared(world, poses, CLEARANCE * middle)
             if close_share and rng.random() < close_share:
-                near = close_thing(rng, paint, poses[rng.integers(inputs)], half_width, middle)
+                near = near_occluder(rng, paint, poses[rng.integers(inputs)], half_width, middle)
                 world, poses = _cleared(world.with_more(near), poses, CLEARANCE * middle)
             seen = np.isfinite(self._probe(world, poses[:inputs], lens)).mean(axis=(1, 2))
             if seen.min() >= LEAST_INPUT_COVER:
@@ -147,7 +147,7 @@ class SceneSampler:
 
 
 def _cleared(world: World, poses: F64, margin: float) -> tuple[World, F64]:
-    """Cameras drawn together until all are inside the room, then solids that stand in a camera's way taken out."""
+    """Move the cameras towards the origin until all are inside the room, then remove solids that are close to one."""
     for room in (item for item in world.primitives if item.kind == ROOM):
         for _ in range(20):
             if room.contains(poses[:, :3, 3], margin).all():
@@ -168,7 +168,7 @@ def _develop(rng: Rng, images: F32, inputs: int) -> None:
     """In place: one gamma per scene; small exposure and white-balance errors and noise on the inputs alone."""
     np.clip(images, 0, 1, out=images)
     brightness = min(max(float(images.mean()), 0.01), 0.99)
-    gamma = math.log(rng.uniform(0.3, 0.6)) / math.log(brightness)  # as automatic exposure would have it, within limits
+    gamma = math.log(rng.uniform(0.3, 0.6)) / math.log(brightness)  # like automatic exposure, within limits
     np.power(images, np.float32(min(max(gamma, 0.6), 1.6)), out=images)
     for view in images[:inputs]:
         if rng.random() < 0.5:
@@ -179,7 +179,7 @@ def _develop(rng: Rng, images: F32, inputs: int) -> None:
 
 
 def _depth_range(rng: Rng, depths: F32) -> F64:
-    """(2,) near and far as a user would give them: the range of what is seen, widened by up to 2 and 7 times."""
+    """(2,) near and far as a user would give them: the range of the inputs' depths, extended by up to 2 and 7 times."""
     near, far = np.percentile(depths[np.isfinite(depths)], (1, 99))
     return np.array(
         [near * math.exp(rng.uniform(math.log(0.5), 0)), 1.01 * far * math.exp(rng.uniform(0, math.log(7)))]

@@ -1,7 +1,7 @@
 """`python -m gapmes.model.training.silenced`: what a trained network loses when one part of it falls silent.
 
-Nothing is trained. The ablation study asks what a network is worth that never had the part; this asks how much the
-network that has it leans on it, after any length of training. What others could have learnt instead it cannot say.
+Nothing is trained. The ablation study scores networks that were trained without the part; this measures how much a
+trained network depends on it. It cannot tell what the other parts would have learnt in its place.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _no_experts(routing: Routing) -> Routing:
 
 
 def _shuffled(routing: Routing) -> Routing:
-    """Every patch takes the experts and weights of another one: the load of each stays, the choice means nothing."""
+    """Permute the routes at random over the patches: each expert keeps its load, the choice loses its meaning."""
     index, weight = chosen_experts(routing)
     other = torch.randperm(len(index), generator=torch.Generator().manual_seed(SHUFFLE_SEED)).to(index.device)
     return replace(routing, expert_index=index[other], expert_weight=weight[other])
@@ -54,17 +54,17 @@ def _no_tasks(routing: Routing) -> Routing:
 
 
 def _even_tasks(routing: Routing) -> Routing:
-    """Every patch has the mean weights, which leaves the tasks' mean shares and takes the choice."""
+    """Give every patch the mean weights: each task keeps its mean weight, the choice is lost."""
     weight = _task_weight(routing)
     return replace(routing, task_weight=weight.mean(0, keepdim=True).expand_as(weight))
 
 
 def _task_weight(routing: Routing) -> Tensor:
-    """Of gates that have tasks: `parts` names none where there are none."""
+    """The task weights, which are never None here: `parts` lists no task part for a network without tasks."""
     return cast(Tensor, routing.task_weight)
 
 
-# what stands in the table: what is done to the gates' routing
+# part, as the table names it: what is done to the routing of the gates
 GATES: dict[str, Reroute] = {
     "experts": _no_experts,
     "choice of experts": _shuffled,
@@ -74,12 +74,12 @@ GATES: dict[str, Reroute] = {
 
 
 def _flat(_align: nn.Module, inputs: tuple[Tensor]) -> tuple[Tensor]:
-    """Features (n, C, h, w) of a stream, the mean of each image in all places."""
+    """Replace features (n, C, h, w) of a stream by their mean over each image."""
     return (inputs[0].mean((-2, -1), keepdim=True).expand_as(inputs[0]),)
 
 
 def parts(model: GaPMeS) -> list[str]:
-    """Names of what can be silenced in this network: its streams, then what its gates decide."""
+    """Names of what can be silenced in this network: its streams, then what belongs to its gates."""
     config = model.config
     lacking = [name for name in GATES if "experts" in name and config.without_experts]
     lacking += [name for name in GATES if "task" in name and config.without_tasks]

@@ -1,4 +1,4 @@
-"""The training data of one step: a function of recipe, step and worker alone, whichever process draws it and when."""
+"""The training data of one step, which depends on recipe, step and worker alone and not on the generating process."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class StepScenes:
     """A worker's share of the scenes of a step, and its random decisions."""
 
     batch: TensorBatch  # on the CPU, with the sensor noise of its inputs
-    torch_seed: int  # seed of the network's own noise
+    torch_seed: int  # of the noise on the gates
     withheld: bool  # whether the network gets no matching evidence
 
 
@@ -42,7 +42,7 @@ def draw_step(recipe: Recipe, step: int, worker: Worker) -> StepScenes:
     )
     batch = to_tensors(drawn, zoomed=zoomed)
     noisy = random.random() < 0.5
-    own = np.random.default_rng((recipe.seed, step, 1 + worker.rank))  # with a 0 numpy gives the stream of (seed, step)
+    own = np.random.default_rng((recipe.seed, step, 1 + worker.rank))  # a last 0 would give the stream of `random`
     torch_seed = int(own.integers(2**62))
     if noisy:
         batch = add_noise(batch, recipe.input_noise, own)

@@ -32,7 +32,8 @@ def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> a
 
 
 def asked_lpips(options: argparse.Namespace) -> Lpips | None:
-    """None where no weights were given and none lie beside the checkout; raises `InputError` for a file of others."""
+    """LPIPS with the given weights or the default ones; None if there are neither. Raises `InputError` for a file that
+    holds others."""
     path = options.lpips or default_weights()
     return Lpips.load(path) if path else None
 

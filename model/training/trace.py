@@ -1,4 +1,4 @@
-"""Numba ray caster: textured solids under one lamp, supersampled colour and exact z-depth at the pixel centres."""
+"""Numba ray caster: textured solids under one light, supersampled colour and exact z-depth at the pixel centres."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _trace(
                     if sample < samples:
                         px = x + (sample % supersample + 0.5) / supersample
                         py = y + (sample // supersample + 0.5) / supersample
-                    else:  # the last ray runs through the centre and gives the depth
+                    else:  # the last ray goes through the pixel's centre and gives the depth
                         px, py = x + 0.5, y + 0.5
                     cx, cy = (px - camera[14]) / camera[12], (py - camera[15]) / camera[13]
                     d0 = camera[0] * cx + camera[1] * cy + camera[2]
@@ -143,7 +143,7 @@ def _trace(
                     distance = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2) + 1e-9
                     lit = max(0.0, e0 * n0 + e1 * n1 + e2 * n2) / distance
                     if lit > 0.0 and light[10] > 0.0:
-                        lift = 1e-3 * t  # start off the surface
+                        lift = 1e-3 * t  # offset along the normal, against self-shadowing
                         if occluded(
                             count, kind, centres[b], rotation, half,
                             x0 + lift * n0, x1 + lift * n1, x2 + lift * n2, e0, e1, e2,

@@ -1,4 +1,4 @@
-"""Processes that share each step's scenes and average their gradients: one thread each, no waiting within a step."""
+"""Data-parallel training: processes that divide the scenes of each step and average their gradients."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from torch.multiprocessing.spawn import ProcessException
 from ..weights_file import CheckpointError
 from .run_folder import Refused
 
-LONGEST_WAIT = timedelta(hours=1)  # one process validates and saves while the others wait
-REFUSAL = "refusal"  # a file beside the place where they meet
+LONGEST_WAIT = timedelta(hours=1)  # the first process validates and saves while the others wait
+REFUSAL = "refusal"  # file with the message, beside the rendezvous file
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,12 @@ class Worker:
 
 
 def run_workers(count: int, threads: int, work: Callable[..., None], *arguments: object) -> None:
-    """Call `work(worker, *arguments)` in `count` processes of `threads` threads; any failure ends them all, and so does
-    an interrupt of this process alone.
+    """Call `work(worker, *arguments)` in `count` processes of `threads` threads each; a failure in one of them, or an
+    interrupt of this process, ends all.
 
-    With several processes a refusal in one of them is raised as `Refused`, even where the failure of another, which
-    lost the connection to it, is reported first. So is a killed process; other failures raise `ProcessException`.
+    With one process `work` is called in this one. With several, `Refused` is raised for a refusal in one of them, even
+    if another process that lost its connection fails first, and for a killed process; `ProcessException` for other
+    failures.
     """
     if count == 1:
         limit_threads(threads)
@@ -62,7 +63,7 @@ def run_workers(count: int, threads: int, work: Callable[..., None], *arguments:
         return
     with tempfile.TemporaryDirectory() as folder:
         refusal = Path(folder) / REFUSAL
-        with _none_left():
+        with _children_killed_at_end():
             processes = multiprocessing.spawn(_start, (count, threads, Path(folder), work, arguments), count, False)
             try:
                 while not processes.join():
@@ -79,7 +80,7 @@ def run_workers(count: int, threads: int, work: Callable[..., None], *arguments:
 
 
 @contextmanager
-def _none_left() -> Iterator[None]:
+def _children_killed_at_end() -> Iterator[None]:
     """Kill the processes started within the block when it ends, also by an interrupt."""
     before = {process.pid for process in active_children()}
     try:
@@ -94,14 +95,14 @@ def _none_left() -> Iterator[None]:
 def _start(
     rank: int, count: int, threads: int, folder: Path, work: Callable[..., None], arguments: tuple[object, ...]
 ) -> None:
-    # the interrupt that comes when the starting process dies; a background shell has it ignored
+    # torch sends SIGINT when the parent dies; a process that was started in the background would ignore it
     signal.signal(signal.SIGINT, signal.default_int_handler)
     limit_threads(threads)
     meeting_point = (folder / "rendezvous").as_uri()
     distributed.init_process_group("gloo", init_method=meeting_point, rank=rank, world_size=count, timeout=LONGEST_WAIT)
     try:
         work(Worker(rank, count), *arguments)
-    except (Refused, CheckpointError, OSError) as error:  # told before the others lose this process
+    except (Refused, CheckpointError, OSError) as error:  # written before the others lose the connection
         own = folder / f"{REFUSAL}-{rank}"
         own.write_text(str(error), encoding="utf-8")
         own.replace(folder / REFUSAL)  # whole at any time: several processes may refuse at once
@@ -111,6 +112,6 @@ def _start(
 
 
 def limit_threads(threads: int) -> None:
-    """Of torch and of numba, in this process."""
+    """Set the number of threads of torch and of numba in this process."""
     torch.set_num_threads(threads)
     numba.set_num_threads(threads)

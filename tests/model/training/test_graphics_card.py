@@ -16,7 +16,7 @@ from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.training import loop, run_folder
-from gapmes.model.training.precision import coarse_pays, compute_coarsely
+from gapmes.model.training.precision import bfloat16_is_fast, use_bfloat16
 from gapmes.model.training.recipe import Phase, Recipe
 from gapmes.model.training.scenes import SceneSampler
 from gapmes.model.training.step import to_tensors, training_loss
@@ -82,11 +82,11 @@ def test_loss_and_gradients_are_those_of_the_processor(changes: dict[str, object
 
 
 def test_bfloat16_changes_the_prediction_by_its_rounding() -> None:
-    if not coarse_pays(CARD):
+    if not bfloat16_is_fast(CARD):
         pytest.skip("this card does not compute in bfloat16")
     exact = tiny().to(CARD)
     coarse = copy.deepcopy(exact)
-    compute_coarsely(coarse)
+    use_bfloat16(coarse)
     inputs = [value.to(CARD) for value in scene(1, 2, 64)]
     with torch.no_grad():
         expected, got = exact(*inputs), coarse(*inputs)
