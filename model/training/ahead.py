@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import signal
-import threading
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
-from multiprocessing import get_context, resource_tracker
+from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
 import torch
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 
 from gapmes.service.process.with_parent import end_with_parent
 
+from .interrupts import without_interrupts
 from .recipe import Recipe
 from .run_folder import Refused
 from .step import TensorBatch
@@ -48,7 +47,7 @@ def _started(recipe: Recipe, steps: range, worker: Worker, loaders: int) -> Iter
         for number in range(min(loaders, len(steps))):
             receiver, sender = spawn.Pipe(duplex=False)
             pipes.append(receiver)
-            with sender, _without_interrupts():  # the process holds the only sender: the pipe ends with it
+            with sender, without_interrupts():  # the process holds the only sender: the pipe ends with it
                 own = (recipe, steps[number::loaders], worker, sender, os.getpid())
                 process = spawn.Process(target=_draw, args=own, daemon=True)
                 process.start()
@@ -61,27 +60,6 @@ def _started(recipe: Recipe, steps: range, worker: Worker, loaders: int) -> Iter
             process.join()
         for pipe in pipes:
             pipe.close()
-
-
-@contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Processes started within ignore the SIGINT that a terminal sends to the whole group. In the parent it is deferred
-    to the end of the block."""
-    resource_tracker.ensure_running()  # if it were started later, that would unblock SIGINT
-    heard: list[int] = []
-    usual = signal.getsignal(signal.SIGINT)
-    main = threading.current_thread() is threading.main_thread()  # only the main thread may set signal handlers
-    if in_charge := main and usual is not None:
-        signal.signal(signal.SIGINT, lambda number, _: heard.append(number))
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        if in_charge:
-            signal.signal(signal.SIGINT, usual)
-        if heard:
-            signal.raise_signal(signal.SIGINT)
 
 
 def _draw(recipe: Recipe, steps: range, worker: Worker, sender: Connection, parent: int) -> None:

@@ -35,6 +35,7 @@ from gapmes.service.progress import Stages
 from .arguments import seed as any_seed
 from .arguments import whole_number
 from .choice_data import Samples, joined, scene_samples
+from .interrupts import without_interrupts
 from .run_folder import Refused
 from .workers import limit_threads
 
@@ -150,8 +151,10 @@ def _generated(seed: int, scenes: int, processes: int) -> Iterator[Samples | Non
     """The scenes' samples in their order, whatever the number of processes."""
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, mp_context=spawn, initializer=_begin, initargs=(os.getpid(),)) as pool:
+        with without_interrupts():  # this process tells of one, and ends the others
+            samples = pool.map(_sampled, [seed] * scenes, range(scenes))
         try:
-            yield from pool.map(_sampled, [seed] * scenes, range(scenes))
+            yield from samples
         except BaseException:
             pool.shutdown(cancel_futures=True)  # else all remaining scenes would be generated first
             raise

@@ -19,6 +19,7 @@ from torch import nn
 from torch.multiprocessing.spawn import ProcessException
 
 from ..weights_file import CheckpointError
+from .interrupts import without_interrupts
 from .run_folder import Refused
 
 LONGEST_WAIT = timedelta(hours=1)  # the first process validates and saves while the others wait
@@ -64,7 +65,8 @@ def run_workers(count: int, threads: int, work: Callable[..., None], *arguments:
     with tempfile.TemporaryDirectory() as folder:
         refusal = Path(folder) / REFUSAL
         with _children_killed_at_end():
-            processes = multiprocessing.spawn(_start, (count, threads, Path(folder), work, arguments), count, False)
+            with without_interrupts():  # until they have begun: while they import, one would end in a traceback
+                processes = multiprocessing.spawn(_start, (count, threads, Path(folder), work, arguments), count, False)
             try:
                 while not processes.join():
                     pass
@@ -97,6 +99,7 @@ def _start(
 ) -> None:
     # torch sends SIGINT when the parent dies; a process that was started in the background would ignore it
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     limit_threads(threads)
     meeting_point = (folder / "rendezvous").as_uri()
     distributed.init_process_group("gloo", init_method=meeting_point, rank=rank, world_size=count, timeout=LONGEST_WAIT)
