@@ -36,9 +36,11 @@ class KeyNeeded:
         await problems.response(of_error(error), headers)(scope, receive, send)
 
     def _brought(self, headers: Headers) -> bool:
+        """Either header suffices: the other may be meant for a proxy."""
         given = headers.get("authorization", "")
-        key = given[len(SCHEME) :] if given.lower().startswith(SCHEME) else headers.get("x-api-key", "")
-        return hmac.compare_digest(key.encode("latin-1"), self._key)  # the bytes of the header
+        bearer = given[len(SCHEME) :] if given.lower().startswith(SCHEME) else ""
+        keys = [key.encode("latin-1") for key in (bearer, headers.get("x-api-key", ""))]  # the bytes of the headers
+        return any([hmac.compare_digest(key, self._key) for key in keys])
 
 
 def _open(path: str) -> bool:

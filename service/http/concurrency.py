@@ -14,6 +14,7 @@ from starlette.requests import ClientDisconnect
 
 from ..errors import ServiceBusy
 from ..metrics import PLACES
+from ..plain_number import counted
 
 T = TypeVar("T")
 Gone = Callable[[], Awaitable[bool]]  # whether the client has disconnected
@@ -35,7 +36,8 @@ class ConcurrencyLimit:
     def check(self) -> None:
         """Raises `ServiceBusy` if no slot is free."""
         if self.taken >= self.most:
-            raise ServiceBusy(f"{self.taken} requests are {self._doing}, the limit is {self.most}", cure="retry later")
+            are = f"{counted(self.taken, 'request')} {'is' if self.taken == 1 else 'are'}"
+            raise ServiceBusy(f"{are} {self._doing}, the limit is {self.most}", cure="retry later")
 
     @asynccontextmanager
     async def slot(self) -> AsyncIterator[None]:

@@ -12,12 +12,12 @@ from typing import Annotated, Any
 import anyio
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field
 
 from ..errors import JobCancelled
 from ..jobs.rows import Event, Job
 from ..problem_document import of_error
-from .parameters import whole
+from .parameters import Parameters, whole
 from .responses import head_alone, json_response
 from .runtime import Runtime, RuntimeDep
 from .schemas import Job as JobSchema
@@ -48,20 +48,27 @@ def why_not(job: Job) -> dict[str, Any]:
     return of_error(JobCancelled("the job was cancelled", cure="ask for it again"))
 
 
+class EventsQuery(Parameters):
+    """Which events."""
+
+    after: Annotated[int, BeforeValidator(whole)] = Field(
+        0, ge=0, le=2**31, description="as Last-Event-ID, where headers cannot be set"
+    )
+
+
 @router.head("/jobs/{job_id:path}/events", include_in_schema=False)
 @router.get("/jobs/{job_id:path}/events", response_class=StreamingResponse, responses={200: {"content": {EVENTS: {}}}})
 async def job_events(
     request: Request,
     job_id: str,
     runtime: RuntimeDep,
+    query: Annotated[EventsQuery, Query()],
     last_event_id: Annotated[str | None, Header(description="number of the last event that was received")] = None,
-    after: Annotated[
-        int, Query(ge=0, le=2**31, description="the same, where headers cannot be set"), BeforeValidator(whole)
-    ] = 0,
 ) -> Response:
     """Server-sent events `state` and `stage`, numbered, from the first or after the last one received, with comments as
     a heartbeat; the stream ends with the job."""
     runtime.jobs.table.get(job_id)
+    after = query.after
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     if request.method == "HEAD":
         return head_alone(EVENTS, headers)

@@ -24,6 +24,7 @@ from .form import CAMERAS
 from .inputs import camera_table
 from .parameters import Parameters
 from .posted import FORM, MAX_PARTS, in_time, media_type, posted_form, single, text
+from .problems import FORM_PLACE
 from .responses import json_response, server_timing
 from .runtime import RuntimeDep
 from .scenes import with_links
@@ -124,7 +125,7 @@ async def _of_form(form: FormData, settings: Settings) -> LoadedFile:
         raise UploadTooLarge(
             f"{size} bytes, the limit is {settings.max_camera_bytes}", field="cameras", cure="send fewer cameras"
         )
-    document = await cameras.read() if isinstance(cameras, UploadFile) else cameras
+    document = await cameras.read() if isinstance(cameras, UploadFile) else cameras or None  # as other empty fields
     fields = _checked({name: text(form, name) for name in form if name not in ("file", "cameras")})
     data, name = await part.read(), part.filename
     return await anyio.to_thread.run_sync(lambda: _file(data, name, fields, document, settings))
@@ -135,7 +136,9 @@ def _checked(texts: Mapping[str, str]) -> LoadFields:
     try:
         return LoadFields.model_validate({name: value for name, value in texts.items() if value})
     except ValidationError as error:
-        raise RequestValidationError([{**item, "loc": ("body", *item["loc"])} for item in error.errors()]) from error
+        raise RequestValidationError(
+            [{**item, "loc": (FORM_PLACE, *item["loc"])} for item in error.errors()]
+        ) from error
 
 
 def _cameras(document: str | bytes, settings: Settings) -> tuple[CameraFile, tuple[Notice, ...]]:
@@ -150,7 +153,7 @@ def _file(
     data: bytes, name: str | None, fields: LoadFields, document: str | bytes | None, settings: Settings
 ) -> LoadedFile:
     """Parse the cameras and detect the format; to be called on a worker thread."""
-    found, notices = _cameras(document, settings) if document else (CameraFile(()), ())
+    found, notices = _cameras(document, settings) if document is not None else (CameraFile(()), ())
     near, far = found.depths(fields.near, fields.far)
     return LoadedFile.of(
         data,

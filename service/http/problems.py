@@ -34,6 +34,7 @@ _DESCRIPTION: dict[str, Any] = {
 }
 RESPONSES: dict[int | str, dict[str, Any]] = {"4XX": _DESCRIPTION, "5XX": _DESCRIPTION}
 
+FORM_PLACE = "body"  # first part of the place of an error in a form
 _NO_FILES = (errno.EMFILE, errno.ENFILE)
 _log = logging.getLogger("gapmes")
 
@@ -71,7 +72,7 @@ async def _validation(request: Request, error: RequestValidationError) -> Respon
         {"field": ".".join(str(part) for part in item["loc"][1:])[:100], "detail": _detail(item)} for item in found
     ]
     first = errors[0]
-    cure = f"parameters: {', '.join(_parameters(request))}" if found[0]["type"] == "extra_forbidden" else None
+    cure = _known(request, found[0]["loc"][0]) if found[0]["type"] == "extra_forbidden" else None
     extra = {"errors": errors}
     return response(problem(422, "parameter_invalid", first["detail"], field=first["field"], cure=cure, extra=extra))
 
@@ -79,16 +80,20 @@ async def _validation(request: Request, error: RequestValidationError) -> Respon
 def _detail(item: Mapping[str, Any]) -> str:
     """The value that was sent, and what is needed."""
     if item["type"] == "extra_forbidden":
-        return "is not a parameter of this route"
+        return f"is not a {'field' if item['loc'][0] == FORM_PLACE else 'parameter'} of this route"
     need = str(item["msg"])
     return need if item["type"] == "missing" else f"is {str(item['input'])[:100]!r}: {need[:1].lower()}{need[1:]}"
 
 
-def _parameters(request: Request) -> list[str]:
-    """Names of the route's query parameters, from the OpenAPI document."""
+def _known(request: Request, place: str) -> str:
+    """The route's query parameters, or the fields of its form, from the OpenAPI document."""
     paths, route = request.app.openapi()["paths"], request.scope["route"]
-    listed = paths.get(route.path_format, {}).get(request.method.lower(), {}).get("parameters", ())
-    return [parameter["name"] for parameter in listed if parameter["in"] == "query"]
+    operation = paths.get(route.path_format, {}).get(request.method.lower(), {})
+    if place == FORM_PLACE:
+        fields = operation["requestBody"]["content"]["multipart/form-data"]["schema"]["properties"]
+        return f"fields: {', '.join(fields)}"
+    listed = [parameter["name"] for parameter in operation.get("parameters", ()) if parameter["in"] == "query"]
+    return f"parameters: {', '.join(listed)}"
 
 
 async def _framework(request: Request, error: HTTPException) -> Response:

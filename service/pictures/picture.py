@@ -53,7 +53,7 @@ def check_format(width: int, height: int, channel: Channel, format: Format, dept
         if channel != "depth":
             raise InputError(f"goes with channel depth, not with {channel}", field="depth_scale", cure="leave it out")
         if not 0 < depth_scale < math.inf:
-            raise InputError(f"is {depth_scale:g}, need more than 0", field="depth_scale")
+            raise InputError(f"is {depth_scale:g}, need a finite number above 0", field="depth_scale")
     for field, side in (("width", width), ("height", height)):
         if side > MAX_SIDE[format]:
             raise InputError(

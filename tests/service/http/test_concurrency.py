@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from gapmes.service.errors import ServiceBusy
-from gapmes.service.http.concurrency import Pause, WorkQueue
+from gapmes.service.http.concurrency import ConcurrencyLimit, Pause, WorkQueue
 
 FILMS = 60  # more than the 40 worker threads that everybody shares
 
@@ -60,3 +60,13 @@ def test_one_more_than_wait_is_refused() -> None:
             over.set()
 
     anyio.run(three)
+
+
+def test_a_single_one_is_counted_as_one() -> None:
+    async def two() -> None:
+        limit = ConcurrencyLimit("streams", 1, "following jobs")
+        async with limit.slot():
+            with pytest.raises(ServiceBusy, match="1 request is following jobs, the limit is 1"):
+                limit.check()
+
+    anyio.run(two)

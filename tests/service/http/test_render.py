@@ -105,7 +105,8 @@ def test_depth_at_a_given_scale(client: TestClient, scene: dict[str, Any]) -> No
     assert_problem(client.get("/render?channel=depth&depth_scale=1e9"), 422, "invalid_input", "depth_scale")
     assert_problem(client.get("/render?depth_scale=0.01"), 422, "invalid_input", "depth_scale")
     assert_problem(client.get("/render?channel=depth&depth_scale=0"), 422, "parameter_invalid", "depth_scale")
-    assert_problem(client.get("/render?channel=depth&depth_scale=inf"), 422, "invalid_input", "depth_scale")
+    body = assert_problem(client.get("/render?channel=depth&depth_scale=inf"), 422, "invalid_input", "depth_scale")
+    assert body["detail"] == "is inf, need a finite number above 0"
 
 
 def test_alpha_and_depth_are_exact_in_webp(client: TestClient, scene: dict[str, Any]) -> None:
