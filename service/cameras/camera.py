@@ -19,6 +19,7 @@ from .rotations import rotated
 F64 = NDArray[np.float64]
 
 MAX_SIDE = 2**31 - 1  # px, more than any file format holds
+LEAST_FOCAL, MOST_FOCAL = 0.1, 20  # focal lengths, of the side of the picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +53,7 @@ class Camera:
 
         Raises `CameraError`, `IntrinsicsError` or `PoseError` naming field, index and numbers.
         """
-        across, down = _whole(width), _whole(height)
-        if across is None or down is None:
-            raise CameraError(
-                f"image size is {shown(width)} x {shown(height)}, need whole numbers from 1 to {MAX_SIDE}",
-                field=f"{field}.size",
-                index=index,
-            )
+        across, down = _side(width, "width", field, index), _side(height, "height", field, index)
         numbers = {}
         for name, given in (("fx", fx), ("fy", fy), ("cx", cx), ("cy", cy)):
             number = real_number(given)
@@ -149,24 +144,29 @@ class Camera:
         return pixels, z
 
 
-def _whole(value: float) -> int | None:
-    """A side in px as `int`, also of a float without a fraction; None for anything else."""
+def _side(value: float, name: str, field: str, index: int | None) -> int:
+    """A side in px as `int`, also of a float without a fraction. Raises `CameraError` for anything else."""
     number = real_number(value)
-    return int(number) if number is not None and 1 <= number <= MAX_SIDE and number.is_integer() else None
+    if number is None or not 1 <= number <= MAX_SIDE or not number.is_integer():
+        told = shown(value) if number is None else f"{number:g}"
+        message = f"{name} = {told}, need whole numbers from 1 to {MAX_SIDE}"
+        raise CameraError(message, field=f"{field}.{name}", index=index, cure="give the size of the photograph in px")
+    return int(number)
 
 
 def _check_focal(value: float, size: float, name: str, field: str, index: int | None) -> None:
     """Field of view between about 3 and 157 degrees: outside it the unit is wrong, not the lens."""
     ratio = value / size
-    if 0.1 <= ratio <= 20:
+    if LEAST_FOCAL <= ratio <= MOST_FOCAL:
         return
-    cure = None
+    cure = "give it in px of a picture of this very size: it grows with the picture"
     if value <= 0:
         cure = "focal lengths are positive; a negative one means flipped axes"
     elif 0.1 <= value <= 20:
         cure = f"these look normalised; multiply {name} by the image size, which would be {value * size:.4g} px"
+    least, most = LEAST_FOCAL * size, MOST_FOCAL * size
     raise IntrinsicsError(
-        f"{name} = {value:g} px for an image of {size:g} px, need between {0.1 * size:g} and {20 * size:g} px",
+        f"{name} = {value:g} px for an image of {size:g} px, need between {least:g} and {most:g} px",
         field=f"{field}.{name}",
         index=index,
         cure=cure,

@@ -90,6 +90,12 @@ def image_name(entry: Mapping, name: str, *, field: str, index: int | None = Non
     return value
 
 
+def json_kind(value: object) -> str:
+    """For a message: what a decoded value was in the file."""
+    kinds = {dict: "an object", list: "a list", str: "a text", bool: "true or false", type(None): "null"}
+    return kinds.get(type(value), "a number" if isinstance(value, int | float) else f"a {type(value).__name__}")
+
+
 def list_of(obj: Mapping, name: str) -> Sequence[Mapping]:
     """The non-empty list of objects under `name`. Raises `CameraError`."""
     entries = obj[name]
@@ -97,7 +103,7 @@ def list_of(obj: Mapping, name: str) -> Sequence[Mapping]:
         raise CameraError(f"{name} must be a non-empty list of views", field=f"cameras.{name}")
     for index, entry in enumerate(entries):
         if not isinstance(entry, Mapping):
-            raise CameraError(f"is a {type(entry).__name__}, need an object", field=f"cameras.{name}", index=index)
+            raise CameraError(f"is {json_kind(entry)}, need an object", field=f"cameras.{name}", index=index)
     return entries
 
 

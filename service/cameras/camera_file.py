@@ -8,7 +8,7 @@ from ..errors import CameraError, IntrinsicsError
 from .camera import Camera
 from .camera_fields import CameraFile as CameraFile
 from .camera_fields import NamedView as NamedView
-from .camera_fields import SizeOf, image_name, list_of, number_of, opencv_pose, optional_number
+from .camera_fields import SizeOf, image_name, json_kind, list_of, number_of, opencv_pose, optional_number
 from .lens_keys import COEFFICIENTS, refuse_bending_model, refuse_other_names
 from .transforms_file import parse_transforms
 
@@ -90,7 +90,7 @@ def _json_object(obj: object) -> Mapping:
         message = "is the list of cameras that 3DGS training leaves beside its .ply, which lacks principal points"
         raise CameraError(message, field="cameras", cure="give the COLMAP model or transforms.json it was trained from")
     if not isinstance(obj, Mapping):
-        raise CameraError(f"is a {type(obj).__name__}, need a JSON object", field="cameras")
+        raise CameraError(f"is {json_kind(obj)}, need a JSON object", field="cameras")
     return obj
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from ..errors import CameraError
 from .camera import Camera
+from .camera_fields import json_kind
 from .camera_file import conventions, meant_key, parse_view, refuse_misspelt
 
 
@@ -16,9 +17,7 @@ def camera_from_json(obj: object) -> Camera:
     or begin with `camera.`, without an index.
     """
     if not isinstance(obj, Mapping):
-        raise CameraError(
-            f"is a {type(obj).__name__}, need an object", field="camera", cure="one view of a cameras.json"
-        )
+        raise CameraError(f"is {json_kind(obj)}, need an object", field="camera", cure="one view of a cameras.json")
     for name, value in obj.items():
         if meant_key(name) in ("near", "far") and value is not None:
             raise CameraError(

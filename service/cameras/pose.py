@@ -60,6 +60,7 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
             cure = "take its real part, where the imaginary one is rounding"
             raise PoseError("holds complex numbers, need real ones", field=field, index=index, cure=cure)
         matrix = entries.astype(np.float64)
+        _refuse_words(value, field, index)
     except (TypeError, ValueError, OverflowError) as error:
         raise PoseError(
             "is not a matrix of numbers", field=field, index=index, cure="give 4 rows of 4 numbers"
@@ -131,6 +132,18 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
     u, _, vt = np.linalg.svd(rotation)
     pose[:3, :3] = u @ vt
     return Pose(pose, Given(drift, 0.0, step))
+
+
+def _refuse_words(value: object, field: str, index: int | None) -> None:
+    """Raises `PoseError` for text and truth values, which numpy would convert."""
+    for entry in np.asarray(value, dtype=object).flat:
+        if isinstance(entry, str | bytes | bool | np.bool_):
+            raise PoseError(
+                f"holds {entry!r:.50}, need numbers",
+                field=field,
+                index=index,
+                cure="write numbers without quotation marks",
+            )
 
 
 def inverted_pose(value: object, *, field: str = "c2w", index: int | None = None) -> Pose:

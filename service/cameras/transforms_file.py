@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..errors import CameraError, IntrinsicsError
-from .camera import MAX_SIDE
+from .camera import LEAST_FOCAL, MAX_SIDE, MOST_FOCAL
 from .camera_fields import (
     CameraFile,
     SizeOf,
@@ -21,6 +21,7 @@ from .camera_fields import (
 from .distortion import Lens
 from .lens_keys import COEFFICIENTS, OTHER_NAMES, refuse_other_names, require_pinhole_model
 
+NARROWEST, WIDEST = (2 * math.atan(0.5 / focal) for focal in (MOST_FOCAL, LEAST_FOCAL))  # radians
 _LENGTHS, _ANGLES = ("fl_x", "fl_y"), ("camera_angle_x", "camera_angle_y")
 _OF_A_FRAME = (
     "w",
@@ -72,7 +73,11 @@ def parse_transforms(
             frame["transform_matrix"], axes="opengl", pose="c2w", field="frames.transform_matrix", index=index
         )
         lens = _lens(values, (width, height), (fx, fy), (cx, cy), index)
-        views.append(view_through(name, lens, pose, field="frames", index=index))
+        try:
+            views.append(view_through(name, lens, pose, field="frames", index=index))
+        except IntrinsicsError as error:
+            error.field = f"frames.{_member(values, (error.field or '').removeprefix('frames.'))}"
+            raise
     return CameraFile(tuple(views), optional_number(obj, "near"), optional_number(obj, "far"))
 
 
@@ -110,13 +115,21 @@ def _size(values: Mapping, name: str | None, size_of: SizeOf | None, index: int)
             number_of(values, "w", field="frames", index=index),
             number_of(values, "h", field="frames", index=index),
         )
-        if any(side != int(side) or side > MAX_SIDE for side in size):
-            need = f"need whole numbers up to {MAX_SIDE}"
-            raise CameraError(f"w, h = {size[0]:g}, {size[1]:g}, {need}", field="frames.w", index=index)
+        for member, side in zip("wh", size, strict=True):
+            if side != int(side) or not 1 <= side <= MAX_SIDE:
+                message = f"{member} = {side:g}, need whole numbers from 1 to {MAX_SIDE}"
+                cure = "give the size of the photograph in px"
+                raise CameraError(message, field=f"frames.{member}", index=index, cure=cure)
         return int(size[0]), int(size[1])
     if size_of is None:
         raise CameraError("w and h are missing", field="frames.w", index=index, cure="add the image size in px")
     return size_of(name, index)
+
+
+def _member(values: Mapping, name: str) -> str:
+    """What the file calls `fx` and `fy`, of which the latter may be left out; other names are its own."""
+    meant = {"fx": ("fl_x", "camera_angle_x"), "fy": ("fl_y", "camera_angle_y", "fl_x", "camera_angle_x")}
+    return next((member for member in meant.get(name, ()) if member in values), name)
 
 
 def _focal(values: Mapping, axis: str, size: int, index: int) -> float:
@@ -127,11 +140,11 @@ def _focal(values: Mapping, axis: str, size: int, index: int) -> float:
     if name not in values:
         raise CameraError(f"neither fl_{axis} nor {name} is given", field=f"frames.fl_{axis}", index=index)
     angle = number_of(values, name, field="frames", index=index)
-    if not 0 < angle < math.pi or math.tan(0.5 * angle) == 0:
+    if not NARROWEST <= angle <= WIDEST:
         raise IntrinsicsError(
-            f"{name} = {angle:g}, need between 0 and pi",
+            f"{name} = {angle:g}, need between {NARROWEST:.3g} and {WIDEST:.3g}",
             field=f"frames.{name}",
             index=index,
-            cure="angles are in radians",
+            cure="it is the whole field of view, in radians",
         )
     return 0.5 * size / math.tan(0.5 * angle)

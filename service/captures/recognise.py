@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import posixpath
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,6 +11,7 @@ from typing import Any
 from ..cameras.camera_fields import CameraFile, SizeOf
 from ..cameras.camera_file import parse_camera_file, view_names
 from ..errors import CameraError, CaptureError
+from ..unique_members import parsed
 from .colmap import has_colmap, is_of_colmap, is_whole, read_colmap
 from .colmap_models import largest_model, models_below, several_models
 from .files import Files, joined, read_bounded
@@ -71,7 +71,7 @@ def table_of_file(files: Files, path: str, max_bytes: int = MAX_CAMERA_BYTES) ->
     return table_of_bytes(read_bounded(files, path, max_bytes), path)
 
 
-def table_of_bytes(data: bytes, source: str, parse: Parse = json.loads) -> CameraTable:
+def table_of_bytes(data: bytes, source: str, parse: Parse = parsed) -> CameraTable:
     """The cameras of a file by its content: .npy, text of RealEstate10K, else JSON. Raises `CameraError`, or what
     `parse` raises of its own.
     """

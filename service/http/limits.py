@@ -10,6 +10,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ..errors import MalformedRequest, ServiceBusy, UploadTooLarge
 from ..problem_document import of_error
+from ..unique_members import parsed
 from . import problems
 
 SETTING = "GAPMES_MAX_UPLOAD_BYTES"
@@ -84,17 +85,20 @@ class BodyLimit:
 
 
 def parse_json(text: str | bytes, field: str) -> Any:
-    """Parse JSON; NaN and Infinity are accepted, since the checks of cameras name them. Raises `MalformedRequest`.
+    """Parse JSON; NaN and Infinity are accepted, since the checks of cameras name them. Raises `MalformedRequest`, for
+    repeated members too.
 
     Integers of more than 15 digits become floats, so that none overflows silently later.
     """
     try:
-        return json.loads(text, parse_int=lambda digits: int(digits) if len(digits) <= 15 else float(digits))
+        return parsed(text, lambda digits: int(digits) if len(digits) <= 15 else float(digits))
     except UnicodeDecodeError as error:
         raise MalformedRequest("is not UTF-8 text", field=field, cure="send JSON as UTF-8") from error
     except json.JSONDecodeError as error:
         raise MalformedRequest(
             f"is not JSON: {error.msg} at line {error.lineno}, column {error.colno}", field=field
         ) from error
+    except ValueError as error:
+        raise MalformedRequest(str(error), field=field, cure="keep the one that is meant") from error
     except RecursionError as error:
         raise MalformedRequest("is nested too deeply", field=field) from error

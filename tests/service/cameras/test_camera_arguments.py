@@ -36,7 +36,7 @@ def test_a_whole_number_beyond_float64_is_refused() -> None:
 def test_sides_that_are_no_whole_numbers_are_refused(value: float) -> None:
     with pytest.raises(CameraError, match="need whole numbers from 1 to") as caught:
         Camera.make(**{**GIVEN, "width": value}, index=1)
-    assert (caught.value.field, caught.value.index) == ("camera.size", 1)
+    assert (caught.value.field, caught.value.index) == ("camera.width", 1)
 
 
 @pytest.mark.parametrize("pose", [np.eye(4, dtype=complex), [[1j, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]])
