@@ -81,7 +81,7 @@ class Settings(BaseSettings):
     )
     engine: EngineName = Field(
         DEFAULT_ENGINE,
-        description="what computes the networks: `onnxruntime`, `openvino-fp32` or `openvino-bf16`",
+        description="what computes the networks",
     )
     store: Path = Field(default_factory=default_store, description="folder that keeps the scenes")
     threads: int | None = Field(
@@ -134,8 +134,8 @@ class Settings(BaseSettings):
     )
     api_key: SecretStr | None = Field(
         None,
-        description="key that requests must bring as `Authorization: Bearer`, of printable ASCII; empty means that none"
-        " is needed",
+        description="key that requests must bring as `Authorization: Bearer` or `X-API-Key`, of printable ASCII; empty"
+        " means that none is needed",
     )
     api_key_file: Path | None = Field(
         None, description="file with that key, such as a mounted secret, in its place; read once, at the start"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Literal, get_args, get_origin
 
 import pytest
 from pydantic import ValidationError
+from pydantic.fields import FieldInfo
 
 from gapmes.service.errors import InputError
 from gapmes.service.settings import Settings, checked_settings, default_store, strange_variables
@@ -14,19 +16,34 @@ from gapmes.service.settings import Settings, checked_settings, default_store, s
 TABLE = Path(__file__).parents[2] / "docs" / "settings.md"
 
 
-def documented() -> dict[str, tuple[str, str]]:
-    """Variable -> (default, meaning), as docs/settings.md has them."""
-    rows = re.findall(r"^\| `(GAPMES_\w+)` \| (.*?) \| (.*?) \|$", TABLE.read_text(encoding="utf-8"), re.MULTILINE)
-    return {name: (default.strip("`"), meaning) for name, default, meaning in rows}
+def documented() -> dict[str, tuple[str, str, str]]:
+    """Variable -> (default, values, meaning), as docs/settings.md has them."""
+    row = r"^\| `(GAPMES_\w+)` \| (.*?) \| (.*?) \| (.*?) \|$"
+    rows = re.findall(row, TABLE.read_text(encoding="utf-8"), re.MULTILINE)
+    return {name: (default.strip("`"), values, meaning) for name, default, values, meaning in rows}
 
 
-def test_every_setting_is_documented_with_its_default_and_meaning(monkeypatch: pytest.MonkeyPatch) -> None:
+def values(field: FieldInfo) -> str:
+    """The values that a setting may have: words, or the bounds of a number; empty for text."""
+    if get_origin(field.annotation) is Literal:
+        return ", ".join(f"`{word}`" for word in get_args(field.annotation))
+    if field.annotation is bool:
+        return "`true`, `false`"
+    bounds = {name: getattr(rule, name) for rule in field.metadata for name in ("gt", "ge", "le") if hasattr(rule, name)}
+    if not bounds:
+        return ""
+    shown = {name: f"{bound:,.0f}" if bound >= 10_000 else f"{bound:g}" for name, bound in bounds.items()}
+    low = shown["ge"] if "ge" in bounds else f"above {shown['gt']}"
+    return f"{low} to {shown['le']}" if "le" in bounds else f"{low} or more"
+
+
+def test_every_setting_is_documented_with_its_default_values_and_meaning(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_DATA_HOME", raising=False)
     expected = {}
     for name, field in Settings.model_fields.items():
         default = field.get_default(call_default_factory=True)
         shown = "" if default is None else str(default).replace(str(Path.home()), "~")
-        expected[f"GAPMES_{name.upper()}"] = (shown, field.description)
+        expected[f"GAPMES_{name.upper()}"] = (shown, values(field), field.description)
     assert documented() == expected
 
 
