@@ -23,7 +23,7 @@ from ..settings import Settings
 from .form import CAMERAS
 from .inputs import camera_table
 from .parameters import Parameters
-from .posted import FORM, MAX_PARTS, in_time, media_type, posted_form, single, text
+from .posted import FORM, MAX_PARTS, in_time, media_type, no_file, posted_form, refuse_compressed, single, text
 from .problems import FORM_PLACE
 from .responses import json_response, server_timing
 from .runtime import RuntimeDep
@@ -85,6 +85,7 @@ async def load_scene(request: Request, query: Annotated[LoadFields, Query()], ru
             async with posted_form(request, settings, EXAMPLE, too_many) as form:
                 file = await _of_form(form, settings)
         elif kind == MEDIA_TYPE:
+            refuse_compressed(request)
             with in_time(settings):
                 data = await request.body()
             file = await anyio.to_thread.run_sync(lambda: _file(data, None, query, None, settings))
@@ -117,8 +118,7 @@ def _stored(store: SceneStore, scene_id: str) -> dict[str, Any] | None:
 async def _of_form(form: FormData, settings: Settings) -> LoadedFile:
     part = single(form, "file")
     if not isinstance(part, UploadFile):
-        what = "is missing" if part is None else "is a text field, need a file part"
-        raise InputError(what, field="file", cure=EXAMPLE)
+        raise no_file(part, "file", EXAMPLE)
     cameras = single(form, "cameras")
     size = 0 if cameras is None else (cameras.size or 0) if isinstance(cameras, UploadFile) else len(cameras)
     if size > settings.max_camera_bytes:

@@ -30,6 +30,22 @@ def media_type(request: Request) -> str:
     return request.headers.get("content-type", "").partition(";")[0].strip().lower()
 
 
+def refuse_compressed(request: Request) -> None:
+    """Raises `UnsupportedMediaType` for a body with a Content-Encoding (RFC 9110 section 8.4), which is not undone."""
+    coding = request.headers.get("content-encoding", "").strip()
+    if coding.lower() not in ("", "identity"):
+        raise UnsupportedMediaType(
+            f"the body is encoded as {coding[:50]!r}, need none", field="Content-Encoding", cure="send it as it is"
+        )
+
+
+def no_file(part: str | None, field: str, example: str, index: int | None = None) -> InputError:
+    """The error for a field that must be a file part, with a command that sends one."""
+    what = "is missing" if part is None else "is a text field, need a file part"
+    hint = "" if part is None else ", with `filename=` in its Content-Disposition, not only `filename*=`"
+    return InputError(what, field=field, index=index, cure=f"{example}{hint}")
+
+
 @asynccontextmanager
 async def posted_form(
     request: Request, settings: Settings, example: str, too_many: InputError
@@ -39,6 +55,7 @@ async def posted_form(
 
     `example` is a command that sends such a form; `too_many` is raised for more than `MAX_PARTS` files.
     """
+    refuse_compressed(request)
     if media_type(request) != FORM:
         declared = request.headers.get("content-type", "")
         raise UnsupportedMediaType(

@@ -33,7 +33,7 @@ from ..viewpoints.scene_views import SceneViews
 from .fields import flag, number, whole
 from .inputs import Inputs, captured, posted
 from .pairing import NamedImage, Pairing
-from .posted import MAX_IMAGES, MAX_PARTS, posted_form
+from .posted import MAX_IMAGES, MAX_PARTS, no_file, posted_form
 from .posted import single as _single
 from .posted import text as _text
 
@@ -173,7 +173,7 @@ async def _inputs(
         if form.getlist(name):
             raise InputError(f"is given beside {name}", field="capture", cure="it holds photographs and cameras")
     if not isinstance(capture, UploadFile):
-        raise InputError("is a text field, need a file part", field="capture", cure="curl -F capture=@capture.zip")
+        raise no_file(capture, "capture", "curl -F capture=@capture.zip")
     stream = capture.file
     return await anyio.to_thread.run_sync(lambda: captured(stream, wanted, settings, near, far))
 
@@ -185,9 +185,7 @@ async def _images(form: FormData, wanted: ViewSelection) -> list[NamedImage]:
     files = []
     for index, part in enumerate(parts):
         if not isinstance(part, UploadFile):
-            raise InputError(
-                "is a text field, need a file part", field="images", index=index, cure="curl -F images=@a.jpg"
-            )
+            raise no_file(part, "images", "curl -F images=@a.jpg", index)
         files.append(part)
     few = len(parts) < MIN_VIEWS
     if few or (len(parts) > MAX_VIEWS and wanted.select is None and wanted.context is None):

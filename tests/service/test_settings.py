@@ -29,7 +29,8 @@ def values(field: FieldInfo) -> str:
         return ", ".join(f"`{word}`" for word in get_args(field.annotation))
     if field.annotation is bool:
         return "`true`, `false`"
-    bounds = {name: getattr(rule, name) for rule in field.metadata for name in ("gt", "ge", "le") if hasattr(rule, name)}
+    found = ((name, getattr(rule, name, None)) for rule in field.metadata for name in ("gt", "ge", "le"))
+    bounds = {name: bound for name, bound in found if bound is not None}
     if not bounds:
         return ""
     shown = {name: f"{bound:,.0f}" if bound >= 10_000 else f"{bound:g}" for name, bound in bounds.items()}
