@@ -9,7 +9,7 @@ import threading
 import warnings
 from collections.abc import Sequence
 
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, PngImagePlugin, UnidentifiedImageError
 
 from ..errors import ImageError, ImageTooLarge, ImageUnreadable
 
@@ -19,6 +19,7 @@ MAX_SCANS = 100  # of one JPEG; encoders write about ten, and each costs a pass 
 MAX_SEGMENTS = 10_000  # of one JPEG; a photograph has some dozens, and each costs an iteration of the header's parser
 DAMAGED = (OSError, SyntaxError, ValueError, EOFError, struct.error)  # what Pillow's decoders raise on damaged files
 
+_LONG_TEXT = "MAX_TEXT_"  # in Pillow's errors about a PNG's chunks of text, of which the colour profile is one
 _START_OF_SCAN, _END_OF_IMAGE, _START_OF_IMAGE = 0xDA, 0xD9, 0xD8
 # ITU-T T.81, B.1.1.2: inside a scan 0xFF stands before 0 (stuffed) or a restart marker; 1 (TEM) has no parameters.
 _MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
@@ -119,4 +120,13 @@ def jpeg_parts(data: bytes) -> tuple[int, int]:
 
 def damaged(error: Exception, index: int | None) -> ImageUnreadable:
     """The refusal of photograph `index` whose decoder raised `error`."""
+    if _LONG_TEXT in str(error):
+        one, all_of_them = PngImagePlugin.MAX_TEXT_CHUNK, PngImagePlugin.MAX_TEXT_MEMORY
+        return ImageUnreadable(
+            "has texts or a colour profile beside its pixels that unpack to more than "
+            f"{one} bytes, or {all_of_them} together",
+            field="images",
+            index=index,
+            cure="save it without them",
+        )
     return ImageUnreadable(f"cannot be decoded: {error}", field="images", index=index, cure="is the upload complete?")
