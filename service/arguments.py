@@ -1,4 +1,4 @@
-"""What a Python program gives for a number or for several things: numpy's own types as well as Python's."""
+"""What a Python program gives for a number, several things or a value of a type: numpy's own types as well."""
 
 from __future__ import annotations
 
@@ -49,6 +49,13 @@ def listed(values: Iterable[T], field: str) -> list[T]:
         message = f"is a {type(values).__name__}, need several in a sequence"
         raise InputError(message, field=field, cure="give a list") from None
     return list(parts)
+
+
+def of_type(value: object, kind: type[T], field: str, cure: str) -> T:
+    """`value`, if it is a `kind`. Raises `InputError` for anything else."""
+    if not isinstance(value, kind):
+        raise InputError(f"is a {type(value).__name__}, need a {kind.__name__}", field=field, cure=cure)
+    return value
 
 
 def whole_numbers(values: Iterable[object], field: str) -> list[int]:

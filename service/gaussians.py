@@ -16,6 +16,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Selection = slice | NDArray[np.bool_] | NDArray[np.integer] | Sequence[int]
 
+GAUSSIANS_CURE = "give those of a scene, or what read_gaussians returns"  # where something else was given
 _TAIL = {"means": (3,), "scales": (3,), "rotations_wxyz": (4,), "opacities": ()}
 
 
@@ -42,11 +43,11 @@ class Gaussians:
         Raises `GaussiansError` that names the field, the first offending index and how many there are.
         """
         given: dict[str, NDArray] = {
-            "means": np.ascontiguousarray(means, dtype=np.float64),
-            "scales": np.ascontiguousarray(scales, dtype=np.float32),
-            "rotations_wxyz": np.ascontiguousarray(rotations_wxyz, dtype=np.float32),
-            "opacities": np.ascontiguousarray(opacities, dtype=np.float32),
-            "harmonics": np.ascontiguousarray(harmonics, dtype=np.float32),
+            "means": _array("means", means, np.float64),
+            "scales": _array("scales", scales, np.float32),
+            "rotations_wxyz": _array("rotations_wxyz", rotations_wxyz, np.float32),
+            "opacities": _array("opacities", opacities, np.float32),
+            "harmonics": _array("harmonics", harmonics, np.float32),
         }
         count = len(given["means"])
         for name, tail in _TAIL.items():
@@ -70,9 +71,15 @@ class Gaussians:
         return round(self.harmonics.shape[1] ** 0.5) - 1
 
     def __getitem__(self, selection: Selection) -> Gaussians:
-        """The subset that a mask, slice or index array selects, in its order. Raises `TypeError` for one number."""
-        if not isinstance(selection, slice | EllipsisType) and not np.asarray(selection).ndim:
+        """The subset that a mask, slice or index array selects, in its order. Raises `TypeError` for one number and for
+        arrays of several axes."""
+        if isinstance(selection, tuple):  # numpy would take each for an axis of its own
+            selection = list(selection)
+        axes = 1 if isinstance(selection, slice | EllipsisType) else np.ndim(selection)
+        if axes == 0:
             raise TypeError(f"{selection} selects no set: give a slice such as [{selection}:][:1]")
+        if axes > 1:
+            raise TypeError(f"indices with {axes} axes select no set: give a mask or indices with one axis")
         return Gaussians(
             self.means[selection],
             self.scales[selection],
@@ -104,6 +111,19 @@ def normalized_quaternions(wxyz: F32) -> F32:
     q = q / np.where(largest > 0, largest, 1.0)
     q[zero] = (1.0, 0.0, 0.0, 0.0)
     return (q / np.linalg.norm(q, axis=1, keepdims=True)).astype(np.float32)
+
+
+def _array(name: str, value: object, dtype: type[np.floating]) -> NDArray:
+    """In C order. Raises `GaussiansError` for what is not numbers; what overflows becomes infinite."""
+    try:
+        found = np.asarray(value)
+        if found.dtype.kind in "cSU":
+            raise TypeError(f"{found.dtype} is no type of real numbers")
+        with np.errstate(over="ignore"):
+            return np.ascontiguousarray(found, dtype=dtype)
+    except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # torch raises the last for its gradients
+        message = f"is a {type(value).__name__} that gives no real numbers: {error!s:.200}"
+        raise GaussiansError(message, field=name, cure="give an array of float32") from error
 
 
 def _require(name: str, ok: NDArray[np.bool_], value: NDArray, need: str) -> None:

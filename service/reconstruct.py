@@ -76,7 +76,7 @@ class Reconstructor:
         model: str | Path | Engine | None = None,
         *,
         threads: int | None = None,
-        prepare: Path | None = None,
+        prepare: str | Path | None = None,
         engine: EngineName = DEFAULT_ENGINE,
     ) -> None:
         """`model`: an ONNX file, a loaded one, or None for the one in the package; `prepare` and `engine` as for

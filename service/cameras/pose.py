@@ -61,7 +61,7 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
             raise PoseError("holds complex numbers, need real ones", field=field, index=index, cure=cure)
         matrix = entries.astype(np.float64)
         _refuse_words(value, field, index)
-    except (TypeError, ValueError, OverflowError) as error:
+    except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # torch raises the last for its gradients
         raise PoseError(
             "is not a matrix of numbers", field=field, index=index, cure="give 4 rows of 4 numbers"
         ) from error

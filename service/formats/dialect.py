@@ -32,6 +32,8 @@ _FORMS: dict[str, tuple[str, ...]] = {
     "axes": get_args(Axes),
 }
 
+DIALECT_CURE = "give a Dialect, or leave it out to have the form recognised"
+
 FEWEST = 1000  # rows, for shares of them to be significant
 EDGE = 0.01  # width of the outermost intervals at 0 and 1
 CROWDED = 2.0  # times as many values in such an interval as a uniform distribution has

@@ -11,11 +11,12 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import of_type
 from ..errors import PlyError
 from ..gaussians import Gaussians
 from ..harmonics import C0
 from .compressed_ply import is_compressed
-from .dialect import AUTO, ROTATION_NAMES, SCALE_NAMES, Dialect, OpacityForm, ScaleForm, Taken, taken_as
+from .dialect import AUTO, DIALECT_CURE, ROTATION_NAMES, SCALE_NAMES, Dialect, OpacityForm, ScaleForm, Taken, taken_as
 from .ply_behind import behind
 from .ply_format import Header, parse_header, vertex_columns
 from .reading import DROP_CURE, LARGEST, LARGEST_LOG, Reading, Source, bytes_of, check_count, passed_over
@@ -55,6 +56,7 @@ def inspect_ply(
     header = parse_header(data)
     rest, coloured = _checked_properties(header)
     check_count(header.vertex.count, max_count, "vertex")
+    of_type(dialect, Dialect, "dialect", DIALECT_CURE)
     columns = vertex_columns(data, header)
     remarks = _passed_over(header, rest, coloured) + behind(data, header)
     if coloured:

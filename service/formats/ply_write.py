@@ -10,8 +10,9 @@ from typing import BinaryIO, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FormatError, PlyError
-from ..gaussians import Gaussians
+from ..arguments import of_type
+from ..errors import FormatError, InputError, PlyError
+from ..gaussians import GAUSSIANS_CURE, Gaussians
 from ..process.disk import replace_file
 from .reading import LARGEST_LOG
 
@@ -29,7 +30,10 @@ POSITION_TOLERANCE = 1 / 8
 
 def write_ply(target: str | PathLike[str] | BinaryIO, gaussians: Gaussians, *, positions: Positions = "auto") -> None:
     """Write to a path, replacing its file atomically, or to an open binary file; see `ply_bytes`."""
-    data = ply_bytes(gaussians, positions=positions)
+    if not isinstance(target, str | PathLike) and not hasattr(target, "write"):
+        cure = "give a path, or a file opened for bytes"
+        raise InputError(f"is a {type(target).__name__}, which cannot be written to", field="target", cure=cure)
+    data = ply_bytes(of_type(gaussians, Gaussians, "gaussians", GAUSSIANS_CURE), positions=positions)
     if isinstance(target, str | PathLike):
         replace_file(Path(target), data)
     else:

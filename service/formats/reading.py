@@ -12,7 +12,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FormatError, TooManyGaussians
+from ..errors import FormatError, InputError, TooManyGaussians
 from ..gaussians import Gaussians
 from ..process.streams import visible
 
@@ -48,12 +48,17 @@ class Reading:
 
 
 def bytes_of(source: Source) -> bytes:
-    """The content of a path or an open binary file, or the bytes themselves."""
+    """The content of a path or an open binary file, or the bytes themselves. Raises `InputError` for anything else."""
     if isinstance(source, str | PathLike):
         return Path(source).read_bytes()
-    if isinstance(source, bytes):
-        return source
-    return bytes(source) if isinstance(source, bytearray | memoryview) else source.read()
+    data = source.read() if hasattr(source, "read") else source
+    if isinstance(data, bytes):
+        return data
+    if isinstance(data, bytearray | memoryview):
+        return bytes(data)
+    what = f"is a {type(source).__name__}{' that gives text' if isinstance(data, str) else ''}"
+    cure = "give a path, the bytes of a file, or a file opened for bytes"
+    raise InputError(f"{what}, need the bytes of a file", field="source", cure=cure)
 
 
 def check_count(count: int, max_count: int | None, field: str) -> None:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, fields, replace
 from os import PathLike
 from pathlib import Path
 
+from ..arguments import of_type, shown
 from ..errors import InputError
-from ..gaussians import Gaussians
+from ..gaussians import GAUSSIANS_CURE, Gaussians
 from ..process.disk import replace_file
 from .compressed_ply import compressed_ply_bytes, is_compressed, read_compressed_ply
-from .dialect import AUTO, Dialect
+from .dialect import AUTO, DIALECT_CURE, Dialect
 from .encoded import Encoded
 from .ply_format import parse_header
 from .ply_read import inspect_ply
@@ -83,9 +84,9 @@ NAMES = ", ".join(FORMATS)
 
 def format_named(extension: str, field: str = "format") -> Format:
     """The format of an extension, with or without its dot. Raises `InputError`."""
-    found = FORMATS.get(extension.lower().removeprefix("."))
+    found = FORMATS.get(extension.lower().removeprefix(".")) if isinstance(extension, str) else None
     if found is None:
-        raise InputError(f"{extension[:50]!r} is no format of Gaussians", field=field, cure=f"one of {NAMES}")
+        raise InputError(f"{shown(extension)} is no format of Gaussians", field=field, cure=f"one of {NAMES}")
     return found
 
 
@@ -132,6 +133,7 @@ def inspect_gaussians(
     `PlyError`) naming field and row, `TooManyGaussians` for more than `max_count`, and `InputError` for an unknown
     format.
     """
+    of_type(dialect, Dialect, "dialect", DIALECT_CURE)
     data = bytes_of(source)
     if name is None and isinstance(source, str | PathLike):
         name = str(source)
@@ -149,6 +151,6 @@ def write_gaussians(path: str | PathLike[str], gaussians: Gaussians, *, format: 
     what the format could not hold.
     """
     chosen = format_of_path(path, field="path") if format is None else format_named(format)
-    encoded = chosen.write(gaussians)
+    encoded = chosen.write(of_type(gaussians, Gaussians, "gaussians", GAUSSIANS_CURE))
     replace_file(Path(path), encoded.data)
     return encoded

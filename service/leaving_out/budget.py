@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ..arguments import listed, real_number, shown, whole_number
+from ..arguments import listed, of_type, real_number, shown, whole_number
 from ..errors import InputError
 from ..plain_number import plain_float
 from .stride import STRIDES
@@ -48,10 +48,9 @@ class Budget:
 
 def checked_budget(budget: Budget | None) -> Budget:
     """`budget`, or the default one for None. Raises `InputError` for anything else."""
-    if budget is not None and not isinstance(budget, Budget):
-        cure = "give a Budget, or leave it out for the default one"
-        raise InputError(f"is a {type(budget).__name__}, need a Budget", field="budget", cure=cure)
-    return Budget() if budget is None else budget
+    if budget is None:
+        return Budget()
+    return of_type(budget, Budget, "budget", "give a Budget, or leave it out for the default one")
 
 
 def checked_max_error(value: float) -> float:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..arguments import shown, whole_number
 from ..errors import ModelError
-from ..process.threads import available_threads
+from ..process.threads import MAX_THREADS, available_threads
 from ..shipped import shipped_model
 from .backends.choice import DEFAULT_ENGINE, EngineName, Session, Sides, checked_engine, identity, made_by, open_session
 from .contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
@@ -27,7 +27,7 @@ class Engine:
         model: str | Path | None = None,
         *,
         threads: int | None = None,
-        prepare: Path | None = None,
+        prepare: str | Path | None = None,
         engine: EngineName = DEFAULT_ENGINE,
     ) -> None:
         """Load `model` (default: the one in the package) for `threads` threads (default: the CPUs of this process).
@@ -40,13 +40,14 @@ class Engine:
         engine = checked_engine(engine)
         file = model_file(shipped_model() if model is None else Path(model))
         count = available_threads() if threads is None else whole_number(threads)
-        if count is None or count < 1:
-            raise ModelError(f"threads = {shown(threads)}, need a whole number of at least 1", field="threads")
+        if count is None or not 1 <= count <= MAX_THREADS:
+            need = f"need a whole number from 1 to {MAX_THREADS}"
+            raise ModelError(f"threads = {shown(threads)}, {need}", field="threads")
         self.threads = count
         if file.weights is not None:
             file.weights.check()
         self.made_by = made_by(engine)
-        self._session = open_session(engine, file, self.threads, prepare)
+        self._session = open_session(engine, file, self.threads, None if prepare is None else Path(prepare))
         self.info = file.info
         self.identity = identity(file.info.file_sha256, engine)
         self.outputs = _checked_signature(self._session, file.path, file.info)

@@ -62,6 +62,9 @@ class Photo:
     def from_image(cls, image: Image.Image, *, index: int | None = None) -> Photo:
         """Convert a PIL image as `decode_image` does that of a file. Raises `ImageError`, also for modes whose colours
         or transparency cannot be interpreted without the file."""
+        if not isinstance(image, Image.Image):
+            what, cure = f"is a {type(image).__name__}, need a PIL image", "an array is taken by from_array"
+            raise ImageError(what, field="images", index=index, cure=cure)
         check_mode(image, index)
         try:
             pixels, orientation = eight_bit(image), _orientation(image)
@@ -213,7 +216,12 @@ def resized(photo: Photo, width: int, height: int) -> Photo:
 
 
 def _checked_pixels(array: object, index: int | None) -> NDArray[np.uint8]:
-    pixels = np.asarray(array)
+    try:
+        pixels = np.asarray(array)
+    except (TypeError, ValueError, RuntimeError) as error:  # torch raises the last for its gradients
+        message = f"is a {type(array).__name__} that gives no array: {error!s:.200}"
+        cure = "give 8-bit RGB with the channels last"
+        raise ImageError(message, field="images", index=index, cure=cure) from error
     if pixels.dtype == np.uint8 and pixels.ndim == 3 and pixels.shape[2] in (3, 4):
         return pixels
     what = f"array is {pixels.dtype} of shape {pixels.shape}"

@@ -6,6 +6,7 @@ import math
 import os
 from pathlib import Path
 
+MAX_THREADS = 1024  # of a network, each with a stack of its own
 PROCESS, MOUNT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 
 

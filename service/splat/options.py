@@ -8,16 +8,22 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arguments import real_number, shown, whole_number
+from ..arguments import listed, of_type, real_number, shown, whole_number
 from ..cameras.camera import Camera
 from ..errors import InputError
-from ..gaussians import Gaussians
+from ..gaussians import GAUSSIANS_CURE, Gaussians
 from .binning import Grid
 from .definition import COMPATIBLE, Definition
 from .spans import MAX_SIDE
 
 OUTPUTS = ("alpha", "depth", "median", "removed", "peaks", "pairs")  # optional outputs beside the colours
 ANALYSIS = ("median", "removed", "peaks", "pairs")  # these are computed together
+
+
+def check_types(gaussians: Gaussians, camera: Camera) -> None:
+    """Raises `InputError` for a scene or a camera of another type."""
+    of_type(gaussians, Gaussians, "gaussians", GAUSSIANS_CURE)
+    of_type(camera, Camera, "camera", "use Camera.make")
 
 
 def checked_definition(definition: Definition | None, near: float | None, compatibility: str | None) -> Definition:
@@ -31,7 +37,9 @@ def checked_definition(definition: Definition | None, near: float | None, compat
         if definition is not None:
             raise InputError("goes without a definition, which it is", field="compatibility")
         definition = COMPATIBLE[compatibility]
-    definition = definition or Definition()
+    if definition is None:
+        definition = Definition()
+    of_type(definition, Definition, "definition", "name a renderer by compatibility, or leave it out for the default")
     if near is None:
         return definition
     plane = real_number(near)
@@ -63,16 +71,22 @@ def checked_size(camera: Camera) -> Grid:
     return Grid(camera.width, camera.height)
 
 
-def checked_outputs(
+def checked_outputs(outputs: Collection[str]) -> list[str]:
+    """The requested outputs, also those of an iterator. Raises `InputError` for unknown ones."""
+    names = listed(outputs, "outputs")
+    for name in names:
+        if name not in OUTPUTS:
+            raise InputError(f"{shown(name)} is unknown, need some of {', '.join(OUTPUTS)}", field="outputs")
+    return names
+
+
+def checked_subset(
     outputs: Collection[str], subset: NDArray[np.bool_] | None, gaussians: Gaussians
 ) -> NDArray[np.bool_] | None:
     """`subset` as a mask (N,) where "removed" is among `outputs`, else None.
 
-    Raises `InputError` for unknown outputs, and for a subset without that output or the reverse.
+    Raises `InputError` for a subset without that output or the reverse.
     """
-    unknown = sorted(set(outputs) - set(OUTPUTS))
-    if unknown:
-        raise InputError(f"{unknown[0]!r} is unknown, need some of {', '.join(OUTPUTS)}", field="outputs")
     if ("removed" in outputs) != (subset is not None):
         cure = "give one" if subset is None else "ask for 'removed' or leave it out"
         raise InputError(f"goes with the output 'removed': {cure}", field="subset")

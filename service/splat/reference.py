@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..cameras.camera import Camera
 from ..gaussians import Gaussians
 from .definition import Definition
-from .options import checked_background, checked_definition, checked_degree
+from .options import check_types, checked_background, checked_definition, checked_degree
 from .order import depth_order
 from .render import Render
 
@@ -57,7 +57,9 @@ def render_reference(
     `removed` sums the weights of the Gaussians in the mask `subset` (N,) and of all layers with alpha below `faint`.
     The other arguments are those of `render`. Raises `InputError`.
     """
+    check_types(gaussians, camera)
     rule, degree = checked_definition(definition, near, compatibility), checked_degree(sh_degree, gaussians)
+    behind = checked_background(background)
     offset = gaussians.means - camera.center
     x, y, z = (offset @ camera.rotation).T
     drawn = (z > rule.near) & (z <= rule.far) & (gaussians.opacities.astype(np.float64) >= rule.alpha_min)
@@ -95,6 +97,6 @@ def render_reference(
         removed += weight * (chosen[i] | (alpha < faint))
         depth, mass, light = depth + weight * z[i], mass + weight, light - weight
     depth = np.divide(depth, mass, out=np.zeros_like(depth), where=mass > 0)
-    colour += light[..., None] * checked_background(background)
+    colour += light[..., None] * behind
     stats = {"count": len(gaussians), "in_range": int(drawn.sum()), "pairs": pairs}
     return Render(colour, 1.0 - light, depth, stats, median, removed, peaks)

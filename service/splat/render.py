@@ -18,10 +18,12 @@ from .blend import Canvas, blend
 from .definition import Definition
 from .options import (
     ANALYSIS,
+    check_types,
     checked_background,
     checked_definition,
     checked_degree,
     checked_outputs,
+    checked_subset,
 )
 from .prepare import DEPTH
 from .sight import Sight, sight
@@ -102,10 +104,12 @@ def render(
 
     Raises `InputError` for a background, degree, plane, thread count, output, subset or size out of range.
     """
+    check_types(gaussians, camera)
     definition = checked_definition(definition, near, compatibility)
     behind = checked_background(background)
     degree = checked_degree(sh_degree, gaussians)
-    marked = checked_outputs(outputs, subset, gaussians)
+    outputs = checked_outputs(outputs)
+    marked = checked_subset(outputs, subset, gaussians)
     with sight(gaussians, camera, definition, degree, threads) as view:
         return draw(view, outputs, marked, behind, between)
 

@@ -12,7 +12,7 @@ from ..arguments import shown, whole_number
 from ..cameras.camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
-from .options import checked_definition
+from .options import check_types, checked_definition, checked_outputs
 from .render import Render, render
 
 AVERAGED = ("alpha", "depth")  # outputs that can be averaged
@@ -25,10 +25,11 @@ def render_supersampled(gaussians: Gaussians, camera: Camera, factor: int, **opt
     with the square of the factor. `stats` are those of the larger image. Raises `InputError` for a factor that is no
     whole number from 1 on, and for outputs other than AVERAGED.
     """
+    check_types(gaussians, camera)
     times = whole_number(factor)
     if times is None or times < 1:
         raise InputError(f"is {shown(factor)}, need a whole number of at least 1", field="factor")
-    outputs = options.pop("outputs", AVERAGED)
+    outputs = checked_outputs(options.pop("outputs", AVERAGED))
     others = sorted(set(outputs) - set(AVERAGED))
     if others:
         raise InputError(f"{others[0]!r} has no mean over samples, need some of {', '.join(AVERAGED)}", field="outputs")
