@@ -48,21 +48,20 @@ def convert(
     quiet: Quiet = False,
 ) -> None:
     """Convert Gaussians between formats; says their count, the bytes, what was lost, and the PSNR of pictures."""
-    from ..captures.capture import open_capture
     from ..errors import InputError
     from ..formats.cost import picture_psnr
     from ..formats.dialect import STANDARD, Dialect
     from ..formats.registry import format_named, format_of_path, inspect_gaussians
     from ..process.disk import named, replace_file
     from ..progress import Stages
-    from .input_file import check_input_file
+    from .input_file import capture_of_option, check_input_file
     from .output_file import check_output_file
 
     cure = "end it in one of them, or give --to"
     target = format_of_path(output, field="OUT", cure=cure) if to is None else format_named(to, field="to")
-    capture = None if measure in ("around", "off") else open_capture(Path(measure))
+    capture = None if measure in ("around", "off") else capture_of_option(Path(measure), "measure")
     cameras = None if capture is None else capture.cameras(range(len(capture.table.names))).cameras
-    check_input_file(source, field="IN")
+    check_input_file(source, "IN", source_format)
     check_output_file(output, as_json=as_json)
     dialect = Dialect(opacity, scales, rotation, axes)
     with ProgressBars(quiet=quiet) as bars:

@@ -80,7 +80,6 @@ def render(
     Where the camera file lacks near and far, the depths of the Gaussians that its cameras see stand in for them.
     """
     from ..cameras.depth_range import depth_range
-    from ..captures.capture import open_capture
     from ..errors import InputError
     from ..formats.dialect import Dialect
     from ..formats.registry import inspect_gaussians
@@ -89,7 +88,7 @@ def render(
     from ..viewpoints.framing import frame, parse_size, square
     from ..viewpoints.scene_views import SceneViews
     from ..viewpoints.seen_depths import seen_depths
-    from .input_file import check_input_file
+    from .input_file import capture_of_option, check_input_file
     from .output_file import check_output_file, check_output_folder
     from .outputs import (
         SHEET_FORMATS,
@@ -104,7 +103,7 @@ def render(
     )
 
     effort = Effort(alpha_min, stop, sh_degree, samples)
-    capture = open_capture(cameras)
+    capture = capture_of_option(cameras, "cameras")
     file = capture.cameras(range(len(capture.table.names)))
     again = path == "inputs"  # such a path may pass a view several times; pictures of it would be equal
     specs = [str(index) for index in range(len(file.views))] if views is None else view_specs(views, repeated=again)
@@ -144,7 +143,7 @@ def render(
     else:
         check_output_folder(output)
     options = {"background": parse_background(background), "threads": threads}
-    check_input_file(ply, field="SCENE")
+    check_input_file(ply, "SCENE", source_format)
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("read"):

@@ -56,4 +56,5 @@ def bands_note(gaussians: Gaussians) -> list[str]:
     degree = gaussians.sh_degree
     if degree == 0:
         return []
-    return [f"harmonics of degree 1 to {degree} are left out: the format holds one colour per Gaussian"]
+    lost = "1" if degree == 1 else f"1 to {degree}"
+    return [f"harmonics of degree {lost} are left out: the format holds one colour per Gaussian"]

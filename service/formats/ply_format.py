@@ -21,6 +21,7 @@ TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
+TYPE_NAMES = {kind: name for name, kind in reversed(TYPES.items())}  # those of most writers
 LENGTH_TYPES = frozenset(name for name, kind in TYPES.items() if kind[0] != "f")
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": None}
 MAX_LISTS = 200_000  # before the vertices, where they are skipped one by one; faces of a mesh come after them

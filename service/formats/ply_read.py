@@ -18,7 +18,7 @@ from ..harmonics import C0
 from .compressed_ply import is_compressed
 from .dialect import AUTO, DIALECT_CURE, ROTATION_NAMES, SCALE_NAMES, Dialect, OpacityForm, ScaleForm, Taken, taken_as
 from .ply_behind import behind
-from .ply_format import Header, parse_header, vertex_columns
+from .ply_format import TYPE_NAMES, Header, parse_header, vertex_columns
 from .reading import DROP_CURE, LARGEST, LARGEST_LOG, Reading, Source, bytes_of, check_count, passed_over
 
 F64 = NDArray[np.float64]
@@ -138,12 +138,13 @@ def _colours(columns: dict[str, F64], header: Header) -> str:
     for name, colour in zip(CONSTANT, COLOURS, strict=True):
         kind = np.dtype(kinds[colour])
         if kind.kind != "f" and kind not in (np.uint8, np.uint16):  # it is unknown which value is white
-            message = f"is of type {kinds[colour]}, need uchar, ushort, float or double"
+            message = f"is of type {TYPE_NAMES[kinds[colour]]}, need uchar, ushort, float or double"
             raise PlyError(message, field=f"vertex.{colour}", cure="write them so, or f_dc_0, f_dc_1 and f_dc_2")
         full = 1.0 if kind.kind == "f" else float(np.iinfo(kind).max)
         _require((columns[colour] >= 0) & (columns[colour] <= full), columns[colour], colour, f"from 0 to {full:g}")
         columns[name] = (columns[colour] / full - 0.5) / C0
-    return f"colours were taken from red, green and blue ({kinds['red']}): the file has no f_dc_0, f_dc_1, f_dc_2"
+    kind_name = TYPE_NAMES[kinds["red"]]
+    return f"colours were taken from red, green and blue ({kind_name}): the file has no f_dc_0, f_dc_1, f_dc_2"
 
 
 def _checked_properties(header: Header) -> tuple[int, bool]:

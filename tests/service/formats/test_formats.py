@@ -163,6 +163,10 @@ def test_a_path_and_its_bytes_and_a_name_say_the_same(tmp_path: Path, name: str)
         assert_same(reading.gaussians, read_gaussians(file, format=f".{name}"))
 
 
+def test_one_band_that_is_left_out_is_no_range() -> None:
+    assert "harmonics of degree 1 are left out" in FORMATS["splat"].write(gaussians(10, 0, 1)).notes[0]
+
+
 def test_what_a_format_cannot_hold_is_said() -> None:
     source = gaussians(100, 0, 2)
     source.scales[3] = 0
