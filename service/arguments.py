@@ -39,6 +39,14 @@ def shown(value: object) -> str:
         return "a number of more digits than can be written"
 
 
+def truth(value: object, field: str) -> bool:
+    """True or False, also numpy's. Raises `InputError` for anything else: the text "no" would count as true."""
+    found = _scalar(value)
+    if not isinstance(found, bool):
+        raise InputError(f"is {shown(value)}, need True or False", field=field)
+    return found
+
+
 def listed(values: Iterable[T], field: str) -> list[T]:
     """All of them, in order; those of an iterator as well. Raises `InputError` for what has no parts, and for text."""
     try:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .arguments import listed, whole_numbers
+from .arguments import listed, truth, whole_numbers
 from .cameras.camera import Camera
 from .cameras.depth_range import DepthRange, depth_range
 from .cameras.foretold import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
@@ -129,11 +129,14 @@ class Reconstructor:
         budget = checked_budget(budget)
         leave_one_out, fade = checked_others(leave_one_out), checked_passes(fade)
         detail = checked_detail(detail, budget.stride)
+        trust_poses = truth(trust_poses, "trust_poses")
         with stages.stage("cameras"):
             images, cameras = listed(images, "images"), listed(cameras, "cameras")
             numbers = range(len(images)) if numbers is None else whole_numbers(numbers, "numbers")
             cameras = _as_cameras(cameras, numbers, len(images))
             depths = depth_range(cameras, near, far)
+            for view in budget.asked:  # a wrong one is refused here, before the network runs
+                SceneViews(cameras, depths.near, depths.far).resolve(view, field="budget.asked")
             warnings += check_views(cameras, depths, trust_poses=trust_poses, numbers=numbers)
             warnings += pose_notices(cameras, depths.near, numbers)
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():

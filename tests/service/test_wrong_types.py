@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from plane_scene import PlaneScene
 
 from gapmes.service import (
+    Budget,
     Camera,
     GapmesError,
     Gaussians,
@@ -26,8 +28,11 @@ from gapmes.service import (
     write_gaussians,
     write_ply,
 )
+from gapmes.service.arguments import shown
 from gapmes.service.errors import GaussiansError, ImageError, ModelError, PoseError
 from gapmes.service.formats.ply_write import ply_bytes
+from gapmes.service.network.engine import Engine
+from gapmes.service.progress import Stage
 from gapmes.service.splat import render_supersampled
 
 ONE = Gaussians.make([[0, 0, 2]], [[0.1, 0.1, 0.1]], [[1, 0, 0, 0]], [0.5], [[[0.5, 0.5, 0.5]]])
@@ -156,3 +161,23 @@ def test_a_network_takes_no_more_threads_than_the_command() -> None:
 def test_the_folder_for_prepared_models_may_be_text(tmp_path: Path) -> None:
     Reconstructor(threads=1, prepare=str(tmp_path / "prepared"))
     assert any((tmp_path / "prepared").iterdir())
+
+
+@pytest.mark.parametrize("value", ["no", 1, 0, None, [False]])
+def test_trust_in_poses_is_true_or_false(value: Any, engine: Engine) -> None:
+    error = _refusal(lambda: Reconstructor(engine).reconstruct([], [], trust_poses=value))
+    assert (error.field, error.message) == ("trust_poses", f"is {shown(value)}, need True or False")
+
+
+@pytest.mark.parametrize("view", ["bogus", "3"])
+def test_a_certified_view_that_is_none_is_refused_before_the_network(
+    view: str, engine: Engine, plane_scene: PlaneScene
+) -> None:
+    def reconstruct() -> None:
+        Reconstructor(engine).reconstruct(
+            plane_scene.images, plane_scene.cameras, budget=Budget(asked=(view,)), listener=begun.append
+        )
+
+    begun: list[Stage] = []
+    assert _refusal(reconstruct).field == "budget.asked"
+    assert {stage.name for stage in begun} == {"cameras"}
