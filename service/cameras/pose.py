@@ -59,8 +59,6 @@ def checked_pose(value: object, *, field: str = "c2w", index: int | None = None)
         if entries.dtype.kind == "c":
             cure = "take its real part, where the imaginary one is rounding"
             raise PoseError("holds complex numbers, need real ones", field=field, index=index, cure=cure)
-        if entries.dtype.kind in "SU":  # numpy would read the numbers in a text
-            raise TypeError("text")
         matrix = entries.astype(np.float64)
         _refuse_words(value, field, index)
     except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # torch raises the last for its gradients
