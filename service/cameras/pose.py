@@ -138,12 +138,9 @@ def _refuse_words(value: object, field: str, index: int | None) -> None:
     """Raises `PoseError` for text and truth values, which numpy would convert."""
     for entry in np.asarray(value, dtype=object).flat:
         if isinstance(entry, str | bytes | bool | np.bool_):
-            raise PoseError(
-                f"holds {entry!r:.50}, need numbers",
-                field=field,
-                index=index,
-                cure="write numbers without quotation marks",
-            )
+            text = isinstance(entry, str | bytes)
+            cure = "write numbers without quotation marks" if text else "write 1 and 0 for true and false"
+            raise PoseError(f"holds {entry!r:.50}, need numbers", field=field, index=index, cure=cure)
 
 
 def inverted_pose(value: object, *, field: str = "c2w", index: int | None = None) -> Pose:

@@ -11,7 +11,7 @@ from typing import Any
 from ..cameras.camera_fields import CameraFile, SizeOf
 from ..cameras.camera_file import parse_camera_file, view_names
 from ..errors import CameraError, CaptureError
-from ..unique_members import parsed
+from ..unique_members import CURE, RepeatedMember, parsed
 from .colmap import has_colmap, is_of_colmap, is_whole, read_colmap
 from .colmap_models import largest_model, models_below, several_models
 from .files import Files, joined, read_bounded
@@ -81,6 +81,8 @@ def table_of_bytes(data: bytes, source: str, parse: Parse = parsed) -> CameraTab
         return read_realestate10k(data, source)
     try:
         obj = parse(data)
+    except RepeatedMember as error:
+        raise CameraError(f"{source} {error}", field="cameras", cure=CURE) from error
     except (ValueError, RecursionError) as error:
         message = f"{source} is not readable JSON: {error}"
         raise CameraError(message, field="cameras", cure="is it the camera file, and complete?") from error

@@ -10,7 +10,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ..errors import MalformedRequest, ServiceBusy, UploadTooLarge
 from ..problem_document import of_error
-from ..unique_members import parsed
+from ..unique_members import CURE, RepeatedMember, parsed
 from . import problems
 
 SETTING = "GAPMES_MAX_UPLOAD_BYTES"
@@ -98,7 +98,7 @@ def parse_json(text: str | bytes, field: str) -> Any:
         raise MalformedRequest(
             f"is not JSON: {error.msg} at line {error.lineno}, column {error.colno}", field=field
         ) from error
-    except ValueError as error:
-        raise MalformedRequest(str(error), field=field, cure="keep the one that is meant") from error
+    except RepeatedMember as error:
+        raise MalformedRequest(str(error), field=field, cure=CURE) from error
     except RecursionError as error:
         raise MalformedRequest("is nested too deeply", field=field) from error
