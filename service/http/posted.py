@@ -50,8 +50,9 @@ def no_file(part: str | None, field: str, example: str, index: int | None = None
 async def posted_form(
     request: Request, settings: Settings, example: str, too_many: InputError
 ) -> AsyncIterator[FormData]:
-    """The form of a request, whose files are closed after the block. A query beside the form is refused. Raises errors
-    of our own only, never the framework's.
+    """The form of a request, whose files are closed after the block, without the empty parts that browsers send for
+    file inputs where no file was chosen. A query beside the form is refused. Raises errors of our own only, never the
+    framework's.
 
     `example` is a command that sends such a form; `too_many` is raised for more than `MAX_PARTS` files.
     """
@@ -86,9 +87,14 @@ async def posted_form(
     except UnicodeError as error:
         raise MalformedRequest("names are not in the body's declared charset", field="body") from error
     try:
-        yield form
+        yield FormData([(name, part) for name, part in form.multi_items() if not _unselected(part)])
     finally:
         await form.close()
+
+
+def _unselected(part: UploadFile | str) -> bool:
+    """Whether a browser sent this part for a file input without a file: it has neither a file name nor contents."""
+    return isinstance(part, UploadFile) and not part.filename and not part.size
 
 
 class _Parser(MultiPartParser):

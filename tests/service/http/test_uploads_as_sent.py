@@ -1,12 +1,17 @@
-"""Bodies and parts that clients send otherwise than curl does: compressed ones, and names in another form."""
+"""Bodies and parts that clients send otherwise than curl does: compressed ones, names in another form, inputs of a page
+where no file was chosen."""
 
 from __future__ import annotations
 
 import gzip
+import json
 
 import pytest
-from http_requests import assert_problem
+from format_cases import moderate
+from http_requests import assert_problem, camera_object, photograph
 from starlette.testclient import TestClient
+
+from gapmes.service.formats.ply import ply_bytes
 
 FORM = "multipart/form-data; boundary=x"
 RAW = "application/octet-stream"
@@ -40,3 +45,24 @@ def test_a_part_with_a_name_of_another_form_is_told_the_right_one(client: TestCl
     answer = client.post(path, content=part.encode(), headers={"Content-Type": FORM})
     problem = assert_problem(answer, 422, "invalid_input", field)
     assert "with `filename=` in its Content-Disposition" in problem["cure"]
+
+
+def body(*parts: tuple[str, bytes]) -> bytes:
+    heads = [f"--x\r\nContent-Disposition: form-data; {head}\r\n\r\n".encode() for head, _ in parts]
+    return b"".join(head + data + b"\r\n" for head, (_, data) in zip(heads, parts, strict=True)) + b"--x--\r\n"
+
+
+def test_a_file_input_where_none_was_chosen_is_no_part(client: TestClient) -> None:
+    """A browser sends it with an empty file name and nothing in it."""
+    headers, none = {"Content-Type": FORM}, 'name="{}"; filename=""\r\nContent-Type: application/octet-stream'
+    scene = ('name="file"; filename="scene.ply"', ply_bytes(moderate(20, 0, 0)))
+    answer = client.post("/scenes", content=body(scene, (none.format("cameras"), b"")), headers=headers)
+    assert answer.json()["depth_range_source"] == "framing"
+    client.delete(answer.headers["location"])
+    photographs = [(f'name="images"; filename="{i}.png"', photograph(i)) for i in range(2)]
+    parts = [*photographs, ('name="cameras"', json.dumps(camera_object(2)).encode()), (none.format("capture"), b"")]
+    assert client.post("/check", content=body(*parts), headers=headers).status_code == 200
+    answer = client.post("/scenes", content=body((none.format("file"), b"")), headers=headers)
+    assert assert_problem(answer, 422, "invalid_input", "file")["detail"] == "is missing"
+    named = ('name="cameras"; filename="cameras.json"', b"")  # a file that was chosen and is empty
+    assert_problem(client.post("/scenes", content=body(scene, named), headers=headers), 400, "malformed_request")
