@@ -54,6 +54,9 @@ class EventsQuery(Parameters):
     after: Annotated[int, BeforeValidator(whole)] = Field(
         0, ge=0, le=2**31, description="as Last-Event-ID, where headers cannot be set"
     )
+    last_event_id: Annotated[int, BeforeValidator(whole)] = Field(
+        0, alias="lastEventId", ge=0, le=2**31, description="the same, as replacements of EventSource name it"
+    )
 
 
 @router.head("/jobs/{job_id:path}/events", include_in_schema=False)
@@ -68,14 +71,14 @@ async def job_events(
     """Server-sent events `state` and `stage`, numbered, from the first or after the last one received, with comments as
     a heartbeat; the stream ends with the job."""
     runtime.jobs.table.get(job_id)
-    after = query.after
+    after = max(query.after, query.last_event_id)
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     if request.method == "HEAD":
         return head_alone(EVENTS, headers)
     if last_event_id is not None and last_event_id.isascii() and last_event_id.isdigit():
         after = int(last_event_id[:10])
     events = _events(request, runtime, job_id, after)
-    first = await anext(events)  # occupies a place, or raises `ServiceBusy` before the answer has begun
+    first = await anext(events)  # occupies a slot, or raises `ServiceBusy` before the answer has begun
     return StreamingResponse(_from(first, events), media_type=EVENTS, headers=headers)
 
 

@@ -96,8 +96,11 @@ def test_a_stream_goes_on_where_it_was_left(client: TestClient) -> None:
     job = ask(client, 102)
     every = followed(client, job)[1:]
     assert followed(client, job, **{"Last-Event-ID": "3"})[1:] == every[3:]
-    with client.stream("GET", job["links"]["events"] + "?after=5") as stream:
-        assert f"id: {every[5]['id']}\n" in "".join(stream.iter_text())
+    for query in ("after=5", "lastEventId=5", "after=2&lastEventId=5"):
+        with client.stream("GET", f"{job['links']['events']}?{query}") as stream:
+            text = "".join(stream.iter_text())
+        assert f"id: {every[5]['id']}\n" in text
+        assert f"id: {every[4]['id']}\n" not in text
     assert followed(client, job, **{"Last-Event-ID": "no number"})[1:] == every
     assert followed(client, job, **{"Last-Event-ID": "9" * 40})[1:] == []
 
