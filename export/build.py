@@ -14,13 +14,13 @@ import onnx_ir as ir
 import torch
 from torch.export import Dim
 
+from gapmes.model.allocation import lacks_memory
 from gapmes.model.architectures import Network
 from gapmes.service.network.contract import INPUTS
 
 from .fold import folded
 from .graph import SceneGraph, folded_position_embeddings
 from .linear_layers import deployed_linear_layers
-from .memory import lacks_memory
 from .samples import random_scene
 from .size import Size
 
@@ -93,7 +93,7 @@ def _exportable(height: int, width: int) -> Iterator[None]:
     try:
         yield
     except torch.onnx.OnnxExporterError as error:
-        if lacks_memory(str(error)):
+        if lacks_memory(error):
             raise
         cause = error.__cause__ or error
         told = next(iter(str(cause).splitlines()), "")[:200]

@@ -1,4 +1,4 @@
-"""Lack of memory, told from the words of torch, onnxruntime and Python, as an error with its cure."""
+"""Lack of memory during an export as an error with its cure."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from gapmes.model.allocation import lacks_memory
+
 CURE = "take a smaller --size, or a machine with more memory"
-_WORDS = re.compile(
-    r"can't allocate memory|not enough memory|(cannot|failed to|unable to) allocate|bad_alloc|MemoryError",
-    re.IGNORECASE,
-)
 _BYTES = re.compile(r"allocate (\d+) bytes|buffer of size (\d+)")
 
 
@@ -24,14 +22,9 @@ def enough_memory(height: int, width: int) -> Iterator[None]:
     try:
         yield
     except (MemoryError, RuntimeError) as error:
-        if not isinstance(error, MemoryError) and not lacks_memory(str(error)):
+        if not lacks_memory(error):
             raise
         raise OutOfMemory(f"not enough memory to export for {height}x{width} px{_asked(str(error))}: {CURE}") from error
-
-
-def lacks_memory(text: str) -> bool:
-    """Whether an error's text, or the last line of a traceback, tells of a failed allocation."""
-    return _WORDS.search(text) is not None
 
 
 def _asked(text: str) -> str:

@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 
 import onnx
 
+from gapmes.model.allocation import lacks_memory
 from gapmes.model.architectures import licence
 from gapmes.model.pretrained.fit import Fit
 from gapmes.model.weights_file import file_sha256
@@ -213,5 +214,5 @@ def _no_verdict(code: int, told: str) -> str:
         name = next((known.name for known in signal.Signals if known == -code), f"signal {-code}")
         return f"the verification process was ended by {name}{cure}"
     last = next((line.strip() for line in reversed(told.splitlines()) if line.strip()), "it does not say why")
-    cure = f"; {memory.CURE}" if memory.lacks_memory(last) else ""
+    cure = f"; {memory.CURE}" if lacks_memory(last) else ""
     return f"the verification process ended with {code}: {last}{cure}"

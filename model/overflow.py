@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from .allocation import lacks_memory
 from .weights_file import CheckpointError
 
 PROBE_SIDE = 64  # px: every network takes it, and what overflows there does so at any size
@@ -19,11 +20,16 @@ _FAILURES = (ArithmeticError, IndexError, RuntimeError, ValueError)  # of a netw
 
 def refuse_overflow(path: Path, network: nn.Module) -> None:
     """Raises `CheckpointError` for a file whose `network` overflows on two small pictures of noise, naming the layer
-    and the largest weight, or cannot compute them; it has to be in evaluation mode."""
+    and the largest weight, or cannot compute them, for lack of memory too; it has to be in evaluation mode."""
     try:
         found = overflow(network, lambda: network(*_probe()))
     except _FAILURES as error:
         told = next(iter(str(error).splitlines()), "")[:200]
+        if lacks_memory(error):
+            raise CheckpointError(
+                f"{path}: not enough memory to compute two pictures of {PROBE_SIDE} px with its network ({told}): take "
+                "a machine with more memory, or a smaller preset"
+            ) from error
         raise CheckpointError(
             f"{path}: its network cannot compute two pictures of {PROBE_SIDE} px ({type(error).__name__}: {told}); "
             "sizes in its configuration do not go together: take the one that the weights were trained with"

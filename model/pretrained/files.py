@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..allocation import lacks_memory
 from ..weights_file import CheckpointError, file_sha256, some, why_no_file
 from .safetensors_file import read_safetensors
 
@@ -115,6 +116,8 @@ def _read_torch(path: Path) -> TensorFile:
 
 
 def _refusal(path: Path, error: Exception) -> str:
+    if lacks_memory(error):
+        return f"not enough memory to read {path}, of {path.stat().st_size} bytes: take a machine with more"
     try:
         objects = torch.serialization.get_unsafe_globals_in_checkpoint(path)
     except Exception:  # not in the zip format, or damaged: then the message says what there is to say

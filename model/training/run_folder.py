@@ -16,6 +16,7 @@ from torch import Tensor
 
 from gapmes.service.process.disk import replace_file
 
+from ..allocation import lacks_memory
 from ..checkpoint import save_checkpoint
 from ..network import GaPMeS
 from .differences import differences
@@ -112,6 +113,8 @@ def _check_sums(path: Path) -> None:
 
 def _damaged(path: Path, error: Exception) -> Refused:
     reason = next(iter(str(error).splitlines()), "")[:200]
+    if lacks_memory(error):
+        return Refused(f"not enough memory to read {path} ({type(error).__name__}: {reason}); free some, and go on")
     return Refused(
         f"{path} cannot be read as the state of a run ({type(error).__name__}: {reason}); it is damaged or of another "
         f"version: use a new folder; what may be of use yet is {WEIGHTS} beside it"

@@ -146,3 +146,13 @@ def test_a_network_that_cannot_compute_is_refused_and_not_traced_back() -> None:
         CheckpointError, match=r"a\.pth: its network cannot compute two pictures of 64 px \(RuntimeError"
     ):
         refuse_overflow(Path("a.pth"), Unfit())
+
+
+def test_a_network_without_memory_to_compute_is_not_called_unfit() -> None:
+    class Large(nn.Module):
+        def forward(self, *given: Tensor) -> Tensor:
+            return torch.empty(2**58)
+
+    with pytest.raises(CheckpointError, match=r"a\.pth: not enough memory to compute two pictures of 64 px") as told:
+        refuse_overflow(Path("a.pth"), Large())
+    assert "go together" not in str(told.value)

@@ -97,3 +97,12 @@ def test_a_file_of_torch_s_that_is_cut_short_is_told_with_its_bytes(tmp_path: Pa
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(CheckpointError, match=rf"cut short, as its {path.stat().st_size} bytes lack the directory"):
         read_tensors(path)
+
+
+def test_a_lack_of_memory_is_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another download would not help."""
+    path = tmp_path / "a.pth"
+    torch.save({"a": torch.zeros(100)}, path)
+    monkeypatch.setattr(torch, "load", lambda *_, **__: torch.empty(2**58))
+    with pytest.raises(CheckpointError, match=rf"not enough memory to read .*, of {path.stat().st_size} bytes"):
+        read_tensors(path)

@@ -51,6 +51,14 @@ def test_a_run_of_another_number_of_threads_is_not_continued(tmp_path: Path) -> 
         run(one, tmp_path)
 
 
+def test_a_lack_of_memory_is_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new folder would throw a good state away."""
+    monkeypatch.setattr(torch, "load", lambda *_, **__: torch.empty(2**58))
+    with pytest.raises(run_folder.Refused, match=r"not enough memory to read .*state\.pt .*; free some") as told:
+        run_folder.read_state(tmp_path / run_folder.STATE)
+    assert "damaged" not in str(told.value)
+
+
 @pytest.mark.parametrize("room", [0, 10, 100_000])
 def test_a_full_disk_is_said_of_the_file(room: int, tmp_path: Path) -> None:
     """torch's own message would be that a position is unexpected."""
