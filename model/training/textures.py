@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Literal
 
 import numpy as np
@@ -91,6 +92,6 @@ def _cached_rows(path: Path) -> NDArray[np.uint8] | None:
     """(COUNT, ROW_BYTES + 1) texels and `flat` of each texture; None unless the file has this size and type."""
     try:
         rows = np.load(path, mmap_mode="r")
-    except (FileNotFoundError, EOFError, ValueError):  # the last two: cut short, or another file
+    except (FileNotFoundError, EOFError, ValueError, TokenError):  # all but the first: damaged, or another file
         return None
     return rows if (rows.shape, rows.dtype) == ((COUNT, ROW_BYTES + 1), np.uint8) else None
