@@ -47,7 +47,7 @@ class AnsweredInTime:
     """ASGI middleware: 503 for a request that has no answer at the deadline, instead of a closed connection."""
 
     def __init__(self, app: ASGIApp, shutdown_deadline: ShutdownDeadline, seconds: float) -> None:
-        self._app, self._curfew, self._seconds = app, shutdown_deadline, seconds
+        self._app, self._deadline, self._seconds = app, shutdown_deadline, seconds
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -60,7 +60,7 @@ class AnsweredInTime:
             begun = True
             await send(message)
 
-        with self._curfew.until():
+        with self._deadline.until():
             await self._app(scope, receive, watched)
             done = True
         if not done and not begun:

@@ -21,7 +21,7 @@ class BodyLeft:
     it, and many clients then lose the answer."""
 
     def __init__(self, app: ASGIApp, shutdown_deadline: ShutdownDeadline) -> None:
-        self._app, self._curfew = app, shutdown_deadline
+        self._app, self._deadline = app, shutdown_deadline
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope) if scope["type"] == "http" else Headers()
@@ -39,7 +39,7 @@ class BodyLeft:
             return message
 
         async def rest(most: int, seconds: float) -> None:
-            with self._curfew.until(), anyio.move_on_after(GRACE_S / 2 if self._curfew.over else seconds):
+            with self._deadline.until(), anyio.move_on_after(GRACE_S / 2 if self._deadline.over else seconds):
                 while not ended and most > 0:
                     most -= len((await watched()).get("body", b""))
 

@@ -247,14 +247,14 @@ def test_weights_of_another_configuration_are_refused(tmp_path: Path) -> None:
         loop.train(preset("tiny"), SMALL, tmp_path / "run", initial=tmp_path / "other.safetensors")
 
 
-@pytest.mark.parametrize("pays", [True, False])
-def test_it_computes_coarsely_where_that_pays(pays: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("fast", [True, False])
+def test_it_computes_in_bfloat16_where_that_is_fast(fast: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[GaPMeS] = []
-    monkeypatch.setattr(loop, "bfloat16_is_fast", lambda device: pays)
+    monkeypatch.setattr(loop, "bfloat16_is_fast", lambda device: fast)
     monkeypatch.setattr(loop, "use_bfloat16", done.append)
     one = replace(SMALL, steps=1)
     loop.train(preset("tiny"), one, tmp_path, validate_every=9, validation_scenes=1)
-    assert len(done) == pays
-    monkeypatch.setattr(loop, "bfloat16_is_fast", lambda device: not pays)
+    assert len(done) == fast
+    monkeypatch.setattr(loop, "bfloat16_is_fast", lambda device: not fast)
     with pytest.raises(ValueError, match="another precision"):
         loop.train(preset("tiny"), one, tmp_path)

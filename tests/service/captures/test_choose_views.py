@@ -214,7 +214,7 @@ def test_a_single_view_is_too_few_for_a_reconstruction_alone() -> None:
         several_named_views("neither", NAMES, field="views")
 
 
-def test_wishes_that_cannot_be() -> None:
+def test_selections_that_cannot_be() -> None:
     assert checked_selection(ViewSelection("0,1")) == ViewSelection("0,1")
     for count, said in ((0, "0 views"), (1, "1 view"), (7, "7 views")):
         with pytest.raises(ViewCountError, match=f"{said}, need 2 to 6"):

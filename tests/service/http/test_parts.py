@@ -31,7 +31,7 @@ def held(queue: WorkQueue, seconds: float) -> asyncio.Task[None]:
     return asyncio.create_task(queue.run(lambda: time.sleep(seconds), here))
 
 
-def test_a_lane_takes_as_many_as_it_says() -> None:
+def test_a_queue_takes_as_many_as_it_says() -> None:
     async def scenario() -> None:
         queue = WorkQueue("pictures", 1, 1, 9.0, "drawing")
         tasks = [held(queue, 0.05), held(queue, 0.05)]
@@ -44,7 +44,7 @@ def test_a_lane_takes_as_many_as_it_says() -> None:
     asyncio.run(scenario())
 
 
-def test_a_lane_survives_a_failure_inside() -> None:
+def test_a_queue_survives_a_failure_inside() -> None:
     async def scenario() -> None:
         queue = WorkQueue("pictures", 1, 0, 9.0, "drawing")
         for _ in range(3):

@@ -170,7 +170,7 @@ def test_unknown_scenes(client: TestClient, scene_id: str, kind: str) -> None:
     assert_problem(client.delete(f"/scenes/{scene_id}/{kind}"), 404, "scene_not_found")
 
 
-def test_a_full_lane_is_503(client: TestClient, scene: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_queue_is_503(client: TestClient, scene: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client.app.state.runtime.pictures.limit, "most", 0)
     for kind in ("preview", "sheet"):
         assert_problem(client.get(scene["links"][kind]), 503, "service_busy")
@@ -250,7 +250,7 @@ def test_others_come_between_two_steps() -> None:
 
 
 @pytest.mark.parametrize("ending", [ClientDisconnect, ServiceBusy, ZeroDivisionError])
-def test_a_lane_survives_steps_that_end_early(ending: type[Exception]) -> None:
+def test_a_queue_survives_steps_that_end_early(ending: type[Exception]) -> None:
     """At a pause because nobody waits, at a pause because others do not end, or by a fault of its own."""
     steps: list[int] = []
 
