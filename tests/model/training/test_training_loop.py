@@ -248,7 +248,7 @@ def test_weights_of_another_configuration_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fast", [True, False])
-def test_it_computes_in_bfloat16_where_that_is_fast(fast: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_computes_in_bfloat16_if_that_is_fast(fast: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[GaPMeS] = []
     monkeypatch.setattr(loop, "bfloat16_is_fast", lambda device: fast)
     monkeypatch.setattr(loop, "use_bfloat16", done.append)
