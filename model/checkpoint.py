@@ -66,8 +66,9 @@ def _likely(path: Path) -> str:
 
 
 def _preset_of(tensors: Mapping[str, Tensor]) -> str:
-    """The preset with exactly these tensor names and shapes, or an empty string."""
-    shapes = {name: value.shape for name, value in tensors.items()}
+    """The preset with exactly these tensor names, behind a `wrapper_of` all of them, and shapes, or an empty string."""
+    wrapper = wrapper_of(tensors)
+    shapes = {name.removeprefix(wrapper): value.shape for name, value in tensors.items()}
     for name, config in PRESETS.items():
         with torch.device("meta"):
             wanted = {key: value.shape for key, value in GaPMeS(config).state_dict().items()}
