@@ -11,7 +11,6 @@ CNN_CHANNELS = (64, 96, 128)  # at 1/2, 1/2 and 1/4 resolution, or at 1/2, 1/4 a
 COARSEST = (4, 8)  # the published networks match first at 1/4 or at 1/8 of the pictures' resolution
 FEATURES = 128  # channels of the multi-view features at the coarsest resolution
 WINDOWS = 2  # attention windows along each axis
-NEIGHBOURS = 2  # other views that a view is compared with, the nearest ones
 PLANES = 128  # candidates of the first scale, uniform in inverse depth
 SH_DEGREE = 2
 SCALE_MIN, SCALE_MAX = 1e-10, 3.0  # in the network's units: the service gives it the near depth as one
