@@ -148,7 +148,7 @@ def _side(value: float, name: str, field: str, index: int | None) -> int:
     """A side in px as `int`, also of a float without a fraction. Raises `CameraError` for anything else."""
     number = real_number(value)
     if number is None or not 1 <= number <= MAX_SIDE or not number.is_integer():
-        told = shown(value) if number is None else f"{number:g}"
+        told = shown(value) if number is None else f"{number:.12g}"
         message = f"{name} = {told}, need whole numbers from 1 to {MAX_SIDE}"
         raise CameraError(message, field=f"{field}.{name}", index=index, cure="give the size of the photograph in px")
     return int(number)

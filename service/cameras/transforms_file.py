@@ -117,7 +117,7 @@ def _size(values: Mapping, name: str | None, size_of: SizeOf | None, index: int)
         )
         for member, side in zip("wh", size, strict=True):
             if side != int(side) or not 1 <= side <= MAX_SIDE:
-                message = f"{member} = {side:g}, need whole numbers from 1 to {MAX_SIDE}"
+                message = f"{member} = {side:.12g}, need whole numbers from 1 to {MAX_SIDE}"
                 cure = "give the size of the photograph in px"
                 raise CameraError(message, field=f"frames.{member}", index=index, cure=cure)
         return int(size[0]), int(size[1])

@@ -13,20 +13,20 @@ from gapmes.service.captures.recognise import table_of_bytes
 from gapmes.service.errors import CameraError, IntrinsicsError, PoseError
 
 
-@pytest.mark.parametrize(("name", "value"), [("width", 0), ("height", -480), ("height", 480.5), ("width", 2**31)])
+@pytest.mark.parametrize(("name", "value"), [("width", 0), ("height", -480), ("height", 1234567.5), ("width", 2**31)])
 def test_the_side_that_is_none_is_named(name: str, value: float) -> None:
     file = our_file()
     file["views"][1][name] = value
     with pytest.raises(
-        CameraError, match=f"^views.{name}: {name} = .*, need whole numbers from 1 to 2147483647"
+        CameraError, match=f"^views.{name}: {name} = {value}, need whole numbers from 1 to 2147483647"
     ) as caught:
         parse_camera_file(file)
     assert (caught.value.field, caught.value.index) == (f"views.{name}", 1)
 
 
-@pytest.mark.parametrize(("name", "value"), [("w", 0), ("h", -480), ("h", 480.5), ("w", 2**31)])
+@pytest.mark.parametrize(("name", "value"), [("w", 0), ("h", -480), ("h", 1234567.5), ("w", 2**31)])
 def test_the_side_of_a_frame_is_named(name: str, value: float) -> None:
-    with pytest.raises(CameraError, match=f"{name} = .*, need whole numbers from 1 to 2147483647") as caught:
+    with pytest.raises(CameraError, match=f"{name} = {value}, need whole numbers from 1 to 2147483647") as caught:
         parse_camera_file(transforms(**{name: value}))
     assert (caught.value.field, caught.value.index) == (f"frames.{name}", 0)
     assert caught.value.cure
