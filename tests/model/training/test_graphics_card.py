@@ -85,11 +85,11 @@ def test_bfloat16_changes_the_prediction_by_its_rounding() -> None:
     if not bfloat16_is_fast(CARD):
         pytest.skip("this card does not compute in bfloat16")
     exact = tiny().to(CARD)
-    coarse = copy.deepcopy(exact)
-    use_bfloat16(coarse)
+    fast = copy.deepcopy(exact)
+    use_bfloat16(fast)
     inputs = [value.to(CARD) for value in scene(1, 2, 64)]
     with torch.no_grad():
-        expected, got = exact(*inputs), coarse(*inputs)
+        expected, got = exact(*inputs), fast(*inputs)
     difference = (expected.estimate.full - got.estimate.full).abs()
     assert 0 < float(difference.mean()) < 1e-4  # as on the processor
     assert float(difference.max()) < 3e-3
