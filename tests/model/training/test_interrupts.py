@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from test_scenes_ahead import _drawing, _eventually, _gone
+from child_processes import eventually, gone, in_a_terminal, spawned
 
 
 def _blocks_interrupts(pid: int) -> bool:
@@ -28,21 +27,15 @@ def _blocks_interrupts(pid: int) -> bool:
     ],
 )
 def test_processes_that_begin_tell_nothing_of_an_interrupt(command: list[str], told: str, tmp_path: Path) -> None:
-    with subprocess.Popen(
-        [sys.executable, "-m", *command, "--processes", "2", "--steps", "60", "--quiet"],
-        cwd=tmp_path,
-        start_new_session=True,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background shell has it ignored
-    ) as run:
-        _eventually(lambda: len(_drawing(run.pid)) == 2)
-        processes = _drawing(run.pid)
+    started = [sys.executable, "-m", *command, "--processes", "2", "--steps", "60", "--quiet"]
+    with in_a_terminal(started, tmp_path) as run:
+        eventually(lambda: len(spawned(run.pid)) == 2)
+        processes = spawned(run.pid)
         blocked = all(map(_blocks_interrupts, processes))  # or one that imports would end in a traceback
-        _eventually(lambda: all("libtorch" in Path(f"/proc/{process}/maps").read_text() for process in processes))
+        eventually(lambda: all("libtorch" in Path(f"/proc/{process}/maps").read_text() for process in processes))
         os.killpg(run.pid, signal.SIGINT)
         _, heard = run.communicate(timeout=120)
-    _eventually(lambda: all(map(_gone, processes)))
+    eventually(lambda: all(map(gone, processes)))
     assert blocked
     assert (run.returncode, heard) == (130, told)
     assert not (tmp_path / "choice.npz").exists()

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
-import time
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import fields, replace
 from pathlib import Path
@@ -15,6 +12,7 @@ from pathlib import Path
 import numba
 import pytest
 import torch
+from child_processes import eventually, gone, in_a_terminal, spawned
 
 from gapmes.model.training import ahead
 from gapmes.model.training.recipe import Phase, Recipe
@@ -44,28 +42,6 @@ def _same(a: StepScenes, b: StepScenes) -> bool:
     return all(tensors) and (a.torch_seed, a.withheld) == (b.torch_seed, b.withheld)
 
 
-def _children(pid: int) -> list[int]:
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def _drawing(pid: int) -> list[int]:
-    """The child processes that generate scenes; another one manages what processes share."""
-    return [child for child in _children(pid) if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text()]
-
-
-def _eventually(is_so: Callable[[], bool]) -> None:
-    until = time.monotonic() + 120
-    while not is_so():
-        assert time.monotonic() < until
-        time.sleep(0.01)
-
-
-def _gone(pid: int) -> bool:
-    """Gone, or ended but not reaped: orphans stay so if nobody reaps them."""
-    stat = Path(f"/proc/{pid}/stat")
-    return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z"
-
-
 def test_they_are_the_same_to_the_bit_and_in_order() -> None:
     worker, steps = Worker(1, 2), range(1, SMALL.steps)
     with closing(ahead.drawn_steps(SMALL, steps, worker, 2)) as coming:
@@ -74,7 +50,7 @@ def test_they_are_the_same_to_the_bit_and_in_order() -> None:
     assert len(found) == len(expected)
     assert all(map(_same, found, expected))
     assert not any(_same(expected[0], other) for other in expected[1:])
-    assert not _drawing(os.getpid())
+    assert not spawned(os.getpid())
 
 
 def test_a_step_has_noise_zoom_and_withheld_evidence_as_often_as_the_recipe_says() -> None:
@@ -94,15 +70,15 @@ def test_a_step_has_noise_zoom_and_withheld_evidence_as_often_as_the_recipe_says
 def test_a_run_that_stops_ends_them() -> None:
     with closing(ahead.drawn_steps(SMALL, range(1000), Worker(), 1)) as coming:
         next(coming)
-        assert len(_drawing(os.getpid())) == 1
-    assert not _drawing(os.getpid())
+        assert len(spawned(os.getpid())) == 1
+    assert not spawned(os.getpid())
 
 
 def test_one_that_is_killed_while_it_hands_over_is_a_refusal() -> None:
     """The reader of half a message does not wait for the rest."""
     with ahead._started(LARGE, range(1000), Worker(), 1) as pipes:
         assert pipes[0].poll(120)  # the message has begun, and does not fit
-        (process,) = _drawing(os.getpid())
+        (process,) = spawned(os.getpid())
         os.kill(process, signal.SIGKILL)
         with pytest.raises(Refused, match=r"a process that draws scenes ended.* fewer --loaders"):
             ahead._received(pipes[0])
@@ -122,21 +98,15 @@ COMMAND += ["--steps", "60"]  # longer than it is let live, and no run of hours 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
 def test_a_command_that_ends_takes_them_along_also_while_they_begin(end: signal.Signals, tmp_path: Path) -> None:
     """All of a terminal's processes hear an interrupt; one line tells of it. Of what is killed none stays."""
-    with subprocess.Popen(
-        [*COMMAND, str(tmp_path / "run")],
-        start_new_session=True,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background shell has it ignored
-    ) as run:
-        _eventually(lambda: len(_drawing(run.pid)) == 2)
-        loaders = _drawing(run.pid)
+    with in_a_terminal([*COMMAND, "run"], tmp_path) as run:
+        eventually(lambda: len(spawned(run.pid)) == 2)
+        loaders = spawned(run.pid)
         if end == signal.SIGINT:
             os.killpg(run.pid, end)
         else:
             run.kill()
         _, told = run.communicate(timeout=120)
-    _eventually(lambda: all(map(_gone, loaders)))
+    eventually(lambda: all(map(gone, loaders)))
     assert run.returncode == (130 if end == signal.SIGINT else -end)
     if end == signal.SIGINT:
         assert told == "stopped; the same command goes on from the last state\n"
