@@ -18,6 +18,7 @@ from .mending.detail_level import DETAILS
 from .model_names import model_paths
 from .network.backends.choice import DEFAULT_ENGINE, EngineName
 from .process.home import at_home
+from .process.threads import MAX_THREADS
 
 PREFIX = "GAPMES_"
 # Variables that begin so and are read elsewhere: by docker/compose.yaml, by setup.py, and by tests/parity.
@@ -87,7 +88,7 @@ class Settings(BaseSettings):
     threads: int | None = Field(
         None,
         ge=1,
-        le=1024,
+        le=MAX_THREADS,
         description="CPU threads for network and splatter; empty means all cores, or the container's share of them",
     )
     workers: int = Field(1, ge=1, le=256, description="processes that share the port and the store")

@@ -9,11 +9,12 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor
 
 from gapmes.service.errors import InputError
+
+from ..pretrained.safetensors_file import read_safetensors
+from ..weights_file import CheckpointError
 
 F32 = NDArray[np.float32]
 
@@ -66,9 +67,9 @@ class Lpips:
     def load(cls, path: Path) -> Lpips:
         """Read a .safetensors file. Raises `InputError` where it is none or holds other weights."""
         try:
-            return cls(load_file(path))
-        except (OSError, SafetensorError) as error:
-            raise InputError(f"{path} cannot be read as safetensors: {error}", field="lpips") from error
+            return cls(read_safetensors(path)[0])
+        except CheckpointError as error:
+            raise InputError(str(error), field="lpips") from error
 
     def distance(self, a: F32, b: F32, mask: NDArray[np.bool_] | None = None) -> float:
         """Distance of two (3, H, W) pictures in [0, 1], at least 32 px; 0 when they are equal.

@@ -162,7 +162,7 @@ def _check_focal(value: float, size: float, name: str, field: str, index: int | 
     cure = "give it in px of a picture of this very size: it grows with the picture"
     if value <= 0:
         cure = "focal lengths are positive; a negative one means flipped axes"
-    elif 0.1 <= value <= 20:
+    elif LEAST_FOCAL <= value <= MOST_FOCAL:
         cure = f"these look normalised; multiply {name} by the image size, which would be {value * size:.4g} px"
     least, most = LEAST_FOCAL * size, MOST_FOCAL * size
     raise IntrinsicsError(

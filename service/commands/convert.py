@@ -10,6 +10,7 @@ import typer
 
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
+from ..process.threads import MAX_THREADS
 from .dialect_options import (
     AxesOption,
     DropInvalidOption,
@@ -43,7 +44,7 @@ def convert(
         str,
         typer.Option(metavar="CAMERAS|around|off", help="cameras from which pictures are compared; off: no comparison"),
     ] = "around",
-    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, max=MAX_THREADS, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
     quiet: Quiet = False,
 ) -> None:

@@ -14,6 +14,7 @@ from ..mending.fade_passes import DEFAULT_PASSES, checked_passes
 from ..network.backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
+from ..process.threads import MAX_THREADS
 from .summary import check_line, fading_line, left_out_lines, selection_line
 
 
@@ -65,7 +66,7 @@ def reconstruct(
     ] = 1,
     model: Annotated[Path | None, typer.Option(readable=False, help="ONNX model [default: the packaged one]")] = None,
     engine: Annotated[str, typer.Option(help=f"engine that runs the network: {', '.join(ENGINES)}")] = DEFAULT_ENGINE,
-    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, max=MAX_THREADS, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
     quiet: Quiet = False,
 ) -> None:

@@ -12,6 +12,7 @@ import typer
 from ..pictures.effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
+from ..process.threads import MAX_THREADS
 from ..viewpoints.camera_path import PathName
 from .dialect_options import (
     AxesOption,
@@ -71,7 +72,7 @@ def render(
     rotation: RotationOption = "auto",
     axes: AxesOption = "rub",
     drop_invalid: DropInvalidOption = False,
-    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, max=MAX_THREADS, help="CPU threads [default: all]")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
     quiet: Quiet = False,
 ) -> None:

@@ -18,6 +18,7 @@ import typer
 from ..errors import InputError
 from ..network.backends.choice import DEFAULT_ENGINE, ENGINES
 from ..process.terminal import ProgressBars
+from ..process.threads import MAX_THREADS
 from ..progress import Stages
 from .given import given, path_option
 
@@ -46,7 +47,9 @@ def serve(
         ),
     ] = None,
     store: Annotated[Path | None, path_option("folder of the scenes [default: GAPMES_STORE]")] = None,
-    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads per process [default: all]")] = None,
+    threads: Annotated[
+        int | None, typer.Option(min=1, max=MAX_THREADS, help="CPU threads per process [default: all]")
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, max=256, help="processes [default: GAPMES_WORKERS or 1]")
     ] = None,

@@ -6,7 +6,7 @@ import math
 import os
 from pathlib import Path
 
-MAX_THREADS = 1024  # of a network, each with a stack of its own
+MAX_THREADS = 1024  # that can be asked for: each has a stack of its own
 PROCESS, MOUNT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 
 

@@ -1,4 +1,4 @@
-"""Lanes: whoever has the turn gets a thread, however many others have paused between steps."""
+"""Work queues: whoever has the turn gets a thread, however many others have paused between steps."""
 
 from __future__ import annotations
 
