@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -13,6 +14,7 @@ from unittest.mock import Mock
 
 import pytest
 import torch
+from child_processes import eventually, gone, in_a_terminal
 from killed_runs import killed_with_a_state
 from torch import nn
 from torch.multiprocessing.spawn import ProcessException
@@ -162,30 +164,34 @@ def test_refusals_at_once_are_never_read_by_half(tmp_path: Path, monkeypatch: py
     assert seen == ["this is refused"]
 
 
-def _work_on(worker: Worker, folder: Path) -> None:
+WORKS_ON = """
+import os, sys, time
+from pathlib import Path
+from gapmes.model.training.workers import run_workers
+
+
+def work_on(worker, folder):
     (folder / f"{worker.rank}.pid").write_text(str(os.getpid()))
     time.sleep(600)
 
 
-def test_an_interrupt_of_the_first_process_alone_ends_all(tmp_path: Path) -> None:
-    def interrupt() -> None:
-        until = time.monotonic() + 300
-        while len(pids := list(tmp_path.glob("*.pid"))) < 2 or not all(pid.read_text() for pid in pids):
-            if time.monotonic() > until:
-                break
-            time.sleep(0.01)
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+if __name__ == "__main__":
+    run_workers(2, 1, work_on, Path(sys.argv[1]))
+"""
 
-    usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell has it ignored
-    try:
-        threading.Thread(target=interrupt).start()
-        with pytest.raises(KeyboardInterrupt):
-            run_workers(2, 1, _work_on, tmp_path)
-    finally:
-        signal.signal(signal.SIGINT, usual)
+
+def test_an_interrupt_of_the_first_process_alone_ends_all(tmp_path: Path) -> None:
+    """In a process of its own: an interrupt that came late would end that of the tests."""
+    script = tmp_path / "works_on.py"
+    script.write_text(WORKS_ON)
+    with in_a_terminal([sys.executable, str(script), str(tmp_path)], tmp_path) as run:
+        eventually(lambda: len(pids := list(tmp_path.glob("*.pid"))) == 2 and all(pid.read_text() for pid in pids))
+        os.kill(run.pid, signal.SIGINT)
+        _, told = run.communicate(timeout=120)
+    assert run.returncode == -signal.SIGINT
+    assert "KeyboardInterrupt" in told
     for pid in tmp_path.glob("*.pid"):
-        with pytest.raises(ProcessLookupError):
-            os.kill(int(pid.read_text()), 0)
+        eventually(lambda pid=pid: gone(int(pid.read_text())))
 
 
 def _refuse_and_stay(worker: Worker) -> None:
