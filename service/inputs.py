@@ -1,4 +1,4 @@
-"""From photographs and cameras to the network's input: fitted to its grid, checked against each other, equalised."""
+"""From photographs and cameras to the inputs of a scene: on its grid, checked against each other, equalised."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from .matching.sharpness import less_sharp
 from .network.model_info import ModelInfo
 from .photographs.fitting import FittedPhotos, Picture, fitted_photos
 from .photographs.rolled import quarter_turns, turned_photos
+from .photographs.whole import view_shapes
 
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Photographs on the network's grid, and what matching them has shown."""
+    """Photographs on the scene's grid, and what matching them has shown."""
 
     photos: FittedPhotos  # at one exposure, as their cameras stand
     turned: FittedPhotos  # the same, turned by quarter turns to stand alike (`rolled.py`)
@@ -41,21 +42,25 @@ def prepared_inputs(
     detail: int,
     finer: int,
     trust_poses: bool,
+    whole: bool,
     done: Callable[[int], None],
 ) -> Inputs:
     """Fit, check and equalise V photographs of V cameras for the network of `info`.
 
     `depths` is the range as given or estimated from the cameras; `detail`, `finer` and `done` are those of
-    `fitted_photos`, `trust_poses` that of `check_photos`; `numbers` are what the caller calls the views. Raises
+    `fitted_photos`, `trust_poses` that of `check_photos`; with `whole` False photographs are cropped to the network's
+    shape; `numbers` are what the caller calls the views. Raises
     `ImageError` for a photograph that cannot be used and `ContradictionError` where the photographs refute the poses.
     """
-    given = fitted_photos(images, cameras, numbers, info, detail, finer=finer, done=done)
+    turns = quarter_turns(cameras, square=info.height == info.width)
+    shapes = view_shapes(cameras, turns, info.shape) if whole else [info.shape] * len(cameras)
+    fitted = fitted_photos(images, cameras, numbers, shapes, detail, finer=finer, done=done)
+    given = turned_photos(fitted, turns)  # of one shape, which what follows needs
     doubts = check_photos(given.seen, depths, trust_poses=trust_poses, numbers=numbers)
     planes = info.depth_planes or DEPTH_PLANES
     found = narrowed(depths, given.seen, planes)
     pairs = PairMatches(given.seen, found)
-    photos, exposure = equalised(given, pairs, numbers)
-    turns = quarter_turns(cameras, square=info.height == info.width)
+    turned, exposure = equalised(given, pairs, numbers)
     warnings = [
         *given.notices,
         *range_notices(found, planes),
@@ -63,4 +68,4 @@ def prepared_inputs(
         *(doubts or [*(inexact_poses(pairs, numbers) or missed_depths(pairs)), *less_sharp(pairs, numbers)]),
         *exposure,
     ]
-    return Inputs(photos, turned_photos(photos, turns), turns, found, warnings)
+    return Inputs(turned_photos(turned, [-turn for turn in turns]), turned, turns, found, warnings)

@@ -29,11 +29,13 @@ from .mending.after_network import MOVED, at_finer_depths, at_mended_depths, men
 from .mending.detail import finer
 from .mending.detail_level import DETAILS, checked_detail
 from .mending.fade_passes import DEFAULT_PASSES, checked_passes
+from .mending.finer_grid import unsqueezed
 from .network.backends.choice import DEFAULT_ENGINE, EngineName
 from .network.engine import Arrays, Engine
 from .photographs.fitting import Picture
 from .photographs.images import FittedView, PackedView
 from .photographs.masks import FADED, patch_mask
+from .photographs.whole import squeezed
 from .process.allocator import freed_blocks_reused
 from .process.compiler_pages import leave_compiler
 from .progress import Listener, Stages, silent
@@ -50,8 +52,8 @@ class Scene:
 
     gaussians: Gaussians
     cameras: tuple[Camera, ...]  # as given
-    view_cameras: tuple[Camera, ...]  # of the crops that the network saw, with `detail` times their pixels each way
-    inputs: tuple[NDArray[np.uint8], ...]  # those crops, (H, W, 3) or, where a mask leaves pixels out, (H, W, 4)
+    view_cameras: tuple[Camera, ...]  # of the photographs on the scene's grid
+    inputs: tuple[NDArray[np.uint8], ...]  # those pictures, (H, W, 3) or, where a mask leaves pixels out, (H, W, 4)
     document: dict[str, Any]  # plain JSON values, see document.py
 
     @property
@@ -97,6 +99,7 @@ class Reconstructor:
         leave_one_out: int = DEFAULT_OTHERS,
         fade: int = DEFAULT_PASSES,
         detail: int = 1,
+        whole: bool = True,
         numbers: Sequence[int] | None = None,
         listener: Listener = silent,
     ) -> Scene:
@@ -117,6 +120,7 @@ class Reconstructor:
         backdrop was added (`after_network.py`); with 0 all of this is skipped, and the scene is the network's own.
         `detail`: 1, or 2 for four Gaussians per pixel, in the colours of photographs of twice the network's size
         (`detail.py`).
+        `whole`: photographs of another aspect than the network's are used as a whole (`whole.py`); False crops them.
         `numbers`: what errors and warnings call the views, one each; by default 0, 1, 2...
         `listener`: hears the stages cameras, images, network, kernels (the first time), refine, detail, gaussians,
         fade, leave out, check and leave one out.
@@ -129,7 +133,7 @@ class Reconstructor:
         budget = checked_budget(budget)
         leave_one_out, fade = checked_others(leave_one_out), checked_passes(fade)
         detail = checked_detail(detail, budget.stride)
-        trust_poses = truth(trust_poses, "trust_poses")
+        trust_poses, whole = truth(trust_poses, "trust_poses"), truth(whole, "whole")
         with stages.stage("cameras"):
             images, cameras = listed(images, "images"), listed(cameras, "cameras")
             numbers = range(len(images)) if numbers is None else whole_numbers(numbers, "numbers")
@@ -142,16 +146,24 @@ class Reconstructor:
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
             finest = FINEST if fade or detail > 1 else 1
             inputs = prepared_inputs(
-                images, cameras, numbers, depths, info, detail=detail, finer=finest, trust_poses=trust_poses, done=done
+                images,
+                cameras,
+                numbers,
+                depths,
+                info,
+                detail=detail,
+                finer=finest,
+                trust_poses=trust_poses,
+                whole=whole,
+                done=done,
             )
             warnings += inputs.warnings
             depths, photos = inputs.depths, inputs.photos
             seen, views, fine = inputs.turned.seen, inputs.turned.shown, inputs.turned.fine
-        masks = patch_mask(seen, info.patch)
         if not is_warm():
             leave_compiler()  # it comes with the import of the loops
         with stages.stage("network"):
-            outputs, frame = self.run_network(seen, depths)
+            outputs, frame, masks = self.run_network(seen, depths)
         if not is_warm():  # not before the network: they would be in memory beside it
             with stages.stage("kernels"):  # compiled the first time, then loaded
                 warm_up()
@@ -213,18 +225,23 @@ class Reconstructor:
         )
         return Scene(lean, cameras, view_cameras, tuple(view.pixels() for view in photos.shown), document)
 
-    def run_network(self, views: Sequence[FittedView], depths: DepthRange) -> tuple[Arrays, WorldFrame]:
-        """The network's outputs, and the frame that they are in."""
-        cameras = [view.camera for view in views]
-        frame = WorldFrame.of(cameras, depths)
+    def run_network(
+        self, views: Sequence[FittedView], depths: DepthRange
+    ) -> tuple[Arrays, WorldFrame, NDArray[np.bool_]]:
+        """The network's outputs on the grid of `views`, whatever their shape; the frame that they are in; and the mask
+        (V, P) of its patches."""
+        info = self.engine.info
+        given = [squeezed(view, *info.shape) for view in views]
+        cameras = [view.camera for view in given]
+        frame, masks = WorldFrame.of(cameras, depths), patch_mask(given, info.patch)
         outputs = self.engine.run(
-            np.stack([view.image for view in views]),
+            np.stack([view.image for view in given]),
             np.stack([camera.normalized_intrinsics for camera in cameras]).astype(np.float32),
             frame.poses(cameras),
             frame.near_far(depths),
-            patch_mask(views, self.engine.info.patch),
+            masks,
         )
-        return outputs, frame
+        return unsqueezed(outputs, frame, given, views), frame, masks
 
     def _foretold(
         self,
@@ -243,7 +260,7 @@ class Reconstructor:
             row: dict[str, Any] = dict.fromkeys(("psnr", "ssim", "holes"))
             if chosen[index]:
                 others = [views[other] for other in chosen[index]]
-                outputs, frame = self.run_network(others, depths)
+                outputs, frame, _ = self.run_network(others, depths)
                 if fade:
                     outputs = at_mended_depths(outputs, frame, others, depths.far, self.engine.threads)
                 found = placed(outputs, frame, others, moved=fade > 0)

@@ -96,7 +96,14 @@ def row(
     case, *sizes = found
     started = time.process_time()
     scene = service.reconstruct(
-        case.photos, case.cameras, near=case.near, far=case.far, detail=detail, fade=fade, leave_one_out=0
+        case.photos,
+        case.cameras,
+        near=case.near,
+        far=case.far,
+        detail=detail,
+        fade=fade,
+        leave_one_out=0,
+        whole=case.whole,
     )
     seconds = time.process_time() - started
     twice, once = (compared(scene, targets, lpips) for targets in sizes)

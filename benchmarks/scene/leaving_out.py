@@ -37,7 +37,14 @@ HEADER = """| scene | inputs | .ply | time of a picture | bound | found | PSNR, 
 
 def reconstructed(service: Reconstructor, case: Case, budget: Budget, fade: int) -> Scene:
     return service.reconstruct(
-        case.photos, case.cameras, near=case.near, far=case.far, budget=budget, fade=fade, leave_one_out=0
+        case.photos,
+        case.cameras,
+        near=case.near,
+        far=case.far,
+        budget=budget,
+        fade=fade,
+        leave_one_out=0,
+        whole=case.whole,
     )
 
 

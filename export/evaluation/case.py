@@ -16,6 +16,7 @@ from gapmes.service.cameras.camera import Camera
 from gapmes.service.captures.capture import SceneFolder
 from gapmes.service.errors import ImageError
 from gapmes.service.photographs.images import FittedView, Photo, decode_image, fit_view, match_photo
+from gapmes.service.photographs.whole import view_shapes
 
 from .labels import shortest_names
 from .suggested import suggested_views
@@ -64,11 +65,14 @@ class Case:
     far: float | None
     truth: TrueDepth | None = None
     at_twice: Callable[[], LargerTargets] | None = None  # computed on demand
+    whole: bool = False  # whether photographs are used beyond the aspect of the network
 
 
-def photograph_case(folder: Path, inputs: int, height: int, width: int, name: str | None = None) -> Case:
-    """The `suggested` views of a scene folder, centre-cropped and resampled to `height` x `width` px; `name` defaults
-    to that of the folder.
+def photograph_case(
+    folder: Path, inputs: int, height: int, width: int, name: str | None = None, *, whole: bool = False
+) -> Case:
+    """The `suggested` views of a scene folder, centre-cropped and resampled to `height` x `width` px, or `whole` to the
+    shape that a scene by a network of this size has (`view_shapes`); `name` defaults to that of the folder.
 
     Raises `NoSuchViews`, and `InputError` for a folder that is no scene, missing views, and photographs that cannot be
     decoded or have transparent pixels.
@@ -77,6 +81,9 @@ def photograph_case(folder: Path, inputs: int, height: int, width: int, name: st
     scene = suggested.scene
 
     given, held_out = ([opaque_view(scene, i) for i in views] for views in (suggested.inputs, suggested.targets))
+    if whole:
+        cameras = [camera for _, camera in given]
+        height, width = view_shapes(cameras, [0] * len(cameras), (height, width))[0]
     return Case(
         name=name or shortest_names([folder])[0],
         photos=tuple(photo for photo, _ in given),
@@ -86,6 +93,7 @@ def photograph_case(folder: Path, inputs: int, height: int, width: int, name: st
         near=scene.file.near,
         far=scene.file.far,
         at_twice=partial(_resampled, held_out, 2 * height, 2 * width),
+        whole=whole,
     )
 
 

@@ -41,6 +41,10 @@ def evaluate(
     engine: Annotated[
         list[str] | None, typer.Option(help=f"{', '.join(ENGINES)}; repeat to compare [default: {DEFAULT_ENGINE}]")
     ] = None,
+    whole: Annotated[
+        bool,
+        typer.Option("--whole", help="photographs as a whole, as in reconstruct, not cropped to the size's aspect"),
+    ] = False,
     twice: Annotated[bool, typer.Option("--twice", help="also draw at twice the size, and compare")] = False,
     fade: Annotated[int, typer.Option(help="passes of fading, as in reconstruct; 0: none")] = DEFAULT_PASSES,
     out: Annotated[Path, typer.Option("-o", "--out", readable=False, help="folder of the report")] = Path("evaluation"),
@@ -76,7 +80,7 @@ def evaluate(
         torch.set_num_threads(threads)
     engines = checked_engines(engine or (DEFAULT_ENGINE,))
     sizes = [Size.parse(text) for text in size or ()]
-    plans = evaluation_plans(scenes or (), generated, inputs or (), sizes, model or (), seed)
+    plans = evaluation_plans(scenes or (), generated, inputs or (), sizes, model or (), seed, whole=whole)
     with ProgressBars(quiet=quiet) as bars:
         try:
             report = run(

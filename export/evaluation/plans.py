@@ -27,6 +27,8 @@ def evaluation_plans(
     sizes: Sequence[Size],
     files: Sequence[Path],
     seed: int | None = None,
+    *,
+    whole: bool = False,
 ) -> list[GroupPlan]:
     """Photographs first, large sizes first; defaults are the constants above.
 
@@ -45,7 +47,7 @@ def evaluation_plans(
         raise InputError(f"{twice} is given twice and would count so in the means", field="SCENE_DIR")
     folders = dict(zip(shortest_names(scenes), scenes, strict=True))
     plans = [
-        GroupPlan(count, size, folders=folders)
+        GroupPlan(count, size, folders=folders, whole=whole)
         for size in (sizes or PHOTOGRAPH_SIZES)
         for count in (inputs or PHOTOGRAPH_INPUTS)
         if scenes

@@ -119,6 +119,7 @@ def _group_entry(group: Group) -> dict[str, Any]:
         "height": group.size.height,
         "width": group.size.width,
         "seed": group.seed,
+        "whole": group.whole,
         "covisible_from": group.covisible_from,
         "left_out": dict(group.left_out),
         "mean": means,

@@ -38,6 +38,7 @@ class GroupPlan:
     generated: int = 0
     seed: int = GENERATED_SEED  # of the generated ones
     left_out: Mapping[str, str] = field(default_factory=dict)  # label -> reason, of folders without such views
+    whole: bool = False  # photographs as a whole instead of cropped to the aspect of `size`
 
     @property
     def kind(self) -> str:
@@ -95,7 +96,7 @@ def _group(
 ) -> Group:
     first = models[0].label
     scenes, routes = [], []
-    ending = f"_{plan.inputs}views_{plan.size}px.png"
+    ending = f"_{plan.inputs}views_{plan.size}px{'_whole' if plan.whole else ''}.png"
     if plan.generated:
         for earlier in out.glob(f"generated_*{ending}"):  # which scenes are worst depends on the model
             if GENERATED_STEM.fullmatch(earlier.name.removesuffix(ending)):
@@ -128,7 +129,7 @@ def _group(
     }
     source = "true depth" if plan.generated else f"rendered depth of {first}"
     seed = plan.seed if plan.generated else None
-    return Group(plan.kind, plan.inputs, plan.size, source, scenes, statistics, plan.left_out, seed)
+    return Group(plan.kind, plan.inputs, plan.size, source, scenes, statistics, plan.left_out, seed, plan.whole)
 
 
 def _looked_at(plan: GroupPlan) -> GroupPlan:
@@ -151,4 +152,4 @@ def _cases(plan: GroupPlan) -> Iterator[Case]:
     if plan.generated:
         yield from generated_cases(plan.generated, plan.inputs, *plan.size, seed=plan.seed)
     for name, folder in plan.folders.items():
-        yield photograph_case(folder, plan.inputs, *plan.size, name=name)
+        yield photograph_case(folder, plan.inputs, *plan.size, name=name, whole=plan.whole)

@@ -77,11 +77,12 @@ class Group:
     routing: Mapping[str, RoutingStatistics | None]  # per model
     left_out: Mapping[str, str] = field(default_factory=dict)  # scene -> reason
     seed: int | None = None  # of generated scenes
+    whole: bool = False  # photographs were not cropped to the aspect of `size`
 
     @property
     def title(self) -> str:
         kind = self.kind if self.seed is None else f"{self.kind} (seed {self.seed})"
-        return f"{kind}, {self.inputs} views, {self.size} px"
+        return f"{kind}, {self.inputs} views, {self.size} px" + (", whole photographs" if self.whole else "")
 
     @property
     def models(self) -> list[str]:

@@ -133,5 +133,6 @@ def _once(reconstructor: Reconstructor, scene: Given, budget: Budget, fade: int)
         budget=budget,
         leave_one_out=0,
         fade=fade,
+        whole=False,
     )
     return found.gaussians, found.document

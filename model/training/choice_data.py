@@ -47,7 +47,7 @@ def scene_samples(reconstructor: Reconstructor, seed: int, number: int) -> Sampl
     batch = scene_batch(seed, number)
     views = input_views(batch)
     near, far = map(float, batch.near_far[0])
-    outputs, frame = reconstructor.run_network(views, depth_range([view.camera for view in views], near, far))
+    outputs, frame, _ = reconstructor.run_network(views, depth_range([view.camera for view in views], near, far))
     network = frame.depths(outputs)
     matched, planed = matched_depths(views, network, 1)
     rng = np.random.default_rng((seed, number))

@@ -17,7 +17,9 @@ from ..cameras.view_checks import DEPTH_PLANES, check_views, range_notices
 from ..network.model_info import ModelInfo
 from ..photographs.fitting import fit_notices
 from ..photographs.images import Photo, decode_image, match_photo
+from ..photographs.rolled import quarter_turns
 from ..photographs.undistort import match_lens
+from ..photographs.whole import view_shapes
 from ..settings import Settings
 from .form import FORM
 from .responses import json_response
@@ -59,9 +61,11 @@ def _understood(upload: Upload, settings: Settings, info: ModelInfo) -> dict[str
     warnings += check_views(work.cameras, depths, trust_poses=work.trust_poses, numbers=numbers)
     warnings += pose_notices(work.cameras, depths.near, numbers)
     images = []
-    for number, image, view in zip(numbers, pairing.images, pairing.views, strict=True):
+    turns = quarter_turns(work.cameras, square=info.height == info.width)
+    shapes = view_shapes(work.cameras, turns, info.shape)
+    for number, image, view, shape in zip(numbers, pairing.images, pairing.views, shapes, strict=True):
         photo = decode_image(image.data, index=number, max_pixels=settings.max_image_pixels)
-        warnings += fit_notices(photo, view.camera, view.lens, number, info, work.detail)
+        warnings += fit_notices(photo, view.camera, view.lens, number, shape, work.detail)
         if view.lens is None:  # turned upright if both EXIF and the camera say so
             photo, _ = match_photo(photo, view.camera, index=number)
         else:

@@ -98,7 +98,7 @@ async def scene_file(
 def scene_input(
     scene_id: str, index: Annotated[int, Path(ge=0, le=MAX_VIEWS - 1), BeforeValidator(whole)], runtime: RuntimeDep
 ) -> Response:
-    """A photograph as the network saw it: cropped and resized, with its mask as transparency."""
+    """A photograph as the scene has it: resized, with its mask as transparency."""
     headers = {"Cache-Control": "private, max-age=3600"}
     return Response(runtime.store.input(scene_id, index), media_type="image/png", headers=headers)
 

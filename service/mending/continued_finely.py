@@ -22,7 +22,8 @@ FINER = 2  # upsampling factor per axis
 def continued_finely(views: Sequence[FittedView], depths: F64) -> F64:
     """(V, H, W) z-depths after `continued` on photographs upsampled by FINER, reduced by `coarser_depths`."""
     fine = [_enlarged(view) for view in views]
-    moved = continued(fine, np.stack([finer_depths(depth, FINER) for depth in depths]))
+    height, width = fine[0].image.shape[1:]
+    moved = continued(fine, np.stack([finer_depths(depth, height, width) for depth in depths]))
     return coarser_depths(moved, FINER)
 
 

@@ -2,22 +2,39 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
 
-def finer_depths(depth: NDArray, k: int) -> F64:
-    """(kH, kW) z-depths of k x k pixels in place of each of (H, W), on a plane in inverse depth through the pixel.
+class FinerPixels(NamedTuple):
+    """Along one axis: which coarse pixel each of n finer pixels lies in, and where in it."""
+
+    coarse: NDArray[np.intp]  # (n,)
+    step: F64  # (n,) offset of its centre from that of the coarse pixel, in coarse px
+
+    @classmethod
+    def of(cls, count: int, finer: int) -> FinerPixels:
+        """`finer` pixels, on the span of `count`."""
+        centre = (np.arange(finer) + 0.5) * count / finer
+        index = centre.astype(np.intp)
+        return cls(index, centre - index - 0.5)
+
+
+def finer_depths(depth: NDArray, height: int, width: int) -> F64:
+    """(height, width) z-depths of the pixels of a finer grid over that of `depth` (H, W), each on a plane in inverse
+    depth through the coarse pixel that it lies in.
 
     The plane's slope along each axis is the difference to the neighbour on that side which is smaller, and 0 where the
     two differ in sign (minmod limiter) or at the border, so that no plane bridges a depth edge."""
     inverse = 1 / depth.astype(np.float64)
-    down, right = (_slope(inverse, axis)[:, None, :, None] for axis in (0, 1))
-    steps = pixel_steps(k)
-    fine = inverse[:, None, :, None] + steps[:, None, None] * down + steps * right
-    return 1 / fine.reshape(k * depth.shape[0], k * depth.shape[1])
+    rows, columns = FinerPixels.of(depth.shape[0], height), FinerPixels.of(depth.shape[1], width)
+    places = np.ix_(rows.coarse, columns.coarse)
+    down, right = (_slope(inverse, axis)[places] for axis in (0, 1))
+    return 1 / (inverse[places] + rows.step[:, None] * down + columns.step * right)
 
 
 def coarser_depths(depths: F64, k: int) -> F64:
@@ -25,11 +42,6 @@ def coarser_depths(depths: F64, k: int) -> F64:
     count, height, width = len(depths), depths.shape[1] // k, depths.shape[2] // k
     squares = (1 / depths).reshape(count, height, k, width, k).transpose(0, 1, 3, 2, 4)
     return 1 / np.median(squares.reshape(count, height, width, k * k), axis=3)
-
-
-def pixel_steps(k: int) -> F64:
-    """(k,) offsets in px, along one axis, from a pixel's centre to the centres of the k finer pixels in it."""
-    return (np.arange(k) + 0.5) / k - 0.5
 
 
 def _slope(values: F64, axis: int) -> F64:

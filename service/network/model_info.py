@@ -39,6 +39,11 @@ class ModelInfo:
         return planes if isinstance(planes, int) and planes >= 2 else None
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of a view, px."""
+        return self.height, self.width
+
+    @property
     def patches(self) -> int:
         """Patches of one view."""
         return (self.height // self.patch) * (self.width // self.patch)

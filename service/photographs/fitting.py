@@ -1,4 +1,5 @@
-"""Photographs on the network's grid: undistorted, matched with their cameras and cropped, with the warnings due."""
+"""Photographs on the grid of the scene: undistorted, matched with their cameras and cropped to its shape, with the
+warnings due."""
 
 from __future__ import annotations
 
@@ -15,11 +16,11 @@ from ..cameras.camera import Camera
 from ..cameras.distortion import Lens, pinhole_window
 from ..cameras.view_checks import Notice
 from ..errors import ImageError
-from ..network.model_info import ModelInfo
 from .borders import Bars, bars_notice, without_bars
 from .images import EncodedPhoto, FittedView, PackedView, Photo, check_aspect, fit_view, match_photo
 from .masks import check_kept
 from .undistort import match_lens, undistorted, undistorted_size
+from .whole import Shape
 
 Bytes = bytes | bytearray | memoryview  # of a file
 Picture = NDArray[np.uint8] | Photo | EncodedPhoto | Image.Image | str | PathLike[str] | Bytes
@@ -28,10 +29,10 @@ Picture = NDArray[np.uint8] | Photo | EncodedPhoto | Image.Image | str | PathLik
 
 @dataclass(frozen=True, eq=False)
 class FittedPhotos:
-    """One crop of each photograph at the resolutions that are needed, and the warnings about them."""
+    """Each photograph in the scene's shape, at the resolutions that are needed, and the warnings about them."""
 
-    seen: list[FittedView]  # at the network's resolution
-    shown: list[FittedView]  # at the scene's, `detail` times as many pixels per axis
+    seen: list[FittedView]  # with the network's pixels along the side that it sees at full resolution (`whole.py`)
+    shown: list[FittedView]  # with those of the scene, `detail` times as many per axis
     fine: list[PackedView]  # at `finer` times as many per axis, whatever the detail
     notices: list[Notice]
 
@@ -40,7 +41,7 @@ def fitted_photos(
     images: Sequence[Picture],
     cameras: Sequence[Camera],
     numbers: Sequence[int],
-    info: ModelInfo,
+    shapes: Sequence[Shape],
     detail: int,
     *,
     finer: int,
@@ -49,8 +50,8 @@ def fitted_photos(
     """`fitted` for each photograph in turn, so that one at a time is in memory at full size; `finer` is at least 1, and
     `detail` is 1 or `finer`. `done` receives the number of photographs done. Raises as `fitted`."""
     found = FittedPhotos([], [], [], [])
-    for number, image, camera in zip(numbers, images, cameras, strict=True):
-        small, large, notices = fitted(image, camera, number, info, detail, finer=finer)
+    for number, image, camera, shape in zip(numbers, images, cameras, shapes, strict=True):
+        small, large, notices = fitted(image, camera, number, shape, detail, finer=finer)
         found.seen.append(small)
         found.shown.append(large if detail == finer else small)
         found.fine.append(PackedView.of(large))
@@ -60,10 +61,10 @@ def fitted_photos(
 
 
 def fitted(
-    image: Picture, camera: Camera, index: int, info: ModelInfo, detail: int = 1, *, finer: int = 1
+    image: Picture, camera: Camera, index: int, shape: Shape, detail: int = 1, *, finer: int = 1
 ) -> tuple[FittedView, FittedView, list[Notice]]:
-    """The photograph of view `index` as the network of `info` sees it, the same crop with `finer` times the pixels
-    each way, and the warnings that belong to it in a scene of this `detail`.
+    """The photograph of view `index` in a `shape` of height and width, the same with `finer` times the pixels each way,
+    and the warnings that belong to it in a scene of this `detail`.
 
     A path is read, and bytes are an encoded file; a memoryview is either that, if it has one axis, or pixels. Raises
     `ImageError` for what is no photograph, one that is too small or differs from its camera in aspect, and one whose
@@ -74,9 +75,9 @@ def fitted(
     if isinstance(image, bytes | bytearray) or (isinstance(image, memoryview) and image.ndim == 1):
         image = EncodedPhoto(bytes(image))
     if isinstance(image, EncodedPhoto):
-        return _fitted(image.decode(index=index), camera, image.lens, index, info, detail, finer)
+        return _fitted(image.decode(index=index), camera, image.lens, index, shape, detail, finer)
     photo = image if isinstance(image, Photo) else Photo.from_array(image, index=index)
-    return _fitted(photo, camera, None, index, info, detail, finer)
+    return _fitted(photo, camera, None, index, shape, detail, finer)
 
 
 def _read(path: str | PathLike[str], index: int) -> bytes:
@@ -93,14 +94,14 @@ def _read(path: str | PathLike[str], index: int) -> bytes:
 
 
 def fit_notices(
-    photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo, detail: int = 1
+    photo: Photo, camera: Camera, lens: Lens | None, index: int, shape: Shape, detail: int = 1
 ) -> list[Notice]:
     """The warnings and errors of `fitted`; a photograph without a mask is not resampled for them."""
     bounded, _ = _bounded(photo, camera, lens, index)
     if bounded.mask is not None:
-        return _fitted(photo, camera, lens, index, info, detail)[2]
+        return _fitted(photo, camera, lens, index, shape, detail)[2]
     width, height = (bounded.width, bounded.height) if lens is None else undistorted_size(bounded, lens)
-    return _notices(bounded, camera, lens, index) + _too_small(width, height, info, detail, index)
+    return _notices(bounded, camera, lens, index) + _too_small(width, height, shape, detail, index)
 
 
 def _bounded(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> tuple[Photo, list[Bars]]:
@@ -115,7 +116,7 @@ def _bounded(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> tup
 
 
 def _fitted(
-    photo: Photo, camera: Camera, lens: Lens | None, index: int, info: ModelInfo, detail: int, finer: int = 1
+    photo: Photo, camera: Camera, lens: Lens | None, index: int, shape: Shape, detail: int, finer: int = 1
 ) -> tuple[FittedView, FittedView, list[Notice]]:
     photo, bars = _bounded(photo, camera, lens, index)
     notices = _notices(photo, camera, lens, index)
@@ -125,13 +126,14 @@ def _fitted(
     else:
         photo = undistorted(photo, lens, index=index)
         camera = camera.resized(photo.width, photo.height)  # whole pixels, whatever aspect these have
-    view = fit_view(photo, camera, info.height, info.width)
+    height, width = shape
+    view = fit_view(photo, camera, height, width)
     check_kept(view, index)
     notices += told if view.mask is not None else []  # what lies outside the crop is nothing to tell
-    notices += _too_small(photo.width, photo.height, info, detail, index)
+    notices += _too_small(photo.width, photo.height, shape, detail, index)
     if finer == 1:
         return view, view, notices
-    return view, _within(fit_view(photo, camera, finer * info.height, finer * info.width), view.mask), notices
+    return view, _within(fit_view(photo, camera, finer * height, finer * width), view.mask), notices
 
 
 def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> list[Notice]:
@@ -150,9 +152,9 @@ def _within(fine: FittedView, mask: NDArray[np.bool_] | None) -> FittedView:
     return replace(fine, mask=kept if fine.mask is None else fine.mask & kept)
 
 
-def _too_small(width: int, height: int, info: ModelInfo, detail: int, index: int) -> list[Notice]:
+def _too_small(width: int, height: int, shape: Shape, detail: int, index: int) -> list[Notice]:
     """The warning about a photograph whose crop has fewer pixels than the scene has with this detail."""
-    crop, shown = min(width, height * info.width / info.height), detail * info.width
+    crop, shown = min(width, height * shape[1] / shape[0]), detail * shape[1]
     if detail == 1 or crop >= shown:
         return []
     message = (

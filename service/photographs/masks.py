@@ -23,12 +23,12 @@ FADED = "faded until nothing of it is drawn"
 
 
 def check_kept(view: FittedView, index: int) -> None:
-    """Raises `ImageError` for a photograph whose mask keeps no pixel of the crop that the network sees."""
+    """Raises `ImageError` for a photograph whose mask keeps no pixel of what the scene has of it."""
     if view.mask is None or view.mask.any():
         return
     height, width = view.mask.shape
     raise ImageError(
-        f"the mask keeps 0 of {width} x {height} px of the centre crop, {view.kept_share:.0%} of the photograph",
+        f"the mask keeps 0 of {width} x {height} px, the middle {view.kept_share:.0%} of the photograph",
         field="images",
         index=index,
         cure="crop the photograph about what the mask keeps, and take the crop's corner off cx and cy",

@@ -67,7 +67,8 @@ function view(scene, camera, index, kinds) {
     await photograph?.decode().catch(() => undefined);
     kinds.forEach((kind, place) => {
       const label = `${kind} of the patches of view ${index}`;
-      places[place].append(figure(routingPicture(scene.routing.maps[kind][index], camera, photograph, label), kind));
+      const picture = routingPicture(scene.routing.maps[kind][index], scene.model, camera, photograph, label);
+      places[place].append(figure(picture, kind));
     });
   }
   return { node, fill };

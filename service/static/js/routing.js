@@ -4,13 +4,15 @@ import { colourOf, make, swatch } from "./dom.js";
 
 export const TASKS = ["mean", "opacity", "covariance", "colour"];
 
-/** A canvas of the view's size: the grey photograph, tinted by the expert or task of each patch. */
-export function routingPicture(digits, camera, photograph, label) {
+/** A canvas of the view's size: the grey photograph, tinted by the expert or task of each patch of the network's input,
+ * which has the shape of `model` and shows the whole photograph. */
+export function routingPicture(digits, model, camera, photograph, label) {
   const canvas = make("canvas", { width: camera.width, height: camera.height, role: "img", "aria-label": label });
   const context = canvas.getContext("2d");
   const kinds = [...digits].map((digit) => parseInt(digit, 36));
-  const side = Math.sqrt((camera.width * camera.height) / kinds.length);
-  const columns = Math.round(camera.width / side);
+  const columns = Math.round(Math.sqrt((kinds.length * model.width) / model.height));
+  const width = camera.width / columns;
+  const height = (camera.height * columns) / kinds.length;
   if (photograph?.complete && photograph.naturalWidth) {
     context.filter = "grayscale(1)";
     context.drawImage(photograph, 0, 0, camera.width, camera.height);
@@ -19,7 +21,7 @@ export function routingPicture(digits, camera, photograph, label) {
   context.globalAlpha = 0.55;
   kinds.forEach((kind, patch) => {
     context.fillStyle = colourOf(kind);
-    context.fillRect((patch % columns) * side, Math.floor(patch / columns) * side, side, side);
+    context.fillRect((patch % columns) * width, Math.floor(patch / columns) * height, width, height);
   });
   return canvas;
 }

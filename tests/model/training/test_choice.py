@@ -85,7 +85,7 @@ def test_candidates_are_those_of_the_service(monkeypatch: pytest.MonkeyPatch) ->
     ((planed, network, matched),) = heard
     batch = scene_batch(3, 2)
     views, (near, far) = input_views(batch), map(float, batch.near_far[0])
-    outputs, frame = reconstructor.run_network(views, depth_range([view.camera for view in views], near, far))
+    outputs, frame, _ = reconstructor.run_network(views, depth_range([view.camera for view in views], near, far))
     assert (network == frame.depths(outputs)).all()
     expected = matched_depths(views, network, 1)
     assert (matched == expected[0]).all()

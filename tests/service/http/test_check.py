@@ -104,7 +104,7 @@ def transforms_form(images: list[bytes], size: tuple[int, int], **lens: float) -
         (photograph(6, 96, 96), (96, 72), "the photograph is 96 x 96 px, its camera 96 x 72 px: the aspects differ"),
         (photograph(6, 24, 18), (96, 72), "is 24 x 18 px, need at least 32 x 32"),
         (masked(6, slice(0, 0)), (96, 72), "the mask leaves no pixel"),
-        (masked(6, slice(0, 30), (200, 72)), (200, 72), "the mask keeps 0 of 64 x 48 px of the centre crop"),
+        (masked(6, slice(0, 30), (240, 48)), (240, 48), "the mask keeps 0 of 128 x 48 px, the middle"),
     ],
 )
 def test_photographs_are_refused_as_a_reconstruction_refuses_them(

@@ -150,7 +150,7 @@ def test_the_longest_side_of_a_format_can_be_written(name: Any) -> None:
 
 
 def test_a_crop_with_a_principal_point_far_outside_is_drawn(client: TestClient) -> None:
-    """1000 x 300 with cx = 1900 is plausible; of the centre crop that the network sees, the same point is not."""
+    """1000 x 300 with cx = 1900 is plausible; of the middle that a scene has of it, the same point is not."""
     cameras = camera_object(2, width=1000, height=300)
     for view in cameras["views"]:
         view |= {"fx": 1000.0, "fy": 1000.0, "cx": 1900.0}

@@ -198,17 +198,17 @@ def camera(width: int = WIDTH, height: int = HEIGHT) -> Camera:
 
 def test_the_warning_names_sides_share_and_cure(engine) -> None:
     photo = Photo.from_array(barred(content(), "rows", 23, RED))
-    (notice,) = fit_notices(photo, camera(), None, 4, engine.info)
+    (notice,) = fit_notices(photo, camera(), None, 4, engine.info.shape)
     assert (notice["code"], notice["field"], notice["index"]) == ("border_left_out", "images", 4)
     assert "24 px at the top and 24 px at the bottom of the colour (180, 40, 60): 20% of it" in notice["message"]
     assert "from cy, or send an alpha channel" in notice["message"]
-    assert fitted(photo, camera(), 4, engine.info)[2] == [notice]
+    assert fitted(photo, camera(), 4, engine.info.shape)[2] == [notice]
 
 
 def test_sides_are_those_of_the_photograph_as_its_camera_has_it(engine) -> None:
     lying = Photo(np.ascontiguousarray(np.rot90(barred(content(), "rows", 23, BLACK))), orientation=6)
     for lens in (None, Lens(WIDTH, HEIGHT, 300.0, 300.0, WIDTH / 2, HEIGHT / 2, k1=0.05)):
-        told = [notice["message"] for notice in fit_notices(lying, camera(), lens, 0, engine.info)]
+        told = [notice["message"] for notice in fit_notices(lying, camera(), lens, 0, engine.info.shape)]
         assert any("24 px at the top and 24 px at the bottom" in message for message in told)
 
 
@@ -216,7 +216,7 @@ def test_bars_outside_the_crop_are_nothing_to_tell(engine) -> None:
     """The network's 4 : 3 of 720 x 240 px are the middle 320 columns."""
     photo = Photo.from_array(barred(content(HEIGHT, 720), "columns", 150, BLACK))
     assert len(without_bars(photo)[1]) == 1
-    assert fit_notices(photo, camera(720), None, 0, engine.info) == []
+    assert fit_notices(photo, camera(720), None, 0, engine.info.shape) == []
 
 
 def test_bars_of_a_lens_are_found_before_it_is_undone(engine) -> None:
@@ -228,11 +228,11 @@ def test_bars_of_a_lens_are_found_before_it_is_undone(engine) -> None:
     )
     grey = np.full((HEIGHT, WIDTH, 3), 90, np.uint8) + content() // 3
     photo = Photo.from_array(barred(grey, "rows", 40, BLACK))
-    notices = fit_notices(photo, pinhole, lens, 0, engine.info)
+    notices = fit_notices(photo, pinhole, lens, 0, engine.info.shape)
     assert [notice["code"] for notice in notices] == ["undistorted", "border_left_out"]
     buffer = io.BytesIO()
     Image.fromarray(photo.rgb).save(buffer, "PNG")
-    view, fine, told = fitted(EncodedPhoto(buffer.getvalue(), lens=lens), pinhole, 0, engine.info, finer=4)
+    view, fine, told = fitted(EncodedPhoto(buffer.getvalue(), lens=lens), pinhole, 0, engine.info.shape, finer=4)
     assert told == notices
     for one in (view, fine):
         assert one.mask is not None

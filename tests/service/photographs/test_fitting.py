@@ -25,18 +25,18 @@ def reconstructor(engine):
     return Reconstructor(engine)
 
 
-def test_a_mask_outside_the_centre_crop_is_refused(reconstructor):
-    """200 x 72 px of which the middle 96 columns are seen, and a mask that keeps 40 columns at the left."""
+def test_a_mask_outside_of_what_a_scene_has_of_a_panorama_is_refused(reconstructor):
+    """400 x 72 px of which the middle 192 columns are used, and a mask that keeps 40 columns at the left."""
     rng = np.random.default_rng(3)
     cameras, images = [], []
     for index in range(2):
         pose = np.eye(4)
         pose[0, 3] = 0.2 * index
-        cameras.append(Camera.make(200, 72, 100.0, 100.0, 100.0, 36.0, pose))
-        alpha = np.full((72, 200, 1), 255, np.uint8)
+        cameras.append(Camera.make(400, 72, 100.0, 100.0, 200.0, 36.0, pose))
+        alpha = np.full((72, 400, 1), 255, np.uint8)
         alpha[:, 40 * index :] *= index == 0
-        images.append(np.concatenate([rng.integers(0, 256, (72, 200, 3), dtype=np.uint8), alpha], axis=2))
-    with pytest.raises(ImageError, match=r"the mask keeps 0 of 64 x 48 px of the centre crop, 48% of") as caught:
+        images.append(np.concatenate([rng.integers(0, 256, (72, 400, 3), dtype=np.uint8), alpha], axis=2))
+    with pytest.raises(ImageError, match=r"the mask keeps 0 of 128 x 48 px, the middle 48% of") as caught:
         reconstructor.reconstruct(images, cameras, near=1, far=10)
     assert (caught.value.status, caught.value.index) == (422, 1)
     assert "crop the photograph" in caught.value.cure
@@ -49,7 +49,7 @@ def test_a_mask_that_only_the_coarse_grid_sees_holds_on_the_fine_one_too(engine)
     out = ((y % 3 == 1) | (x % 3 == 1)) & (x < width // 2)
     pixels = np.dstack([np.full((height, width, 3), 90, np.uint8), np.where(out, 0, 255).astype(np.uint8)])
     camera = Camera.make(width, height, width, width, width / 2, height / 2, np.eye(4))
-    small, fine, _ = fitted(pixels, camera, 0, info, detail=2, finer=2)
+    small, fine, _ = fitted(pixels, camera, 0, info.shape, detail=2, finer=2)
     assert small.mask is not None
     assert not small.mask.all()
     assert fine.mask is not None
@@ -93,7 +93,9 @@ def test_fine_pictures_that_the_scene_does_not_show_are_kept_packed_alone(
     monkeypatch.setattr(fitting_module, "fit_view", watched)
     numbers, done = range(len(plane_scene.images)), []
     options = {"finer": 2, "done": done.append}
-    found = fitted_photos(plane_scene.images, plane_scene.cameras, numbers, engine.info, detail, **options)
+    found = fitted_photos(
+        plane_scene.images, plane_scene.cameras, numbers, [engine.info.shape] * len(numbers), detail, **options
+    )
     sizes = [ref().shape[-1] for ref in made if ref() is not None]
     assert sizes.count(2 * engine.info.width) == kept
     assert sizes.count(engine.info.width) == len(numbers) == len(found.seen)
@@ -108,7 +110,7 @@ def test_what_exif_says_is_told_whether_the_lens_bends_or_not(engine, bent, orie
     photo = Photo(np.zeros((480, 640, 3), np.uint8), orientation=orientation)
     lens = Lens(640, 480, 500.0, 500.0, 320.0, 240.0, k1=0.05)
     camera = Camera.make(640, 480, 500.0, 500.0, 320.0, 240.0, np.eye(4))
-    notices = fit_notices(photo, camera, lens if bent else None, 1, engine.info)
+    notices = fit_notices(photo, camera, lens if bent else None, 1, engine.info.shape)
     assert [notice["code"] for notice in notices] == ["exif_orientation_ignored"] * told + ["undistorted"] * bent
     assert {notice["index"] for notice in notices} <= {1}
     if told:
@@ -128,8 +130,8 @@ def test_what_exif_says_is_told_where_it_was_not_done(engine, bent, stored, seen
     Image.fromarray(photo.rgb).save(buffer, "PNG", exif=_turned(6))
     encoded = EncodedPhoto(buffer.getvalue(), lens=lens if bent else None)
     for notices in (
-        fit_notices(photo, camera, encoded.lens, 1, engine.info),
-        fitted(encoded, camera, 1, engine.info)[2],
+        fit_notices(photo, camera, encoded.lens, 1, engine.info.shape),
+        fitted(encoded, camera, 1, engine.info.shape)[2],
     ):
         assert [notice["code"] for notice in notices] == ["exif_orientation_ignored"] * told + ["undistorted"] * bent
 
@@ -153,7 +155,7 @@ def test_a_bent_photograph_of_another_resolution_has_a_pinhole_of_whole_pixels(e
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "PNG")
     photo = EncodedPhoto(buffer.getvalue(), lens=lens)
-    view, _, notices = fitted(photo, camera, 0, engine.info)
+    view, _, notices = fitted(photo, camera, 0, engine.info.shape)
     assert [notice["code"] for notice in notices] == ["undistorted"]
     height, width = view.image.shape[1:]
     weights = view.image[0] / view.image[0].sum()
@@ -162,9 +164,9 @@ def test_a_bent_photograph_of_another_resolution_has_a_pinhole_of_whole_pixels(e
     np.testing.assert_allclose(middle, expected, atol=0.05)
     wrong = camera.cropped(0, 0, 6000, 4000)
     with pytest.raises(ImageError, match="its camera 6000 x 4000 px: the aspects differ"):
-        fitted(photo, wrong, 0, engine.info)
+        fitted(photo, wrong, 0, engine.info.shape)
     with pytest.raises(ImageError, match="its camera 6000 x 4000 px: the aspects differ"):
-        fit_notices(Photo(pixels), wrong, lens, 0, engine.info)
+        fit_notices(Photo(pixels), wrong, lens, 0, engine.info.shape)
 
 
 def test_a_bent_photograph_that_is_smaller_than_the_scene_is_told_of_before_it_is_resampled(engine):
@@ -174,6 +176,6 @@ def test_a_bent_photograph_that_is_smaller_than_the_scene_is_told_of_before_it_i
     photo = Photo(np.random.default_rng(1).integers(0, 256, (75, 100, 3), dtype=np.uint8))
     buffer = io.BytesIO()
     Image.fromarray(photo.rgb).save(buffer, "PNG")
-    told = fit_notices(photo, camera, lens, 1, engine.info, 2)
+    told = fit_notices(photo, camera, lens, 1, engine.info.shape, 2)
     assert [notice["code"] for notice in told] == ["undistorted", "detail_beyond_photograph"]
-    assert told == fitted(EncodedPhoto(buffer.getvalue(), lens=lens), camera, 1, engine.info, 2, finer=2)[2]
+    assert told == fitted(EncodedPhoto(buffer.getvalue(), lens=lens), camera, 1, engine.info.shape, 2, finer=2)[2]

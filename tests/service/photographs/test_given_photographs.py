@@ -21,7 +21,7 @@ CAMERA = Camera.make(*SIZE, 90.0, 90.0, 48.0, 36.0, np.eye(4))
 
 
 def view(image: Picture, engine: Engine) -> np.ndarray:
-    return fitted(image, CAMERA, 1, engine.info)[0].image
+    return fitted(image, CAMERA, 1, engine.info.shape)[0].image
 
 
 def refusal(image: object, engine: Engine) -> ImageError:
