@@ -55,7 +55,7 @@ _LEGEND: dict[str, Any] = {
 
 @dataclass(frozen=True, eq=False)
 class Routed:
-    """V photographs on the network's grid and the routes of their P patches, row-major; None for a missing gate.
+    """V photographs as the network saw them and the routes of their P patches, row-major; None for a missing gate.
 
     Masked patches have weights 0.
     """
@@ -63,6 +63,7 @@ class Routed:
     photos: F32  # (V, 3, H, W) in [0, 1]
     views: tuple[int, ...]  # indices in the camera file
     patch: int  # px
+    tall: float  # height of a pixel by its width: the network sees photographs resampled to its own aspect
     experts: int
     expert_index: NDArray[np.int64] | None  # (V, P, k), best first
     expert_weight: F32 | None  # (V, P, k)
@@ -80,13 +81,20 @@ def route(folder: Path, views: list[str], model: Path | None = None, listener: L
         raise ModelError("has neither experts nor a task gate: there are no routes to show", field="model")
     photos = [EncodedPhoto(path.read_bytes()) for path in scene.image_paths]
     near, far = scene.file.near, scene.file.far
-    Reconstructor(engine).reconstruct(
+    found = Reconstructor(engine).reconstruct(
         photos, scene.file.cameras, near=near, far=far, leave_one_out=0, listener=listener
     )
+    upright = next(  # most are
+        camera
+        for camera, crop in zip(found.view_cameras, found.document["crop"], strict=True)
+        if crop["turned_degrees"] % 180 == 0
+    )
+    height, width = engine.info.shape
     return Routed(
         engine.images,
         scene.indices,
         engine.info.patch,
+        (upright.height / height) / (upright.width / width),
         int(engine.info.config["experts"]),
         engine.last.get("expert_index"),
         engine.last.get("expert_weight"),
@@ -158,7 +166,7 @@ def draw_routing(routed: Routed) -> Figure:
     """All photographs below each other, then the legends with the shares over all of them."""
     rows = [row for view in range(len(routed.photos)) for row in view_rows(routed, view)]
     height, width = routed.photos.shape[2:]
-    cell_height = CELL_PX * height / width + 24
+    cell_height = CELL_PX * routed.tall * height / width + 24
     total = len(rows) * cell_height + LEGEND_PX
     layout = ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.03, wspace=0.0, hspace=0.0)
     figure = Figure(figsize=(WIDTH_PX / DPI, total / DPI), dpi=DPI, layout=layout)
@@ -166,7 +174,7 @@ def draw_routing(routed: Routed) -> Figure:
     for number, row in enumerate(rows):
         for column, panel in enumerate(row):
             axes = figure.add_subplot(grid[number, column])
-            axes.imshow(panel.pixels.clip(0, 1), interpolation="nearest")
+            axes.imshow(panel.pixels.clip(0, 1), interpolation="nearest", aspect=routed.tall)
             axes.set_title(panel.title, fontsize=9.5, pad=3)
             axes.set_axis_off()
     legends = grid[len(rows), :].subgridspec(1, 3, width_ratios=[1.3, 1.2, 0.8])

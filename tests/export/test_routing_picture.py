@@ -29,7 +29,7 @@ def routed(views: int = 2, seed: int = 0) -> Routed:
     weight[0, -1], tasks[0, -1] = 0, 0
     photos = random.random((views, 3, ROWS * PATCH, COLUMNS * PATCH)).astype(np.float32)
     places = tuple(range(3, 3 + views))
-    return Routed(photos, places, PATCH, EXPERTS, order, weight.astype(np.float32), tasks.astype(np.float32))
+    return Routed(photos, places, PATCH, 1.0, EXPERTS, order, weight.astype(np.float32), tasks.astype(np.float32))
 
 
 def test_more_choices_than_have_a_name_are_numbered() -> None:
@@ -102,6 +102,17 @@ def test_the_drawn_picture_has_the_colours_where_the_axes_say() -> None:
             colour = rp.EXPERT_COLOURS[case.expert_index[view, patch, 0]]
             wanted = 255 * expected_pixel(case.photos[view], colour, 0, 0)
             assert np.abs(pixels[len(pixels) - 1 - int(y), int(x)] - wanted).max() <= 1
+
+
+def test_pixels_are_as_tall_as_they_are_in_the_photograph() -> None:
+    """The network sees a tall photograph resampled to its own aspect; it is drawn in the photograph's."""
+    figure = rp.draw_routing(replace(routed(), tall=1.75))
+    FigureCanvasAgg(figure).draw()  # the layout is computed here
+    axes = figure.axes[0]
+    columns, rows = axes.images[0].get_size()[::-1]
+    low, high = axes.transData.transform([(0, rows), (columns, 0)])
+    width, height = high - low
+    assert height / width == pytest.approx(1.75 * rows / columns, rel=1e-3)
 
 
 def test_shares_count_kept_patches() -> None:
