@@ -50,7 +50,7 @@ def costs(service: Reconstructor, folder: Path, fade: int) -> dict[str, Cost]:
     found = capture.choose(ViewSelection(context=2))
     photos = [EncodedPhoto(found.read(place), lens=view.lens) for place, view in enumerate(found.file.views)]
     scene = service.reconstruct(
-        photos, found.file.cameras, near=found.file.near, far=found.file.far, fade=fade, leave_one_out=0
+        photos, found.file.cameras, near=found.file.near, far=found.file.far, fade=fade, leave_one_out=0, whole=False
     )
     cameras = [within(camera, SIDE) for camera in capture.cameras(range(len(capture.names))).cameras]
     near_plane = SceneViews.of_document(scene.document).near_plane
