@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cameras.camera import Camera
+from .cameras.camera import pixel_grid
 from .cameras.depth_range import DepthRange
 from .cameras.overlap import inverse_depth_steps
 from .gaussians import Gaussians
@@ -100,20 +100,16 @@ def _flat(view: FittedView) -> NDArray[np.bool_]:
 def parallax(views: Sequence[FittedView], index: int, depths: DepthRange) -> NDArray[np.bool_]:
     """For each ray of a grid that the view's mask keeps, whether some other view that has it in its picture sees it
     move by a quarter pixel or more between the near depth and the far one."""
-    camera: Camera = views[index].camera
-    steps = (np.arange(GRID) + 0.5) / GRID
-    pixels = np.stack(np.meshgrid(steps * camera.width, steps * camera.height), axis=-1).reshape(-1, 2)
-    mask = views[index].mask
-    if mask is not None:
-        column, row = pixels.astype(np.intp).T
-        pixels = pixels[mask[row, column]]
+    camera = views[index].camera
+    pixels = pixel_grid((GRID, GRID)) / GRID * (camera.width, camera.height)
+    column, row = pixels.astype(np.intp).T
+    pixels = pixels[views[index].kept[row, column]]
     found = np.zeros(len(pixels), bool)
     for other in (view.camera for position, view in enumerate(views) if position != index):
         tracks, inside = [], np.zeros(len(pixels), bool)
         for depth in inverse_depth_steps(depths.near, depths.far, DEPTHS):
             at, z = other.project(camera.unproject(pixels, np.full(len(pixels), depth)))
-            within = ((at >= 0) & (at < (other.width, other.height))).all(axis=1) & (z > 0)
-            inside |= within
+            inside |= other.shows(at, z)
             tracks.append(at)
         moved = np.linalg.norm(np.nan_to_num(tracks[0] - tracks[-1], nan=np.inf), axis=1)  # behind it: far from it
         found |= inside & (moved >= PARALLAX_PX)

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gapmes.service.cameras.camera import Camera
-from gapmes.service.matching.coarse_views import pixel_grid
+from gapmes.service.cameras.camera import Camera, pixel_grid
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.camera import Camera, pixel_grid
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import C0
-from gapmes.service.matching.coarse_views import pixel_grid
 from gapmes.service.photographs.images import FittedView
 from gapmes.service.splat import render
 from gapmes.service.splat.definition import Definition

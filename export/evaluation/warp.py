@@ -7,9 +7,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.camera import Camera, pixel_grid
 from gapmes.service.cameras.rotations import rotated
-from gapmes.service.matching.coarse_views import pixel_grid
 from gapmes.service.photographs.images import FittedView
 
 

@@ -143,6 +143,17 @@ class Camera:
             pixels = np.stack([self.fx * cam[:, 0] / safe + self.cx, self.fy * cam[:, 1] / safe + self.cy], axis=1)
         return pixels, z
 
+    def shows(self, pixels: F64, z: F64) -> NDArray[np.bool_]:
+        """(N,) whether the positions `pixels` (N, 2) with z-depths `z` (N,), as of `project`, lie in the picture."""
+        inside = (pixels >= 0) & (pixels < (self.width, self.height))  # NaN behind the camera compares as False
+        return inside.all(axis=1) & (z > 0)
+
+
+def pixel_grid(shape: tuple[int, ...]) -> F64:
+    """(h * w, 2) pixel centres (x, y) of a picture of `shape` (h, w), row by row."""
+    rows, columns = shape
+    return np.stack(np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5), axis=-1).reshape(-1, 2)
+
 
 def _side(value: float, name: str, field: str, index: int | None) -> int:
     """A side in px as `int`, also of a float without a fraction. Raises `CameraError` for anything else."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import Camera
+from .camera import Camera, pixel_grid
 
 F64 = NDArray[np.float64]
 
@@ -18,14 +18,12 @@ def shared_shares(cameras: Sequence[Camera], depths: Sequence[float] | F64) -> F
     """(V, V, D): entry [i, j, d] is the share of view i's pixels that view j would see at z-depth `depths[d]`."""
     count = len(cameras)
     shares = np.ones((count, count, len(depths)))
-    places = (np.arange(GRID) + 0.5) / GRID
-    grid = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
     for i, one in enumerate(cameras):
-        pixels = grid * (one.width, one.height)
+        pixels = pixel_grid((GRID, GRID)) / GRID * (one.width, one.height)
         points = np.concatenate([one.unproject(pixels, np.full(len(pixels), z)) for z in depths])
         for j, other in enumerate(cameras):
             if i != j:
-                shares[i, j] = seen(other, points).reshape(len(depths), -1).mean(axis=1)
+                shares[i, j] = other.shows(*other.project(points)).reshape(len(depths), -1).mean(axis=1)
     return shares
 
 
@@ -40,10 +38,3 @@ def best_partner_shares(cameras: Sequence[Camera], depths: Sequence[float] | F64
 def inverse_depth_steps(near: float, far: float, count: int) -> F64:
     """(count,) depths from near to far, uniform in inverse depth: about equal steps of parallax."""
     return 1.0 / np.linspace(1.0 / near, 1.0 / far, count)
-
-
-def seen(camera: Camera, points: F64) -> NDArray[np.bool_]:
-    """(N,) which of the world points (N, 3) lie in front of the camera and inside its picture."""
-    pixels, z = camera.project(points)
-    inside = (pixels >= 0) & (pixels < (camera.width, camera.height))  # NaN behind the camera compares as False
-    return inside.all(axis=1) & (z > 0)

@@ -40,12 +40,17 @@ class Pose(NamedTuple):
     given: Given
 
 
+def rigid_motion(rotation: F64, translation: F64) -> F64:
+    """(4, 4) matrix [R | t] of a `rotation` (3, 3) and a `translation` (3,)."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, translation
+    return matrix
+
+
 def rigid_inverse(matrix: F64) -> F64:
     """(4, 4) inverse of a rigid motion, exact to rounding: [R^T | -R^T t]."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = matrix[:3, :3].T
-    inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
-    return inverse
+    inverse = matrix[:3, :3].T
+    return rigid_motion(inverse, -inverse @ matrix[:3, 3])
 
 
 def checked_pose(value: object, *, field: str = "c2w", index: int | None = None) -> Pose:

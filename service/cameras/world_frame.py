@@ -16,6 +16,7 @@ from ..gaussians import Gaussians
 from ..harmonics import rotate_harmonics
 from .camera import Camera
 from .depth_range import DepthRange
+from .pose import rigid_motion
 from .rotations import quaternion_from_matrix, quaternion_product, rotated
 
 F64 = NDArray[np.float64]
@@ -35,11 +36,11 @@ class WorldFrame:
 
     def poses(self, cameras: Sequence[Camera]) -> NDArray[np.float32]:
         """(V, 4, 4) camera-to-frame poses; the origin is subtracted in float64 before anything is multiplied."""
-        poses = np.tile(np.eye(4), (len(cameras), 1, 1))
-        for pose, camera in zip(poses, cameras, strict=True):
-            pose[:3, :3] = self.rotation.T @ camera.rotation
-            pose[:3, 3] = self.rotation.T @ (camera.center - self.origin) / self.unit
-        return poses.astype(np.float32)
+        back = self.rotation.T
+        poses = [
+            rigid_motion(back @ camera.rotation, back @ (camera.center - self.origin) / self.unit) for camera in cameras
+        ]
+        return np.stack(poses).astype(np.float32)
 
     def near_far(self, depths: DepthRange) -> NDArray[np.float32]:
         """(2,) the depth range in this frame's unit."""

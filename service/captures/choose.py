@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cameras.camera import Camera
-from ..cameras.overlap import seen
+from ..cameras.camera import Camera, pixel_grid
 
 F64 = NDArray[np.float64]
 
@@ -100,15 +99,15 @@ def scene_depths(cameras: Sequence[Camera]) -> F64:
 
 def _overlap(cameras: Sequence[Camera], depths: F64) -> F64:
     """(V, V) share of each view, at its depth, that another sees; mean of both directions, 1 on the diagonal."""
-    places = (np.arange(GRID) + 0.5) / GRID
-    grid = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
+    grid = pixel_grid((GRID, GRID)) / GRID
     points = np.concatenate(
         [
             one.unproject(grid * (one.width, one.height), np.full(len(grid), depth))
             for one, depth in zip(cameras, depths, strict=True)
         ]
     )
-    shares = np.stack([seen(other, points).reshape(len(cameras), -1).mean(axis=1) for other in cameras], axis=1)
+    seen = [other.shows(*other.project(points)).reshape(len(cameras), -1) for other in cameras]
+    shares = np.stack([mask.mean(axis=1) for mask in seen], axis=1)
     return 0.5 * (shares + shares.T)
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..cameras.pose import rigid_motion
 from ..cameras.rotations import matrix_from_quaternion
 from ..errors import CameraError, PoseError
 
@@ -118,7 +119,4 @@ def rigid(numbers: tuple[float, ...], name: str) -> F64:
     if not (np.isfinite(length) and length > 0):
         message = f"image {name!r} has a quaternion of length {length:g}, need 1"
         raise PoseError(message, field="cameras", cure="was the pose of this image found at all? leave it out")
-    matrix = np.eye(4)
-    matrix[:3, :3] = matrix_from_quaternion(wxyz / length)
-    matrix[:3, 3] = numbers[4:]
-    return matrix
+    return rigid_motion(matrix_from_quaternion(wxyz / length), np.array(numbers[4:]))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cameras.camera import Camera
+from ..cameras.camera import Camera, pixel_grid
 from ..cameras.rotations import rotated
 from ..photographs.images import FittedView
 
@@ -80,12 +80,6 @@ def warp_to(shape: tuple[int, int], camera: Camera, source: CoarseView, depths: 
     upper = (1 - a) * flat[corner] + a * flat[corner + 1]
     lower = (1 - a) * flat[corner + width] + a * flat[corner + width + 1]
     return ((1 - b) * upper + b * lower).reshape(-1, rows, columns), seen.reshape(-1, rows, columns)
-
-
-def pixel_grid(shape: tuple[int, int]) -> F64:
-    """(h * w, 2) pixel centres (x, y), row by row."""
-    rows, columns = shape
-    return np.stack(np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5), axis=-1).reshape(-1, 2)
 
 
 def nearest_neighbours(cameras: Sequence[Camera]) -> list[int]:

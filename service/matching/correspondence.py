@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cameras.camera import Camera
+from ..cameras.camera import Camera, pixel_grid
 from ..cameras.rotations import rotated
 from ..photographs.bilinear import bilinear
 from ..photographs.images import FittedView
-from .coarse_views import pixel_grid
 from .place_kernels import sample_places, see_pixels
 
 F64 = NDArray[np.float64]

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..cameras.camera import pixel_grid
 from ..cameras.depth_range import DepthRange
 from ..cameras.view_checks import DEPTH_PLANES, Notice
 from ..photographs.images import FittedView
-from .coarse_views import CoarseView, coarse_view, nearest_neighbours, pixel_grid
+from .coarse_views import CoarseView, coarse_view, nearest_neighbours
 from .plane_sweep import best_planes, planes, step_px, swept_px
 from .window_match import contrast
 
@@ -118,8 +119,7 @@ def _leads_back(view: CoarseView, depth: F64, other: CoarseView, other_depth: F6
     """(h * w,) pixels whose match in `other` has a depth that leads back to them, within AGREEMENT_PX."""
     pixels = pixel_grid(depth.shape)
     there, z = other.camera.project(view.camera.unproject(pixels, depth.ravel()))
-    height, width = other_depth.shape
-    inside = (z > 0) & ((there >= 0) & (there < (width, height))).all(axis=1)
+    inside = other.camera.shows(there, z)
     cell = np.where(inside[:, None], there, 0.0).astype(np.intp)
     points = other.camera.unproject(cell.astype(np.float64) + 0.5, other_depth[cell[:, 1], cell[:, 0]])
     back, z = view.camera.project(points)

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..cameras.camera import pixel_grid
 from ..cameras.view_checks import Notice
 from ..photographs.bilinear import bilinear
 from ..photographs.images import FittedView
-from .coarse_views import block_px, pixel_grid
+from .coarse_views import block_px
 from .correspondence import KEPT
 from .depth_sweep import Matches
 from .pair_matches import PairMatches

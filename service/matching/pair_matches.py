@@ -7,10 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..cameras.camera import pixel_grid
 from ..cameras.depth_range import DepthRange
 from ..photographs.bilinear import bilinear
 from ..photographs.images import FittedView
-from .coarse_views import coarse_view, nearest_neighbours, pixel_grid
+from .coarse_views import coarse_view, nearest_neighbours
 from .depth_sweep import Matches, matches
 
 F64 = NDArray[np.float64]

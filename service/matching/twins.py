@@ -8,13 +8,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cameras.camera import Camera
+from ..cameras.camera import Camera, pixel_grid
 from ..cameras.depth_range import DepthRange
 from ..cameras.overlap import inverse_depth_steps
 from ..cameras.view_checks import Notice
 from ..errors import ContradictionError
 from ..photographs.images import FittedView
-from .coarse_views import pixel_grid
 
 PLAIN = 0.05  # of white: least range of values; a plain picture has nothing to tell it from another
 # One photograph as JPEG of quality 95 and of 90 differs by 1.2 to 2.7 of 255 on seven scenes, neighbouring views of

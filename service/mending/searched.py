@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..cameras.camera import pixel_grid
 from ..cameras.rotations import rotated
-from ..matching.coarse_views import pixel_grid
 from ..matching.confirmed import AGREEMENT_PX, TEXTURE, confirmed
 from ..matching.correspondence import disagreement, reprojected, views_with_parallax
 from ..matching.match_cost import GAIN, LIMIT, NOTHING, CostAggregation, difference, features

@@ -71,10 +71,8 @@ def kept_rows(
 
 
 def _on_kept_pixel(view: FittedView, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    height, width = view.image.shape[1:]
+    """(N,) whether the world points (N, 3) project to a pixel that the mask keeps."""
     pixels, z = view.camera.project(points)
-    inside = (z > 0) & ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
-    if view.mask is None:
-        return inside
+    inside = view.camera.shows(pixels, z)
     column, row = np.where(inside[:, None], pixels, 0.0).astype(np.intp).T
-    return inside & view.mask[row, column]
+    return inside & view.kept[row, column]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera
-from ..cameras.pose import MAX_OFFSET
+from ..cameras.pose import MAX_OFFSET, rigid_motion
 from ..errors import GaussiansError
 from ..gaussians import Gaussians
 from .scene_views import SceneViews
@@ -49,8 +49,7 @@ def default_views(gaussians: Gaussians) -> SceneViews:
             cure="are all positions right? leave out the Gaussians that are not, or scale the scene",
         )
     focal = SIDE / 2 / math.tan(FIELD_OF_VIEW / 2)
-    pose = np.eye(4)
-    pose[:3, 3] = centre - [0, 0, distance]
+    pose = rigid_motion(np.eye(3), centre - [0, 0, distance])
     far = distance + radius
     return SceneViews([Camera.make(SIDE, SIDE, focal, focal, SIDE / 2, SIDE / 2, pose)], distance**2 / far, far)
 

@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..cameras.pose import rigid_motion
 from ..cameras.rotations import (
     F64,
     matrix_from_quaternion,
@@ -63,9 +64,7 @@ class Piece:
         if u in (0.0, 1.0):
             return frame((self.start, self.end)[int(u)], self.start.width, self.start.height)
         at = np.array([u])
-        pose = np.eye(4)
-        pose[:3, :3] = matrix_from_quaternion(self.rotations(at)[0])
-        pose[:3, 3] = self.centers(at)[0]
+        pose = rigid_motion(matrix_from_quaternion(self.rotations(at)[0]), self.centers(at)[0])
         return between(self.start, self.end, u).posed(pose)
 
     def lengths(self, pivot_depth: float) -> F64:

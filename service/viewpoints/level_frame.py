@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera
+from ..cameras.pose import rigid_motion
 from ..cameras.rotations import quaternion_from_matrix, quaternion_product, rotated
 from ..gaussians import Gaussians
 from ..harmonics import rotate_harmonics
@@ -55,7 +56,6 @@ class LevelFrame:
 
     def camera(self, camera: Camera) -> Camera:
         """Transform a camera from the caller's world into this frame."""
-        pose = np.eye(4)
-        pose[:3, :3] = self.rotation.T @ camera.rotation
-        pose[:3, 3] = self.rotation.T @ (camera.center - self.origin) / self.unit
+        back = self.rotation.T
+        pose = rigid_motion(back @ camera.rotation, back @ (camera.center - self.origin) / self.unit)
         return replace(camera, world_from_cam=pose)

@@ -19,8 +19,7 @@ def seen_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> tuple[float,
     depths = []
     for camera in cameras:
         pixels, z = camera.project(gaussians.means)
-        inside = (pixels >= 0) & (pixels < (camera.width, camera.height))  # NaN behind the camera compares as False
-        depths.append(z[inside.all(axis=1) & (z > 0)])
+        depths.append(z[camera.shows(pixels, z)])
     seen = np.concatenate(depths) if depths else np.empty(0)
     if not len(seen):
         return None

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..cameras.pose import rigid_motion
 from ..cameras.rotations import F64, about_axis, mean_rotation, slerp
 from ..errors import ViewError
 from .framing import frame
@@ -53,9 +54,8 @@ def resolve_view(spec: str, cameras: Sequence[Camera], *, pivot_depth: float) ->
 def between(start: Camera, end: Camera, fraction: float) -> Camera:
     """The camera interpolated at `fraction` from `start` to `end`, with the picture size of `start`."""
     end = frame(end, start.width, start.height)
-    pose = np.eye(4)
-    pose[:3, :3] = slerp(start.rotation, end.rotation, fraction)
-    pose[:3, 3] = start.center + fraction * (end.center - start.center)
+    center = start.center + fraction * (end.center - start.center)
+    pose = rigid_motion(slerp(start.rotation, end.rotation, fraction), center)
     lens = {name: (1 - fraction) * getattr(start, name) + fraction * getattr(end, name) for name in _LENS}
     return replace(start.posed(pose), **lens)
 
@@ -63,12 +63,11 @@ def between(start: Camera, end: Camera, fraction: float) -> Camera:
 def mean_camera(cameras: Sequence[Camera]) -> Camera:
     """Chordal mean rotation, mean centre and mean intrinsics, with the picture size of the first camera."""
     first = cameras[0]
-    pose = np.eye(4)
-    pose[:3, :3] = mean_rotation(np.stack([camera.rotation for camera in cameras]))
-    pose[:3, 3] = first.center + np.mean([camera.center - first.center for camera in cameras], axis=0)
+    rotation = mean_rotation(np.stack([camera.rotation for camera in cameras]))
+    center = first.center + np.mean([camera.center - first.center for camera in cameras], axis=0)
     framed = [frame(camera, first.width, first.height) for camera in cameras]
     fx, fy, cx, cy = (float(np.mean([getattr(camera, name) for camera in framed])) for name in _LENS)
-    return replace(first, world_from_cam=pose, fx=fx, fy=fy, cx=cx, cy=cy)
+    return replace(first, world_from_cam=rigid_motion(rotation, center), fx=fx, fy=fy, cx=cx, cy=cy)
 
 
 def orbit_camera(cameras: Sequence[Camera], angle: float, pivot_depth: float) -> Camera:
@@ -79,10 +78,7 @@ def orbit_camera(cameras: Sequence[Camera], angle: float, pivot_depth: float) ->
     middle = mean_camera(cameras)
     to_pivot = pivot_depth * middle.rotation[:, 2]
     turn = about_axis(vertical(cameras), angle)
-    pose = np.eye(4)
-    pose[:3, :3] = turn @ middle.rotation
-    pose[:3, 3] = middle.center + to_pivot - turn @ to_pivot
-    return middle.posed(pose)
+    return middle.posed(rigid_motion(turn @ middle.rotation, middle.center + to_pivot - turn @ to_pivot))
 
 
 def vertical(cameras: Sequence[Camera]) -> F64:
