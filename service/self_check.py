@@ -92,9 +92,8 @@ def ambiguous_routes(outputs: Mapping[str, NDArray], patch_mask: NDArray[np.bool
 
 
 def _flat(view: FittedView) -> NDArray[np.bool_]:
-    grey = view.image.mean(axis=0, dtype=np.float64)
-    flat = contrast(grey, view.mask, plane_means) < TEXTURE
-    return flat if view.mask is None else flat[view.mask]
+    """(N,) of the kept pixels, whether the window around each lacks texture."""
+    return (contrast(view.grey, view.kept, plane_means) < TEXTURE)[view.kept]
 
 
 def parallax(views: Sequence[FittedView], index: int, depths: DepthRange) -> NDArray[np.bool_]:

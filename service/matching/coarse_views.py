@@ -32,9 +32,8 @@ def coarse_view(view: FittedView) -> CoarseView:
     """`view` in grey, averaged over whole blocks so that its shorter side has at least COARSE_SIDE px, where it has so
     many, and less than twice that; mask and camera follow."""
     block = block_px(view)
-    grey = view.image.mean(axis=0, dtype=np.float64)
     share = block_means(view.kept.astype(np.float64), block)
-    grey = kept_block_means(grey, view.kept, share, block)
+    grey = kept_block_means(view.grey, view.kept, share, block)
     rows, columns = grey.shape
     camera = view.camera.cropped(0, 0, columns * block, rows * block).resized(columns, rows)
     return CoarseView(grey, share >= ENOUGH, camera)

@@ -30,23 +30,25 @@ def confirmed(views: Sequence[FittedView], depths: F64) -> NDArray[np.bool_]:
     """
     found = np.zeros((len(views), *views[0].image.shape[1:]), np.bool_)
     for index, view in enumerate(views):
-        grey = view.image.mean(axis=0, dtype=np.float64)
-        textured = contrast(grey, view.mask, plane_means) > TEXTURE
-        if view.mask is not None:
-            textured &= view.mask
+        matchable = textured(view)
         for other, second in enumerate(views):
             if other != index:
-                found[index] |= textured & _agrees(view, grey, depths[index], second, depths[other])
+                found[index] |= matchable & _agrees(view, depths[index], second, depths[other])
     return found
 
 
-def _agrees(view: FittedView, grey: F64, depth: F64, other: FittedView, other_depth: F64) -> NDArray[np.bool_]:
-    """(H, W) where `other` confirms `view`, whose grey (H, W) and z-depth (H, W) are given."""
+def textured(view: FittedView) -> NDArray[np.bool_]:
+    """(H, W) kept pixels whose windows have texture."""
+    return view.kept & (contrast(view.grey, view.kept, plane_means) > TEXTURE)
+
+
+def _agrees(view: FittedView, depth: F64, other: FittedView, other_depth: F64) -> NDArray[np.bool_]:
+    """(H, W) where `other` confirms `view`, by the z-depths (H, W) of both."""
     seen = reprojected(view, depth, other)
     colour = seen.value(other.image.transpose(1, 2, 0))
     agreed = seen.where & (parallax(view, seen, other) >= PARALLAX_PX)
     agreed &= disagreement(view, seen, other, other_depth) < AGREEMENT_PX
     agreed &= np.abs(colour - view.image.transpose(1, 2, 0)).mean(axis=2) < SAME_COLOUR
     warped = colour.mean(axis=2, dtype=np.float64)
-    compared = seen.where if view.mask is None else seen.where & view.mask
-    return agreed & (correlations(grey, warped[None], compared[None], plane_means)[0] > GOOD_MATCH)
+    compared = seen.where & view.kept
+    return agreed & (correlations(view.grey, warped[None], compared[None], plane_means)[0] > GOOD_MATCH)

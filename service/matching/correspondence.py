@@ -104,7 +104,7 @@ def views_with_parallax(views: Sequence[FittedView], index: int, depth: F64) -> 
     ways = {
         other: pixels_per_inverse_depth(views[index], views[other]) for other in range(len(views)) if other != index
     }
-    mask = views[index].mask
-    middle = float(np.median(depth if mask is None or not mask.any() else depth[mask]))
+    kept = views[index].kept
+    middle = float(np.median(depth[kept] if kept.any() else depth))
     least = min(LEAST_WAY * max(ways.values()), PARALLAX_PX * middle)
     return {other: way for other, way in ways.items() if way > 0 and way >= least}

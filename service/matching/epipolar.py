@@ -184,9 +184,8 @@ def _turned(px: F64, turning: F64) -> tuple[F64, F64]:
 
 def _picture(view: FittedView) -> F64:
     """(H, W, 4) grey, its gradients per px to the right and down, and 1 where the mask keeps the pixel."""
-    grey = view.image.mean(axis=0, dtype=np.float64)
-    down, right = np.gradient(grey)
-    return np.stack([grey, right, down, view.kept.astype(np.float64)], axis=-1)
+    down, right = np.gradient(view.grey)
+    return np.stack([view.grey, right, down, view.kept.astype(np.float64)], axis=-1)
 
 
 def _at(picture: F64, places: F64) -> F64:

@@ -50,7 +50,7 @@ class CostAggregation:
 
     def __init__(self, view: FittedView, known: Mask) -> None:
         """`known` (H, W): pixels that have a cost; at all others it must be 0."""
-        self.filter = GuidedFilter(view.image.mean(axis=0, dtype=np.float64))
+        self.filter = GuidedFilter(view.grey)
         self.share = np.maximum(self.filter.of(known.astype(np.float64)), SEEN)
 
     def of(self, cost: F64) -> F64:

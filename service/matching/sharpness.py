@@ -83,7 +83,7 @@ def _contrast(power: F64) -> F64:
 def _bands(view: FittedView) -> F64:
     """(h, w, 2) mean power of the fine and the coarse band around each cell of the coarse view; NaN where any pixel
     that contributes is masked."""
-    grey = view.image.mean(axis=0, dtype=np.float64)
+    grey = view.grey
     fine, coarse = (window_mean(grey, radius) for radius in (FINE, COARSE))
     block = block_px(view)
     whole = window_mean(block_means(window_mean(view.kept.astype(np.float64), COARSE), block), 1) > 1 - 1e-9

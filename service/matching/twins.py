@@ -38,8 +38,7 @@ def twins(views: Sequence[FittedView], depths: DepthRange, numbers: Sequence[int
     """
     notices: list[Notice] = []
     for (i, one), (j, other) in combinations(zip(numbers, views, strict=True), 2):
-        shown = one.image if one.mask is None else one.image[:, one.mask]
-        if np.ptp(shown) < PLAIN:
+        if np.ptp(one.image[:, one.kept]) < PLAIN:
             continue
         cure = "was one of them sent twice? send each photograph with the pose of its own"
         if np.array_equal(one.image, other.image):

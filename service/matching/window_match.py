@@ -52,10 +52,10 @@ def correlations(picture: F64, warped: F64, seen: NDArray[np.bool_], mean: Windo
     return np.where(amount >= MIN_SEEN, correlation, NOT_SEEN)
 
 
-def contrast(picture: F64, kept: NDArray[np.bool_] | None = None, mean: WindowMean = window_mean) -> F64:
+def contrast(picture: F64, kept: NDArray[np.bool_], mean: WindowMean = window_mean) -> F64:
     """(h, w) standard deviation over the `kept` (h, w) pixels of each window; 0 where it is noise. `mean` as for
     `correlations`."""
-    weight = np.ones_like(picture) if kept is None else kept.astype(np.float64)
+    weight = kept.astype(np.float64)
     share = np.maximum(mean(weight), 1e-9)
     middle = mean(picture * weight) / share
     return np.sqrt(np.maximum(mean(picture**2 * weight) / share - middle**2 - _NOISE, 0.0))

@@ -36,6 +36,7 @@ def refined(views: Sequence[FittedView], depths: F64) -> F64:
 
 
 def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depths: F64, index: int) -> F64:
+    """(H, W) z-depths of view `index`, from the `features` of all views and their z-depths (V, H, W)."""
     view, inverse = views[index], 1 / depths[index]
     others = views_with_parallax(views, index, depths[index])
     if not others:
@@ -45,9 +46,7 @@ def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depths: F64, 
     total, counted = np.zeros((len(OFFSETS_PX), *inverse.shape)), np.zeros(inverse.shape)
     for other in others:
         seen = reprojected(view, depths[index], views[other])
-        visible = seen.where & (disagreement(view, seen, views[other], depths[other]) < VISIBLE_PX)
-        if view.mask is not None:
-            visible &= view.mask
+        visible = view.kept & seen.where & (disagreement(view, seen, views[other], depths[other]) < VISIBLE_PX)
         if visible.any():
             counted += visible
             for cost, step in zip(total, steps, strict=True):

@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from ..cameras.camera import pixel_grid
 from ..cameras.rotations import rotated
-from ..matching.confirmed import AGREEMENT_PX, TEXTURE, confirmed
+from ..matching.confirmed import AGREEMENT_PX, confirmed, textured
 from ..matching.correspondence import disagreement, reprojected, views_with_parallax
 from ..matching.match_cost import GAIN, LIMIT, NOTHING, CostAggregation, difference, features
 from ..matching.plane_kernels import compare_level
-from ..matching.plane_means import plane_means
-from ..matching.window_match import contrast
 from ..photographs.images import FittedView
 from ..splat.parallel import checked_threads, run_ranges
 
@@ -81,8 +79,7 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
             ]
             near = np.abs(1 / found.depth - 1 / depths[index]) * way < PAIR_PX
             agreed |= seen.where & (close[0] | close[1]) & (near | (not pair))
-        textured = contrast(view.image.mean(axis=0, dtype=np.float64), view.mask, plane_means) > TEXTURE
-        taken = found.gains & agreed & textured & view.kept & ~sure[index]
+        taken = found.gains & agreed & textured(view) & ~sure[index]
         result[index] = np.where(taken, found.depth, depths[index])
     return result
 

@@ -89,6 +89,11 @@ class FittedView:
         """(H, W) the mask, all True where there is none."""
         return np.ones(self.image.shape[1:], np.bool_) if self.mask is None else self.mask
 
+    @property
+    def grey(self) -> NDArray[np.float64]:
+        """(H, W) mean of the channels."""
+        return self.image.mean(axis=0, dtype=np.float64)
+
     def pixels(self) -> NDArray[np.uint8]:
         """(H, W, 3) uint8, or (H, W, 4) with the mask as alpha."""
         rgb = np.rint(self.image.transpose(1, 2, 0) * 255).astype(np.uint8)

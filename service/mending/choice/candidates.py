@@ -127,7 +127,7 @@ def _about(view: FittedView, inverse: F64, undecided: Mask) -> NDArray[np.float1
     y, x = (np.arange(count) for count in undecided.shape)
     border = np.minimum(np.minimum(y, y[::-1])[:, None], np.minimum(x, x[::-1]))
     low, high = inverse[0][view.kept].min(), inverse[0][view.kept].max()
-    texture = contrast(view.image.mean(axis=0, dtype=np.float64), view.mask, plane_means) / CONTRAST
+    texture = contrast(view.grey, view.kept, plane_means) / CONTRAST
     of_all = inverse[:, undecided]
     now, network, middle = of_all[0], of_all[1], np.median(of_all, axis=0)
     about = (

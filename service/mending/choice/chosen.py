@@ -48,5 +48,5 @@ def preferred(view: FittedView, found: Candidates, network: ChoiceNetwork) -> ND
     """(H, W) index of the candidate with the largest smoothed preference; 0 where no preference is near."""
     preferences = np.zeros((COUNT, *found.undecided.shape))
     preferences[:, found.undecided] = network.preferences(found.known, found.about)
-    smooth = GuidedFilter(view.image.mean(axis=0, dtype=np.float64))
+    smooth = GuidedFilter(view.grey)
     return np.stack([smooth.of(plane) for plane in preferences]).argmax(axis=0)

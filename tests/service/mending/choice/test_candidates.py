@@ -133,7 +133,7 @@ def by_definition(views: list[FittedView], stacks: list[np.ndarray], row: int, c
         one += [np.mean([abs(plane[place] - each[place]) < 1.5 for each in inverse]), np.log1p(plane[place]) / 5]
         known.append(one)
     low, high = inverse[0].min(), inverse[0].max()
-    texture = contrast(view.image.mean(axis=0, dtype=np.float64), None)[place] / 0.05
+    texture = contrast(view.grey, view.kept)[place] / 0.05
     about_pixel = [
         np.log1p(min(row, column, SIDE - 1 - row, SIDE - 1 - column)) / 4,
         min(texture, 2),
