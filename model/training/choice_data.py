@@ -65,5 +65,5 @@ def _of_view(one: Candidates, batch: SceneBatch, index: int, number: int, rng: n
     taken = np.sort(rng.choice(len(places), min(PIXELS, len(places)), replace=False))
     background, depth = batch.background[0, index].ravel(), batch.depths[0, index].ravel().astype(np.float64)
     inverse = np.where(background, 0, 1 / depth)[places[taken]]
-    error = one.inverse.reshape(len(one.inverse), -1)[:, places[taken]] - one.way * inverse
+    error = one.inverse.reshape(len(one.inverse), -1)[:, places[taken]] - one.disparity_scale * inverse
     return Samples(one.known[..., taken], one.about[:, taken], error.astype(np.float32), np.full(len(taken), number))

@@ -14,11 +14,11 @@ def certified_views(cameras: Sequence[Camera], certify: int, asked: Sequence[Cam
     return [*cameras, *views_between(pairwise(cameras), certify), *asked]
 
 
-def views_between(ways: Iterable[tuple[Camera, Camera]], count: int) -> list[Camera]:
+def views_between(pairs: Iterable[tuple[Camera, Camera]], count: int) -> list[Camera]:
     """`count` equidistant views between the two cameras of each pair.
 
     The views nearest to the middle come first: where these need every Gaussian, `prune` does not draw the others.
     """
     steps = sorted((step / (count + 1) for step in range(1, count + 1)), key=lambda share: abs(share - 0.5))
-    ways = list(ways)
-    return [between(first, second, share) for share in steps for first, second in ways]
+    pairs = list(pairs)
+    return [between(first, second, share) for share in steps for first, second in pairs]

@@ -18,7 +18,7 @@ F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 PARALLAX_PX = 4.0  # against infinity; with less any depth seems right
-LEAST_WAY = 0.05  # of the longest baseline: a view from nearly the same place says nothing about depth
+LEAST_BASELINE = 0.05  # of the longest baseline: a view from nearly the same place says nothing about depth
 KEPT = 0.999  # bilinear weight of kept pixels above which, up to rounding, no masked pixel takes part
 
 
@@ -76,8 +76,8 @@ def parallax(view: FittedView, seen: Reprojection, other: FittedView) -> F64:
     t = other.camera.rotation.T @ (view.camera.center - other.camera.center)
     ahead = ray[..., 2] > 0
     across = t[:2] * ray[..., 2:] - t[2] * ray[..., :2]
-    way = np.hypot(other.camera.fx * across[..., 0], other.camera.fy * across[..., 1])
-    return np.where(ahead, way / (seen.z * np.where(ahead, ray[..., 2], 1.0)), np.inf)
+    shift = np.hypot(other.camera.fx * across[..., 0], other.camera.fy * across[..., 1])
+    return np.where(ahead, shift / (seen.z * np.where(ahead, ray[..., 2], 1.0)), np.inf)
 
 
 def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:
@@ -86,11 +86,11 @@ def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:
     With t the baseline in the axes of the other view this is sqrt((fx t_x)^2 + (fy t_y)^2 + fx fy t_z^2): the part
     along the axis counts as if it were across. Computed as fx |t| times a root that is exactly 1 for square pixels.
     """
-    lens, way = other.camera, view.camera.center - other.camera.center
-    length = float(np.linalg.norm(way))
+    lens, baseline = other.camera, view.camera.center - other.camera.center
+    length = float(np.linalg.norm(baseline))
     if length == 0:
         return 0.0
-    _, down, forward = lens.rotation.T @ (way / length)
+    _, down, forward = lens.rotation.T @ (baseline / length)
     tall = lens.fy / lens.fx
     return lens.fx * length * float(np.sqrt(1 + (tall - 1) * ((tall + 1) * down**2 + forward**2)))
 
@@ -98,13 +98,12 @@ def pixels_per_inverse_depth(view: FittedView, other: FittedView) -> float:
 def views_with_parallax(views: Sequence[FittedView], index: int, depth: F64) -> dict[int, float]:
     """The other views that have parallax to view `index`: index -> `pixels_per_inverse_depth`.
 
-    Left out are those below LEAST_WAY of the largest, unless a point at the median of the z-depths `depth` (H, W) has
-    PARALLAX_PX in them: a distant overview does not make a pair of neighbours worse. Empty where all views are from one
-    place."""
-    ways = {
-        other: pixels_per_inverse_depth(views[index], views[other]) for other in range(len(views)) if other != index
-    }
+    Left out are those below LEAST_BASELINE of the largest, unless a point at the median of the z-depths `depth` (H, W)
+    has PARALLAX_PX in them: a distant overview does not make a pair of neighbours worse. Empty where all views are from
+    one place."""
+    others = [other for other in range(len(views)) if other != index]
+    scales = {other: pixels_per_inverse_depth(views[index], views[other]) for other in others}
     kept = views[index].kept
     middle = float(np.median(depth[kept] if kept.any() else depth))
-    least = min(LEAST_WAY * max(ways.values()), PARALLAX_PX * middle)
-    return {other: way for other, way in ways.items() if way > 0 and way >= least}
+    least = min(LEAST_BASELINE * max(scales.values()), PARALLAX_PX * middle)
+    return {other: scale for other, scale in scales.items() if scale > 0 and scale >= least}

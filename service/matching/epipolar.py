@@ -27,6 +27,7 @@ RADIUS = 5  # windows of 11 x 11 px
 POINTS = 200  # of each view, at most
 ENOUGH = 40  # of a pair
 STEPS = 6  # of the alignment
+REWEIGHTINGS = 12  # of the rotation's least squares
 FARTHEST_PX = 6.0  # largest shift from the coarse match, and largest disparity between its neighbours' depths
 GOOD_MATCH = 0.9  # correlation, once aligned
 CORNER = 0.05  # least ratio of the structure tensor's eigenvalues: a window with a mere edge slides along it
@@ -82,16 +83,16 @@ def epipolar_residuals(pairs: PairMatches) -> list[EpipolarResidual]:
     residuals = []
     for pair in pairs.nearest():
         views, drawn = [pairs.views[view] for view in pair], [pictures[view] for view in pair]
-        parts = [_across(index, match, views, drawn) for index, match in enumerate(pairs.of(*pair))]
+        parts = [_residuals(index, match, views, drawn) for index, match in enumerate(pairs.of(*pair))]
         px, turning = (np.concatenate(part) for part in zip(*parts, strict=True))
         if len(px) >= ENOUGH:
-            turn, rest = _turned(px, turning)
+            turn, rest = _best_rotation(px, turning)
             size = float(np.linalg.norm(turn))
             residuals.append(EpipolarResidual(pair, float(np.median(np.abs(px))), float(np.median(np.abs(rest))), size))
     return residuals
 
 
-def _across(index: int, match: Matches, views: Sequence[FittedView], pictures: Sequence[F64]) -> tuple[F64, F64]:
+def _residuals(index: int, match: Matches, views: Sequence[FittedView], pictures: Sequence[F64]) -> tuple[F64, F64]:
     """(N,) signed distances in px from their epipolar lines, in the other view, of points of view `index` of the pair;
     and (N, 3) their derivatives by a rotation of the pair's second camera about the axes of the world, px per rad."""
     view, other = views[index], views[match.other]
@@ -101,12 +102,12 @@ def _across(index: int, match: Matches, views: Sequence[FittedView], pictures: S
     points = view.camera.unproject(window.reshape(-1, 2), np.repeat(depth, len(offsets)))
     there, _ = other.camera.project(points)
     there = there.reshape(window.shape)
-    shift, good = _aligned(_at(pictures[index], window), pictures[match.other], there)
+    shift, good = _alignment(_sampled(pictures[index], window), pictures[match.other], there)
     good &= _inside(window, pictures[index]) & np.isfinite(there).all(axis=(1, 2))
     points = view.camera.unproject(pixels, depth)
     cam = (points - other.camera.center) @ other.camera.rotation
     rays = (points - view.camera.center) @ other.camera.rotation  # along which a point moves with its depth
-    flow = _flow(other, cam)
+    flow = _projection_jacobian(other, cam)
     line = np.einsum("nij,nj->ni", flow, rays)
     length = np.linalg.norm(line, axis=1)
     good &= length > 0
@@ -132,7 +133,7 @@ def _surfaces(match: Matches, view: FittedView, other: FittedView) -> tuple[F64,
     return inside[chosen], match.depth[1:-1, 1:-1][cells][chosen]
 
 
-def _flow(view: FittedView, points: F64) -> F64:
+def _projection_jacobian(view: FittedView, points: F64) -> F64:
     """(N, 2, 3) Jacobian of the projection, px per unit, at `points` (N, 3) in the camera's axes."""
     camera, (x, y, z) = view.camera, points.T
     flow = np.zeros((len(points), 2, 3))
@@ -141,15 +142,15 @@ def _flow(view: FittedView, points: F64) -> F64:
     return flow
 
 
-def _aligned(window: F64, picture: F64, there: F64) -> tuple[F64, NDArray[np.bool_]]:
+def _alignment(window: F64, picture: F64, there: F64) -> tuple[F64, NDArray[np.bool_]]:
     """(N, 2) shift in px of the positions `there` (N, K, 2) that aligns `picture` (H, W, 4) with `window` (N, K, 4), up
     to gain and offset (Lucas and Kanade, 1981); and (N,) whether the aligned windows match."""
-    template, kept = _normal(window[..., 0])[0], (window[..., 3] > KEPT).all(axis=1)
+    template, kept = _normalised(window[..., 0])[0], (window[..., 3] > KEPT).all(axis=1)
     places = np.nan_to_num(there, nan=-1e9)
     shift = np.zeros((len(there), 2))
     for step in range(STEPS + 1):
-        values = _at(picture, places + shift[:, None])
-        seen, size = _normal(values[..., 0])
+        values = _sampled(picture, places + shift[:, None])
+        seen, size = _normalised(values[..., 0])
         if step == STEPS:
             break
         slopes = (values[..., 1:3] - values[..., 1:3].mean(axis=1, keepdims=True)) / size[..., None]
@@ -163,18 +164,18 @@ def _aligned(window: F64, picture: F64, there: F64) -> tuple[F64, NDArray[np.boo
     return shift, good & (np.abs(shift).max(axis=1) < FARTHEST_PX) & _inside(places + shift[:, None], picture)
 
 
-def _normal(values: F64) -> tuple[F64, F64]:
+def _normalised(values: F64) -> tuple[F64, F64]:
     """(N, K) `values` with zero mean and unit norm per row, and (N, 1) the norms before."""
     values = values - values.mean(axis=1, keepdims=True)
     size = np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9)
     return values / size, size
 
 
-def _turned(px: F64, turning: F64) -> tuple[F64, F64]:
+def _best_rotation(px: F64, turning: F64) -> tuple[F64, F64]:
     """(3,) the rotation vector that best explains the distances `px` (N,) with their derivatives `turning` (N, 3), by
     iteratively reweighted least squares; and (N,) the distances that remain."""
     turn: F64 = np.zeros(3)
-    for _ in range(12):
+    for _ in range(REWEIGHTINGS):
         weights = 1.0 / (1.0 + np.abs(px + turning @ turn) / LIKE_NOISE_PX)
         least = np.linalg.norm(weights) * np.degrees(UNSEEN_PX) * np.eye(3)
         system = np.concatenate([turning * weights[:, None], least])
@@ -188,7 +189,7 @@ def _picture(view: FittedView) -> F64:
     return np.stack([view.grey, right, down, view.kept.astype(np.float64)], axis=-1)
 
 
-def _at(picture: F64, places: F64) -> F64:
+def _sampled(picture: F64, places: F64) -> F64:
     """(N, K, C) bilinear samples of `picture` (H, W, C) at pixel positions (N, K, 2)."""
     return bilinear(picture, places[..., 0] - 0.5, places[..., 1] - 0.5)
 

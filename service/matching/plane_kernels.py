@@ -97,17 +97,17 @@ def compare_planes(own, others, column, row, seen, limit, found):
 
 
 @kernel()
-def compare_level(own, others, rays, way, lens, level, limit, found):
+def compare_level(own, others, rays, baseline, lens, level, limit, found):
     """Write `found` (H, W): the mean absolute difference of `own` (H, W, C) and `others` (h, w, C), truncated at
-    `limit`, with all pixels at the inverse z-depth `level`. A pixel then lies along ray + level * way, with `rays` (H,
-    W, 3) and the baseline `way` (3,) in the axes of the other view, whose `lens` is fx, fy, cx, cy in px. `limit` where
-    the point is behind the other view or outside its picture, and where one of the four pixels around it is NaN."""
+    `limit`, with all pixels at the inverse z-depth `level`. A pixel then lies along ray + level * baseline, with `rays`
+    (H, W, 3) and `baseline` (3,) in the axes of the other view, whose `lens` is fx, fy, cx, cy in px. `limit` where the
+    point is behind the other view or outside its picture, and where one of the four pixels around it is NaN."""
     height, width, _ = others.shape
-    x_way, y_way, z_way = level * get(way, 0), level * get(way, 1), level * get(way, 2)
+    x_shift, y_shift, z_shift = level * get(baseline, 0), level * get(baseline, 1), level * get(baseline, 2)
     for at in range(found.size):
-        apart, z = limit, get(rays, 3 * at + 2) + z_way
-        x = get(lens, 0) * ((get(rays, 3 * at) + x_way) / z) + get(lens, 2)
-        y = get(lens, 1) * ((get(rays, 3 * at + 1) + y_way) / z) + get(lens, 3)
+        apart, z = limit, get(rays, 3 * at + 2) + z_shift
+        x = get(lens, 0) * ((get(rays, 3 * at) + x_shift) / z) + get(lens, 2)
+        y = get(lens, 1) * ((get(rays, 3 * at + 1) + y_shift) / z) + get(lens, 3)
         if z > 0 and x > 0 and y > 0 and x < width and y < height:
             apart = smaller(_apart(own, others, at, x - 0.5, y - 0.5), limit)  # the limit for NaN
         put(found, at, apart)

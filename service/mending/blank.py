@@ -65,8 +65,8 @@ def _backdrop_moved(views: Sequence[FittedView], shades: Sequence[F32], depths: 
     if not even:
         return depths
     moved = np.where(blank, np.maximum(depths, far), depths)
-    ways = [views_with_parallax(views, index, depth) for index, depth in enumerate(depths)]
-    now, then = (_contradicted(views, ways, stack, blank) for stack in (depths, moved))
+    scales = [views_with_parallax(views, index, depth) for index, depth in enumerate(depths)]
+    now, then = (_contradicted(views, scales, stack, blank) for stack in (depths, moved))
     return moved if now >= CONTRADICTED and then <= (now + CONTRADICTED if plain else FALL * now) else depths
 
 
@@ -82,20 +82,22 @@ def _joined(views: Sequence[FittedView], shades: Sequence[F32], level: float) ->
     return np.stack([from_border(view.kept & (shade <= level)) for view, shade in zip(views, shades, strict=True)])
 
 
-def _contradicted(views: Sequence[FittedView], ways: Sequence[Mapping[int, float]], depths: F64, blank: Mask) -> float:
-    """Share of the blank pixels (V, H, W) whose depth another view contradicts; `ways` are `views_with_parallax` per
+def _contradicted(
+    views: Sequence[FittedView], scales: Sequence[Mapping[int, float]], depths: F64, blank: Mask
+) -> float:
+    """Share of the blank pixels (V, H, W) whose depth another view contradicts; `scales` are `views_with_parallax` per
     view."""
-    found = [_contradictions(views, index, ways[index], depths) for index in range(len(views))]
+    found = [_contradictions(views, index, scales[index], depths) for index in range(len(views))]
     return int((blank & np.stack(found)).sum()) / int(blank.sum())
 
 
-def _contradictions(views: Sequence[FittedView], index: int, ways: Mapping[int, float], depths: F64) -> Mask:
+def _contradictions(views: Sequence[FittedView], index: int, scales: Mapping[int, float], depths: F64) -> Mask:
     """(H, W) pixels of view `index` whose depth at least one other view contradicts."""
     found, colours = np.zeros(depths[index].shape, np.bool_), views[index].image.transpose(1, 2, 0)
-    for other, way in ways.items():
+    for other, scale in scales.items():
         seen = reprojected(views[index], depths[index], views[other])
         theirs = seen.value((1 / depths[other])[..., None])[..., 0]
-        before = (theirs - 1 / seen.z) * way > AGREEMENT_PX
+        before = (theirs - 1 / seen.z) * scale > AGREEMENT_PX
         differs = np.abs(seen.value(views[other].image.transpose(1, 2, 0)) - colours).mean(axis=2) > SAME_COLOUR
         found |= seen.where & differs & ~before
     return found

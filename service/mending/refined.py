@@ -41,8 +41,8 @@ def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depths: F64, 
     others = views_with_parallax(views, index, depths[index])
     if not others:
         return depths[index]
-    pixels = max(others.values())
-    steps = [np.clip(inverse + offset / pixels, inverse / RANGE, inverse * RANGE) for offset in OFFSETS_PX]
+    scale = max(others.values())
+    steps = [np.clip(inverse + offset / scale, inverse / RANGE, inverse * RANGE) for offset in OFFSETS_PX]
     total, counted = np.zeros((len(OFFSETS_PX), *inverse.shape)), np.zeros(inverse.shape)
     for other in others:
         seen = reprojected(view, depths[index], views[other])
@@ -56,7 +56,7 @@ def _of_view(views: Sequence[FittedView], pictures: Sequence[F32], depths: F64, 
     for cost in total:
         cost[:] = aggregation.of(cost / np.maximum(counted, 1))
     offset, gains = _least(total)
-    moved = np.clip(inverse + offset / pixels, inverse / RANGE, inverse * RANGE)
+    moved = np.clip(inverse + offset / scale, inverse / RANGE, inverse * RANGE)
     return np.where(known & gains, 1 / moved, depths[index])
 
 

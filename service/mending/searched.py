@@ -71,13 +71,13 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
     for index, view in enumerate(views):
         found, agreed = best[index], np.zeros(sure[index].shape, np.bool_)
         pair = not any(second in places[first] for first in elsewhere[index] for second in elsewhere[index])
-        for other, way in elsewhere[index].items():
+        for other, scale in elsewhere[index].items():
             seen = reprojected(view, found.depth, views[other])
             close = [
                 disagreement(view, seen, views[other], theirs) < AGREEMENT_PX
                 for theirs in (depths[other], best[other].depth)
             ]
-            near = np.abs(1 / found.depth - 1 / depths[index]) * way < PAIR_PX
+            near = np.abs(1 / found.depth - 1 / depths[index]) * scale < PAIR_PX
             agreed |= seen.where & (close[0] | close[1]) & (near | (not pair))
         taken = found.gains & agreed & textured(view) & ~sure[index]
         result[index] = np.where(taken, found.depth, depths[index])
@@ -87,7 +87,7 @@ def searched(views: Sequence[FittedView], depths: F64, threads: int | None = Non
 def _nearest(elsewhere: dict[int, float]) -> dict[int, float]:
     """The OTHERS of least parallax, and those tied with the last of them."""
     last = sorted(elsewhere.values())[:OTHERS][-1:]
-    return {other: way for other, way in elsewhere.items() if last and way <= (1 + TIED) * last[0]}
+    return {other: scale for other, scale in elsewhere.items() if last and scale <= (1 + TIED) * last[0]}
 
 
 def _best(
@@ -123,7 +123,7 @@ class _Sweep(NamedTuple):
     own: F32  # (H, W, C) features
     others: F32  # (h, w, C) features of the other view, NaN where it is masked
     rays: F64  # (H, W, 3) of the view's pixels, in the axes of the other view
-    way: F64  # (3,) baseline from the other view's centre to the view's, in the same axes
+    baseline: F64  # (3,) from the other view's centre to the view's, in the same axes
     lens: F64  # (4,) fx, fy, cx, cy of the other view, px
 
     @classmethod
@@ -140,5 +140,5 @@ class _Sweep(NamedTuple):
     def cost(self, level: float) -> F64:
         """(H, W) mean absolute difference at the inverse z-depth `level`, truncated at LIMIT; LIMIT where not seen."""
         found = np.empty(self.own.shape[:2])
-        compare_level(self.own, self.others, self.rays, self.way, self.lens, level, LIMIT, found)
+        compare_level(self.own, self.others, self.rays, self.baseline, self.lens, level, LIMIT, found)
         return found

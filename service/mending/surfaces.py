@@ -42,7 +42,7 @@ class Described(NamedTuple):
     """A surface, the residual of its fit, and how far away its support lies."""
 
     surface: Surface
-    spread: F64  # (H, W) standard deviation of the confirmed inverse depths from the plane
+    residual: F64  # (H, W) standard deviation of the confirmed inverse depths from the plane
     away: F64  # (H, W) distance from the pixel to the centroid of the confirmed pixels, in reaches
 
 
@@ -53,9 +53,9 @@ class _Moments(NamedTuple):
     level: F64  # mean of their inverse depths
     beside: F64  # from their centroid to the pixel, px: x,
     below: F64  # and y
-    across: F64  # slope of the plane along x, times `size`
+    across: F64  # slope of the plane along x, times `determinant`
     down: F64  # and along y
-    size: F64  # determinant of the covariance of their positions
+    determinant: F64  # determinant of the covariance of their positions
     along_x: F64  # covariance of inverse depth and x
     along_y: F64  # and y
 
@@ -72,42 +72,43 @@ def surface(picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: floa
 def described_surface(
     picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: float, *, edges: bool = True
 ) -> Described:
-    """As `surface`, with the quality of the fit; without `edges` the picture does not matter. `spread` is in the unit
+    """As `surface`, with the quality of the fit; without `edges` the picture does not matter. `residual` is in the unit
     of `inverse`."""
     found, moments = _fitted(picture, inverse, sure, reach, edges)
-    squares = _spread(inverse * inverse * sure, *moments.steps)
+    squares = _weighted_sums(inverse * inverse * sure, *moments.steps)
     squares /= np.maximum(found.weight, LEAST)
     squares -= moments.level**2
-    squares -= (moments.across * moments.along_x + moments.down * moments.along_y) / moments.size
-    spread = np.sqrt(np.maximum(squares, 0))
-    return Described(found, spread, np.hypot(moments.beside, moments.below) / reach)
+    squares -= (moments.across * moments.along_x + moments.down * moments.along_y) / moments.determinant
+    residual = np.sqrt(np.maximum(squares, 0))
+    return Described(found, residual, np.hypot(moments.beside, moments.below) / reach)
 
 
 def _fitted(
     picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: float, edges: bool
 ) -> tuple[Surface, _Moments]:
+    """The planes of `surface` by the normal equations of the fit, and the moments that these are made of."""
     y, x = (np.arange(count, dtype=np.float64) for count in inverse.shape)
     y, one, d = y[:, None], np.ones((1, 1)), inverse
     terms = ((one, one), (x, one), (y, one), (x, x), (x, y), (y, y), (d, one), (d, x), (d, y))
     steps = _steps(picture, 2, reach, edges), _steps(picture, 1, reach, edges)
-    mass, mean_x, mean_y, xx, xy, yy, level, xd, yd = (_spread(a * b * sure, *steps) for a, b in terms)
+    weight, mean_x, mean_y, xx, xy, yy, level, xd, yd = (_weighted_sums(a * b * sure, *steps) for a, b in terms)
     ridge = RIDGE * reach**2
     for total in (mean_x, mean_y, xx, xy, yy, level, xd, yd):  # all in place: of a finer grid this is much memory
-        total /= np.maximum(mass, LEAST)
-    for spread, mean in ((xx, mean_x), (yy, mean_y)):
-        spread -= mean**2
-        np.maximum(spread, 0, out=spread)
-        spread += ridge
+        total /= np.maximum(weight, LEAST)
+    for variance, mean in ((xx, mean_x), (yy, mean_y)):
+        variance -= mean**2
+        np.maximum(variance, 0, out=variance)
+        variance += ridge
     xy -= mean_x * mean_y
     xd -= mean_x * level
     yd -= mean_y * level
-    across, down, size = yy * xd - xy * yd, xx * yd - xy * xd, xx * yy - xy**2
+    across, down, determinant = yy * xd - xy * yd, xx * yd - xy * xd, xx * yy - xy**2
     beside, below = x - mean_x, y - mean_y
-    found = level + (across * beside + down * below) / size
-    return Surface(found, mass), _Moments(steps, level, beside, below, across, down, size, xd, yd)
+    found = level + (across * beside + down * below) / determinant
+    return Surface(found, weight), _Moments(steps, level, beside, below, across, down, determinant, xd, yd)
 
 
-def _spread(plane: F64, across: F64, down: F64) -> F64:
+def _weighted_sums(plane: F64, across: F64, down: F64) -> F64:
     """(H, W) weighted sums of `plane` (H, W) around each pixel, by a recursive filter along rows, then columns;
     `across` (H, W - 1) and `down` (H - 1, W) are its factors per step."""
     along, sums = np.empty_like(plane[None]), np.empty_like(plane[None])

@@ -44,7 +44,7 @@ class Candidates(NamedTuple):
     about: NDArray[np.float16]  # (ABOUT, N)
     undecided: Mask  # (H, W) kept pixels that no other view confirms
     outside: Mask  # (H, W) pixels outside every other view's picture, at their current depth
-    way: float  # px per unit of inverse depth
+    disparity_scale: float  # px per unit of inverse depth
 
 
 class Matched:
@@ -60,56 +60,55 @@ class Matched:
         """The candidates of view `index`; None where none of its pixels is confirmed, all are decided, or no other view
         has parallax."""
         view, depth, sure = self.views[index], self.depths[index], self.sure[index]
-        ways, undecided = views_with_parallax(self.views, index, depth), view.kept & ~sure
-        if not ways or not sure.any() or not undecided.any():
+        scales, undecided = views_with_parallax(self.views, index, depth), view.kept & ~sure
+        if not scales or not sure.any() or not undecided.any():
             return None
-        way = max(ways.values())
+        scale = max(scales.values())
         known = np.zeros((COUNT, KNOWN, int(undecided.sum())), np.float16)
         inverse = np.empty((COUNT, *depth.shape))
-        inverse[:FREE] = way / np.stack([depth, *(stack[index] for stack in self.others)])
+        inverse[:FREE] = scale / np.stack([depth, *(stack[index] for stack in self.others)])
         for place, (reach, edges) in enumerate(REACHES, start=FREE):
             found = described_surface(view.image, inverse[0], sure, reach, edges=edges)
             inverse[place] = found.surface.within(inverse[0], view.kept)
             known[place, 4:7] = _of_surface(found, undecided)
-        self._compared(index, ways, inverse, undecided, known)
+        self._compared(index, scales, inverse, undecided, known)
         about = _about(view, inverse, undecided)
-        return Candidates(inverse, known, about, undecided, self._outside(index, ways), way)
+        return Candidates(inverse, known, about, undecided, self._outside(index, scales), scale)
 
     def _compared(
-        self, index: int, ways: Mapping[int, float], inverse: F64, undecided: Mask, known: NDArray[np.float16]
+        self, index: int, scales: Mapping[int, float], inverse: F64, undecided: Mask, known: NDArray[np.float16]
     ) -> None:
         """Fill in all features of `known` but those of the surfaces."""
         aggregation, of_all = CostAggregation(self.views[index], self.views[index].kept), inverse[:, undecided]
         middle = np.median(of_all, axis=0)
         for place, own in enumerate(of_all):
-            seen = self._seen(index, ways, max(ways.values()) / inverse[place], aggregation)
+            seen = self._seen(index, scales, max(scales.values()) / inverse[place], aggregation)
             cost, share, front, sure = (plane[undecided] for plane in seen)
-            apart = [np.tanh((own - other) / scale) for other in of_all[:2] for scale in (NEAR, FAR)]
             alike = np.mean(np.abs(of_all - own) < ALIKE, axis=0)
-            rest = (cost / LIMIT, share, np.tanh(front / 2), sure, np.tanh((own - middle) / NEAR), alike)
-            for number, values in zip((*range(4), *range(7, KNOWN)), (*apart, *rest, np.log1p(own) / 5), strict=True):
-                known[place, number] = values
+            known[place, :4] = [np.tanh((own - other) / px) for other in of_all[:2] for px in (NEAR, FAR)]
+            from_middle, level = np.tanh((own - middle) / NEAR), np.log1p(own) / 5
+            known[place, 7:] = [cost / LIMIT, share, np.tanh(front / 2), sure, from_middle, alike, level]
 
-    def _outside(self, index: int, ways: Mapping[int, float]) -> Mask:
+    def _outside(self, index: int, scales: Mapping[int, float]) -> Mask:
         """(H, W) pixels outside every other view's picture."""
         view, depth = self.views[index], self.depths[index]
-        return ~np.any([reprojected(view, depth, self.views[other]).inside for other in ways], axis=0)
+        return ~np.any([reprojected(view, depth, self.views[other]).inside for other in scales], axis=0)
 
     def _seen(
-        self, index: int, ways: Mapping[int, float], depth: F64, aggregation: CostAggregation
+        self, index: int, scales: Mapping[int, float], depth: F64, aggregation: CostAggregation
     ) -> tuple[F64, F64, F64, F64]:
         """(H, W) each, over the other views: the least aggregated matching cost; the share of them that see the point;
         the largest distance in px by which it lies in front of their surface; and whether that surface is confirmed."""
         view, own = self.views[index], self.pictures[index]
         cost, share = np.full(depth.shape, LIMIT), np.zeros(depth.shape)
         front, sure = np.full(depth.shape, -MOST), np.zeros(depth.shape)
-        for other, way in ways.items():
+        for other, scale in scales.items():
             seen = reprojected(view, depth, self.views[other])
             now = view.kept * difference_there(own, seen, self.pictures[other])
             cost = np.minimum(cost, aggregation.of(now))
-            share += seen.where / len(ways)
+            share += seen.where / len(scales)
             theirs = seen.value(self.surfaces[other])
-            gap = np.where(seen.where, np.clip((1 / seen.z - theirs[..., 0]) * way, -MOST, MOST), -MOST)
+            gap = np.where(seen.where, np.clip((1 / seen.z - theirs[..., 0]) * scale, -MOST, MOST), -MOST)
             sure = np.where(gap > front, theirs[..., 1], sure)
             front = np.maximum(front, gap)
         return cost, share, np.where(share > 0, front, 0.0), np.where(share > 0, sure, 0.0)
@@ -119,7 +118,9 @@ def _of_surface(found: Described, undecided: Mask) -> NDArray[np.float64]:
     """(3, N) features of the surface at each pixel: its weight, its residual, and the distance of its support."""
     known = found.surface.known[undecided]
     weight = np.log10(np.maximum(found.surface.weight[undecided], LEAST)) / -np.log10(LEAST)
-    return np.stack([weight, np.tanh(found.spread[undecided] / 2) * known, np.tanh(found.away[undecided] / 2) * known])
+    return np.stack(
+        [weight, np.tanh(found.residual[undecided] / 2) * known, np.tanh(found.away[undecided] / 2) * known]
+    )
 
 
 def _about(view: FittedView, inverse: F64, undecided: Mask) -> NDArray[np.float16]:

@@ -41,7 +41,7 @@ def _of_view(matched: Matched, index: int, network: ChoiceNetwork) -> F64:
     inverse = np.take_along_axis(found.inverse, best[None], axis=0)[0]
     stays = found.outside & (inverse <= found.inverse[0] - BACK * min(depth.shape))
     moves = found.undecided & (best > 0) & ~stays
-    return np.where(moves, found.way / np.where(moves, inverse, 1), depth)
+    return np.where(moves, found.disparity_scale / np.where(moves, inverse, 1), depth)
 
 
 def preferred(view: FittedView, found: Candidates, network: ChoiceNetwork) -> NDArray[np.intp]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gapmes.service.cameras.camera import Camera
-from gapmes.service.matching.correspondence import LEAST_WAY, PARALLAX_PX, views_with_parallax
+from gapmes.service.matching.correspondence import LEAST_BASELINE, PARALLAX_PX, views_with_parallax
 from gapmes.service.photographs.images import FittedView
 
 DEPTH = np.full((32, 32), 6.0)
@@ -26,9 +26,9 @@ def test_an_overview_from_far_away_leaves_neighbours_in() -> None:
 
 @pytest.mark.parametrize(("x", "found"), [(0.39, [2]), (0.41, [1, 2])])
 def test_from_nearly_the_same_place_is_told_by_parallax(x: float, found: list[int]) -> None:
-    """4 px are 0.4 units at 6; without the limit of PARALLAX_PX both were less than LEAST_WAY."""
+    """4 px are 0.4 units at 6; without the limit of PARALLAX_PX both were less than LEAST_BASELINE."""
     assert pytest.approx(PARALLAX_PX) == 60 * 0.4 / 6
-    assert LEAST_WAY * 12 > 0.41
+    assert LEAST_BASELINE * 12 > 0.41
     assert list(views_with_parallax([view(0), view(x), view(0, -12)], 0, DEPTH)) == found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gapmes.service.mending.surfaces import EDGE, LEAST, RIDGE, _spread, _steps, described_surface, surface
+from gapmes.service.mending.surfaces import EDGE, LEAST, RIDGE, _steps, _weighted_sums, described_surface, surface
 
 SIDE = 64
 FLAT = np.full((3, SIDE, SIDE), 0.5, np.float32)
@@ -27,10 +27,10 @@ def test_an_edge_keeps_surfaces_apart() -> None:
     sure = np.random.default_rng(5).random((SIDE, SIDE)) < 0.3
     found = described_surface(image, inverse.copy(), sure, 24.0)
     assert np.abs(found.surface.inverse - inverse).max() < 1e-4  # found: 6e-6
-    assert found.spread.max() < 0.01
+    assert found.residual.max() < 0.01
     across = described_surface(image, inverse.copy(), sure, 24.0, edges=False)
     assert np.abs(across.surface.inverse - inverse)[:, SIDE // 2 - 4 : SIDE // 2 + 4].min() > 0.05
-    assert across.spread[:, SIDE // 2].min() > 0.1
+    assert across.residual[:, SIDE // 2].min() > 0.1
 
 
 def test_weights_are_their_definition() -> None:
@@ -39,7 +39,7 @@ def test_weights_are_their_definition() -> None:
     image, reach = rng.random((3, 7, 9), dtype=np.float32), 5.0
     point = np.zeros((7, 9))
     point[3, 4] = 1
-    found = _spread(point, _steps(image, 2, reach, True), _steps(image, 1, reach, True))
+    found = _weighted_sums(point, _steps(image, 2, reach, True), _steps(image, 1, reach, True))
     for row, column in np.ndindex(7, 9):
         way = 0.0
         for a in range(min(column, 4), max(column, 4)):
@@ -67,7 +67,7 @@ def test_a_surface_is_a_weighted_fit_by_least_squares() -> None:
     assert found.inverse[row, column] == pytest.approx(mean + slopes @ [column - mean_x, row - mean_y])
     explained = slopes @ (terms.T @ (share * (inverse.ravel() - mean)))
     spread = np.sqrt((share * (inverse.ravel() - mean) ** 2).sum() - explained)
-    assert told.spread[row, column] == pytest.approx(spread)
+    assert told.residual[row, column] == pytest.approx(spread)
     assert told.away[row, column] == pytest.approx(np.hypot(column - mean_x, row - mean_y) / reach)
 
 
@@ -79,7 +79,7 @@ def test_where_nothing_sure_is_near_nothing_is_known() -> None:
     assert found.known[:8, :8].all()
     assert not found.known[-8:, -8:].any()
     assert (found.weight[-8:, -8:] <= LEAST).all()
-    assert all(np.isfinite(plane).all() for plane in (*found, told.spread, told.away))
+    assert all(np.isfinite(plane).all() for plane in (*found, told.residual, told.away))
     assert (found.within(np.full((SIDE, SIDE), 0.7), sure)[-8:, -8:] == 0.7).all()
 
 

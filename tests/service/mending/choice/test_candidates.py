@@ -44,9 +44,9 @@ def test_they_are_the_depths_that_were_given_and_surfaces(views: list[FittedView
     assert found.known.shape == (COUNT, KNOWN, found.undecided.sum())
     assert found.about.shape == (ABOUT, found.undecided.sum())
     for place, depths in enumerate((spoiled, 1.1 * truth, 1.3 * truth)):
-        assert found.inverse[place] == pytest.approx(found.way / depths[0])
+        assert found.inverse[place] == pytest.approx(found.disparity_scale / depths[0])
     for place in range(3, COUNT):  # the patch lies in the plane that is confirmed about it
-        assert np.median(np.abs(found.inverse[place] * truth[0] / found.way - 1)[PATCH]) < 0.01
+        assert np.median(np.abs(found.inverse[place] * truth[0] / found.disparity_scale - 1)[PATCH]) < 0.01
     assert (np.abs(found.known) <= 2).all()
     assert (np.abs(found.about) <= 2).all()
 
@@ -125,7 +125,7 @@ def by_definition(views: list[FittedView], stacks: list[np.ndarray], row: int, c
             near = float(about.surface.weight[place] > 1e-9)
             one += [
                 np.log10(weight) / 9,
-                near * np.tanh(about.spread[place] / 2),
+                near * np.tanh(about.residual[place] / 2),
                 near * np.tanh(about.away[place] / 2),
             ]
         one += [cost / 0.25, float(seen), seen * np.tanh(front / 2), seen * certain]
