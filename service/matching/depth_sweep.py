@@ -13,7 +13,7 @@ from ..cameras.depth_range import DepthRange
 from ..cameras.view_checks import DEPTH_PLANES, Notice
 from ..photographs.images import FittedView
 from .coarse_views import CoarseView, coarse_view, nearest_neighbours
-from .plane_sweep import best_planes, planes, step_px, swept_px
+from .plane_sweep import best_planes, plane_depths, step_px, swept_px
 from .window_match import contrast
 
 F64 = NDArray[np.float64]
@@ -103,7 +103,7 @@ def matched_depths(views: Sequence[CoarseView], depths: DepthRange) -> tuple[F64
 def matches(views: Sequence[CoarseView], depths: DepthRange) -> list[Matches]:
     """The matches of every view with its nearest neighbour."""
     cameras = [view.camera for view in views]
-    swept = planes(cameras, depths, PLANES, step_px(cameras, depths))
+    swept = plane_depths(cameras, depths, PLANES, step_px(cameras, depths))
     neighbours = nearest_neighbours(cameras)
     maps = [best_planes(view, views[j], swept) for view, j in zip(views, neighbours, strict=True)]
     found = []

@@ -15,10 +15,11 @@ from ..photographs.images import FittedView
 from .coarse_views import CoarseView, nearest_neighbours
 from .depth_sweep import narrowed
 from .plane_sweep import best_planes
-from .window_match import NOT_SEEN, contrast
+from .window_match import match_weights
 
 AT_END = 0.2  # share of contrast whose best plane is at an end; right ranges of 170 pairs: near <= 0.05, far <= 0.11
 END = 2  # planes that count as an end
+CURE = "give near and far in the unit of the poses, around the whole scene, or neither"
 
 
 def as_if_none_given(cameras: Sequence[Camera], depths: DepthRange) -> DepthRange | None:
@@ -47,8 +48,7 @@ def range_doubtful(
     if max(at_near, at_far) > AT_END:
         share, end, where = (at_near, "near", "nearer") if at_near > at_far else (at_far, "far", "farther")
         message += f"; {100 * share:.0f} % match best at {end}: what they show may be {where}"
-    cure = "give near and far in the unit of the poses, around the whole scene, or neither"
-    return {"code": "depth_range_doubtful", "field": "near", "message": f"{message} ({cure})", "score": inside}
+    return {"code": "depth_range_doubtful", "field": "near", "message": f"{message} ({CURE})", "score": inside}
 
 
 def _at_ends(views: Sequence[CoarseView], swept: NDArray[np.float64]) -> tuple[float, float]:
@@ -57,7 +57,7 @@ def _at_ends(views: Sequence[CoarseView], swept: NDArray[np.float64]) -> tuple[f
     near, far, total = 0.0, 0.0, 0.0
     for view, neighbour in zip(views, nearest_neighbours([view.camera for view in views]), strict=True):
         best, depth = best_planes(view, views[neighbour], swept)
-        weights = np.where(view.kept & (best > NOT_SEEN), contrast(view.grey, view.kept), 0.0)
+        weights = match_weights(view.grey, best, view.kept)
         near += float(weights[depth <= swept[END - 1]].sum())
         far += float(weights[depth >= swept[-END]].sum())
         total += float(weights.sum())

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..cameras.view_checks import Notice
 from .depth_sweep import outer_percentiles
+from .given_range import CURE
 from .pair_matches import PairMatches
 
 REACH = 3.0  # depths down to near / REACH and up to far * REACH are searched
@@ -47,6 +48,5 @@ def missed_depths(pairs: PairMatches) -> list[Notice]:
                 f"{amount / weight.sum():.0%} of what matches in the photographs lies {where} than the given {end} = "
                 f"{limit:.4g}, at depths of {low:.4g} to {high:.4g}"
             )
-            cure = "give near and far in the unit of the poses, around the whole scene, or neither"
-            notices.append({"code": "depth_range_doubtful", "field": end, "message": f"{message} ({cure})"})
+            notices.append({"code": "depth_range_doubtful", "field": end, "message": f"{message} ({CURE})"})
     return notices

@@ -21,7 +21,7 @@ from ..photographs.images import FittedView
 from ..photographs.upright import ON_ITS_SIDE, UPSIDE_DOWN, upright
 from .coarse_views import CoarseView, coarse_view, nearest_neighbours
 from .given_range import as_if_none_given, range_doubtful
-from .plane_sweep import STEP_PX, best_planes, planes, step_px
+from .plane_sweep import STEP_PX, best_planes, plane_depths, step_px
 from .twins import twins
 from .window_match import match_score
 
@@ -64,47 +64,65 @@ def check_photos(
 def _matching(
     views: Sequence[FittedView], depths: DepthRange, numbers: Sequence[int], trust_poses: bool
 ) -> list[Notice]:
+    """The warnings of `check_photos` about anything but duplicates."""
     coarse = [coarse_view(view) for view in views]
     cameras = [view.camera for view in coarse]
     step = step_px(cameras, depths)  # for other readings as well: none wins by finer ones
+    swept = plane_depths(cameras, depths, PLANES, step)
     scores = view_scores(coarse, cameras, depths, step)
     given = _mean(scores)
-    doubts: list[Notice] = []
-    floor, estimate = given, as_if_none_given(cameras, depths)
-    if estimate is not None:
-        elsewhere = consistency(coarse, cameras, estimate, step)
-        inside = given or 0.0
-        if elsewhere is not None and elsewhere > max(inside + RANGE_MARGIN, GOOD_SCORE):
-            swept = planes(cameras, depths, PLANES, step)
-            doubts = [range_doubtful(views, coarse, swept, depths, estimate, (inside, elsewhere))]
-            floor = elsewhere  # which the poses are not to blame for
-    if given is None or floor is None:
+    doubts, floor = _range_doubts(views, coarse, swept, depths, step, given or 0.0)
+    if given is None:
         no_texture = "the photographs have nothing to match in common"
         return doubts or [{"code": "no_texture", "field": "images", "message": no_texture}]
-    found: list[tuple[float, Reading]] = []
+    better: list[tuple[float, Reading]] = []
     for other, seen in _readings(views, coarse, numbers, floor):
         other_depths = depth_range_of_reading(other.cameras, depths)
         score = None if other_depths is None else consistency(seen, other.cameras, other_depths, step)
         if score is None or (other.order and given < HARDLY and score < GOOD_SCORE):  # by chance, of so many
             continue
         if score > floor + MARGIN:
-            found.append((score, other))
-    if not found:
-        odd = [] if doubts else _odd(coarse, scores, planes(cameras, depths, PLANES, step), numbers)
-        if doubts or given >= HARDLY or 0 < len(odd) < len(views) - 1:  # the others match each other
-            return doubts or odd
-        message = f"the photographs hardly match under these cameras: score {given:.2f}, usual is 0.7 to 0.95"
-        cure = "is each pose the one of its own photograph, and are near and far right?"
-        return [{"code": "photos_hardly_match", "field": "cameras", "message": f"{message} ({cure})", "score": given}]
-    best = max(score for score, _ in found)
-    likely = [reading for score, reading in found if score >= best - TIE]
+            better.append((score, other))
+    if better:
+        return [_other_reading(better, given, trust_poses)]
+    odd = [] if doubts else _odd(coarse, scores, swept, numbers)
+    if doubts or given >= HARDLY or 0 < len(odd) < len(views) - 1:  # the others match each other
+        return doubts or odd
+    message = f"the photographs hardly match under these cameras: score {given:.2f}, usual is 0.7 to 0.95"
+    cure = "is each pose the one of its own photograph, and are near and far right?"
+    return [{"code": "photos_hardly_match", "field": "cameras", "message": f"{message} ({cure})", "score": given}]
+
+
+def _range_doubts(
+    views: Sequence[FittedView],
+    coarse: Sequence[CoarseView],
+    swept: NDArray[np.float64],
+    depths: DepthRange,
+    step: float,
+    given: float,
+) -> tuple[list[Notice], float]:
+    """The warning about a given range, where there is reason for one, and the score that other readings have to beat:
+    `given`, that of the poses in this range, or that in the estimated range, which the poses are not to blame for."""
+    cameras = [view.camera for view in coarse]
+    estimate = as_if_none_given(cameras, depths)
+    elsewhere = None if estimate is None else consistency(coarse, cameras, estimate, step)
+    if estimate is None or elsewhere is None or elsewhere <= max(given + RANGE_MARGIN, GOOD_SCORE):
+        return [], given
+    return [range_doubtful(views, coarse, swept, depths, estimate, (given, elsewhere))], elsewhere
+
+
+def _other_reading(better: Sequence[tuple[float, Reading]], given: float, trust_poses: bool) -> Notice:
+    """The warning about other readings with `better` scores than the `given` one, all those that match about equally.
+    Raises `ContradictionError` instead where the best is right beyond doubt, unless `trust_poses`."""
+    best = max(score for score, _ in better)
+    likely = [reading for score, reading in better if score >= best - TIE]
     message = f"the photographs match with score {given:.2f} under these poses and {best:.2f} under another reading"
     cure = "these look like " + "; or ".join(f"{reading.looks_like}: {reading.cure}" for reading in likely)
     beyond_doubt = given < POOR_SCORE and best >= GOOD_SCORE and best - given >= CLEAR_MARGIN
     if beyond_doubt and not trust_poses:
         cure += "; if the poses are right as they are, set trust_poses"
         raise ContradictionError(message, field="cameras", cure=cure, score=given, other_score=best)
-    return [{"code": "poses_doubtful", "field": "cameras", "message": f"{message} ({cure})", "score": given}]
+    return {"code": "poses_doubtful", "field": "cameras", "message": f"{message} ({cure})", "score": given}
 
 
 def consistency(
@@ -112,7 +130,7 @@ def consistency(
 ) -> float | None:
     """Mean match score of the views with their nearest neighbours, under `cameras`; None without overlap or texture.
 
-    The planes are at most about `step` px of parallax apart, within the limit of `planes`.
+    The planes are at most about `step` px of parallax apart, within the limit of `plane_depths`.
     """
     return _mean(view_scores(views, cameras, depths, step))
 
@@ -122,7 +140,7 @@ def view_scores(
 ) -> list[tuple[float, float]]:
     """Per view its match score with its nearest neighbour, and the score's weight; arguments as for `consistency`."""
     views = [replace(view, camera=camera) for view, camera in zip(views, cameras, strict=True)]
-    swept = planes(cameras, depths, PLANES, step)
+    swept = plane_depths(cameras, depths, PLANES, step)
     return [_score(view, views[near], swept) for view, near in zip(views, nearest_neighbours(cameras), strict=True)]
 
 

@@ -28,7 +28,7 @@ def step_px(cameras: Sequence[Camera], depths: DepthRange) -> float:
     return max(STEP_PX, swept_px(cameras, depths) / (_most(cameras) - 1))
 
 
-def planes(cameras: Sequence[Camera], depths: DepthRange, least: int, step: float) -> F64:
+def plane_depths(cameras: Sequence[Camera], depths: DepthRange, least: int, step: float) -> F64:
     """(D,) z-depths from near to far, uniform in inverse depth: at most `step` px of parallax apart for cameras that
     look the same way (up to twice that where they look 45 degrees apart), and at least `least` planes, within the limit
     of MOST_PLANES. `cameras` are those of the coarse views.

@@ -61,10 +61,15 @@ def contrast(picture: F64, kept: NDArray[np.bool_], mean: WindowMean = window_me
     return np.sqrt(np.maximum(mean(picture**2 * weight) / share - middle**2 - _NOISE, 0.0))
 
 
+def match_weights(picture: F64, best: F64, kept: NDArray[np.bool_]) -> F64:
+    """(h, w) contrast at the `kept` (h, w) pixels; 0 where the window is seen in no warped picture, that is, where the
+    `best` correlation (h, w) is NOT_SEEN."""
+    return np.where(kept & (best > NOT_SEEN), contrast(picture, kept), 0.0)
+
+
 def match_score(picture: F64, best: F64, kept: NDArray[np.bool_]) -> tuple[float, float]:
-    """Contrast-weighted mean, in [0, 1], of the `best` correlations (h, w) at the `kept` (h, w) pixels, and the sum of
-    the weights. Windows that are seen in no warped picture do not count; (0, 0) where none counts.
-    """
-    weights = np.where(kept & (best > NOT_SEEN), contrast(picture, kept), 0.0)
+    """Mean, in [0, 1], of the `best` correlations (h, w), weighted by `match_weights`, and the sum of the weights;
+    (0, 0) where that is 0."""
+    weights = match_weights(picture, best, kept)
     total = float(weights.sum())
     return (float((np.clip(best, 0.0, 1.0) * weights).sum() / total), total) if total > 0 else (0.0, 0.0)

@@ -10,7 +10,7 @@ from gapmes.service.cameras.depth_range import DepthRange
 from gapmes.service.cameras.overlap import inverse_depth_steps
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.matching.coarse_views import coarse_view, nearest_neighbours, warp_to
-from gapmes.service.matching.plane_sweep import FEWEST, MOST_PLANES, STEP_PX, best_planes, planes, step_px
+from gapmes.service.matching.plane_sweep import FEWEST, MOST_PLANES, STEP_PX, best_planes, plane_depths, step_px
 from gapmes.service.matching.window_match import NOT_SEEN, correlations
 from gapmes.service.photographs.images import Photo, fit_view
 
@@ -40,15 +40,19 @@ def test_planes_are_as_far_apart_as_the_step_says(views):
     cameras = [replace(view.camera, world_from_cam=view.camera.world_from_cam.copy()) for view in views]
     for camera in cameras:
         camera.world_from_cam[2, 3] = 0.0  # side by side: parallax is even in inverse depth
-    apart = moves(cameras, planes(cameras, WIDE, LEAST, STEP_PX))
+    apart = moves(cameras, plane_depths(cameras, WIDE, LEAST, STEP_PX))
     assert len(apart) > 2 * LEAST
     assert np.median(apart) > 0.9 * STEP_PX
     assert apart.max() <= STEP_PX
     tele = [replace(camera, fx=8 * camera.fx) for camera in cameras]  # across, where they move
     assert step_px(tele, WIDE) > STEP_PX
-    assert len(planes(tele, WIDE, LEAST, STEP_PX)) == len(planes(tele, WIDE, LEAST, step_px(tele, WIDE))) == MOST_PLANES
+    assert (
+        len(plane_depths(tele, WIDE, LEAST, STEP_PX))
+        == len(plane_depths(tele, WIDE, LEAST, step_px(tele, WIDE)))
+        == MOST_PLANES
+    )
     tall = [replace(camera, fy=1.1 * camera.fy) for camera in cameras]
-    assert len(planes(tall, WIDE, LEAST, STEP_PX)) < 1.05 * len(apart)
+    assert len(plane_depths(tall, WIDE, LEAST, STEP_PX)) < 1.05 * len(apart)
 
 
 def test_a_step_forward_is_parallax_too(views):
@@ -56,7 +60,7 @@ def test_a_step_forward_is_parallax_too(views):
     pose = camera.world_from_cam.copy()
     pose[2, 3] += 0.5
     pair = [camera, camera.posed(pose)]
-    depths = planes(pair, DepthRange(1.0, 60.0, "estimated"), 2, STEP_PX)
+    depths = plane_depths(pair, DepthRange(1.0, 60.0, "estimated"), 2, STEP_PX)
     apart = moves(pair, depths)
     assert len(depths) > 10
     assert apart.min() > 0.5 * STEP_PX
@@ -69,7 +73,7 @@ def test_cameras_that_look_at_one_place_have_planes_not_twice_as_far_apart(views
     pose[:3, :3] = about_axis(np.array([0.0, 1.0, 0.0]), -angle)
     pose[:3, 3] = 4 * np.sin(angle), 0.0, 4 * (1 - np.cos(angle))
     pair = [camera.posed(np.eye(4)), camera.posed(pose)]
-    depths = planes(pair, DepthRange(1.0, 16.0, "estimated"), 2, STEP_PX)
+    depths = plane_depths(pair, DepthRange(1.0, 16.0, "estimated"), 2, STEP_PX)
     assert len(depths) > 20
     assert STEP_PX < moves(pair, depths).max() < 2 * STEP_PX
 
@@ -81,17 +85,19 @@ def test_larger_pictures_have_fewer_planes(views, size, most):
     pair = [view.camera.resized(size[1], size[0]) for view in views[:2]]
     endless = DepthRange(1e-30, 1e30, "given")
     assert (
-        len(planes(pair, endless, LEAST, STEP_PX)) == len(planes(pair, endless, LEAST, step_px(pair, endless))) == most
+        len(plane_depths(pair, endless, LEAST, STEP_PX))
+        == len(plane_depths(pair, endless, LEAST, step_px(pair, endless)))
+        == most
     )
 
 
 def test_a_range_with_little_parallax_has_the_least_planes(views):
     cameras = [view.camera for view in views]
     near = DepthRange(3.9, 4.1, "given")
-    np.testing.assert_array_equal(planes(cameras, near, LEAST, STEP_PX), inverse_depth_steps(3.9, 4.1, LEAST))
+    np.testing.assert_array_equal(plane_depths(cameras, near, LEAST, STEP_PX), inverse_depth_steps(3.9, 4.1, LEAST))
     assert step_px(cameras, near) == STEP_PX
     endless = DepthRange(1e-30, 1e30, "given")
-    assert len(planes(cameras, endless, LEAST, step_px(cameras, endless))) == MOST_PLANES
+    assert len(plane_depths(cameras, endless, LEAST, step_px(cameras, endless))) == MOST_PLANES
 
 
 def test_batches_find_what_all_planes_at_once_do(views):
