@@ -116,14 +116,10 @@ def parallax(views: Sequence[FittedView], index: int, depths: DepthRange) -> NDA
 
 
 def depth_steps(depths: DepthRange, info: ModelInfo) -> dict[str, float | None]:
-    """Candidates are uniform in inverse depth: with half a step h = (1/near - 1/far) / (2 (D - 1)) the depth z becomes
-    1 / (1/z + h), which is nearer by z h / (1 + z h) of itself."""
+    """`half_step` of the network's planes at three depths; None where the model does not tell how many there are."""
     planes = info.depth_planes
     at = {"near": depths.near, "middle": math.sqrt(depths.near * depths.far), "far": depths.far}
-    if planes is None:
-        return dict.fromkeys(at)
-    half = (1 / depths.near - 1 / depths.far) / (2 * (planes - 1))
-    return {name: round(z * half / (1 + z * half), 6) for name, z in at.items()}
+    return {name: None if planes is None else round(depths.half_step(planes, z), 6) for name, z in at.items()}
 
 
 def _share(masks: Sequence[NDArray[np.bool_]]) -> float | None:

@@ -53,7 +53,7 @@ class Camera:
 
         Raises `CameraError`, `IntrinsicsError` or `PoseError` naming field, index and numbers.
         """
-        across, down = _side(width, "width", field, index), _side(height, "height", field, index)
+        across, down = checked_side(width, "width", field, index), checked_side(height, "height", field, index)
         numbers = {}
         for name, given in (("fx", fx), ("fy", fy), ("cx", cx), ("cy", cy)):
             number = real_number(given)
@@ -74,8 +74,7 @@ class Camera:
                 )
         if not isinstance(world_from_cam, Pose):
             world_from_cam = checked_pose(world_from_cam, field=f"{field}.c2w", index=index)
-        pose = world_from_cam
-        return cls(across, down, **numbers, world_from_cam=pose.matrix, given=pose.given)
+        return cls(across, down, **numbers, world_from_cam=world_from_cam.matrix, given=world_from_cam.given)
 
     @property
     def rotation(self) -> F64:
@@ -155,7 +154,7 @@ def pixel_grid(shape: tuple[int, ...]) -> F64:
     return np.stack(np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5), axis=-1).reshape(-1, 2)
 
 
-def _side(value: float, name: str, field: str, index: int | None) -> int:
+def checked_side(value: float, name: str, field: str, index: int | None) -> int:
     """A side in px as `int`, also of a float without a fraction. Raises `CameraError` for anything else."""
     number = real_number(value)
     if number is None or not 1 <= number <= MAX_SIDE or not number.is_integer():

@@ -18,9 +18,8 @@ from .pose import Pose, checked_pose, inverted_pose
 F64 = NDArray[np.float64]
 
 SizeOf = Callable[[str | None, int], tuple[int, int]]  # (image name, view index) -> (width, height) in px
-OPENCV_FROM_OPENGL = np.diag(
-    [1.0, -1.0, -1.0, 1.0]
-)  # x right, y up, z backward -> x right, y down, z forward; own inverse
+# x right, y up, z backward -> x right, y down, z forward; its own inverse
+OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)

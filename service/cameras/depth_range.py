@@ -43,6 +43,15 @@ class DepthRange:
     far: float
     source: Literal["given", "narrowed", "estimated"]  # narrowed: by the photographs
 
+    def half_step(self, planes: int, depth: float) -> float:
+        """Half a step between `planes` planes from near to far, as a share of the z-depth `depth`.
+
+        They are uniform in inverse depth: with half a step h = (1/near - 1/far) / (2 (planes - 1)) the depth z becomes
+        1 / (1/z + h), which is nearer by z h / (1 + z h) of itself.
+        """
+        half = (1 / self.near - 1 / self.far) / (2 * (planes - 1))
+        return depth * half / (1 + depth * half)
+
 
 def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float | None = None) -> DepthRange:
     """Check a given range of z-depths, caller's units, or estimate one where both ends are None.
@@ -70,38 +79,31 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
         return _estimated(cameras)
     if near is None or far is None:
         missing = "near" if near is None else "far"
-        raise DepthRangeError(
-            f"{missing} is missing", field=missing, cure="give near and far, or neither to have both estimated"
-        )
+        cure = "give near and far, or neither to have both estimated"
+        raise DepthRangeError(f"{missing} is missing", field=missing, cure=cure)
+    return _checked(near, far)
+
+
+def _checked(near: float, far: float) -> DepthRange:
+    """The given range. Raises `DepthRangeError`."""
     for name, value in (("near", near), ("far", far)):
         number = real_number(value)
         if number is None or not math.isfinite(number) or number <= 0:
-            raise DepthRangeError(
-                f"{name} = {shown(value) if number is None else f'{number:g}'}, need a finite depth above 0",
-                field=name,
-                cure="depths are counted from the camera along its axis; leave near and far out to have them estimated",
-            )
+            told = shown(value) if number is None else f"{number:g}"
+            cure = "depths are counted from the camera along its axis; leave near and far out to have them estimated"
+            raise DepthRangeError(f"{name} = {told}, need a finite depth above 0", field=name, cure=cure)
     near, far = float(near), float(far)
     if not near < far:
-        cure = (
-            "are they swapped, or one of them the file's? then give both"
-            if near > far
-            else "the scene needs some depth"
-        )
+        swapped = "are they swapped, or one of them the file's? then give both"
+        cure = swapped if near > far else "the scene needs some depth"
         raise DepthRangeError(f"near = {near:g}, far = {far:g}, need near < far", field="near", cure=cure)
     for name, value in (("near", near), ("far", far)):
         if not 1 / MAX_DEPTH <= value <= MAX_DEPTH:
-            raise DepthRangeError(
-                f"{name} = {value:g}, need {1 / MAX_DEPTH:g} to {MAX_DEPTH:g}",
-                field=name,
-                cure="give near, far and the poses in one unit, such as metres",
-            )
+            message = f"{name} = {value:g}, need {1 / MAX_DEPTH:g} to {MAX_DEPTH:g}"
+            raise DepthRangeError(message, field=name, cure="give near, far and the poses in one unit, such as metres")
     if far / near > MAX_RATIO:
-        raise DepthRangeError(
-            f"far / near = {far / near:.3g}, need at most {MAX_RATIO:g}",
-            field="near",
-            cure="with more than some 1000 no depth candidate is left for the scene",
-        )
+        cure = "with more than some 1000 no depth candidate is left for the scene"
+        raise DepthRangeError(f"far / near = {far / near:.3g}, need at most {MAX_RATIO:g}", field="near", cure=cure)
     return DepthRange(near, far, "given")
 
 
@@ -120,6 +122,7 @@ def depth_range_of_reading(cameras: Sequence[Camera], depths: DepthRange) -> Dep
 
 
 def _estimated(cameras: Sequence[Camera]) -> DepthRange:
+    """The estimate of `depth_range`."""
     baseline = largest_baseline(cameras)
     depths = convergence_depths(cameras)
     if depths is None:
@@ -203,6 +206,7 @@ def largest_baseline(cameras: Sequence[Camera]) -> F64:
 
 
 def _range_from_baseline(cameras: Sequence[Camera], baseline: F64) -> tuple[float, float]:
+    """Near and far of cameras whose axes do not meet, from their longest `baseline` (3,)."""
     size = float(np.linalg.norm(baseline))
     axes = np.stack([camera.rotation[:, 2] for camera in cameras])
     if widest_angle(axes) > MAX_PARALLEL:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -51,6 +51,11 @@ def other_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
         Reading(name, cure, tuple(c.posed(pose) for c, pose in zip(cameras, changed, strict=True)))
         for name, cure, changed in readings
     )
+
+
+def with_cures(readings: Iterable[Reading]) -> str:
+    """Each of them with its cure, to finish the sentence "these poses look like ..."."""
+    return "; or ".join(f"{reading.looks_like}: {reading.cure}" for reading in readings)
 
 
 def turned_photographs(cameras: Sequence[Camera], numbers: Sequence[int]) -> Reading:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..errors import CameraError, IntrinsicsError
-from .camera import LEAST_FOCAL, MAX_SIDE, MOST_FOCAL
+from .camera import LEAST_FOCAL, MOST_FOCAL, checked_side
 from .camera_fields import (
     CameraFile,
     SizeOf,
@@ -91,9 +91,8 @@ def _refuse_conventions(obj: Mapping) -> None:
 
 def _of_the_top(common: Mapping, frame: Mapping) -> dict[str, Any]:
     """What the top says for this frame: no focal lengths where the frame has a field of view, and the reverse."""
-    dropped = (_LENGTHS if any(name in frame for name in _ANGLES) else ()) + (
-        _ANGLES if any(name in frame for name in _LENGTHS) else ()
-    )
+    lengths, angles = (any(name in frame for name in names) for names in (_LENGTHS, _ANGLES))
+    dropped = (*(_LENGTHS if angles else ()), *(_ANGLES if lengths else ()))
     return {name: value for name, value in common.items() if name not in dropped}
 
 
@@ -111,16 +110,9 @@ def _lens(
 
 def _size(values: Mapping, name: str | None, size_of: SizeOf | None, index: int) -> tuple[int, int]:
     if "w" in values and "h" in values:
-        size = (
-            number_of(values, "w", field="frames", index=index),
-            number_of(values, "h", field="frames", index=index),
-        )
-        for member, side in zip("wh", size, strict=True):
-            if side != int(side) or not 1 <= side <= MAX_SIDE:
-                message = f"{member} = {side:.12g}, need whole numbers from 1 to {MAX_SIDE}"
-                cure = "give the size of the photograph in px"
-                raise CameraError(message, field=f"frames.{member}", index=index, cure=cure)
-        return int(size[0]), int(size[1])
+        sides = [number_of(values, name, field="frames", index=index) for name in "wh"]
+        width, height = (checked_side(side, name, "frames", index) for side, name in zip(sides, "wh", strict=True))
+        return width, height
     if size_of is None:
         raise CameraError("w and h are missing", field="frames.w", index=index, cure="add the image size in px")
     return size_of(name, index)

@@ -12,7 +12,7 @@ from ..plain_number import counted
 from .camera import Camera
 from .depth_range import MAX_RATIO, DepthRange, depth_range_of_reading, largest_baseline
 from .overlap import best_partner_shares, inverse_depth_steps
-from .pose_readings import apart_when_inverted, other_readings
+from .pose_readings import apart_when_inverted, other_readings, with_cures
 from .rotations import rotation_angle
 
 MIN_VIEWS = 2
@@ -25,6 +25,7 @@ LITTLE_SHARE = 0.3  # below it, a warning
 TIE = 0.1  # readings of the poses that overlap about equally are all named
 WIDE_RANGE = 1000.0  # far / near from which the depth steps are too coarse beyond some 10 x near
 DEPTH_PLANES = 64  # of the shipped network, for the depth-step table in the warning
+DECADES = np.array([1.0, 10.0, 100.0, 1000.0])  # of near: the depths in that table
 _DEPTHS = 16  # depths at which the overlap is evaluated
 _ANY_DEPTH = np.geomspace(0.1, 1000.0, 32)  # in baselines: wide enough where an estimated range may be wrong
 
@@ -54,40 +55,24 @@ def check_views(
 
 
 def range_notices(depths: DepthRange, planes: int = DEPTH_PLANES) -> list[Notice]:
-    """A warning where `far / near` is so large that the sweep's `planes` are coarse; else an empty list.
-
-    Half a step h = (1 / near - 1 / far) / (2 (planes - 1)) of inverse depth is an error of z h / (1 + z h), relative to
-    the depth z.
-    """
+    """A warning where `far / near` is so large that the sweep's `planes` are coarse; else an empty list."""
     ratio = depths.far / depths.near
     if ratio <= WIDE_RANGE:
         return []
-    step = (1 / depths.near - 1 / depths.far) / (2 * (planes - 1))
-    table = {
-        f"{z:.4g}": f"{100 * z * step / (1 + z * step):.2g} %"
-        for z in depths.near * np.array([1.0, 10.0, 100.0, 1000.0])
-    }
-    return [
-        {
-            "code": "depth_range_wide",
-            "field": "near",
-            "message": f"far / near = {ratio:.3g}: depth steps are coarse beyond {10 * depths.near:.3g}; "
-            f"half a step with {planes} planes, by depth: "
-            + ", ".join(f"{depth}: {share}" for depth, share in table.items()),
-        }
-    ]
+    table = (f"{z:.4g}: {100 * depths.half_step(planes, z):.2g} %" for z in depths.near * DECADES)
+    message = (
+        f"far / near = {ratio:.3g}: depth steps are coarse beyond {10 * depths.near:.3g}; half a step with {planes} "
+        f"planes, by depth: {', '.join(table)}"
+    )
+    return [{"code": "depth_range_wide", "field": "near", "message": message}]
 
 
 def check_count(count: int) -> None:
     """Raises `ViewCountError` outside 2..6."""
     if not MIN_VIEWS <= count <= MAX_VIEWS:
-        raise ViewCountError(
-            f"{counted(count, 'view')}, need {MIN_VIEWS} to {MAX_VIEWS}",
-            field="cameras",
-            cure="one view has no parallax"
-            if count < MIN_VIEWS
-            else "choose views that overlap, from different places",
-        )
+        few, many = "one view has no parallax", "choose views that overlap, from different places"
+        message = f"{counted(count, 'view')}, need {MIN_VIEWS} to {MAX_VIEWS}"
+        raise ViewCountError(message, field="cameras", cure=few if count < MIN_VIEWS else many)
 
 
 def parallax_px(one: Camera, other: Camera, near: float) -> float:
@@ -108,6 +93,7 @@ def _check_principal_point(camera: Camera, index: int) -> None:
 
 
 def _check_baselines(cameras: Sequence[Camera], depths: DepthRange, numbers: Sequence[int]) -> None:
+    """Raises `BaselineError` for views that are too far apart or have the same pose, and where no pair has parallax."""
     widest = (0.0, 0, 1)
     for j, one in enumerate(cameras):
         for i, other in enumerate(cameras[:j]):
@@ -146,6 +132,7 @@ def _check_baselines(cameras: Sequence[Camera], depths: DepthRange, numbers: Seq
 def _check_overlap(
     cameras: Sequence[Camera], depths: DepthRange, trust_poses: bool, numbers: Sequence[int]
 ) -> list[Notice]:
+    """The warning of `check_views`, about the view that overlaps least. Raises `OverlapError`."""
     steps = inverse_depth_steps(depths.near, depths.far, _DEPTHS)
     shares = best_partner_shares(cameras, steps).max(axis=1)
     lonely = int(np.argmin(shares))
@@ -168,16 +155,19 @@ def _check_overlap(
         message = (
             f"view {numbers[lonely]} shares at most {share:.0f} % of its picture with any other view, at any depth"
         )
-    cure = "are near and far in the unit of the poses? is each pose the one of its own photograph?"
-    shares_by_reading = []
+    cure = f"{_cure_of_overlap(cameras, depths)}; if the poses are right as they are, set trust_poses"
+    raise OverlapError(f"{message}; need {100 * MIN_SHARE:.0f} %", field="cameras", index=numbers[lonely], cure=cure)
+
+
+def _cure_of_overlap(cameras: Sequence[Camera], depths: DepthRange) -> str:
+    """What to do about views that do not overlap: names other readings of the poses under which they do."""
+    shares = []
     for reading in other_readings(cameras):
         other = depth_range_of_reading(reading.cameras, depths)
         if other is not None:
             steps = inverse_depth_steps(other.near, other.far, _DEPTHS)
-            shares_by_reading.append((float(best_partner_shares(reading.cameras, steps).max(axis=1).min()), reading))
-    best = max((share for share, _ in shares_by_reading), default=0.0)
-    if best >= LITTLE_SHARE:
-        likely = [reading for share, reading in shares_by_reading if share >= best - TIE]
-        cure = "these poses look like " + "; or ".join(f"{reading.looks_like}: {reading.cure}" for reading in likely)
-    cure += "; if the poses are right as they are, set trust_poses"
-    raise OverlapError(f"{message}; need {100 * MIN_SHARE:.0f} %", field="cameras", index=numbers[lonely], cure=cure)
+            shares.append((float(best_partner_shares(reading.cameras, steps).max(axis=1).min()), reading))
+    best = max((share for share, _ in shares), default=0.0)
+    if best < LITTLE_SHARE:
+        return "are near and far in the unit of the poses? is each pose the one of its own photograph?"
+    return f"these poses look like {with_cures(reading for share, reading in shares if share >= best - TIE)}"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..cameras.camera import Camera
 from ..cameras.depth_range import DepthRange, depth_range_of_reading
-from ..cameras.pose_readings import Reading, other_orders, other_readings, turned_photographs
+from ..cameras.pose_readings import Reading, other_orders, other_readings, turned_photographs, with_cures
 from ..cameras.view_checks import MIN_VIEWS, Notice
 from ..errors import ContradictionError
 from ..photographs.images import FittedView
@@ -115,9 +115,8 @@ def _other_reading(better: Sequence[tuple[float, Reading]], given: float, trust_
     """The warning about other readings with `better` scores than the `given` one, all those that match about equally.
     Raises `ContradictionError` instead where the best is right beyond doubt, unless `trust_poses`."""
     best = max(score for score, _ in better)
-    likely = [reading for score, reading in better if score >= best - TIE]
     message = f"the photographs match with score {given:.2f} under these poses and {best:.2f} under another reading"
-    cure = "these look like " + "; or ".join(f"{reading.looks_like}: {reading.cure}" for reading in likely)
+    cure = f"these look like {with_cures(reading for score, reading in better if score >= best - TIE)}"
     beyond_doubt = given < POOR_SCORE and best >= GOOD_SCORE and best - given >= CLEAR_MARGIN
     if beyond_doubt and not trust_poses:
         cure += "; if the poses are right as they are, set trust_poses"
@@ -184,9 +183,9 @@ def _readings(
     """Other readings, each with the coarse views under it, in the order in which a cure names them; `given` is the
     score that they have to beat."""
     cameras = [view.camera for view in coarse]
-    told = [number for number, view in zip(numbers, views, strict=True) if _may_be_turned(view)]
-    if told:
-        yield turned_photographs(cameras, told), [coarse_view(_turned(view)) for view in views]
+    turned = [number for number, view in zip(numbers, views, strict=True) if _may_be_turned(view)]
+    if turned:
+        yield turned_photographs(cameras, turned), [coarse_view(_turned(view)) for view in views]
     pair = len(cameras) == 2
     orders = other_orders(cameras, numbers) if pair or given < RIGHT_SCORES[len(cameras) > 3] else ()
     for reading in [*orders, *other_readings(cameras)] if pair else [*other_readings(cameras), *orders]:
