@@ -83,7 +83,7 @@ class InputPath:
     """The path there and back at constant speed, but slower at both ends. All pictures have the first camera's size."""
 
     pieces: Sequence[Piece]
-    ways: Sequence[F64]  # arc lengths of each piece, (STEPS + 1,)
+    arc_lengths: Sequence[F64]  # of each piece, (STEPS + 1,)
 
     @classmethod
     def through(cls, cameras: Sequence[Camera], pivot_depth: float) -> InputPath:
@@ -105,29 +105,17 @@ class InputPath:
             first, last = h * turn_tangents[index : index + 2] / 3
             whole = kept[index].rotation.T @ kept[index + 1].rotation
             middle = rotation_vector(_matrix(-first) @ whole @ _matrix(-last))
-            pieces.append(
-                Piece(
-                    kept[index],
-                    kept[index + 1],
-                    h * move_tangents[index : index + 2],
-                    np.stack([first, middle, last]),
-                )
-            )
+            turns_of_piece = np.stack([first, middle, last])
+            pieces.append(Piece(kept[index], kept[index + 1], h * move_tangents[index : index + 2], turns_of_piece))
         return cls(pieces, [piece.lengths(pivot_depth) for piece in pieces])
-
-    @property
-    def meetings(self) -> list[float]:
-        """The times at which the path reaches each camera on the way there: the first is 0, the last 1/2."""
-        ends = np.cumsum([0.0, *(way[-1] for way in self.ways)])
-        return [_time(end / ends[-1]) / 2 for end in ends]
 
     def at(self, time: float) -> Camera:
         """The camera at a time in [0, 1], from the first camera to the last at 1/2, and back."""
         time = time % 1.0
-        ends = np.cumsum([0.0, *(way[-1] for way in self.ways)])
-        way = ends[-1] * _way(2 * min(time, 1 - time))
-        index = int(np.clip(np.searchsorted(ends, way, side="right") - 1, 0, len(self.pieces) - 1))
-        u = float(np.interp(way - ends[index], self.ways[index], np.linspace(0.0, 1.0, STEPS + 1)))
+        ends = np.cumsum([0.0, *(lengths[-1] for lengths in self.arc_lengths)])
+        gone = ends[-1] * _progress(2 * min(time, 1 - time))
+        index = int(np.clip(np.searchsorted(ends, gone, side="right") - 1, 0, len(self.pieces) - 1))
+        u = float(np.interp(gone - ends[index], self.arc_lengths[index], np.linspace(0.0, 1.0, STEPS + 1)))
         return self.pieces[index].camera(u)
 
 
@@ -145,20 +133,13 @@ def _tangents(steps: F64, knots: F64) -> F64:
     return np.concatenate([speeds[:1], inner, speeds[-1:]])
 
 
-def _way(time: float) -> float:
-    """Share of the way at a share of the time: constant speed, but for linear ramps of `TURN_SHARE` at both ends."""
+def _progress(time: float) -> float:
+    """Share of the arc length at a share of the time: constant speed, but for linear ramps of TURN_SHARE at both
+    ends."""
     e = TURN_SHARE
     if time > 0.5:
-        return 1 - _way(1 - time)
+        return 1 - _progress(1 - time)
     return time * time / (2 * e * (1 - e)) if time < e else (time - e / 2) / (1 - e)
-
-
-def _time(way: float) -> float:
-    """The inverse of `_way`."""
-    e = TURN_SHARE
-    if way > 0.5:
-        return 1 - _time(1 - way)
-    return float(np.sqrt(2 * e * (1 - e) * way)) if way < e / (2 * (1 - e)) else way * (1 - e) + e / 2
 
 
 def _matrix(vector: F64) -> F64:
