@@ -61,7 +61,8 @@ def without_bars(photo: Photo) -> tuple[Photo, list[Bars]]:
         if all(bars.sides != sides for bars in found):
             pixels = photo.rgb[window]
             pair = _pair(_lines(pixels, sides), _colours(pixels, sides), slice(None), ALIKE_SHARE)
-            found += [] if pair is None or not _reaches(_lines(pixels, sides), *pair) else [Bars(sides, *pair)]
+            if pair is not None and _reaches(_lines(pixels, sides), *pair):
+                found.append(Bars(sides, *pair))
             window = _inside(photo.rgb, found)
     if not found:
         return photo, []
@@ -166,7 +167,7 @@ def _colours(rgb: Pixels, sides: Sides) -> list[Colour] | None:
     colours = []
     for line in _lines(rgb, sides)[[0, -1]]:
         colour = np.median(line, axis=0)
-        if _near(line[None], colour, TOLERANCE)[0] < UNIFORM:
+        if _near(line[None], colour)[0] < UNIFORM:
             return None
         colours.append(colour)
     return colours
@@ -176,7 +177,7 @@ def _run(lines: Lines, colour: Colour) -> int | None:
     """Number of uniform lines from the first on; None where these are too many for a bar."""
     thickest, step = int(THICKEST_SHARE * len(lines)), max(1, lines.shape[1] // SAMPLED)
     for start in range(0, thickest + 1, _STRIP):
-        uniform = _near(lines[start : start + _STRIP, ::step], colour, TOLERANCE) >= UNIFORM
+        uniform = _near(lines[start : start + _STRIP, ::step], colour) >= UNIFORM
         if not uniform.all():
             run = start + int(uniform.argmin())
             return run if run <= thickest else None
@@ -194,14 +195,14 @@ def _edge(lines: Lines, colour: Colour, run: int) -> tuple[int, float] | None:
         return None
     edge = run - start + int(beyond.argmax())
     last = max(edge - EDGE, 0)
-    if differ[last] > FEW or _near(lines[last : last + 1], colour, TOLERANCE)[0] < MOST:
+    if differ[last] > FEW or _near(lines[last : last + 1], colour)[0] < MOST:
         return None
     return start + edge, float(differ[edge : edge + EDGE].max())
 
 
-def _near(lines: Lines, colour: Colour, reach: int) -> NDArray[np.float64]:
-    """(N,) share of each line's pixels with all levels within `reach` of `colour`."""
-    low, high = (np.clip(np.rint(colour + way), 0, 255).astype(np.uint8) for way in (-reach, reach))
+def _near(lines: Lines, colour: Colour) -> NDArray[np.float64]:
+    """(N,) share of each line's pixels with all levels within TOLERANCE of `colour`."""
+    low, high = (np.clip(np.rint(colour + off), 0, 255).astype(np.uint8) for off in (-TOLERANCE, TOLERANCE))
     pixels = np.ascontiguousarray(lines)
     return ((pixels >= low) & (pixels <= high)).all(axis=2).mean(axis=1)
 

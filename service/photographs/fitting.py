@@ -118,18 +118,17 @@ def _bounded(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> tup
 def _fitted(
     photo: Photo, camera: Camera, lens: Lens | None, index: int, shape: Shape, detail: int, finer: int = 1
 ) -> tuple[FittedView, FittedView, list[Notice]]:
+    """`fitted` for a decoded photograph."""
     photo, bars = _bounded(photo, camera, lens, index)
     notices = _notices(photo, camera, lens, index)
-    told = [bars_notice(bars, photo, index)] if bars else []
-    if lens is None:
-        photo, camera = match_photo(photo, camera, index=index)
-    else:
+    of_bars = [bars_notice(bars, photo, index)] if bars else []
+    if lens is not None:
         photo = undistorted(photo, lens, index=index)
-        camera = camera.resized(photo.width, photo.height)  # whole pixels, whatever aspect these have
+    camera = camera.resized(photo.width, photo.height)  # undistorted: whole pixels, whatever aspect these have
     height, width = shape
     view = fit_view(photo, camera, height, width)
     check_kept(view, index)
-    notices += told if view.mask is not None else []  # what lies outside the crop is nothing to tell
+    notices += of_bars if view.mask is not None else []  # bars outside of what is kept are nothing to tell
     notices += _too_small(photo.width, photo.height, shape, detail, index)
     if finer == 1:
         return view, view, notices
@@ -137,10 +136,14 @@ def _fitted(
 
 
 def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> list[Notice]:
-    """Warnings about a photograph that is turned as its camera or lens has it."""
-    if lens is None:
-        return _photo_notices(photo, camera.width, camera.height, index)
-    return [*_photo_notices(photo, lens.width, lens.height, index), _lens_notice(lens, index)]
+    """The warnings that an EXIF orientation is not applied, as camera or lens has the size of the pixels as stored, and
+    that the photograph is undistorted; `photo` is turned as these have it."""
+    notices = []
+    if photo.orientation != 1:  # 1 also where it was turned
+        size = f"{camera.width} x {camera.height}" if lens is None else f"{lens.width} x {lens.height}"
+        message = f"EXIF orientation {photo.orientation} is not applied: the camera has the stored size {size}"
+        notices.append({"code": "exif_orientation_ignored", "field": "images", "index": index, "message": message})
+    return notices if lens is None else [*notices, _lens_notice(lens, index)]
 
 
 def _within(fine: FittedView, mask: NDArray[np.bool_] | None) -> FittedView:
@@ -172,11 +175,3 @@ def _lens_notice(lens: Lens, index: int) -> Notice:
         f"{window.height} px, which holds {window.kept_share:.1%} of the photograph's pixels"
     )
     return {"code": "undistorted", "field": "images", "index": index, "message": message}
-
-
-def _photo_notices(photo: Photo, width: int, height: int, index: int) -> list[Notice]:
-    """The warning that an EXIF orientation is ignored, as the camera has the size of the pixels as stored."""
-    if photo.orientation == 1:  # also where it was turned
-        return []
-    message = f"EXIF orientation {photo.orientation} is not applied: the camera has the stored size {width} x {height}"
-    return [{"code": "exif_orientation_ignored", "field": "images", "index": index, "message": message}]

@@ -45,18 +45,15 @@ class Photo:
             return cls.from_image(array, index=index)
         pixels = _checked_pixels(array, index)
         _check_smallest(pixels.shape[1], pixels.shape[0], index)
-        mask, own_mask = None, pixels.shape[2] == 4
-        if own_mask:
-            mask = pixels[:, :, 3] >= OPAQUE
-            if not mask.any():
-                raise ImageError(
-                    f"alpha is below {OPAQUE} everywhere: the mask leaves no pixel",
-                    field="images",
-                    index=index,
-                    cure="save the photograph without transparency, or with what is to be kept opaque",
-                )
-        mask = None if mask is None or mask.all() else mask
-        return cls(np.ascontiguousarray(pixels[:, :, :3]), mask, own_mask=own_mask)
+        rgb = np.ascontiguousarray(pixels[:, :, :3])
+        if pixels.shape[2] == 3:
+            return cls(rgb)
+        mask = pixels[:, :, 3] >= OPAQUE
+        if not mask.any():
+            message = f"alpha is below {OPAQUE} everywhere: the mask leaves no pixel"
+            cure = "save the photograph without transparency, or with what is to be kept opaque"
+            raise ImageError(message, field="images", index=index, cure=cure)
+        return cls(rgb, None if mask.all() else mask, own_mask=True)
 
     @classmethod
     def from_image(cls, image: Image.Image, *, index: int | None = None) -> Photo:
@@ -211,7 +208,7 @@ def fit_view(photo: Photo, camera: Camera, height: int, width: int) -> FittedVie
     rgb, mask = resampled(photo.rgb, photo.mask, (width, height), box)
     image = np.ascontiguousarray(rgb.transpose(2, 0, 1), dtype=np.float32) / np.float32(255)
     kept_share = window_w * window_h / (photo.width * photo.height)
-    return FittedView(image, mask, fitted, kept_share, window_w / width, _untold(photo))
+    return FittedView(image, mask, fitted, kept_share, window_w / width, _ambiguous_orientation(photo))
 
 
 def resized(photo: Photo, width: int, height: int) -> Photo:
@@ -246,7 +243,7 @@ def _orientation(image: Image.Image) -> int:
     return orientation if orientation in range(1, 9) else 1
 
 
-def _untold(photo: Photo) -> int:
+def _ambiguous_orientation(photo: Photo) -> int:
     """The EXIF orientation where the aspect does not tell whether to apply it; else 1."""
     lying = photo.orientation in ON_ITS_SIDE
     return photo.orientation if not lying or abs(photo.width - photo.height) <= 1 else 1

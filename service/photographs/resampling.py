@@ -26,7 +26,7 @@ def resampled(
     every pixel of the result.
     """
     whole = Image.fromarray(rgb)
-    if mask is None or mask[_met(size, box)].all():
+    if mask is None or mask[_filter_support(size, box)].all():
         return np.asarray(whole.resize(size, Image.Resampling.LANCZOS, box=box)), None
     whole.putalpha(Image.fromarray(mask.astype(np.uint8) * 255))
     resized = np.asarray(whole.resize(size, Image.Resampling.HAMMING, box=box))
@@ -34,7 +34,7 @@ def resampled(
     return np.where(kept[:, :, None], resized[:, :, :3], 0).astype(np.uint8), None if kept.all() else kept
 
 
-def _met(size: tuple[int, int], box: Box) -> tuple[slice, slice]:
+def _filter_support(size: tuple[int, int], box: Box) -> tuple[slice, slice]:
     """Rows and columns under the Lanczos filter where `box` is resampled to `size`: those of the box, and LOBES pixels
     of the coarser grid to each side."""
     columns, rows = (

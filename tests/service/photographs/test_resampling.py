@@ -7,7 +7,7 @@ import pytest
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.photographs.images import Photo, fit_view
-from gapmes.service.photographs.resampling import _met, resampled
+from gapmes.service.photographs.resampling import _filter_support, resampled
 
 BOXES = [
     ((64, 64), (32.0, 0.0, 96.0, 64.0)),  # as it is
@@ -25,7 +25,7 @@ def noise(seed: int, *shape: int) -> np.ndarray:
 def test_what_lies_beyond_the_filter_changes_nothing(size: tuple[int, int], box: tuple) -> None:
     rgb, other = noise(0, 64, 128, 3), noise(1, 64, 128, 3)
     inside = np.zeros((64, 128), bool)
-    inside[_met(size, box)] = True
+    inside[_filter_support(size, box)] = True
     expected, _ = resampled(rgb, None, size, box)
     found, mask = resampled(np.where(inside[..., None], rgb, other), inside, size, box)
     assert mask is None
