@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
 import tempfile
@@ -62,11 +61,12 @@ def run_demo(output: Path, bars: ProgressBars, *, keep: bool = False) -> DemoRes
             _write(ply, checked(client.get(scene["links"]["ply"])).content)
         renders = _render(client, scene["id"], cameras, targets, output, stages)
         with stages.stage("compare"):
-            truths = [_pixels((sample / cameras["views"][index]["image"]).read_bytes()) for index in targets]
-            inputs = [_pixels((sample / cameras["views"][index]["image"]).read_bytes()) for index in context]
-            scores = [psnr(_pixels(path.read_bytes()), truth) for path, truth in zip(renders, truths, strict=True)]
+            truths = [_pixels(sample / cameras["views"][index]["image"]) for index in targets]
+            inputs = [_pixels(sample / cameras["views"][index]["image"]) for index in context]
+            drawn = [_pixels(path) for path in renders]
+            scores = [psnr(picture, truth) for picture, truth in zip(drawn, truths, strict=True)]
             comparison = output / "comparison.png"
-            _write(comparison, encode_image(_sheet(context, inputs, targets, truths, renders, scores), "png"))
+            _write(comparison, encode_image(_sheet(context, inputs, targets, truths, drawn, scores), "png"))
     return DemoResult(scene["id"], address, process.pid, tuple(scores), (ply, *renders, comparison))
 
 
@@ -126,26 +126,22 @@ def _sheet(
     inputs: Sequence[np.ndarray],
     targets: Sequence[int],
     truths: Sequence[np.ndarray],
-    renders: Sequence[Path],
+    renders: Sequence[np.ndarray],
     scores: Sequence[float],
 ) -> Image.Image:
+    """Inputs, the pictures that were held back, and the renders with their PSNR in dB; pictures are (H, W, 3) uint8."""
+    titles = [f"view {index}" for index in targets]
+    rows = (
+        ("Inputs", inputs, [f"view {index}" for index in context]),
+        ("Truth, held back", truths, titles),
+        ("Renders", renders, [f"{title}   {score:.1f} dB PSNR" for title, score in zip(titles, scores, strict=True)]),
+    )
     return contact_sheet(
-        [
-            Row("Inputs", [Cell(image, f"view {index}") for index, image in zip(context, inputs, strict=True)]),
-            Row(
-                "Truth, held back", [Cell(image, f"view {index}") for index, image in zip(targets, truths, strict=True)]
-            ),
-            Row(
-                "Renders",
-                [
-                    Cell(_pixels(path.read_bytes()), f"view {index}   {score:.1f} dB PSNR")
-                    for index, path, score in zip(targets, renders, scores, strict=True)
-                ],
-            ),
-        ]
+        [Row(title, [Cell(*cell) for cell in zip(pictures, labels, strict=True)]) for title, pictures, labels in rows]
     )
 
 
-def _pixels(data: bytes) -> np.ndarray:
-    with Image.open(io.BytesIO(data)) as image:
+def _pixels(path: Path) -> np.ndarray:
+    """(H, W, 3) uint8 of a picture's file."""
+    with Image.open(path) as image:
         return np.asarray(image.convert("RGB"))

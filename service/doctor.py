@@ -162,8 +162,6 @@ class Doctor:
         from .photographs.images import decode_image, fit_view
         from .pictures.picture_error import psnr
         from .reconstruct import Reconstructor
-        from .splat import render
-        from .viewpoints.scene_views import SceneViews
 
         if self._engine is None:
             return "failure", "there is no model"
@@ -175,8 +173,7 @@ class Doctor:
         )
         middle = time.perf_counter()
         held_back = fit_view(photos[2], folder.file.cameras[2], self._engine.info.height, self._engine.info.width)
-        near = SceneViews(scene.view_cameras, scene.document["near"], scene.document["far"]).near_plane
-        picture = render(scene.gaussians, held_back.camera, outputs=(), threads=self._settings.threads, **near)
+        picture = scene.render(held_back.camera, outputs=(), threads=self._settings.threads)
         seconds = time.perf_counter() - middle
         score = psnr(np.clip(picture.rgb, 0, 1).transpose(2, 0, 1), held_back.image)
         times = f"a scene in {middle - start:.1f} s, a picture in {1000 * seconds:.0f} ms"

@@ -80,13 +80,7 @@ class Gaussians:
             raise TypeError(f"{selection} selects no set: give a slice such as [{selection}:][:1]")
         if axes > 1:
             raise TypeError(f"indices with {axes} axes select no set: give a mask or indices with one axis")
-        return Gaussians(
-            self.means[selection],
-            self.scales[selection],
-            self.rotations_wxyz[selection],
-            self.opacities[selection],
-            self.harmonics[selection],
-        )
+        return Gaussians(*(getattr(self, field.name)[selection] for field in fields(self)))
 
 
 def joined(*sets: Gaussians) -> Gaussians:

@@ -110,7 +110,8 @@ class Pool(Generic[T]):
         if entry.loaded is not None or self._budget is None:
             return True
         excess = self._sum() + entry.size - self._budget
-        idle = sorted((other for other in self._entries.values() if other.loaded and not other.users), key=_last_used)
+        idle = [other for other in self._entries.values() if other.loaded and not other.users]
+        idle.sort(key=lambda other: other.used)
         going: list[_Entry[T]] = []
         while excess > 0 and idle:
             going.append(idle.pop(0))
@@ -123,7 +124,3 @@ class Pool(Generic[T]):
 
     def _sum(self) -> int:
         return sum(entry.size for entry in self._entries.values() if entry.loaded is not None)
-
-
-def _last_used(entry: _Entry[T]) -> int:
-    return entry.used

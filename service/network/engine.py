@@ -71,19 +71,14 @@ class Engine:
         engine. Raises `ModelError` for other shapes or types and for outputs that are not finite or out of range.
         """
         info, views = self.info, len(images)
-        values = (images, intrinsics, world_from_cam, near_far, patch_mask)
-        shapes = _input_shapes(info, views)
-        feed = {
-            name: (value, np.bool_ if name == "patch_mask" else np.float32, shapes[name])
-            for name, value in zip(INPUTS, values, strict=True)
-        }
-        for name, (value, dtype, shape) in feed.items():
+        values: tuple[NDArray, ...] = (images, intrinsics, world_from_cam, near_far, patch_mask)
+        feed = dict(zip(INPUTS, values, strict=True))
+        for name, shape in _input_shapes(info, views).items():
+            value, dtype = feed[name], np.dtype(np.bool_ if name == "patch_mask" else np.float32)
             if value.dtype != dtype or value.shape != shape:
-                raise ModelError(
-                    f"is {value.dtype} {value.shape}, the model needs {np.dtype(dtype)} {shape}", field=name
-                )
+                raise ModelError(f"is {value.dtype} {value.shape}, the model needs {dtype} {shape}", field=name)
         try:
-            found = self._session.run(self.outputs, {name: value for name, (value, _, _) in feed.items()})
+            found = self._session.run(self.outputs, feed)
         except self._session.failures as error:
             raise ModelError(f"{self.made_by.name} failed on {views} views: {error}", field="model") from error
         outputs = dict(zip(self.outputs, found, strict=True))
