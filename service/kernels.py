@@ -9,7 +9,7 @@ import numpy as np
 from .cameras.camera import Camera
 from .gaussians import Gaussians
 from .matching.place_kernels import sample_places, see_pixels
-from .matching.plane_kernels import compare_level, compare_planes, mean_planes, spread_along_rows, spread_down_columns
+from .matching.plane_kernels import compare_level, compare_pixels, mean_planes, spread_along_rows, spread_down_columns
 from .mending.choice.candidates import ABOUT, COUNT, KNOWN
 from .mending.choice.network import shipped_choice
 from .process.compiler_pages import leave_compiler
@@ -32,7 +32,7 @@ def warm_up() -> None:
     leverage(gaussians, camera, lambda image: (image.rgb, image.rgb, image.alpha), threads=1)  # and colours alone
     planes, features = np.zeros((1, 2, 2)), np.zeros((2, 2, 1), np.float32)
     mean_planes(planes, 1, planes.copy())
-    compare_planes(features, features, planes[0], planes[0], np.ones((2, 2), np.uint8), 1.0, planes[0].copy())
+    compare_pixels(features, features, planes[0], planes[0], np.ones((2, 2), np.uint8), 1.0, planes[0].copy())
     rays, lens = np.ones((2, 2, 3)), np.ones(4)
     compare_level(features, features, rays, rays[0, 0], lens, 1.0, 1.0, planes[0].copy())
     spread_along_rows(planes, planes[0, :, :1].copy(), planes.copy())

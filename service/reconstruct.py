@@ -199,9 +199,9 @@ class Reconstructor:
             }
         if leave_one_out and len(views) > MIN_VIEWS:
             with stages.stage("leave one out", len(views)) as done:
-                every = range(len(views))
-                chosen = [nearest_others(cameras, index, leave_one_out, depths.near) for index in every]
-                warnings += [not_foretold(cameras, i, depths.near, numbers[i]) for i in every if not chosen[i]]
+                chosen = [nearest_others(cameras, i, leave_one_out, depths.near) for i in range(len(views))]
+                alone = [i for i, others in enumerate(chosen) if not others]
+                warnings += [not_foretold(cameras, i, depths.near, numbers[i]) for i in alone]
                 check["leave_one_out"] = self._foretold(seen, fine, depths, scene, chosen, fade, done)
         document = scene_document(
             info=info,

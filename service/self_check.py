@@ -50,7 +50,7 @@ def self_check(
     return {
         "input_views": [drawn_again(image, view) for image, view in zip(drawn, compared, strict=True)],
         "textureless_share": _share([_flat(view) for view in views]),
-        "no_parallax_share": _share([~parallax(views, index, depths) for index in range(len(views))]),
+        "no_parallax_share": _share([~has_parallax(views, index, depths) for index in range(len(views))]),
         "depth_step": depth_steps(depths, info),
     }
 
@@ -96,7 +96,7 @@ def _flat(view: FittedView) -> NDArray[np.bool_]:
     return (contrast(view.grey, view.kept, plane_means) < TEXTURE)[view.kept]
 
 
-def parallax(views: Sequence[FittedView], index: int, depths: DepthRange) -> NDArray[np.bool_]:
+def has_parallax(views: Sequence[FittedView], index: int, depths: DepthRange) -> NDArray[np.bool_]:
     """For each ray of a grid that the view's mask keeps, whether some other view that has it in its picture sees it
     move by a quarter pixel or more between the near depth and the far one."""
     camera = views[index].camera

@@ -143,8 +143,7 @@ def _settle(
     """Remove from `going`, in place, what reaches a pixel that would lose more than `mass`; returns the largest loss of
     any pixel afterwards. `losses` are the planes (H, W) known so far, None where one must be rendered."""
     freed = 0.0
-    for camera, known in zip(cameras, losses, strict=True):
-        lost = known
+    for camera, lost in zip(cameras, losses, strict=True):
         if lost is None:
             image = render(gaussians, camera, outputs=("removed",), subset=going, definition=rule, threads=threads)
             lost = image.removed

@@ -53,7 +53,7 @@ def narrowed(depths: DepthRange, views: Sequence[FittedView], planes: int = DEPT
     apart = planes_apart_px(depths, views, planes)
     if depths.source == "given" and apart <= COARSE_PX:
         return depths
-    found, weights, share = matched_depths([coarse_view(view) for view in views], depths)
+    found, weights, share = depths_of_matches([coarse_view(view) for view in views], depths)
     if share < MIN_MATCHED:
         return depths
     first, last = outer_percentiles(found, weights)
@@ -92,7 +92,7 @@ def coarse_notices(given: DepthRange, found: DepthRange, views: Sequence[FittedV
     return [{"code": "depth_range_coarse", "field": "near", "message": f"{message} ({cure})"}]
 
 
-def matched_depths(views: Sequence[CoarseView], depths: DepthRange) -> tuple[F64, F64, float]:
+def depths_of_matches(views: Sequence[CoarseView], depths: DepthRange) -> tuple[F64, F64, float]:
     """z-depths (M,) of the matched pixels of all views, their weights (M,), and their share of the pixels kept."""
     found = matches(views, depths)
     matched = np.concatenate([match.depth.ravel()[match.good] for match in found])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..photographs.images import FittedView
 from .correspondence import Reprojection, reprojected
 from .guided_filter import GuidedFilter
-from .plane_kernels import compare_planes
+from .plane_kernels import compare_pixels
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -41,7 +41,7 @@ def difference(view: FittedView, own: F32, depth: F64, other: FittedView, others
 def difference_there(own: F32, seen: Reprojection, others: F32) -> F64:
     """As `difference`, for pixels that were reprojected already."""
     cost = np.empty(seen.z.shape)
-    compare_planes(own, others, seen.column, seen.row, seen.where.view(np.uint8), LIMIT, cost)
+    compare_pixels(own, others, seen.column, seen.row, seen.where.view(np.uint8), LIMIT, cost)
     return cost
 
 

@@ -18,7 +18,7 @@ from ..cameras.pose_readings import Reading, other_orders, other_readings, turne
 from ..cameras.view_checks import MIN_VIEWS, Notice
 from ..errors import ContradictionError
 from ..photographs.images import FittedView
-from ..photographs.upright import ON_ITS_SIDE, UPSIDE_DOWN, upright
+from ..photographs.upright import ON_ITS_SIDE, SAME_SIZE, upright
 from .coarse_views import CoarseView, coarse_view, nearest_neighbours
 from .given_range import as_if_none_given, range_doubtful
 from .plane_sweep import STEP_PX, best_planes, plane_depths, step_px
@@ -195,7 +195,7 @@ def _readings(
 def _may_be_turned(view: FittedView) -> bool:
     """Whether the EXIF orientation would turn the photograph without changing its size."""
     square = view.image.shape[1] == view.image.shape[2]
-    return view.orientation in UPSIDE_DOWN or (square and view.orientation in ON_ITS_SIDE)
+    return view.orientation in SAME_SIZE or (square and view.orientation in ON_ITS_SIDE)
 
 
 def _turned(view: FittedView) -> FittedView:

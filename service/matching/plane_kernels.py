@@ -87,7 +87,7 @@ def _apart(own, others, at, column, row):
 
 
 @kernel()
-def compare_planes(own, others, column, row, seen, limit, found):
+def compare_pixels(own, others, column, row, seen, limit, found):
     """Write `found` (H, W): the mean absolute difference of `own` (H, W, C) and bilinear samples of `others` (h, w, C)
     at pixel indices `column` and `row` (H, W), truncated at `limit`; `limit` where `seen` (H, W) is 0."""
     for at in range(found.size):

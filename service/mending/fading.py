@@ -97,11 +97,11 @@ def faded(
     before, own = gaussians.opacities, _base_colours(gaussians)
     opacities = HeavyBall(before, 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0), before)
     colours = HeavyBall(own, 0.0, 1.0)
-    given, sure = _Photographs(views, resized), Compared(() if anchors is None else anchors.pictures)
+    photographs, anchored = _Photographs(views, resized), Compared(() if anchors is None else anchors.pictures)
     for number in range(passes + 1 if passes else 0):
         now = _changed(gaussians, opacities.now, colours.now - own)
-        between = (0.0, 0.0) if number == passes else _between(now, anchors, sure, near, threads)
-        sums = given.sums(now, near, threads, at_both=number > passes - RESIZED_ROUNDS)
+        between = (0.0, 0.0) if number == passes else _between(now, anchors, anchored, near, threads)
+        sums = photographs.sums(now, near, threads, at_both=number > passes - RESIZED_ROUNDS)
         if number:
             colours.move(-_finite(COLOUR_STEP * sums.excess, (sums.shown + COLOUR_DAMPING)[:, None]))
         if number < passes:
@@ -172,12 +172,12 @@ def _finite(over: NDArray[np.float64], under: NDArray[np.float64]) -> NDArray[np
 
 
 def _between(
-    now: Gaussians, anchors: Anchors | None, sure: Compared, near: float | None, threads: int | None
+    now: Gaussians, anchors: Anchors | None, anchored: Compared, near: float | None, threads: int | None
 ) -> tuple[NDArray[np.float64] | float, NDArray[np.float64] | float]:
     """What the anchors' pictures add to `slope` and `moved` (N,), for the Gaussians that may fade for them."""
-    if anchors is None or not sure.views:
+    if anchors is None or not anchored.views:
         return 0.0, 0.0
-    sums = sure.sums(now, near, threads)
+    sums = anchored.sums(now, near, threads)
     slope, moved = (np.where(anchors.may_fade, ANCHORED * values, 0.0) for values in (sums.slope, sums.moved))
     return slope, moved
 

@@ -18,7 +18,7 @@ from ..cameras.spanning_tree import minimum_spanning_tree
 from .fitting import FittedPhotos
 from .images import FittedView, PackedView
 
-UPSIDE_DOWN = 2  # quarter turns
+HALF_TURN = 2  # quarter turns
 CLEARLY = 0.5  # gain in the trace that a turn must bring: a camera rolled by less than 55 degrees stays
 
 _Array = TypeVar("_Array", bound=np.generic)
@@ -34,7 +34,7 @@ def quarter_turns(cameras: Sequence[Camera], *, square: bool) -> list[int]:
     that turns the fewest views; of several such one that leaves the first view alone. Pictures that are not `square`
     are only turned by 180 degrees, which keeps their shape.
     """
-    steps = range(4) if square else (0, UPSIDE_DOWN)
+    steps = range(4) if square else (0, HALF_TURN)
     turns: dict[int, int] = {0: 0}
     edges = minimum_spanning_tree(cameras)
     while len(turns) < len(cameras):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 T = TypeVar("T", bound=np.generic)
 
 ON_ITS_SIDE = (5, 6, 7, 8)  # orientations that swap width and height
-UPSIDE_DOWN = (2, 3, 4)  # those that do not: mirrored, turned by 180 degrees, and both
+SAME_SIZE = (2, 3, 4)  # those that do not: mirrored, turned by 180 degrees, and both; 1 is as stored
 
 
 def upright(pixels: NDArray[T], orientation: int) -> NDArray[T]:

@@ -13,7 +13,7 @@ from gapmes.service.commands.summary import check_line, left_out_lines
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.photographs.images import FittedView
 from gapmes.service.pictures.picture_error import psnr, ssim
-from gapmes.service.self_check import GRID, ambiguous_routes, depth_steps, from_others, parallax, self_check
+from gapmes.service.self_check import GRID, ambiguous_routes, depth_steps, from_others, has_parallax, self_check
 from gapmes.service.splat import render
 
 DEPTHS = DepthRange(1.0, 10.0, "given")
@@ -118,14 +118,14 @@ def test_only_what_the_mask_keeps_counts():
 def test_parallax_is_a_shift_between_near_and_far():
     """A sideways step b shifts by f b (1/near - 1/far) px: 45 b here."""
     views = [FittedView(np.zeros((3, 48, 48), np.float32), None, camera(x), 1.0) for x in (0.0, 0.0, 0.0)]
-    assert not parallax(views, 0, DEPTHS).any()
+    assert not has_parallax(views, 0, DEPTHS).any()
     for shift, expected in ((0.24, 0.0), (0.26, 1.0)):
         views[1] = replace(views[1], camera=camera(shift / 45))
-        assert parallax(views[:2], 0, DEPTHS).mean() == pytest.approx(expected, abs=1 / GRID)
+        assert has_parallax(views[:2], 0, DEPTHS).mean() == pytest.approx(expected, abs=1 / GRID)
     turned = [views[0], replace(views[1], camera=camera(0.0, 0.4))]
-    assert not parallax(turned, 0, DEPTHS).any()  # a pure rotation moves the picture, not its depths
+    assert not has_parallax(turned, 0, DEPTHS).any()  # a pure rotation moves the picture, not its depths
     away = [views[0], replace(views[1], camera=camera(0.5, math.pi))]
-    assert not parallax(away, 0, DEPTHS).any()
+    assert not has_parallax(away, 0, DEPTHS).any()
 
 
 @pytest.mark.case("P1", "P3")
@@ -153,7 +153,7 @@ def test_a_uniform_object_on_a_mask_has_no_texture():
 def test_rays_that_cross_a_picture_quickly_are_found():
     """A long step to the side, turned inwards: each ray is in the other picture for a small part of its depths."""
     views = [FittedView(np.zeros((3, 48, 48), np.float32), None, view, 1.0) for view in (camera(), camera(1.0, -0.3))]
-    found = parallax(views, 0, DepthRange(0.05, 100.0, "given"))
+    found = has_parallax(views, 0, DepthRange(0.05, 100.0, "given"))
     assert found.mean() > 0.95
 
 

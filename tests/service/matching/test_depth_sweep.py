@@ -9,7 +9,7 @@ from plane_scene import DEPTH, PlaneScene
 from gapmes.service.cameras.depth_range import DepthRange, depth_range
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.matching.coarse_views import coarse_view, nearest_neighbours
-from gapmes.service.matching.depth_sweep import COARSE_PX, coarse_notices, matched_depths, narrowed, planes_apart_px
+from gapmes.service.matching.depth_sweep import COARSE_PX, coarse_notices, depths_of_matches, narrowed, planes_apart_px
 from gapmes.service.photographs.images import Photo, fit_view
 
 
@@ -32,7 +32,7 @@ def test_the_range_closes_in_on_the_plane(turn):
 
 def test_matched_depths_are_those_of_the_plane():
     scene = PlaneScene.make(np.random.default_rng(4), turn=0.0)
-    found, weights, share = matched_depths(
+    found, weights, share = depths_of_matches(
         [coarse_view(view) for view in fitted(scene)], DepthRange(1.0, 30.0, "estimated")
     )
     assert share > 0.4
@@ -46,8 +46,8 @@ def test_a_wide_range_is_swept_as_finely():
     """Of 64 planes none would be nearer to the scene than 3.4 and 4.8, of the 200 that its 300 px need some are."""
     scene = PlaneScene.make(np.random.default_rng(4), turn=0.0)
     coarse = [coarse_view(view) for view in fitted(scene)]
-    _, _, share = matched_depths(coarse, DepthRange(1.0, 30.0, "estimated"))
-    found, _, of_wide = matched_depths(coarse, DepthRange(0.182, 30.0, "estimated"))
+    _, _, share = depths_of_matches(coarse, DepthRange(1.0, 30.0, "estimated"))
+    found, _, of_wide = depths_of_matches(coarse, DepthRange(0.182, 30.0, "estimated"))
     assert of_wide > 0.9 * share
     assert np.percentile(found, 10) > DEPTH * 0.85
     assert np.percentile(found, 90) < DEPTH * 1.15

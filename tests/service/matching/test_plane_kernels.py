@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from guarded import Guarded, beside_nan
 
-from gapmes.service.matching.plane_kernels import compare_planes, mean_planes, spread_along_rows, spread_down_columns
+from gapmes.service.matching.plane_kernels import compare_pixels, mean_planes, spread_along_rows, spread_down_columns
 from gapmes.service.matching.plane_means import plane_means
 from gapmes.service.matching.window_match import window_mean
 from gapmes.service.photographs.bilinear import bilinear
@@ -55,7 +55,7 @@ def test_features_are_compared_between_pixels_and_up_to_the_limit() -> None:
     column[0, 0], row[0, 0] = 10.0, 6.0  # the last pixel itself
     seen = rng.random((8, 11)) < 0.8
     found = np.full((8, 11), np.nan)
-    compare_planes(own, others, column, row, seen.view(np.uint8), LIMIT, found)
+    compare_pixels(own, others, column, row, seen.view(np.uint8), LIMIT, found)
     apart = np.abs(bilinear(others.astype(np.float64), column, row) - own).mean(axis=2)
     expected = np.where(seen, np.minimum(apart, LIMIT), LIMIT)
     assert np.abs(found - expected).max() < 3e-7
@@ -97,7 +97,7 @@ def test_nothing_is_read_or_written_beside_the_planes(height: int, width: int) -
     mean_planes(planes, 2, found[0])
     spread_along_rows(planes, across, found[1])
     spread_down_columns(planes, down, found[2])
-    compare_planes(own, others, column, row, np.ones((height, width), np.uint8), np.inf, cost)
+    compare_pixels(own, others, column, row, np.ones((height, width), np.uint8), np.inf, cost)
     guarded.check()
     for array in (*found, cost):
         assert np.isfinite(array).all()
