@@ -1,4 +1,4 @@
-"""What a Python program gives for a number, several things or a value of a type: numpy's own types as well."""
+"""Checks of what a Python program passes: numbers, also numpy's own, sequences, and values of a given type."""
 
 from __future__ import annotations
 

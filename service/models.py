@@ -1,4 +1,4 @@
-"""The configured models: looked at when the service starts, loaded when one is first used, kept within a budget."""
+"""The configured models: inspected when the service starts, loaded when one is first used, kept within a budget."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Models:
         self._settings, self._prepare = settings, prepare
         self.made_by: MadeBy = made_by(settings.engine)
         self._known = {
-            name: Configured(name, _looked_at(name, path), settings.engine)
+            name: Configured(name, _inspected(name, path), settings.engine)
             for name, path in settings.model_paths().items()
         }
         sizes = {name: model.file.bytes for name, model in self._known.items()}
@@ -129,7 +129,7 @@ def _require_unchanged(file: ModelFile) -> None:
         file.weights.check()
 
 
-def _looked_at(name: str, path: Path) -> ModelFile:
+def _inspected(name: str, path: Path) -> ModelFile:
     """The file of a model; an error names the model too, where it is not the default one."""
     try:
         return model_file(path)

@@ -1,5 +1,4 @@
-"""Numbers as people write them: ASCII digits, a point, a sign, an exponent, not all that Python's own `float` reads;
-and how many there are of something."""
+"""Numbers in text, which Python's own `float` reads in more forms than people write; and counts with their noun."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The application as a process of `gapmes serve` makes it: settings from the environment, memory that goes back to the
-system, the log set up, bars where somebody looks, an end when the process that watches it has ended."""
+"""The application in a process of `gapmes serve`: settings from the environment, log, progress bars on a terminal, and
+an end when the process that started it has ended."""
 
 from __future__ import annotations
 

@@ -1,29 +1,29 @@
-"""What was done to the poses, or had been before they came, that a caller should know: projection, and float32."""
+"""Warnings about poses that were projected onto rotations, and positions that may have been rounded to float32."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from .camera import Camera
 from .float32 import largest_shift
+from .view_checks import Notice
 
-TOLD_MOVE = 0.01  # px; rotations in float32 or with six decimals turn less
-TOLD_PX = 0.1  # of precision
+LEAST_TURN_PX = 0.01  # below it no warning; rotations in float32 or with six decimals turn less
+LEAST_SHIFT_PX = 0.1  # below it no warning
 
 
-def pose_notices(cameras: Sequence[Camera], near: float, numbers: Sequence[int] | None = None) -> list[dict[str, Any]]:
-    """Warnings with code, field, index and message; `near` is the nearest depth in the cameras' units, `numbers` what
-    the caller calls the views, where these were chosen from more."""
-    notices = []
+def pose_notices(cameras: Sequence[Camera], near: float, numbers: Sequence[int] | None = None) -> list[Notice]:
+    """`near` is the nearest depth in the cameras' units, `numbers` what the caller calls the views, where these were
+    chosen from more."""
+    notices: list[Notice] = []
     for index, camera in zip(range(len(cameras)) if numbers is None else numbers, cameras, strict=True):
         focal = max(camera.fx, camera.fy)
         # With R = Q S, Q the nearest rotation, S is I + (R^T R - I) / 2 to first order: components of its third
         # column's change are at most half the drift.
         turned, moved = camera.given.drift / 2 * focal, camera.given.shift * focal / near
-        if turned < TOLD_MOVE and moved < TOLD_PX:
+        if turned < LEAST_TURN_PX and moved < LEAST_SHIFT_PX:
             continue
         message = (
             f"max |R^T R - I| = {camera.given.drift:.3g}: the pose was projected onto the nearest rotation, which "
@@ -34,7 +34,7 @@ def pose_notices(cameras: Sequence[Camera], near: float, numbers: Sequence[int] 
         notices.append({"code": "pose_projected", "field": "cameras.c2w", "index": index, "message": message})
     steps, focal = [camera.given.step for camera in cameras], max(max(camera.fx, camera.fy) for camera in cameras)
     shift = largest_shift(max(steps), focal, near)
-    if min(steps) > 0 and shift > TOLD_PX:
+    if min(steps) > 0 and shift > LEAST_SHIFT_PX:
         far = max(float(np.abs(camera.center).max()) for camera in cameras)
         message = (
             f"all positions are float32 numbers and up to {far:.6g} units from the origin: if they were rounded to "

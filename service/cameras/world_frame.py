@@ -36,11 +36,12 @@ class WorldFrame:
 
     def poses(self, cameras: Sequence[Camera]) -> NDArray[np.float32]:
         """(V, 4, 4) camera-to-frame poses; the origin is subtracted in float64 before anything is multiplied."""
-        back = self.rotation.T
-        poses = [
-            rigid_motion(back @ camera.rotation, back @ (camera.center - self.origin) / self.unit) for camera in cameras
-        ]
+        poses = [rigid_motion(self.rotation.T @ camera.rotation, self._center(camera)) for camera in cameras]
         return np.stack(poses).astype(np.float32)
+
+    def _center(self, camera: Camera) -> F64:
+        """(3,) the camera's centre in this frame."""
+        return self.rotation.T @ (camera.center - self.origin) / self.unit
 
     def near_far(self, depths: DepthRange) -> NDArray[np.float32]:
         """(2,) the depth range in this frame's unit."""
@@ -57,7 +58,7 @@ class WorldFrame:
         before = self.depths(outputs)
         ratio = (depths / before).reshape(len(cameras), -1, 1)
         count = before.size
-        centers = np.stack([self.rotation.T @ (camera.center - self.origin) / self.unit for camera in cameras])[:, None]
+        centers = np.stack([self._center(camera) for camera in cameras])[:, None]
         means = outputs["means"][:count].astype(np.float64).reshape(len(cameras), -1, 3)
         means = np.where(ratio == 1, means, centers + ratio * (means - centers))
         scales = ratio.reshape(-1, 1) * outputs["scales"][:count]

@@ -174,11 +174,11 @@ def render(
 def _precision(gaussians: Gaussians, shots: Sequence[Camera], near: float | None) -> list[str]:
     """A warning if positions are so far from the origin that float32 rounding would be visible."""
     from ..cameras.float32 import half_step, largest_shift
-    from ..cameras.pose_notices import TOLD_PX
+    from ..cameras.pose_notices import LEAST_SHIFT_PX
 
     focal = max(max(camera.fx, camera.fy) for camera in shots)
     shift = 0.0 if near is None else largest_shift(half_step(gaussians.means), focal, near)
-    if shift <= TOLD_PX:
+    if shift <= LEAST_SHIFT_PX:
         return []
     return [
         f"positions are float32 numbers far from the origin: if they were rounded to it, the precision of the input is "

@@ -53,6 +53,12 @@ def equalised(photos: FittedPhotos, pairs: PairMatches, numbers: Sequence[int]) 
     finer = photos.shown[0] is not photos.seen[0]
     shown = [_exposed(view, gain) for view, gain in zip(photos.shown, gains, strict=True)] if finer else seen
     fine = [_packed(view, gain) for view, gain in zip(photos.fine, gains, strict=True)]
+    return replace(photos, seen=seen, shown=shown, fine=fine), [_notice(found, numbers)]
+
+
+def _notice(found: Exposures, numbers: Sequence[int]) -> Notice:
+    """The warning about exposures that differ: it names the channel and the two views of the largest factor."""
+    gains = found.gains
     told = ", ".join(f"{number} times {gain.mean():.3g}" for number, gain in zip(numbers, gains, strict=True))
     spread = [np.ptp(np.log(gains[views]), axis=0) for views in found.parts]
     part, channel = np.unravel_index(np.argmax(spread), np.shape(spread))
@@ -65,8 +71,8 @@ def equalised(photos: FittedPhotos, pairs: PairMatches, numbers: Sequence[int]) 
     if len(found.parts) > 1:
         apart = "; ".join(", ".join(str(numbers[view]) for view in views) for views in found.parts)
         message += f"; not enough matches to compare these groups of views with each other: {apart}"
-    notice: Notice = {"code": "exposures_differ", "field": "images", "index": numbers[dark], "message": message}
-    return replace(photos, seen=seen, shown=shown, fine=fine), [{**notice, "gains": gains.round(4).tolist()}]
+    about: Notice = {"field": "images", "index": numbers[dark], "message": message, "gains": gains.round(4).tolist()}
+    return {"code": "exposures_differ", **about}
 
 
 def exposures(pairs: PairMatches) -> Exposures | None:
@@ -117,8 +123,8 @@ def _compared(pairs: PairMatches, pair: tuple[int, int], colours: Sequence[F64])
     compared = _compared_above(DARK, matched, few)
     if compared is not None:
         return compared
-    compared = _compared_above(BLACK, matched, few)
-    return None if compared is None or np.abs(compared[0]).min() < np.log(LARGE) else compared
+    dim = _compared_above(BLACK, matched, few)
+    return None if dim is None or np.abs(dim[0]).min() < np.log(LARGE) else dim
 
 
 def _compared_above(dark: float, matched: Sequence[tuple[int, F64, F64]], few: float) -> tuple[F64, F64] | None:

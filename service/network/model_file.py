@@ -75,6 +75,8 @@ def _sha256(path: Path, *_: int) -> str:
 
 
 def _weights(path: Path, header: OnnxHeader) -> Weights | None:
+    """The external weights of the model at `path`, None where it has none. Raises `ModelError` unless they are one file
+    beside it that is long enough."""
     if not header.external:
         return None
     if len(header.external) > 1:

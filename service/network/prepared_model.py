@@ -56,6 +56,7 @@ def forget(optimised: Path) -> None:
 
 
 def _make(path: Path, target: Path, options: Any) -> None:
+    """Write the optimised model of `path` as the folder `target`, atomically."""
     import onnxruntime as ort
 
     incoming = Path(tempfile.mkdtemp(prefix=INCOMING, dir=target.parent))

@@ -81,6 +81,7 @@ def fitted(
 
 
 def _read(path: str | PathLike[str], index: int) -> bytes:
+    """The bytes of a file. Raises `ImageError`."""
     try:
         return Path(path).read_bytes()
     except (OSError, ValueError) as error:  # such as a null byte in the path

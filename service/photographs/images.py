@@ -218,6 +218,7 @@ def resized(photo: Photo, width: int, height: int) -> Photo:
 
 
 def _checked_pixels(array: object, index: int | None) -> NDArray[np.uint8]:
+    """(H, W, 3) or (H, W, 4) uint8. Raises `ImageError` for anything else."""
     try:
         pixels = np.asarray(array)
     except (TypeError, ValueError, RuntimeError) as error:  # torch raises the last for its gradients
