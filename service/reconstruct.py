@@ -25,14 +25,15 @@ from .inputs import prepared_inputs
 from .kernels import is_warm, warm_up
 from .leaving_out.budget import Budget, checked_budget
 from .leaving_out.left_out import leave_out, table
-from .mending.after_network import MOVED, at_finer_depths, at_mended_depths, mended, placed
+from .mending.after_network import MOVED, Placed, at_finer_depths, at_mended_depths, mended, placed
 from .mending.detail import finer
 from .mending.detail_level import DETAILS, checked_detail
 from .mending.fade_passes import DEFAULT_PASSES, checked_passes
+from .mending.fading import Fading
 from .mending.finer_grid import unsqueezed
 from .network.backends.choice import DEFAULT_ENGINE, EngineName
 from .network.engine import Arrays, Engine
-from .photographs.fitting import Picture
+from .photographs.fitting import FittedPhotos, Picture
 from .photographs.images import FittedView, PackedView
 from .photographs.masks import FADED, patch_mask
 from .photographs.whole import squeezed
@@ -159,30 +160,12 @@ class Reconstructor:
             )
             warnings += inputs.warnings
             depths, photos = inputs.depths, inputs.photos
-            seen, views, fine = inputs.turned.seen, inputs.turned.shown, inputs.turned.fine
-        if not is_warm():
-            leave_compiler()  # it comes with the import of the loops
-        with stages.stage("network"):
-            outputs, frame, masks = self.run_network(seen, depths)
-        if not is_warm():  # not before the network: they would be in memory beside it
-            with stages.stage("kernels"):  # compiled the first time, then loaded
-                warm_up()
-        if fade:
-            with stages.stage("refine"):
-                outputs = at_mended_depths(outputs, frame, seen, depths.far, self.engine.threads)
-        if detail > 1:
-            with stages.stage("detail"):
-                outputs = finer(outputs, frame, seen, views)
-                if fade:
-                    outputs = at_finer_depths(outputs, frame, views, depths.far)
-        with stages.stage("gaussians"):
-            found = placed(outputs, frame, views, stride=budget.stride, moved=fade > 0, coarse=seen)
-            outputs = {name: value for name, value in outputs.items() if name not in MOVED}
+            seen, views = inputs.turned.seen, inputs.turned.shown
         view_cameras = tuple(view.camera for view in photos.shown)
         scene = SceneViews(view_cameras, depths.near, depths.far)
-        with stages.stage("fade", fade + 1) as done:
-            resized = [PackedView.of(view) for view in seen] if detail > 1 else fine
-            fading = mended(found, views, scene, fade, self.engine.threads, done, resized=resized)
+        outputs, masks, found, fading = self._mended(
+            inputs.turned, depths, scene, fade=fade, detail=detail, stride=budget.stride, stages=stages
+        )
         dropped = {**found.dropped, FADED: int(fading.gone.sum())} if fading.gone.any() else found.dropped
         gaussians = fading.gaussians[~fading.gone]
         with stages.stage("leave out"):
@@ -202,7 +185,7 @@ class Reconstructor:
                 chosen = [nearest_others(cameras, i, leave_one_out, depths.near) for i in range(len(views))]
                 alone = [i for i, others in enumerate(chosen) if not others]
                 warnings += [not_foretold(cameras, i, depths.near, numbers[i]) for i in alone]
-                check["leave_one_out"] = self._foretold(seen, fine, depths, scene, chosen, fade, done)
+                check["leave_one_out"] = self._foretold(inputs.turned, depths, scene, chosen, fade, done)
         document = scene_document(
             info=info,
             made_by=self.engine.made_by,
@@ -243,31 +226,61 @@ class Reconstructor:
         )
         return unsqueezed(outputs, frame, given, views), frame, masks
 
+    def _mended(
+        self,
+        photos: FittedPhotos,
+        depths: DepthRange,
+        scene: SceneViews,
+        *,
+        fade: int,
+        detail: int = 1,
+        stride: int = 1,
+        stages: Stages,
+    ) -> tuple[Arrays, NDArray[np.bool_], Placed, Fading]:
+        """From `photos` to mended Gaussians: the network's outputs but for MOVED ones, the mask (V, P) of its patches, the
+        Gaussians as they are placed in the caller's world, and as they are after `fade` passes. `scene` has the near
+        plane of all pictures."""
+        seen, views, threads = photos.seen, photos.shown, self.engine.threads
+        if not is_warm():
+            leave_compiler()  # it comes with the import of the loops
+        with stages.stage("network"):
+            outputs, frame, masks = self.run_network(seen, depths)
+        if not is_warm():  # not before the network: they would be in memory beside it
+            with stages.stage("kernels"):  # compiled the first time, then loaded
+                warm_up()
+        if fade:
+            with stages.stage("refine"):
+                outputs = at_mended_depths(outputs, frame, seen, depths.far, threads)
+        if detail > 1:
+            with stages.stage("detail"):
+                outputs = finer(outputs, frame, seen, views)
+                if fade:
+                    outputs = at_finer_depths(outputs, frame, views, depths.far)
+        with stages.stage("gaussians"):
+            found = placed(outputs, frame, views, stride=stride, moved=fade > 0, coarse=seen)
+            outputs = {name: value for name, value in outputs.items() if name not in MOVED}
+        with stages.stage("fade", fade + 1) as done:
+            resized = [PackedView.of(view) for view in seen] if detail > 1 else photos.fine
+            return outputs, masks, found, mended(found, views, scene, fade, threads, done, resized=resized)
+
     def _foretold(
         self,
-        views: Sequence[FittedView],
-        fine: Sequence[PackedView],
+        photos: FittedPhotos,
         depths: DepthRange,
         scene: SceneViews,
         chosen: Sequence[Sequence[int]],
         fade: int,
         done: Callable[[int], None],
     ) -> list[dict[str, Any]]:
-        """Each view drawn from a reconstruction of the `chosen` others, null figures where these are none; mended by
-        the `fine` ones as well."""
+        """Each view drawn from a reconstruction of the `chosen` others, null figures where these are none."""
         rows: list[dict[str, Any]] = []
-        for index, view in enumerate(views):
+        for index, view in enumerate(photos.seen):
             row: dict[str, Any] = dict.fromkeys(("psnr", "ssim", "holes"))
             if chosen[index]:
-                others = [views[other] for other in chosen[index]]
-                outputs, frame, _ = self.run_network(others, depths)
-                if fade:
-                    outputs = at_mended_depths(outputs, frame, others, depths.far, self.engine.threads)
-                found = placed(outputs, frame, others, moved=fade > 0)
-                larger = [fine[other] for other in chosen[index]]
-                gaussians = mended(found, others, scene, fade, self.engine.threads, resized=larger).gaussians
+                others = photos.at_network_size(chosen[index])
+                *_, fading = self._mended(others, depths, scene, fade=fade, stages=Stages())
                 options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
-                row = drawn_again(render(gaussians, view.camera, outputs=("alpha",), **options), view)
+                row = drawn_again(render(fading.gaussians, view.camera, outputs=("alpha",), **options), view)
             rows.append({"from": list(chosen[index]), **row})
             done(index + 1)
         return rows
