@@ -8,8 +8,8 @@ import numpy as np
 
 from .cameras.camera import Camera
 from .gaussians import Gaussians
-from .matching.place_kernels import sample_places, see_pixels
 from .matching.plane_kernels import compare_level, compare_pixels, mean_planes, spread_along_rows, spread_down_columns
+from .matching.reprojection_kernels import reproject_pixels, sample_bilinear
 from .mending.choice.candidates import ABOUT, COUNT, KNOWN
 from .mending.choice.network import shipped_choice
 from .process.compiler_pages import leave_compiler
@@ -38,9 +38,9 @@ def warm_up() -> None:
     spread_along_rows(planes, planes[0, :, :1].copy(), planes.copy())
     spread_down_columns(planes, planes[0, :1], planes.copy())
     seen, place = np.ones((2, 2), np.uint8), planes[0].copy()
-    see_pixels(planes[0], lens, np.eye(4)[:3], lens, np.eye(4)[:3], lens[:2], place, place, place, seen)
+    reproject_pixels(planes[0], lens, np.eye(4)[:3], lens, np.eye(4)[:3], lens[:2], place, place, place, seen)
     for values in (features, planes[0][..., None]):
-        sample_places(values, place, place, values.copy())
+        sample_bilinear(values, place, place, values.copy())
     shipped_choice().preferences(np.zeros((COUNT, KNOWN, 1)), np.zeros((ABOUT, 1)))
     leave_compiler()
 

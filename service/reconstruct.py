@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .arguments import listed, truth, whole_numbers
 from .cameras.camera import Camera
 from .cameras.depth_range import DepthRange, depth_range
-from .cameras.foretold import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
+from .cameras.leave_one_out import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
 from .cameras.pose_notices import pose_notices
 from .cameras.view_checks import MIN_VIEWS, Notice, check_count, check_views
 from .cameras.world_frame import WorldFrame
@@ -185,7 +185,7 @@ class Reconstructor:
                 chosen = [nearest_others(cameras, i, leave_one_out, depths.near) for i in range(len(views))]
                 alone = [i for i, others in enumerate(chosen) if not others]
                 warnings += [not_foretold(cameras, i, depths.near, numbers[i]) for i in alone]
-                check["leave_one_out"] = self._foretold(inputs.turned, depths, scene, chosen, fade, done)
+                check["leave_one_out"] = self._left_one_out(inputs.turned, depths, scene, chosen, fade, done)
         document = scene_document(
             info=info,
             made_by=self.engine.made_by,
@@ -263,7 +263,7 @@ class Reconstructor:
             resized = [PackedView.of(view) for view in seen] if detail > 1 else photos.fine
             return outputs, masks, found, mended(found, views, scene, fade, threads, done, resized=resized)
 
-    def _foretold(
+    def _left_one_out(
         self,
         photos: FittedPhotos,
         depths: DepthRange,

@@ -9,7 +9,7 @@ from .camera import Camera
 from .camera_fields import CameraFile as CameraFile
 from .camera_fields import NamedView as NamedView
 from .camera_fields import SizeOf, image_name, json_kind, list_of, number_of, opencv_pose, optional_number
-from .lens_keys import COEFFICIENTS, refuse_bending_model, refuse_other_names
+from .lens_keys import COEFFICIENTS, refuse_distorting_model, refuse_other_names
 from .transforms_file import parse_transforms
 
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
@@ -126,7 +126,7 @@ def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
 def _refuse_lens(obj: Mapping, field: str, index: int | None) -> None:
     """Raises `IntrinsicsError` for a distortion coefficient other than 0 and for another lens model: the cameras of a
     cameras.json are pinholes."""
-    refuse_bending_model(obj, field=field, index=index)
+    refuse_distorting_model(obj, field=field, index=index)
     refuse_other_names(obj, field=field, index=index)
     for name in COEFFICIENTS:
         if obj.get(name) is not None and number_of(obj, name, field=field, index=index) != 0:

@@ -141,8 +141,8 @@ def pinhole_window(lens: Lens) -> PinholeWindow:
     if left < right and top < bottom:
         x, y = _sides(left, top, right, bottom)
         x, y = lens.distorted((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy)
-        round_x, round_y = (np.concatenate([way[2], way[1], way[3, ::-1], way[0, ::-1]]) for way in (x, y))
-        area = 0.5 * abs(np.sum(round_x * np.roll(round_y, -1) - round_y * np.roll(round_x, -1)))
+        outline_x, outline_y = (np.concatenate([at[2], at[1], at[3, ::-1], at[0, ::-1]]) for at in (x, y))
+        area = 0.5 * abs(np.sum(outline_x * np.roll(outline_y, -1) - outline_y * np.roll(outline_x, -1)))
         kept = float(area * lens.fx * lens.fy / (lens.width * lens.height))
     if not kept >= MIN_KEPT:
         raise IntrinsicsError(

@@ -42,7 +42,7 @@ def require_pinhole_model(values: Mapping, *, field: str, index: int | None) -> 
     _refuse_fisheye(values, field, index)
 
 
-def refuse_bending_model(values: Mapping, *, field: str, index: int | None) -> None:
+def refuse_distorting_model(values: Mapping, *, field: str, index: int | None) -> None:
     """Raises `IntrinsicsError` for a `camera_model` whose name says that it is no pinhole, and for `is_fisheye`; the
     name of a device passes."""
     model = str(values.get("camera_model") or "")
@@ -54,13 +54,13 @@ def refuse_bending_model(values: Mapping, *, field: str, index: int | None) -> N
 def refuse_other_names(values: Mapping, *, field: str, index: int | None) -> None:
     """Raises `IntrinsicsError` for nonzero coefficients under one of OTHER_NAMES while all of COEFFICIENTS are 0 or
     missing (ignored, a distorted picture would be taken for a pinhole's), and for `skew`."""
-    told = any(_bends(values.get(known)) for known in COEFFICIENTS)
+    told = any(_distorts(values.get(known)) for known in COEFFICIENTS)
     for name in OTHER_NAMES:
-        if not told and _bends(values.get(name)):
+        if not told and _distorts(values.get(name)):
             message = f"{name} = {str(values[name])[:60]}: coefficients are read from {', '.join(COEFFICIENTS)} alone"
             cure = "undistort the photographs, or name the coefficients so in a transforms.json"
             _refuse(message, f"{field}.{name}", index, cure)
-    if _bends(values.get("skew"), NO_SKEW):
+    if _distorts(values.get("skew"), NO_SKEW):
         _refuse(f"skew = {str(values['skew'])[:60]}, need 0: a pinhole has none", f"{field}.skew", index)
 
 
@@ -73,13 +73,13 @@ def _refuse(message: str, field: str, index: int | None, cure: str = UNDISTORT) 
     raise IntrinsicsError(message, field=field, index=index, cure=cure)
 
 
-def _bends(value: Any, nothing: float = NOTHING) -> bool:
+def _distorts(value: Any, nothing: float = NOTHING) -> bool:
     """Whether `value` is, or contains, a number, also as text, of a magnitude above `nothing`."""
     if isinstance(value, str):
         value = [_number(word) for word in re.split(r"[\s,;\[\]()]+", value)]
     if isinstance(value, list | tuple | Mapping):
         listed = value.values() if isinstance(value, Mapping) else value
-        return any(_bends(one, nothing) for one in listed)
+        return any(_distorts(one, nothing) for one in listed)
     return isinstance(value, int | float) and not abs(value) <= nothing
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..cameras.foretold import DEFAULT_OTHERS, checked_others
+from ..cameras.leave_one_out import DEFAULT_OTHERS, checked_others
 from ..leaving_out.budget import DEFAULT_CERTIFY
 from ..mending.detail_level import checked_detail
 from ..mending.fade_passes import DEFAULT_PASSES, checked_passes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..cameras.foretold import DEFAULT_OTHERS
+from ..cameras.leave_one_out import DEFAULT_OTHERS
 from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from ..captures.select import DEFAULT_CONTEXT
 from ..leaving_out.budget import DEFAULT_CERTIFY, MAX_CERTIFY

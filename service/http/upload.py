@@ -10,7 +10,7 @@ import anyio.to_thread
 from fastapi import Request
 from starlette.datastructures import FormData, UploadFile
 
-from ..cameras.foretold import DEFAULT_OTHERS, checked_others
+from ..cameras.leave_one_out import DEFAULT_OTHERS, checked_others
 from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from ..captures.archive import SIGNATURES
 from ..captures.select import ViewSelection, checked_selection

@@ -93,7 +93,7 @@ def prune(
     max_error = checked_max_error(max_error)
     rule = _rule(definition, near)
     extent = colour_range(gaussians)
-    stretch, rest = _beside_mass(rule, len(gaussians))
+    stretch, rest = _rounding_terms(rule, len(gaussians))
     # What is left for the freed mass once the early stop and the rounding are paid; rounded down to float32, in which
     # the masses are.
     mass = float(np.nextafter(np.float32((max_error / extent - rest) / stretch), np.float32(-1)))
@@ -169,7 +169,7 @@ def removal_bound(
     Raises `InputError` for a definition whose stop is exclusive.
     """
     rule = _rule(definition, near)
-    stretch, rest = _beside_mass(rule, len(gaussians))
+    stretch, rest = _rounding_terms(rule, len(gaussians))
     options: dict[str, Any] = {"definition": rule, "threads": threads}
     lost = [render(gaussians, camera, outputs=("removed",), subset=gone, **options).removed for camera in cameras]
     freed = max((float(plane.max(initial=0.0)) for plane in lost), default=0.0)
@@ -192,7 +192,7 @@ def rounding(rule: Definition, count: int) -> float:
     return EPSILON * (layers + 4)
 
 
-def _beside_mass(rule: Definition, count: int) -> tuple[float, float]:
+def _rounding_terms(rule: Definition, count: int) -> tuple[float, float]:
     """Factor on a measured mass for its rounding and that of the weights, and the term that both pictures add."""
     each = rounding(rule, count)
     return 1 + 2 * each, (1 + each) * rule.stop + 2 * each

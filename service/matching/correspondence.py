@@ -12,7 +12,7 @@ from ..cameras.camera import Camera, pixel_grid
 from ..cameras.rotations import rotated
 from ..photographs.bilinear import bilinear
 from ..photographs.images import FittedView
-from .place_kernels import sample_places, see_pixels
+from .reprojection_kernels import reproject_pixels, sample_bilinear
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,7 +36,7 @@ class Reprojection:
         """(H, W, C) bilinear samples of a `picture` (h, w, C) of the other view, in its precision."""
         values = np.ascontiguousarray(picture)
         found = np.empty((*self.z.shape, picture.shape[2]), picture.dtype)
-        sample_places(values, self.column, self.row, found)
+        sample_bilinear(values, self.column, self.row, found)
         return found
 
 
@@ -44,17 +44,17 @@ def reprojected(view: FittedView, depth: F64, other: FittedView) -> Reprojection
     """The pixels of `view` at z-depths `depth` (H, W), in the cameras' units, as `other` sees them."""
     column, row, z = (np.empty(depth.shape) for _ in range(3))
     inside = np.empty(depth.shape, np.bool_)
-    (lens, pose), (other_lens, other_pose) = _parts(view.camera), _parts(other.camera)
+    (lens, pose), (other_lens, other_pose) = _lens_and_pose(view.camera), _lens_and_pose(other.camera)
     size = np.array([other.camera.width, other.camera.height], np.float64)
     depth = np.ascontiguousarray(depth, np.float64)
-    see_pixels(depth, lens, pose, other_lens, other_pose, size, column, row, z, inside.view(np.uint8))
+    reproject_pixels(depth, lens, pose, other_lens, other_pose, size, column, row, z, inside.view(np.uint8))
     where = inside
     if other.mask is not None:
         where = inside & (bilinear(other.mask.astype(np.float32)[..., None], column, row)[..., 0] > KEPT)
     return Reprojection(column, row, np.where(where, z, 1.0), inside, where)
 
 
-def _parts(camera: Camera) -> tuple[F64, F64]:
+def _lens_and_pose(camera: Camera) -> tuple[F64, F64]:
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy]), np.ascontiguousarray(camera.world_from_cam[:3])
 
 

@@ -22,7 +22,7 @@ END = 2  # planes that count as an end
 CURE = "give near and far in the unit of the poses, around the whole scene, or neither"
 
 
-def as_if_none_given(cameras: Sequence[Camera], depths: DepthRange) -> DepthRange | None:
+def estimated_instead(cameras: Sequence[Camera], depths: DepthRange) -> DepthRange | None:
     """The range as estimated from the cameras; None if `depths` is an estimate already, or none can be made."""
     if depths.source == "estimated":
         return None

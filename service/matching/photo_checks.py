@@ -20,9 +20,9 @@ from ..errors import ContradictionError
 from ..photographs.images import FittedView
 from ..photographs.upright import ON_ITS_SIDE, SAME_SIZE, upright
 from .coarse_views import CoarseView, coarse_view, nearest_neighbours
-from .given_range import as_if_none_given, range_doubtful
+from .duplicates import duplicates
+from .given_range import estimated_instead, range_doubtful
 from .plane_sweep import STEP_PX, best_planes, plane_depths, step_px
-from .twins import twins
 from .window_match import match_score
 
 PLANES = 32  # at least
@@ -58,7 +58,7 @@ def check_photos(
     different poses are identical. Masked pixels are not compared. `numbers` are what the caller calls the views.
     """
     numbers = range(len(views)) if numbers is None else numbers
-    return twins(views, depths, numbers, trust_poses) + _matching(views, depths, numbers, trust_poses)
+    return duplicates(views, depths, numbers, trust_poses) + _matching(views, depths, numbers, trust_poses)
 
 
 def _matching(
@@ -104,7 +104,7 @@ def _range_doubts(
     """The warning about a given range, where there is reason for one, and the score that other readings have to beat:
     `given`, that of the poses in this range, or that in the estimated range, which the poses are not to blame for."""
     cameras = [view.camera for view in coarse]
-    estimate = as_if_none_given(cameras, depths)
+    estimate = estimated_instead(cameras, depths)
     elsewhere = None if estimate is None else consistency(coarse, cameras, estimate, step)
     if estimate is None or elsewhere is None or elsewhere <= max(given + RANGE_MARGIN, GOOD_SCORE):
         return [], given

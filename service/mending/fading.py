@@ -21,9 +21,9 @@ from ..harmonics import C0
 from ..photographs.images import FittedView, PackedView
 from ..splat import Definition, Leverage
 from .anchors import Anchors
-from .compared import Compared
 from .fade_passes import DEFAULT_PASSES, checked_passes
 from .heavy_ball import HeavyBall
+from .targets import Targets
 
 STEP = 0.6  # of the Newton step that treats each Gaussian as the only variable
 DAMPING = 0.05  # in units of one channel of one pixel: Gaussians that change the pictures less hardly fade
@@ -77,7 +77,7 @@ def faded(
     A pass renders every view once and changes each opacity o by -STEP sum(w r J) / (sum(w J^2) + DAMPING), clipped to
     between 0 and its initial value, or from BEHIND_KEEPS of that for Gaussians `behind` (N,) the scene. J = dC/do; r is
     the residual, the render clipped to [0, 1] minus the photograph; sums run over all pixels and channels of all views,
-    with weights w and backgrounds as in `Compared`. One pass later (after the last pass in a round of its own) each
+    with weights w and backgrounds as in `Targets`. One pass later (after the last pass in a round of its own) each
     channel of the base colour changes by -COLOUR_STEP sum(w r s) / (sum(w s) + COLOUR_DAMPING), with s = T a of
     `leverage`, clipped to [0, 1] unless it was outside (simultaneous iterative reconstruction, Gilbert 1972); this
     includes Gaussians behind the scene, which novel views see past occluding edges. Both updates have momentum
@@ -97,7 +97,7 @@ def faded(
     before, own = gaussians.opacities, _base_colours(gaussians)
     opacities = HeavyBall(before, 0.0 if behind is None else np.where(behind, BEHIND_KEEPS * before, 0), before)
     colours = HeavyBall(own, 0.0, 1.0)
-    photographs, anchored = _Photographs(views, resized), Compared(() if anchors is None else anchors.pictures)
+    photographs, anchored = _Photographs(views, resized), Targets(() if anchors is None else anchors.pictures)
     for number in range(passes + 1 if passes else 0):
         now = _changed(gaussians, opacities.now, colours.now - own)
         between = (0.0, 0.0) if number == passes else _between(now, anchors, anchored, near, threads)
@@ -127,7 +127,7 @@ class _Photographs:
     """The photographs as targets, at one or two resolutions."""
 
     def __init__(self, views: Sequence[FittedView], resized: Sequence[PackedView]) -> None:
-        self._given, self._resized = Compared(views), Compared(resized)
+        self._given, self._resized = Targets(views), Targets(resized)
         # weight of a resized pixel, so that equal residuals give equal sums at both resolutions
         self._area = _pixels(views[0]) / _pixels(resized[0]) if views and resized else 0.0
         self._share = _share(views, resized)
@@ -172,7 +172,7 @@ def _finite(over: NDArray[np.float64], under: NDArray[np.float64]) -> NDArray[np
 
 
 def _between(
-    now: Gaussians, anchors: Anchors | None, anchored: Compared, near: float | None, threads: int | None
+    now: Gaussians, anchors: Anchors | None, anchored: Targets, near: float | None, threads: int | None
 ) -> tuple[NDArray[np.float64] | float, NDArray[np.float64] | float]:
     """What the anchors' pictures add to `slope` and `moved` (N,), for the Gaussians that may fade for them."""
     if anchors is None or not anchored.views:

@@ -8,7 +8,7 @@ import pytest
 from plane_scene import PlaneScene
 
 from gapmes.service.arguments import real_number, shown, whole_number
-from gapmes.service.cameras.foretold import checked_others
+from gapmes.service.cameras.leave_one_out import checked_others
 from gapmes.service.errors import InputError, ModelError
 from gapmes.service.leaving_out.budget import Budget
 from gapmes.service.mending.detail_level import checked_detail

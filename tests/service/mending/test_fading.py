@@ -16,8 +16,8 @@ from gapmes.service.errors import InputError
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import C0
 from gapmes.service.mending import fade_passes
-from gapmes.service.mending.compared import Compared
 from gapmes.service.mending.fading import BEHIND_KEEPS, faded
+from gapmes.service.mending.targets import Targets
 from gapmes.service.photographs.images import FittedView
 from gapmes.service.splat import Leverage, render
 
@@ -246,12 +246,12 @@ def test_colours_follow_one_pass_behind(views: list[FittedView], spoiled: Gaussi
     """Each round is drawn with the colours of the one before; the first only lowers opacities."""
     drawn: list[Gaussians] = []
 
-    def recorded(compared: Compared, now: Gaussians, *rest: object) -> Leverage:
+    def recorded(targets: Targets, now: Gaussians, *rest: object) -> Leverage:
         drawn.append(now)
-        return real(compared, now, *rest)
+        return real(targets, now, *rest)
 
-    real = Compared.sums
-    monkeypatch.setattr(Compared, "sums", recorded)
+    real = Targets.sums
+    monkeypatch.setattr(Targets, "sums", recorded)
     last = faded(spoiled, views, 2).gaussians
     assert len(drawn) == 3
     steps = list(pairwise([*drawn, last]))

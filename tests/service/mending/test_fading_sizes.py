@@ -11,8 +11,8 @@ from plane_views import SIDE, error, floaters, joined, on_the_plane, plane_views
 
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import C0
-from gapmes.service.mending.compared import Compared
 from gapmes.service.mending.fading import OWN_SHARE, RESIZED_ROUNDS, RESIZED_SHARE, faded
+from gapmes.service.mending.targets import Targets
 from gapmes.service.photographs.images import FittedView, PackedView
 from gapmes.service.splat import Leverage, render
 
@@ -38,13 +38,13 @@ def spoiled(views: list[FittedView]) -> Gaussians:
 def shares(monkeypatch: pytest.MonkeyPatch) -> dict[int, float]:
     """By the width of the views that are compared: the weight of a pixel, the last that was asked for."""
     found: dict[int, float] = {}
-    real = Compared.sums
+    real = Targets.sums
 
-    def recorded(compared: Compared, *rest: Any, share: float = 1.0, **options: Any) -> Leverage:
-        found.update({view.camera.width: share for view in compared.views})
-        return real(compared, *rest, share=share, **options)
+    def recorded(targets: Targets, *rest: Any, share: float = 1.0, **options: Any) -> Leverage:
+        found.update({view.camera.width: share for view in targets.views})
+        return real(targets, *rest, share=share, **options)
 
-    monkeypatch.setattr(Compared, "sums", recorded)
+    monkeypatch.setattr(Targets, "sums", recorded)
     return found
 
 
@@ -94,12 +94,12 @@ def test_the_last_rounds_alone_look_at_the_other_size(
 ) -> None:
     drawn: list[int] = []
 
-    def recorded(compared: Compared, *rest: object, **options: object) -> Leverage:
-        drawn.extend({view.camera.width for view in compared.views})
-        return real(compared, *rest, **options)
+    def recorded(targets: Targets, *rest: object, **options: object) -> Leverage:
+        drawn.extend({view.camera.width for view in targets.views})
+        return real(targets, *rest, **options)
 
-    real = Compared.sums
-    monkeypatch.setattr(Compared, "sums", recorded)
+    real = Targets.sums
+    monkeypatch.setattr(Targets, "sums", recorded)
     faded(spoiled, views, passes, resized=packed(larger))
     rounds = [1 + (number > passes - RESIZED_ROUNDS) for number in range(passes + 1)]
     assert drawn == [width for sizes in rounds for width in (SIDE, 2 * SIDE)[:sizes]]

@@ -14,7 +14,7 @@ from gapmes.service.cameras.world_frame import WorldFrame
 from gapmes.service.gaussians import Gaussians, joined
 from gapmes.service.kernels import warm_up
 from gapmes.service.matching.confirmed import confirmed
-from gapmes.service.matching.place_kernels import sample_places, see_pixels
+from gapmes.service.matching.reprojection_kernels import reproject_pixels, sample_bilinear
 from gapmes.service.mending import after_network as mending
 from gapmes.service.mending.after_network import (
     SMOOTHING,
@@ -231,7 +231,11 @@ def test_nothing_is_compiled_while_depths_are_mended(frame: WorldFrame) -> None:
     warm_up()
     views = plane_views()[:2]
     at_mended_depths(outputs(views, frame), frame, views, FAR, 1)
-    loops = (see_pixels, 1), (sample_places, 2), (choose_rows, 1)  # of pictures in float32, and of depths in float64
+    loops = (
+        (reproject_pixels, 1),
+        (sample_bilinear, 2),
+        (choose_rows, 1),
+    )  # float32 pictures, float64 depths
     assert [len(loop.signatures) for loop, _ in loops] == [count for _, count in loops]
 
 

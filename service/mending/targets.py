@@ -18,7 +18,7 @@ COVERED = 1e-3  # opacity below which a pixel has no colour to compare
 
 
 @dataclass(eq=False)
-class Compared:
+class Targets:
     """Target views, and how much of each the scene covered when it was first compared.
 
     A pixel with mean absolute residual d over the channels has the weight 1 / (1 + d / ROBUST) (Fair's function of
@@ -44,11 +44,11 @@ class Compared:
         counts as covered. `near` and `threads` are those of `render`."""
         sums = Leverage.of(len(now)) if onto is None else onto
         for number, view in enumerate(self.views):
-            judge = partial(self._judged, number, share)
+            judge = partial(self._residual, number, share)
             leverage(now, view.camera, judge, near=near, threads=threads, onto=sums)
         return sums
 
-    def _judged(self, number: int, share: float, image: Render) -> Planes:
+    def _residual(self, number: int, share: float, image: Render) -> Planes:
         """The picture over its background (H, W, 3), its residual (H, W, 3) against the target, and weights (H, W)."""
         view = self.views[number]
         wanted = view.image.transpose(1, 2, 0)

@@ -9,7 +9,7 @@ from plane_scene import PlaneScene
 from gapmes.service import cli
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.depth_range import DepthRange
-from gapmes.service.cameras.foretold import checked_others, nearest_others
+from gapmes.service.cameras.leave_one_out import checked_others, nearest_others
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.cameras.view_checks import MIN_PARALLAX_PX, check_views
 from gapmes.service.commands.summary import check_line

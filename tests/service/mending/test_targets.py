@@ -11,7 +11,7 @@ from plane_views import SIDE, floaters, joined, on_the_plane
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.harmonics import C0
-from gapmes.service.mending.compared import Compared
+from gapmes.service.mending.targets import Targets
 from gapmes.service.photographs.images import FittedView
 from gapmes.service.splat import Leverage
 
@@ -36,7 +36,7 @@ def scene(views: list[FittedView]) -> Gaussians:
 
 
 def test_the_same_set_has_the_same_sums(views: list[FittedView], scene: Gaussians) -> None:
-    compared = Compared(views)
+    compared = Targets(views)
     assert bits(compared.sums(scene, None, 1)) == bits(compared.sums(scene, None, 1))
 
 
@@ -46,7 +46,7 @@ def test_what_lets_the_void_through_is_wrong_in_every_channel(colour: tuple[floa
     first, o0 - o is lost, and each channel differs by that share of the void's distance."""
     wanted = np.array(colour)
     view = replace(FLAT, image=np.full((3, SIDE, SIDE), wanted[:, None, None], np.float32))
-    compared = Compared([view])
+    compared = Targets([view])
     first = compared.sums(splat(0.9, wanted), None, 1)
     assert first.slope == pytest.approx(0, abs=1e-2)  # of 4096 pixels; found: 2e-4
     faded = compared.sums(splat(0.6, wanted), None, 1)
@@ -56,19 +56,19 @@ def test_what_lets_the_void_through_is_wrong_in_every_channel(colour: tuple[floa
     assert faded.shown[0] == pytest.approx(shown, rel=2e-3)  # the splat falls off by a thousandth at the corners
     assert faded.excess[0] == pytest.approx(difference * shown, rel=5e-3)
     assert faded.slope[0] < -1  # more opacity would mend it
-    other = Compared([view]).sums(splat(0.6, wanted), None, 1)  # never covered by more: nothing is lost
+    other = Targets([view]).sums(splat(0.6, wanted), None, 1)  # never covered by more: nothing is lost
     assert other.slope == pytest.approx(0, abs=1e-2)
     assert other.excess == pytest.approx(0, abs=1e-2)
 
 
 def test_covering_more_than_at_first_loses_nothing() -> None:
-    compared = Compared([FLAT])
+    compared = Targets([FLAT])
     compared.sums(splat(0.4), None, 1)
     assert compared.sums(splat(0.9), None, 1).excess == pytest.approx(0, abs=1e-2)
 
 
 def test_masked_pixels_add_nothing_though_they_are_lost() -> None:
-    compared = Compared([replace(FLAT, mask=np.zeros((SIDE, SIDE), bool))])
+    compared = Targets([replace(FLAT, mask=np.zeros((SIDE, SIDE), bool))])
     compared.sums(splat(0.9), None, 1)
     sums = compared.sums(splat(0.5), None, 1)
     assert all((getattr(sums, name) == 0).all() for name in NAMES)
@@ -76,7 +76,7 @@ def test_masked_pixels_add_nothing_though_they_are_lost() -> None:
 
 def test_every_view_remembers_its_own_cover(views: list[FittedView], scene: Gaussians) -> None:
     fainter = replace(scene, opacities=scene.opacities * np.float32(0.7))
-    together, alone = Compared(views), [Compared([view]) for view in views]
+    together, alone = Targets(views), [Targets([view]) for view in views]
     for number, one in enumerate((scene, fainter)):
         sums, parts = together.sums(one, None, 1), [compared.sums(one, None, 1) for compared in alone]
         for name in NAMES:

@@ -11,7 +11,7 @@ FARTHEST = np.finfo(np.float64).max
 
 
 @kernel()
-def see_pixels(depth, lens, pose, other_lens, other_pose, size, column, row, z, inside):
+def reproject_pixels(depth, lens, pose, other_lens, other_pose, size, column, row, z, inside):
     """Reproject pixels with z-depths `depth` (H, W) into another view: writes `column`, `row` (pixel indices), `z` and
     `inside` (in front of it and within its picture), each (H, W).
 
@@ -64,7 +64,7 @@ def _finite(place):
 
 
 @kernel()
-def sample_places(values, column, row, found):
+def sample_bilinear(values, column, row, found):
     """Bilinear samples `found` (N, C) of `values` (H, W, C) at real-valued pixel indices `column` and `row` (N,),
     clamped to the border. The same bits as `bilinear.py`."""
     height, width, channels = values.shape

@@ -27,7 +27,9 @@ _GRID = 8  # places of a picture, each way
 _DEPTHS = 32
 
 
-def twins(views: Sequence[FittedView], depths: DepthRange, numbers: Sequence[int], trust_poses: bool) -> list[Notice]:
+def duplicates(
+    views: Sequence[FittedView], depths: DepthRange, numbers: Sequence[int], trust_poses: bool
+) -> list[Notice]:
     """Warnings about duplicates. Raises `ContradictionError` for photographs that are equal to the bit and not plain,
     unless `trust_poses`; cameras of equal poses were refused before.
 

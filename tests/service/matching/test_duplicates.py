@@ -11,8 +11,8 @@ from sample_photographs import FAR, NEAR, sample_cameras, sample_pixels, sample_
 
 from gapmes.service.cameras.depth_range import DepthRange, depth_range
 from gapmes.service.errors import ContradictionError
+from gapmes.service.matching.duplicates import duplicates, least_motion_px
 from gapmes.service.matching.photo_checks import check_photos
-from gapmes.service.matching.twins import least_motion_px, twins
 from gapmes.service.photographs.images import Photo, fit_view
 
 DEPTHS = DepthRange(2.0, 8.0, "given")
@@ -47,7 +47,7 @@ def test_one_photograph_for_two_poses_is_refused(plane_scene):
 def test_one_photograph_in_two_encodings_is_told(qualities, pair, given):
     pixels, cameras = sample_pixels(pair[0]), sample_cameras(pair)
     views = [fit_view(Photo(encoded(pixels, q)), c, 256, 256) for q, c in zip(qualities, cameras, strict=True)]
-    (notice,) = twins(views, SAMPLE if given else depth_range(cameras), (3, 8), False)
+    (notice,) = duplicates(views, SAMPLE if given else depth_range(cameras), (3, 8), False)
     assert (notice["code"], notice["field"], notice["index"]) == ("photos_equal", "images", 8)
     assert "photographs 3 and 8 differ by 2." in notice["message"]
     assert "was one of them sent twice?" in notice["message"]
@@ -57,7 +57,7 @@ def test_neighbouring_photographs_are_no_twins():
     for one in range(7):
         views = sample_views((one, one + 1))
         estimate = depth_range([view.camera for view in views])
-        assert twins(views, SAMPLE, (0, 1), False) == twins(views, estimate, (0, 1), False) == []
+        assert duplicates(views, SAMPLE, (0, 1), False) == duplicates(views, estimate, (0, 1), False) == []
 
 
 @pytest.mark.parametrize("step", [0.001, 0.003, 0.01, 0.03, 0.1])
@@ -70,8 +70,8 @@ def test_frames_of_a_clip_that_hardly_move_are_no_twins(step, plane_scene):
         pose[0, 3] = step * index
         camera = lens.posed(pose)
         views.append(fit_view(Photo(photograph(camera, waves, phases)), camera, 72, 96))
-    assert twins(views, DEPTHS, (0, 1), False) == []
-    assert twins(views, depth_range([view.camera for view in views]), (0, 1), False) == []
+    assert duplicates(views, DEPTHS, (0, 1), False) == []
+    assert duplicates(views, depth_range([view.camera for view in views]), (0, 1), False) == []
 
 
 def test_pictures_without_texture_are_no_twins(plane_scene):
@@ -82,7 +82,7 @@ def test_pictures_without_texture_are_no_twins(plane_scene):
         for view in fitted(plane_scene)
     ]
     assert least_motion_px(views[0].camera, views[2].camera, DEPTHS) > 2
-    assert twins(views, DEPTHS, (0, 1, 2), False) == []
+    assert duplicates(views, DEPTHS, (0, 1, 2), False) == []
 
 
 def test_only_what_both_masks_keep_is_compared():
@@ -91,9 +91,9 @@ def test_only_what_both_masks_keep_is_compared():
     mask = np.ones((256, 256), np.bool_)
     mask[:, 128:] = False
     half = [views[0], replace(views[1], image=np.where(mask, views[1].image, np.float32(0)), mask=mask)]
-    assert len(twins(half, SAMPLE, (0, 1), False)) == 1
+    assert len(duplicates(half, SAMPLE, (0, 1), False)) == 1
     apart = [replace(views[0], mask=~mask), half[1]]
-    assert twins(apart, SAMPLE, (0, 1), False) == []
+    assert duplicates(apart, SAMPLE, (0, 1), False) == []
 
 
 def test_the_least_motion_is_that_of_the_far_end_between_parallel_cameras(plane_scene):

@@ -10,7 +10,7 @@ import pytest
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.matching.correspondence import Reprojection, reprojected
-from gapmes.service.matching.place_kernels import FARTHEST, sample_places
+from gapmes.service.matching.reprojection_kernels import FARTHEST, sample_bilinear
 from gapmes.service.photographs.bilinear import bilinear
 from gapmes.service.photographs.images import FittedView
 
@@ -99,7 +99,7 @@ def test_what_is_there_is_what_numpy_finds(channels: int, kind: type) -> None:
     values = rng.normal(size=(HEIGHT, WIDTH, channels)).astype(kind)
     column, row = rng.uniform(-3, WIDTH + 3, (9, 40)), rng.uniform(-3, HEIGHT + 3, (9, 40))
     found = np.empty((9, 40, channels), kind)
-    sample_places(values, column, row, found)
+    sample_bilinear(values, column, row, found)
     expected = bilinear(values, column, row)
     assert expected.dtype == kind
     assert (found == expected).all()
