@@ -23,19 +23,8 @@ from .lens_keys import COEFFICIENTS, OTHER_NAMES, refuse_other_names, require_pi
 
 NARROWEST, WIDEST = (2 * math.atan(0.5 / focal) for focal in (MOST_FOCAL, LEAST_FOCAL))  # radians
 _LENGTHS, _ANGLES = ("fl_x", "fl_y"), ("camera_angle_x", "camera_angle_y")
-_OF_A_FRAME = (
-    "w",
-    "h",
-    *_LENGTHS,
-    *_ANGLES,
-    "cx",
-    "cy",
-    *COEFFICIENTS,
-    *OTHER_NAMES,
-    "skew",
-    "camera_model",
-    "is_fisheye",
-)  # the top says it for all
+_OTHERS = ("w", "h", "cx", "cy", "skew", "camera_model", "is_fisheye")
+_OF_A_FRAME = (*_LENGTHS, *_ANGLES, *COEFFICIENTS, *OTHER_NAMES, *_OTHERS)  # the top says it for all
 
 
 def parse_transforms(

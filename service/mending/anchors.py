@@ -45,10 +45,10 @@ def anchors(
 
     Pictures in which nothing is covered are left out; `near` and `threads` are those of `render`.
     """
-    subset = gaussians[np.flatnonzero(sure)]
-    pictures = []
-    edges = [(cameras[i], cameras[j]) for i, j in minimum_spanning_tree(cameras)]
-    for camera in views_between(edges, BETWEEN) if sure.any() and may_fade.any() else ():
+    if not (sure.any() and may_fade.any()):
+        return Anchors((), may_fade)
+    subset, pictures = gaussians[sure], []
+    for camera in views_between([(cameras[i], cameras[j]) for i, j in minimum_spanning_tree(cameras)], BETWEEN):
         image = render(subset, camera, outputs=("alpha",), near=near, threads=threads)
         covered = image.alpha > COVERED
         if covered.any():

@@ -64,14 +64,14 @@ def _of_view(view: FittedView, inverse: F64, coefficients: int) -> tuple[Gaussia
     for distance in np.unique(out[out > sum(MARGIN)]):
         least = np.where(out == distance, _least_within(cells, distance)[row, column], least)
 
-    def chosen(which: NDArray[np.bool_], inverse: F64, colours: F64) -> Gaussians:
-        """One Gaussian per cell in `which`, with its `inverse` depth and colour."""
-        z = 1 / inverse[which]
+    def flat_gaussians(which: NDArray[np.bool_], inverse_depths: F64, rgb: F64) -> Gaussians:
+        """One Gaussian per cell in `which`, with its inverse depth and colour."""
+        z = 1 / inverse_depths[which]
         y, x = (CELL * axis[which] for axis in middles)
         high, wide = (SPREAD * CELL * axis[which] * z for axis in widths)
         size = np.minimum(np.stack([wide / camera.fx, high / camera.fy], axis=1), np.finfo(np.float32).max)
         harmonics = np.zeros((len(z), coefficients, 3))
-        harmonics[:, 0] = (colours[which] - 0.5) / C0
+        harmonics[:, 0] = (rgb[which] - 0.5) / C0
         return Gaussians.make(
             camera.unproject(np.stack([x, y], axis=1), z),
             np.column_stack([size, FLATNESS * size.min(axis=1)]),
@@ -81,11 +81,12 @@ def _of_view(view: FittedView, inverse: F64, coefficients: int) -> tuple[Gaussia
         )
 
     shown, whole = colours[row, column], view.mask is None
-    behind = chosen(kept & (out <= sum(MARGIN)), PUSH_BACK * least, shown)
+    behind = flat_gaussians(kept & (out <= sum(MARGIN)), PUSH_BACK * least, shown)
     farther, colours = _farther(far, colours)
     deeper = kept & (out == 0) & (farther < DEEPER * far)[row, column] & whole
-    second = chosen(deeper, PUSH_BACK**2 * farther[row, column], colours[row, column])
-    return joined(behind, second), chosen(kept & (out > sum(MARGIN)) & whole, PUSH_BACK * least, shown)
+    second = flat_gaussians(deeper, PUSH_BACK**2 * farther[row, column], colours[row, column])
+    around = flat_gaussians(kept & (out > sum(MARGIN)) & whole, PUSH_BACK * least, shown)
+    return joined(behind, second), around
 
 
 def _grid(count: int) -> tuple[F64, F64, NDArray[np.intp], NDArray[np.intp]]:

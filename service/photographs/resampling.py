@@ -37,11 +37,9 @@ def resampled(
 def _filter_support(size: tuple[int, int], box: Box) -> tuple[slice, slice]:
     """Rows and columns under the Lanczos filter where `box` is resampled to `size`: those of the box, and LOBES pixels
     of the coarser grid to each side."""
-    columns, rows = (
-        slice(max(math.floor(low - reach), 0), math.ceil(high + reach))
-        for low, high, reach in (
-            (low, high, LOBES * max((high - low) / count, 1.0))
-            for low, high, count in zip(box[:2], box[2:], size, strict=True)
-        )
-    )
+    spans = []
+    for low, high, count in zip(box[:2], box[2:], size, strict=True):
+        reach = LOBES * max((high - low) / count, 1.0)
+        spans.append(slice(max(math.floor(low - reach), 0), math.ceil(high + reach)))
+    columns, rows = spans
     return rows, columns
