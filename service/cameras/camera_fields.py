@@ -81,7 +81,7 @@ def optional_number(obj: Mapping, name: str) -> float | None:
     return None if obj.get(name) is None else number_of(obj, name, field="cameras")
 
 
-def image_name(entry: Mapping, name: str, *, field: str, index: int | None = None) -> str | None:
+def image_name(entry: Mapping, name: str, *, field: str, index: int | None) -> str | None:
     """The string under `name`, None where it is absent or null. Raises `CameraError`."""
     value = entry.get(name)
     if value is not None and not isinstance(value, str):
@@ -106,7 +106,7 @@ def list_of(obj: Mapping, name: str) -> Sequence[Mapping]:
     return entries
 
 
-def opencv_pose(matrix: object, *, axes: str, pose: str, field: str, index: int | None = None) -> Pose:
+def opencv_pose(matrix: object, *, axes: str, pose: str, field: str, index: int | None) -> Pose:
     """world_from_cam in OpenCV axes; `axes` (opencv | opengl) and `pose` (c2w | w2c) say what `matrix` is."""
     parse = inverted_pose if pose == "w2c" else checked_pose
     world_from_cam, given = parse(matrix, field=field, index=index)

@@ -131,7 +131,7 @@ def _checked_drift(rotation: F64, refusal: Refusal) -> float:
     raise refusal(message, cure=cure)
 
 
-def inverted_pose(value: object, *, field: str = "c2w", index: int | None = None) -> Pose:
+def inverted_pose(value: object, *, field: str, index: int | None) -> Pose:
     """The inverse of a motion as `checked_pose` parses it: what is given is world to camera, R x + t.
 
     The camera is where R x + t = 0; with R projected it is -R^T t, which is another place far from the origin.

@@ -27,9 +27,7 @@ _OTHERS = ("w", "h", "cx", "cy", "skew", "camera_model", "is_fisheye")
 _OF_A_FRAME = (*_LENGTHS, *_ANGLES, *COEFFICIENTS, *OTHER_NAMES, *_OTHERS)  # the top says it for all
 
 
-def parse_transforms(
-    obj: Mapping, *, size_of: SizeOf | None = None, indices: Sequence[int] | None = None
-) -> CameraFile:
+def parse_transforms(obj: Mapping, *, size_of: SizeOf | None, indices: Sequence[int] | None) -> CameraFile:
     """Views in the order of `frames`, or those of `indices`; a value of a frame wins over the same name at the top,
     and its own field of view over the focal lengths there.
 

@@ -135,7 +135,7 @@ def consistency(
 
 
 def view_scores(
-    views: Sequence[CoarseView], cameras: Sequence[Camera], depths: DepthRange, step: float = STEP_PX
+    views: Sequence[CoarseView], cameras: Sequence[Camera], depths: DepthRange, step: float
 ) -> list[tuple[float, float]]:
     """Per view its match score with its nearest neighbour, and the score's weight; arguments as for `consistency`."""
     views = [replace(view, camera=camera) for view, camera in zip(views, cameras, strict=True)]

@@ -74,7 +74,7 @@ def at_mended_depths(
 
 
 def matched_depths(
-    views: Sequence[FittedView], depths: NDArray[np.float64], threads: int | None = None
+    views: Sequence[FittedView], depths: NDArray[np.float64], threads: int | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(V, H, W) z-depths from the network's `depths` (V, H, W): after matching, and after plane continuation as
     well."""

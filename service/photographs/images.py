@@ -179,7 +179,7 @@ def match_photo(photo: Photo, camera: Camera, *, index: int | None = None) -> tu
     raise _aspects_differ(photo.width, photo.height, camera, index)
 
 
-def check_aspect(width: int, height: int, camera: Camera, *, index: int | None = None) -> None:
+def check_aspect(width: int, height: int, camera: Camera, *, index: int | None) -> None:
     """Raises `ImageError` unless the size and the camera's agree in aspect, as `match_photo` requires."""
     if not _same_aspect(width, height, camera):
         raise _aspects_differ(width, height, camera, index)

@@ -52,7 +52,7 @@ def undistorted_size(photo: Photo, lens: Lens) -> tuple[int, int]:
     return _straight(*_shrunk(photo.width, photo.height, lens), lens)
 
 
-def match_lens(photo: Photo, lens: Lens, *, index: int | None = None) -> Photo:
+def match_lens(photo: Photo, lens: Lens, *, index: int | None) -> Photo:
     """The photograph, turned upright if its lens is; it may have another resolution, as for `match_photo`. Raises
     `ImageError`."""
     raw = Camera.make(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, np.eye(4), index=index)
