@@ -119,7 +119,7 @@ class Reconstructor:
         many others, 2 or more, the nearest with parallax among themselves (a warning where none have); 0: not done.
         `fade`: passes that fit opacities and colours to the photographs (`fading.py`), after depths were refined and a
         backdrop was added (`after_network.py`); with 0 all of this is skipped, and the scene is the network's own.
-        `detail`: 1, or 2 for four Gaussians per pixel, in the colours of photographs of twice the network's size
+        `detail`: 1, or 2 for four Gaussians per pixel, in the colours of photographs with twice the pixels each way
         (`detail.py`).
         `whole`: photographs of another aspect than the network's are used as a whole (`whole.py`); False crops them.
         `numbers`: what errors and warnings call the views, one each; by default 0, 1, 2...
@@ -160,7 +160,7 @@ class Reconstructor:
             )
             warnings += inputs.warnings
             depths, photos = inputs.depths, inputs.photos
-            seen, views = inputs.turned.seen, inputs.turned.shown
+            views = inputs.turned.shown
         view_cameras = tuple(view.camera for view in photos.shown)
         scene = SceneViews(view_cameras, depths.near, depths.far)
         outputs, masks, found, fading = self._mended(
@@ -237,9 +237,9 @@ class Reconstructor:
         stride: int = 1,
         stages: Stages,
     ) -> tuple[Arrays, NDArray[np.bool_], Placed, Fading]:
-        """From `photos` to mended Gaussians: the network's outputs but for MOVED ones, the mask (V, P) of its patches, the
-        Gaussians as they are placed in the caller's world, and as they are after `fade` passes. `scene` has the near
-        plane of all pictures."""
+        """From `photos` to mended Gaussians: the network's outputs but for MOVED ones, the mask (V, P) of its patches,
+        the Gaussians as they are placed in the caller's world, and as they are after `fade` passes. `scene` has the
+        near plane of all pictures."""
         seen, views, threads = photos.seen, photos.shown, self.engine.threads
         if not is_warm():
             leave_compiler()  # it comes with the import of the loops
@@ -277,7 +277,7 @@ class Reconstructor:
         for index, view in enumerate(photos.seen):
             row: dict[str, Any] = dict.fromkeys(("psnr", "ssim", "holes"))
             if chosen[index]:
-                others = photos.at_network_size(chosen[index])
+                others = photos.without_detail(chosen[index])
                 *_, fading = self._mended(others, depths, scene, fade=fade, stages=Stages())
                 options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
                 row = drawn_again(render(fading.gaussians, view.camera, outputs=("alpha",), **options), view)

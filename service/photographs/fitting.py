@@ -36,8 +36,8 @@ class FittedPhotos:
     fine: list[PackedView]  # at `finer` times as many per axis, whatever the detail
     notices: list[Notice]
 
-    def at_network_size(self, indices: Sequence[int]) -> FittedPhotos:
-        """The views of these `indices`, for a scene at the network's resolution."""
+    def without_detail(self, indices: Sequence[int]) -> FittedPhotos:
+        """The views of these `indices`, for a scene without detail."""
         seen = [self.seen[index] for index in indices]
         return FittedPhotos(seen, seen, [self.fine[index] for index in indices], [])
 
