@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
 import tomllib
@@ -100,6 +101,19 @@ def test_importing_the_app_or_the_public_names_loads_nothing_heavy() -> None:
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize(
+    "first", ["gapmes.export", "gapmes.service.network.backends.choice as c; c.made_by('onnxruntime')"]
+)
+def test_whoever_imports_onnxruntime_first_its_telemetry_is_off(first: str, tmp_path: Path) -> None:
+    stand_in = "import os\n__version__ = '1'\nsaid = os.environ.get('ORT_DISABLE_TELEMETRY')"
+    (tmp_path / "onnxruntime.py").write_text(stand_in)
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import {first}\n"
+    code += "import onnxruntime; print(onnxruntime.said)"
+    environment = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert result.stdout == "1\n"
 
 
 def test_every_package_folder_is_listed_for_the_wheel() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -16,8 +15,6 @@ from ...errors import ModelError
 from ..model_file import ModelFile
 from ..prepared_model import forget, prepared
 from .choice import Sides
-
-os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read by onnxruntime when it is first imported
 
 _CPU = ["CPUExecutionProvider"]
 _sharing = threading.Lock()
