@@ -19,6 +19,7 @@ from .process.logs import configure
 from .process.own_folder import drop_unused, in_use
 from .process.peers import FOLDER, OURS
 from .process.streams import open_missing
+from .process.temporary_folder import use_temporary_folder
 from .process.terminal import ProgressBars
 from .settings import Settings
 
@@ -29,6 +30,7 @@ def app() -> FastAPI:
     shared = _what_workers_share()
     _end_with_the_watcher()
     give_back_freed()
+    use_temporary_folder()
     settings = Settings()
     configure(settings.log, quiet=settings.quiet)
     shown = sys.stderr.isatty() and settings.workers == 1 and settings.log == "text" and not settings.quiet

@@ -75,6 +75,7 @@ def serve(
     from ..process.logs import configure
     from ..process.own_folder import own_folder
     from ..process.peers import FOLDER, OURS
+    from ..process.temporary_folder import use_temporary_folder
     from ..process.with_parent import end_with_parent
     from ..scenes.store import SceneStore
     from ..settings import checked_settings, strange_variables
@@ -90,8 +91,7 @@ def serve(
     strange = strange_variables(os.environ)
     found = Models(settings)  # checks the files
     key = settings.key()
-    if os.environ.get("TMPDIR"):  # for large uploads; it may not exist yet on a new volume
-        Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
+    use_temporary_folder()
     if prepare:
         _tell(strange)
         _prepare(settings, found)

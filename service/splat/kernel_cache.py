@@ -49,11 +49,12 @@ def cache_folder(package: Path = PACKAGE) -> Path:
     home = os.path.expanduser("~")
     if home != "~":
         caches.append(Path(home) / ".cache")
-    user = os.getuid() if hasattr(os, "getuid") else 0
-    candidates = [cache / "gapmes" for cache in caches] + [Path(tempfile.gettempdir()) / f"gapmes-{user}"]
-    for folder in candidates:
-        if _is_private(folder, create=folder.parent):
-            return folder
+    for cache in caches:
+        if _is_private(cache / "gapmes", create=cache):
+            return cache / "gapmes"
+    temporary = Path(tempfile.gettempdir()) / f"gapmes-{os.getuid() if hasattr(os, 'getuid') else 0}"
+    if _is_private(temporary, create=temporary.parent):
+        return temporary
     return Path(tempfile.mkdtemp(prefix="gapmes-"))
 
 
