@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from .process.control_group import cpu_limit, memory_limit_mb
 from .process.machine import available_memory_mb, processor
-from .process.threads import available_threads, cpu_limit
+from .process.threads import available_threads
 from .settings import Settings
 from .shipped import sample_folder
 
@@ -95,10 +96,12 @@ class Doctor:
         return "ok", f"{self._settings.threads or available_threads()} of {os.cpu_count()} cores, {granted}"
 
     def _memory(self) -> tuple[State, str]:
-        free = available_memory_mb()
+        free, limit = available_memory_mb(), memory_limit_mb()
         if free is None:
             return "ok", "this system does not say how much is free"
-        return ("ok" if free >= LEAST_MEMORY_MB else "warning"), f"{free:.0f} MB free, {LEAST_MEMORY_MB:.0f} are enough"
+        granted = "no limit" if limit is None else f"a limit of {limit:.0f} MB"
+        state: State = "ok" if min(free, limit or free) >= LEAST_MEMORY_MB else "warning"
+        return state, f"{free:.0f} MB free, {granted}, {LEAST_MEMORY_MB:.0f} are enough"
 
     def _model(self) -> tuple[State, str]:
         from .network.engine import Engine
@@ -129,7 +132,7 @@ class Doctor:
         from .kernels import warm_up
         from .splat.kernel_cache import KERNELS
 
-        there = KERNELS.is_dir()
+        there = any(KERNELS.rglob("*.nbi"))
         start = time.perf_counter()
         warm_up()
         seconds = time.perf_counter() - start

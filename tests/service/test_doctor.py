@@ -15,6 +15,7 @@ from gapmes.service import cli, doctor
 from gapmes.service.doctor import Doctor, Finding, verdict
 from gapmes.service.errors import ModelError
 from gapmes.service.settings import Settings
+from gapmes.service.splat import kernel_cache
 
 NAMES = ["versions", "extras", "processor", "threads", "memory", "model", "kernels", "store", "caches", "sample"]
 
@@ -63,10 +64,14 @@ def test_little_memory_and_disk_are_doubts(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(doctor, "available_memory_mb", lambda: 300.0)
     monkeypatch.setattr(doctor, "LEAST_DISK_MB", 1e15)
     monkeypatch.setattr(doctor, "cpu_limit", lambda: 1.5)
+    monkeypatch.setattr(doctor, "memory_limit_mb", lambda: None)
     doubts = Doctor(Settings(store=tmp_path))
-    assert doubts._memory() == ("warning", "300 MB free, 1000 are enough")
+    assert doubts._memory() == ("warning", "300 MB free, no limit, 1000 are enough")
     assert doubts._store()[0] == "warning"
     assert doubts._threads()[1].endswith("a limit of 1.5 CPUs")
+    monkeypatch.setattr(doctor, "available_memory_mb", lambda: 64_000.0)
+    monkeypatch.setattr(doctor, "memory_limit_mb", lambda: 500.0)
+    assert doubts._memory() == ("warning", "64000 MB free, a limit of 500 MB, 1000 are enough")
     monkeypatch.setattr(doctor, "available_memory_mb", lambda: None)
     assert doubts._memory()[0] == "ok"
 
@@ -82,6 +87,16 @@ def test_a_store_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch, tmp_pat
     state, text = Doctor(Settings(store=tmp_path))._store()
     assert state == "failure"
     assert "cannot be written" in text
+
+
+def test_kernels_in_an_empty_folder_are_compiled_and_not_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The decorators make the folder, before any kernel is in it."""
+    monkeypatch.setattr(kernel_cache, "KERNELS", tmp_path)
+    assert Doctor(Settings(store=tmp_path))._kernels()[1].startswith("compiled in ")
+    (tmp_path / "a.nbi").touch()
+    assert Doctor(Settings(store=tmp_path))._kernels()[1].startswith("loaded in ")
 
 
 def test_the_verdict_names_what_to_look_at() -> None:

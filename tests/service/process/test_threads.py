@@ -1,4 +1,4 @@
-"""Threads by the container's limit: both versions of cgroups, limits of parent groups, and no limit."""
+"""Threads and memory by the container's limit: both versions of cgroups, limits of parent groups, and no limit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gapmes.service.process.threads import available_threads, cpu_limit
+from gapmes.service.process.control_group import cpu_limit, memory_limit_mb
+from gapmes.service.process.threads import available_threads
 
 
 def group(root: Path, files: dict[str, str], lines: str) -> tuple[Path, Path]:
@@ -46,6 +47,21 @@ def test_limits(tmp_path: Path, files: dict[str, str], lines: str, limit: float 
     cpus = len(os.sched_getaffinity(0))
     expected = cpus if limit is None else min(cpus, max(1, -int(-limit // 1)))
     assert available_threads(process, mount) == expected
+
+
+@pytest.mark.parametrize(
+    ("files", "lines", "limit"),
+    [
+        ({"memory.max": "2147483648\n"}, "0::/\n", 2048.0),
+        ({"memory.max": "max\n"}, "0::/\n", None),
+        ({"a/memory.max": "3145728", "memory.max": "1048576"}, "0::/a\n", 1.0),
+        ({"memory/x/memory.limit_in_bytes": "1048576"}, "4:memory:/x\n3:cpu:/y\n", 1.0),
+        ({"memory/memory.limit_in_bytes": "9223372036854771712"}, "4:memory:/\n", None),
+        ({}, "0::/\n", None),
+    ],
+)  # fmt: skip
+def test_limits_of_memory(tmp_path: Path, files: dict[str, str], lines: str, limit: float | None) -> None:
+    assert memory_limit_mb(*group(tmp_path, files, lines)) == limit
 
 
 def test_a_system_without_control_groups(tmp_path: Path) -> None:
