@@ -34,9 +34,17 @@ _ORIGIN = re.compile(  # scheme://host or scheme://host:port, where that is not 
 
 
 def default_store() -> Path:
-    """Scenes live with the user's other data: $XDG_DATA_HOME/gapmes/scenes, else ~/.local/share/gapmes/scenes."""
-    base = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
-    return Path(base) / "gapmes" / "scenes"
+    """Scenes live with the user's other data: $XDG_DATA_HOME/gapmes/scenes, else ~/.local/share/gapmes/scenes. Raises
+    `InputError` for a user without a home folder."""
+    try:
+        base = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
+    except RuntimeError as error:
+        raise InputError(
+            f"is not set, and this user (uid {os.getuid()}) has no home folder",
+            field="GAPMES_STORE",
+            cure="let GAPMES_STORE or --store name a folder",
+        ) from error
+    return base / "gapmes" / "scenes"
 
 
 class Settings(BaseSettings):

@@ -142,6 +142,20 @@ def test_store_follows_the_user_data_folder(monkeypatch: pytest.MonkeyPatch) -> 
     assert default_store() == Path("/data/gapmes/scenes")
 
 
+def test_a_user_without_a_home_has_to_name_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a container's user that is a number alone."""
+
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_DATA_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    with pytest.raises(InputError, match=r"is not set, and this user .* has no home folder") as refused:
+        checked_settings()
+    assert refused.value.field == "GAPMES_STORE"
+    assert checked_settings(store=Path("/data")).store == Path("/data")
+
+
 @pytest.mark.parametrize(
     ("name", "meant"), [("GAPMES_WORKER", "WORKERS"), ("GAPMES_MAX_WAITNG", "MAX_WAITING"), ("gapmes_ports", "PORT")]
 )
