@@ -26,7 +26,8 @@ async def healthz() -> dict[str, str]:
 @router.get("/readyz", response_model=Ready)
 async def readyz(runtime: RuntimeDep) -> Response:
     """200 with the loaded models and the time of each stage; 503 until all processes are loaded, with the current or
-    the failed stage; 507 while the store cannot be written."""
+    the failed stage, and while another program keeps the store's index locked; 507 while the store cannot be
+    written."""
     stage = runtime.stage  # read first: if it became "ready" meanwhile, the answer would blame the other processes
     try:
         models: dict[str, Any] = runtime.models.document()
@@ -38,7 +39,7 @@ async def readyz(runtime: RuntimeDep) -> Response:
         state = "starting" if runtime.failure is None else "failed"
         error.extra |= {"state": state, "stage": stage, "timings": runtime.timings}
         raise
-    if not await anyio.to_thread.run_sync(runtime.store.writable):
+    if not await anyio.to_thread.run_sync(runtime.store.writable, limiter=runtime.probes):
         cure = "is its disk full or read-only, or index.sqlite damaged?"
         raise StorageFull("the store cannot be written", field="store", cure=cure)
     default, *_ = models["models"]

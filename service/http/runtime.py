@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger("gapmes")
 MODELS = ".models"  # beside the scenes, a folder that is writable and shared by all processes
 RETRY_S = 30.0  # before a process that could not load ends, to be replaced
+PROBES = 4  # of /readyz at once, on threads of their own: all others may wait where the store's index is locked
 TIDY_S = 60.0  # between evictions of old scenes and deletions of old jobs
 
 
@@ -75,6 +76,7 @@ class Runtime:
             "scenes", settings.concurrency + settings.max_waiting, "waiting for their scenes"
         )
         self.uploads = ConcurrencyLimit("uploads", settings.max_uploads, "sending their photographs")
+        self.probes = anyio.CapacityLimiter(PROBES)
         self.peers = Peers(settings.workers, Path(os.environ[FOLDER]) if FOLDER in os.environ else None)
         self.shutdown_deadline = ShutdownDeadline()
         self.stage = "start"
@@ -236,7 +238,8 @@ def _log_failure(task: asyncio.Future[None]) -> None:
         _log.error("the service cannot become ready", exc_info=task.exception())
 
 
-def runtime_of(request: Request) -> Runtime:
+async def runtime_of(request: Request) -> Runtime:
+    """The service's runtime. A coroutine, since the framework would run a function on a worker thread."""
     return request.app.state.runtime
 
 

@@ -14,6 +14,7 @@ from ..errors import GapmesError, ServiceBusy, StorageFull
 from ..process.file_lock import exclusive
 
 BUSY_S = 30.0  # that a write waits for the lock of another; the service's own writes take milliseconds
+PROBE_S = 2.0  # the same for `writable`, which a health check waits for
 VERSION = 2
 _ANEW = "move the file away: scenes are listed anew from their folders, its jobs are lost"
 _FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE)  # the second for a quota
@@ -137,10 +138,8 @@ class Database:
                 raise StorageFull(
                     "no space for the index", field="store", cure="delete scenes, or give it room"
                 ) from error
-            if isinstance(error, sqlite3.OperationalError) and error.sqlite_errorcode & _KIND == sqlite3.SQLITE_BUSY:
-                raise ServiceBusy(
-                    f"another program has locked the index for {BUSY_S:g} s", field="store", cure="retry later"
-                ) from error
+            if _is_locked(error):
+                raise _locked(BUSY_S) from error
             raise
 
     def empty_log(self) -> None:
@@ -151,17 +150,27 @@ class Database:
 
     def writable(self) -> bool:
         """Whether a row can be inserted into every table: tried on a new connection, without cached pages, and rolled
-        back."""
+        back. Raises `ServiceBusy` if another program holds the lock for `PROBE_S`."""
         try:
-            with closing(sqlite3.connect(self._path, timeout=BUSY_S, isolation_level=None)) as connection:
+            with closing(sqlite3.connect(self._path, timeout=PROBE_S, isolation_level=None)) as connection:
                 connection.execute("BEGIN IMMEDIATE")
                 for row in _PROBES:
                     connection.execute(f"INSERT INTO {row}")
                 connection.execute("ROLLBACK")
-        except sqlite3.DatabaseError:
+        except sqlite3.DatabaseError as error:
+            if _is_locked(error):
+                raise _locked(PROBE_S) from error
             return False
         return True
 
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
         """The rows of a query."""
         return self._connection().execute(statement, values).fetchall()
+
+
+def _is_locked(error: BaseException) -> bool:
+    return isinstance(error, sqlite3.OperationalError) and error.sqlite_errorcode & _KIND == sqlite3.SQLITE_BUSY
+
+
+def _locked(seconds: float) -> ServiceBusy:
+    return ServiceBusy(f"another program has locked the index for {seconds:g} s", field="store", cure="retry later")

@@ -152,7 +152,7 @@ class SceneStore:
         )
 
     def writable(self) -> bool:
-        """Whether a file can be written, and rows inserted into the index."""
+        """Whether a file can be written, and rows inserted into the index. Raises `ServiceBusy` if that is locked."""
         return self._files.writable() and self.database.writable()
 
     def delete(self, scene_id: str) -> None:

@@ -6,8 +6,10 @@ import re
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
+import anyio.to_thread
 import pytest
 from http_requests import assert_problem, photograph, post, wait_until_ready
 from starlette.testclient import TestClient
@@ -26,6 +28,22 @@ def test_probes(client: TestClient) -> None:
     assert ready["status"] == "ready"
     assert len(ready["model"]["weights_sha256"]) == 64
     assert set(ready["timings"]) == {"import", "model", "kernels"}
+
+
+def test_a_probe_waits_for_no_thread_of_others(client: TestClient) -> None:
+    """All may wait, as for an index that another program has locked."""
+    assert client.portal is not None
+    threads = client.portal.call(anyio.to_thread.current_default_thread_limiter)
+    borrowers = [object() for _ in range(int(threads.total_tokens))]
+    for borrower in borrowers:
+        client.portal.call(threads.acquire_on_behalf_of, borrower)
+    with ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(client.get, "/readyz")
+        answered, _ = wait([asked], 60)
+        for borrower in borrowers:
+            client.portal.call(threads.release_on_behalf_of, borrower)
+    assert answered
+    assert asked.result().status_code == 200
 
 
 def test_not_ready_before_the_model_is_loaded(settings: Settings, tmp_path: Path) -> None:

@@ -239,6 +239,10 @@ def test_who_meets_a_locked_file_may_try_again(tmp_path: Path, monkeypatch: pyte
             index.remove(["s"])
         index.used("s")
         assert [row.used_ns for row in index.page(1)] == [1]
+        monkeypatch.setattr(database_module, "BUSY_S", 600.0)  # too long for who asks whether the service is ready
+        monkeypatch.setattr(database_module, "PROBE_S", 0.02)
+        with pytest.raises(ServiceBusy, match=r"locked the index for 0\.02 s"):
+            database.writable()
     assert index.remove(["s"]) == 1
 
 
