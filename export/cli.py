@@ -17,6 +17,7 @@ from gapmes.model.checkpoint import read_config, shipped_checkpoint
 from gapmes.model.config import PRESETS
 from gapmes.model.depthsplat.config import LARGEST_SCALE, SCALE_MIN, Compatibility
 from gapmes.model.weights_file import CheckpointError
+from gapmes.service.commands.given import output_path
 from gapmes.service.errors import InputError
 from gapmes.service.process.ending import ended_in_order
 from gapmes.service.process.terminal import ProgressBars, Quiet
@@ -38,7 +39,10 @@ errors = Console(stderr=True)
 
 @app.command()
 def export(
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Path of the .onnx file to write.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", parser=output_path, metavar="<path>", help="Path of the .onnx file to write."),
+    ] = None,
     architecture: Annotated[str, typer.Option(help=f"One of {', '.join(ARCHITECTURES)}.")] = "gapmes",
     preset: Annotated[
         str | None,
@@ -76,11 +80,18 @@ def export(
     report: Annotated[
         Path | None,
         typer.Option(
-            help="Export nothing: write a report of error against run time of every setting into this folder."
+            parser=output_path,
+            metavar="<path>",
+            help="Export nothing: write a report of error against run time of every setting into this folder.",
         ),
     ] = None,
     stability: Annotated[
-        Path | None, typer.Option(help="Export nothing: write the table of stiff and extreme cases into this folder.")
+        Path | None,
+        typer.Option(
+            parser=output_path,
+            metavar="<path>",
+            help="Export nothing: write the table of stiff and extreme cases into this folder.",
+        ),
     ] = None,
     scene: Annotated[
         list[Path] | None,

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from gapmes.service.commands.given import output_path
 from gapmes.service.errors import GapmesError, ModelError
 from gapmes.service.mending.fade_passes import DEFAULT_PASSES, checked_passes
 from gapmes.service.network.backends.choice import DEFAULT_ENGINE, ENGINES
@@ -47,7 +48,9 @@ def evaluate(
     ] = False,
     twice: Annotated[bool, typer.Option("--twice", help="also draw at twice the size, and compare")] = False,
     fade: Annotated[int, typer.Option(help="passes of fading, as in reconstruct; 0: none")] = DEFAULT_PASSES,
-    out: Annotated[Path, typer.Option("-o", "--out", readable=False, help="folder of the report")] = Path("evaluation"),
+    out: Annotated[
+        Path, typer.Option("-o", "--out", parser=output_path, metavar="<path>", help="folder of the report")
+    ] = Path("evaluation"),
     lpips: Annotated[
         Path | None, typer.Option(readable=False, help="LPIPS weights, .safetensors [default: beside the checkout]")
     ] = None,

@@ -19,6 +19,7 @@ from .dialect_options import (
     ScalesOption,
     SourceFormatOption,
 )
+from .given import output_path
 
 if TYPE_CHECKING:
     from ..cameras.camera import Camera
@@ -31,7 +32,8 @@ AROUND = ("0", "orbit:-30", "orbit:30")  # views that are compared, of the defau
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", readable=False, help=".ply, .compressed.ply, .splat or .spz")],
     output: Annotated[
-        Path, typer.Argument(metavar="OUT", readable=False, help="file to write; its extension determines the format")
+        Path,
+        typer.Argument(metavar="OUT", parser=output_path, help="file to write; its extension determines the format"),
     ],
     to: Annotated[str | None, typer.Option(help="format of OUT, if its extension does not tell")] = None,
     source_format: SourceFormatOption = None,

@@ -13,10 +13,13 @@ import typer
 from ..process.ending import SIGNALS
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
+from .given import output_path
 
 
 def demo(
-    output: Annotated[Path, typer.Option("-o", "--output", readable=False, help="folder for results")] = Path("demo"),
+    output: Annotated[
+        Path, typer.Option("-o", "--output", parser=output_path, metavar="<path>", help="folder for results")
+    ] = Path("demo"),
     keep: Annotated[
         bool, typer.Option("--keep", help="leave the service running [also: KEEP=1 in the environment]")
     ] = False,

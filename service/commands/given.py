@@ -1,4 +1,5 @@
-"""Options that override settings; an empty one, such as `--store "$STORE"` without a value, counts as not given."""
+"""Options that override settings, where an empty one, such as `--store "$STORE"` without a value, counts as not given;
+and paths of outputs, where an empty one is refused."""
 
 from __future__ import annotations
 
@@ -15,6 +16,19 @@ def _path(text: str) -> Path | None:
 def path_option(help: str) -> Any:
     """A path option that is None if empty, where `Path` alone would mean the working directory."""
     return typer.Option(parser=_path, metavar="<path>", help=help)
+
+
+def output_path(text: str) -> Path:
+    """A path to write to. Raises `BadParameter` for an empty one, which would mean the working directory, and for `-`,
+    which would be the name of a file."""
+    if text == "":
+        raise typer.BadParameter("is empty; name a file or a folder")
+    if text == "-":
+        raise typer.BadParameter(
+            "- does not stand for stdout here; gapmes convert writes to /dev/stdout, if --to names the format, and a"
+            " file of that name is ./-"
+        )
+    return Path(text)
 
 
 def given(**options: Any) -> dict[str, Any]:

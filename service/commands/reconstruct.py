@@ -15,6 +15,7 @@ from ..network.backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
 from ..process.threads import MAX_THREADS
+from .given import output_path
 from .summary import check_line, fading_line, left_out_lines, selection_line
 
 
@@ -30,7 +31,13 @@ def reconstruct(
     ],
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", readable=False, help="file to write: .ply, .compressed.ply, .splat or .spz"),
+        typer.Option(
+            "-o",
+            "--output",
+            parser=output_path,
+            metavar="<path>",
+            help="file to write: .ply, .compressed.ply, .splat or .spz",
+        ),
     ],
     views: Annotated[
         str | None,

@@ -22,6 +22,7 @@ from .dialect_options import (
     ScalesOption,
     SourceFormatOption,
 )
+from .given import output_path
 from .selection import view_specs
 
 if TYPE_CHECKING:
@@ -37,7 +38,8 @@ def render(
         typer.Option(
             "-o",
             "--output",
-            readable=False,
+            parser=output_path,
+            metavar="<path>",
             help="folder for pictures, created if missing, or the file of a film or sheet",
         ),
     ],

@@ -212,6 +212,32 @@ def test_the_help_of_serve_says_what_quiet_is_there() -> None:
     assert meant in shown
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("render", "a.ply", "--cameras", "cameras.json", "-o"),
+        ("reconstruct", "capture", "-o"),
+        ("convert", "a.ply", "--to", "spz"),
+        ("demo", "-o"),
+        ("evaluate", "missing", "-o"),
+    ],
+    ids=lambda arguments: arguments[0],
+)
+@pytest.mark.parametrize(("output", "why"), [("", "is empty"), ("-", "does not stand for stdout")])
+def test_an_output_without_a_name_is_refused(
+    arguments: tuple[str, ...],
+    output: str,
+    why: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """An empty one would mean the working folder, and - a file or folder of that name."""
+    monkeypatch.chdir(tmp_path)
+    assert run(*arguments, output) == 2
+    assert why in " ".join(capfd.readouterr().err.split())
+
+
 def test_who_may_not_write_is_told_as_whom_that_was(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
