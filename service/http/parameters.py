@@ -1,5 +1,5 @@
 """Strict query parameters: repeated ones are refused by every route, unknown ones and numbers with underscores by those
-that declare theirs as a model."""
+that declare theirs as a model, and so is any word for a flag but true and false."""
 
 from __future__ import annotations
 
@@ -36,15 +36,18 @@ def whole(value: Any) -> Any:
 
 
 class Parameters(BaseModel):
-    """Base of query models: unknown parameters and numbers with underscores are refused."""
+    """Base of query models: unknown parameters, numbers with underscores, and other words than true and false are
+    refused."""
 
     model_config = ConfigDict(extra="forbid")
 
     @field_validator("*", mode="before")
     @classmethod
     def _plain(cls, value: Any, info: ValidationInfo) -> Any:
-        """Refuse 1_0, which Python reads as 10."""
+        """Refuse 1_0, which Python reads as 10, and what pydantic takes for true and the fields of a form do not."""
         kind = cls.model_fields[info.field_name or ""].annotation
         if isinstance(value, str) and "_" in value and {int, float} & {kind, *get_args(kind)}:
             raise PydanticCustomError("plain_number", "Input should be a number without _")
+        if isinstance(value, str) and kind is bool and value.lower() not in ("true", "false"):
+            raise PydanticCustomError("true_or_false", "Input should be true or false")
         return value

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from capture_scenes import arc, write_colmap, zipped
 from format_cases import moderate, spz_file
-from http_requests import MAX_UPLOAD, assert_problem, camera_object, stored
+from http_requests import MAX_UPLOAD, assert_problem, camera_object, post, stored
 from PIL import Image
 from ply_cases import binary_file, columns
 from starlette.testclient import TestClient
@@ -163,6 +163,16 @@ def test_what_was_not_taken_as_it_was_is_in_the_document(client: TestClient) -> 
     other = load_raw(client, binary_file(columns(ply_bytes(moderate(60, 4, 0)))), rotation="xyzw").json()
     assert other["id"] != scene["id"]
     assert other["warnings"] == []
+
+
+@pytest.mark.parametrize("said", ["yes", "1", "on"])
+def test_a_flag_is_true_or_false_as_in_the_form_of_reconstruct(client: TestClient, said: str) -> None:
+    data = file_of("ply", 3)
+    for answer in (load_raw(client, data, drop_invalid=said), load_form(client, data, drop_invalid=said)):
+        problem = assert_problem(answer, 422, "parameter_invalid", "drop_invalid")
+        assert problem["detail"] == f"is {said!r}: input should be true or false"
+    assert_problem(post(client, trust_poses=said), 422, "invalid_input", "trust_poses")
+    assert load_raw(client, data, drop_invalid="TRUE").status_code in (200, 201)
 
 
 def test_a_stored_scene_is_not_guessed_at_again(client: TestClient) -> None:
