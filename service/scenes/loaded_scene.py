@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -30,6 +31,7 @@ from .store import SceneStore
 
 # Largest extent of a scene, and inverse of its smallest near depth: their squares and inverses fit float32.
 MOST_UNITS = 1e15
+OPTION = re.compile(r"--(opacity|scales|rotation|axes) (\w+)")  # of `gapmes convert` and `gapmes render`
 
 
 @dataclass(frozen=True)
@@ -150,4 +152,6 @@ def _too_far(what: str) -> FormatError:
 
 
 def _warnings(reading: Reading) -> list[dict[str, str]]:
-    return [{"code": "file_read_with_notes", "message": note} for note in reading.notes()]
+    """What was not taken as it was. The notes name options of the command; the fields of a request have their names."""
+    notes = [OPTION.sub(r"\1=\2", note) for note in reading.notes()]
+    return [{"code": "file_read_with_notes", "message": note} for note in notes]

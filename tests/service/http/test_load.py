@@ -165,6 +165,19 @@ def test_what_was_not_taken_as_it_was_is_in_the_document(client: TestClient) -> 
     assert other["warnings"] == []
 
 
+@pytest.mark.parametrize(
+    ("data", "cure"),
+    [
+        (file_of("spz"), "; axes=rdf keeps them"),
+        (binary_file(columns(ply_bytes(moderate(60, 6, 0))) | {"opacity": np.full(60, 0.6, "f4")}), "; opacity=linear"),
+    ],
+)
+def test_what_says_otherwise_is_named_as_a_field_of_the_request(client: TestClient, data: bytes, cure: str) -> None:
+    messages = [warning["message"] for warning in load_raw(client, data).json()["warnings"]]
+    assert any(cure in message for message in messages), messages
+    assert "--" not in "".join(messages)
+
+
 @pytest.mark.parametrize("said", ["yes", "1", "on"])
 def test_a_flag_is_true_or_false_as_in_the_form_of_reconstruct(client: TestClient, said: str) -> None:
     data = file_of("ply", 3)
