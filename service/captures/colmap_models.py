@@ -5,6 +5,7 @@ from __future__ import annotations
 import posixpath
 import re
 import struct
+from collections.abc import Sequence
 
 from ..cameras.view_checks import Notice
 from ..errors import CaptureError
@@ -17,9 +18,9 @@ _LISTED = 5  # models that the notice names
 _HEAD = 4096  # bytes of images.txt that hold its comments with the number of images
 
 
-def several_models(files: Files, base: str, chosen: str) -> tuple[Notice, ...]:
-    """The notice `several_models` if the capture in `base` has models beside the chosen one; else empty."""
-    others = [folder for folder in models_below(files, base) if folder != chosen]
+def several_models(files: Files, models: Sequence[str], chosen: str) -> tuple[Notice, ...]:
+    """The notice `several_models` if there are models beside the chosen one; else empty."""
+    others = [folder for folder in models if folder != chosen]
     if not others:
         return ()
     more = [f"{len(others) - _LISTED} more"] if len(others) > _LISTED else []
@@ -32,16 +33,22 @@ def several_models(files: Files, base: str, chosen: str) -> tuple[Notice, ...]:
     return ({"code": "several_models", "field": "capture", "message": message},)
 
 
-def largest_model(files: Files, base: str, first: str) -> str:
-    """The model with the most images among the numbered siblings of `first`, a model of the capture in `base`: COLMAP's
+def largest_model(files: Files, models: Sequence[str], first: str) -> str:
+    """The one with the most images of `models` among the numbered siblings of `first`, which is one of them: COLMAP's
     mapper may leave two images in model 0 and all others in 1. `first` itself where it has no number, or does not tell
     how many images it has."""
-    place, name = posixpath.split(first)
-    if not name.isdecimal() or place not in [joined(base, below) for below in _PLACES] or _images(files, first) is None:
+    if not posixpath.basename(first).isdecimal() or _images(files, first) is None:
         return first
-    beside = [folder for folder in models_below(files, base) if posixpath.dirname(folder) == place]
+    beside = [folder for folder in models if posixpath.dirname(folder) == posixpath.dirname(first)]
     numbered = [folder for folder in beside if posixpath.basename(folder).isdecimal()]
     return max(numbered, key=lambda folder: _images(files, folder) or 0)
+
+
+def numbered_alone(files: Files, folders: Sequence[str]) -> list[str]:
+    """`folders` of the root in numerical order if each is a numbered model, as the mapper writes them; else empty."""
+    if not all(folder.isdecimal() and has_colmap(files, folder) for folder in folders):
+        return []
+    return sorted(folders, key=lambda name: (len(name), name))
 
 
 def models_below(files: Files, base: str) -> list[str]:

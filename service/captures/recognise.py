@@ -13,7 +13,7 @@ from ..cameras.camera_file import parse_camera_file, view_names
 from ..errors import CameraError, CaptureError
 from ..unique_members import CURE, RepeatedMember, parsed
 from .colmap import has_colmap, is_of_colmap, is_whole, read_colmap
-from .colmap_models import largest_model, models_below, several_models
+from .colmap_models import largest_model, models_below, numbered_alone, several_models
 from .files import Files, joined, read_bounded
 from .llff import SIGNATURE, read_llff
 from .realestate10k import looks_like_realestate10k, read_realestate10k
@@ -30,7 +30,8 @@ Parse = Callable[[bytes], Any]  # a decoded JSON file. Raises `ValueError` or `R
 
 
 def recognised(files: Files, max_bytes: int = MAX_CAMERA_BYTES) -> tuple[str, CameraTable]:
-    """The folder of the capture, the root or one of its folders, and its cameras.
+    """The folder of the capture, the root or one of its folders, and its cameras. A root that holds numbered COLMAP
+    models and nothing else, as `sparse` of a project, is itself the capture.
 
     In a folder the first of these is read: cameras.json, transforms.json, transforms_train.json, a COLMAP model,
     poses_bounds.npy, a single RealEstate10K text. Raises `CaptureError` if there is none, if several folders have one
@@ -44,6 +45,8 @@ def recognised(files: Files, max_bytes: int = MAX_CAMERA_BYTES) -> tuple[str, Ca
     if len(found) == 1:
         folder, read = found[0]
         return folder, read()
+    if models := numbered_alone(files, [folder for folder, _ in found]):
+        return "", _colmap(files, models, models[0])
     if found:
         listed = ", ".join(folder for folder, _ in found[:5])
         raise CaptureError(
@@ -103,7 +106,7 @@ def _reader_in(files: Files, base: str, max_bytes: int) -> Callable[[], CameraTa
             lists.append(path)
     for folder in (*(joined(base, folder) for folder in COLMAP_FOLDERS), *models_below(files, base)):
         if has_colmap(files, folder) is not None:
-            return partial(_colmap, files, base, folder)
+            return partial(_colmap, files, models_below(files, base), folder)
     if files.has(joined(base, LLFF_NAME)):
         return partial(table_of_file, files, joined(base, LLFF_NAME), max_bytes)
     texts = [joined(base, name) for name in files.files(base) if name.endswith(".txt")]
@@ -115,10 +118,10 @@ def _reader_in(files: Files, base: str, max_bytes: int) -> Callable[[], CameraTa
     return partial(table_of_file, files, last[0], max_bytes) if last else None
 
 
-def _colmap(files: Files, base: str, first: str) -> CameraTable:
-    folder = largest_model(files, base, first)
+def _colmap(files: Files, models: Sequence[str], first: str) -> CameraTable:
+    folder = largest_model(files, models, first)
     form = has_colmap(files, folder) or "bin"
-    return replace(read_colmap(files, folder, form), warnings=several_models(files, base, folder))
+    return replace(read_colmap(files, folder, form), warnings=several_models(files, models, folder))
 
 
 def _is_list(files: Files, path: str) -> bool:

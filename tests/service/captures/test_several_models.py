@@ -9,6 +9,7 @@ from capture_scenes import arc, names, write_colmap, zipped
 
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.select import ViewSelection
+from gapmes.service.errors import CaptureError
 
 
 def write_models(root: Path, counts: dict[str, int], *, text: bool = False) -> None:
@@ -115,6 +116,22 @@ def test_a_project_may_be_called_colmap(tmp_path: Path) -> None:
         path.rename(project / path.name)
     (project / "images").rmdir()
     assert open_capture(project).choose(ViewSelection()).paths == tuple(names(3))
+
+
+@pytest.mark.parametrize("place", ["sparse", "colmap/sparse"])
+def test_in_the_folder_of_the_models_the_largest_is_read_too(tmp_path: Path, place: str) -> None:
+    write_models(tmp_path, {f"{place}/0": 2, f"{place}/1": 3, f"{place}/10": 2})
+    found = open_capture(tmp_path / place).choose(ViewSelection())
+    assert found.selection["cameras"] == f"{place}/1/images.bin"
+    assert found.paths == tuple(f"images/{name}" for name in names(3))
+    (notice,) = found.warnings
+    assert "3 COLMAP models are there: 1 (3 images) is read; ignored: 0 (2 images), 10 (2 images)" in notice["message"]
+
+
+def test_a_folder_that_holds_more_than_numbered_models_stays_refused(tmp_path: Path) -> None:
+    write_models(tmp_path, {"sparse/0": 2, "sparse/own": 3})
+    with pytest.raises(CaptureError, match="holds 2 captures: 0, own"):
+        open_capture(tmp_path / "sparse")
 
 
 def test_the_folder_of_a_single_model_stands_for_it(tmp_path: Path) -> None:
