@@ -192,7 +192,9 @@ class Settings(BaseSettings):
         description="photographs of one request together, in pixels before decoding",
     )
     max_render_pixels: int = Field(
-        8_000_000, ge=1, description="largest picture of `GET /render`, in pixels times `samples` squared; or film"
+        8_000_000,
+        ge=1,
+        description="largest picture of `GET /render`, in pixels times `samples` squared; or film or sheet",
     )
     cache_bytes: int = Field(512 * 2**20, ge=0, description="memory that keeps read scenes between renders, in bytes")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import Annotated, Any
@@ -86,7 +86,7 @@ async def preview(
         cameras = [_framed(camera, query) for camera in loop(views.path(query.path, query.swing), query.frames)]
         shape = FilmShape(query.format, cameras[0].width, cameras[0].height, query.frames, query.seconds)
         check_film(shape)
-        _check_cost(shape, runtime.settings.max_render_pixels)
+        _check_cost(cameras, runtime.settings.max_render_pixels, "frames", "ask for fewer, or smaller ones")
         return views, shape, cameras, background, picture_tag(runtime, scene_id, query)
 
     runtime.models  # noqa: B018  refuses until the kernels are warm
@@ -120,24 +120,26 @@ async def sheet(
     A scene that was loaded from a file has no photographs and therefore no PSNR.
     """
 
-    def asked(held: ExitStack) -> tuple[dict[str, Any], Colour, str]:
+    def asked(held: ExitStack) -> tuple[dict[str, Any], SceneViews, list[Camera], Colour, str]:
         held.enter_context(runtime.store.keeping(scene_id))
         document = runtime.store.document(scene_id)
-        return document, parse_background(query.background), picture_tag(runtime, scene_id, query)
+        views = SceneViews.of_document(document)
+        cameras = [within(camera, CELL) for camera in views.cameras]
+        _check_cost(cameras, runtime.settings.max_render_pixels, "scene", "draw its views one by one: GET /render")
+        return document, views, cameras, parse_background(query.background), picture_tag(runtime, scene_id, query)
 
     runtime.models  # noqa: B018  refuses until the kernels are warm
     with ExitStack() as held:
-        document, background, etag = await anyio.to_thread.run_sync(asked, held)
-        views = SceneViews.of_document(document)
+        document, views, cameras, background, etag = await anyio.to_thread.run_sync(asked, held)
         check = document.get("check")  # a loaded scene has none
         title = "Inputs, drawn again" if check else "Views"
-        scores = [view["psnr"] for view in check["input_views"]] if check else [None] * len(views.cameras)
+        scores = [view["psnr"] for view in check["input_views"]] if check else [None] * len(cameras)
 
         def work(series: PictureSeries) -> bytes:
             cells = []
-            for index, (camera, score) in enumerate(zip(views.cameras, scores, strict=True)):
+            for index, (camera, score) in enumerate(zip(cameras, scores, strict=True)):
                 like = "" if score is None else f"   {score:.1f} dB PSNR"  # no pixel to compare under its mask
-                cells.append(Cell(series.pixels(within(camera, CELL)), f"view {index}{like}"))
+                cells.append(Cell(series.pixels(camera), f"view {index}{like}"))
             return encode_image(contact_sheet(rows_of(title, cells)), query.format)
 
         begin = partial(PictureSeries, runtime, scene_id, views, background)
@@ -179,12 +181,14 @@ def _framed(camera: Camera, query: PreviewQuery) -> Camera:
     return even(framed) if query.format == "mp4" and not odd else framed
 
 
-def _check_cost(shape: FilmShape, max_pixels: int) -> None:
-    """Raises `InputError` for a film with more pixels in all than a picture may have."""
-    pixels = shape.frames * shape.width * shape.height
+def _check_cost(cameras: Sequence[Camera], max_pixels: int, field: str, cure: str) -> None:
+    """Raises `InputError` for pictures with more pixels in all than one of /render may have."""
+    pixels = sum(camera.width * camera.height for camera in cameras)
     if pixels > max_pixels:
+        largest = max(cameras, key=lambda camera: camera.width * camera.height)
         raise InputError(
-            f"{shape.frames} pictures of {shape.width} x {shape.height} are {pixels} px, the limit is {max_pixels}",
-            field="frames",
-            cure="ask for fewer, or smaller ones",
+            f"{len(cameras)} pictures of up to {largest.width} x {largest.height} are {pixels} px, "
+            f"the limit is {max_pixels}",
+            field=field,
+            cure=cure,
         )

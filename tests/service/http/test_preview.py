@@ -140,7 +140,7 @@ def test_the_list_has_the_links_too(client: TestClient, scene: dict[str, Any]) -
             "frames=120&seconds=9&width=300&height=300",
             "invalid_input",
             "frames",
-            "120 pictures of 300 x 300 are 10800000 px",
+            "120 pictures of up to 300 x 300 are 10800000 px",
         ),
         ("frames=120&seconds=2", "invalid_input", "seconds", "60 per second, the limit is 50"),
         ("frames=121", "parameter_invalid", "frames", ""),
@@ -161,6 +161,20 @@ def test_what_cannot_be_shown_is_refused_before_it_is_drawn(
 ) -> None:  # fmt: skip
     monkeypatch.setattr(drawing, "effort_draw", None)
     assert words in assert_problem(client.get(f"{scene['links']['preview']}?{query}"), 422, code, field)["detail"]
+
+
+def test_a_sheet_has_no_more_pixels_than_a_picture(
+    client: TestClient, scene: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scene that was loaded may have a hundred views."""
+    views = scene["view_cameras"]
+    pixels = sum(camera["width"] * camera["height"] for camera in views)
+    assert all(max(camera["width"], camera["height"]) <= CELL for camera in views)
+    runtime = client.app.state.runtime  # type: ignore[attr-defined]
+    monkeypatch.setattr(runtime, "settings", runtime.settings.model_copy(update={"max_render_pixels": pixels - 1}))
+    monkeypatch.setattr(drawing, "effort_draw", None)
+    problem = assert_problem(client.get(scene["links"]["sheet"]), 422, "invalid_input", "scene")
+    assert problem["detail"].endswith(f"are {pixels} px, the limit is {pixels - 1}")
 
 
 @pytest.mark.parametrize("scene_id", ["0" * 32, "nothing", "..%2f..", "a/b", "a" * 300])
