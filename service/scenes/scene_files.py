@@ -4,6 +4,7 @@ error that names the damage, can be deleted, and is replaced when its scene is w
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
@@ -91,13 +92,15 @@ class SceneFiles:
         folder = self.folder(scene_id)
         try:
             _require_gaussians(scene_id, (folder / PLY).stat())
+            if not os.access(folder / PLY, os.R_OK):  # it belongs to another user, as after a restore
+                raise _unreadable(scene_id, PLY, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
             document = json.loads((folder / DOCUMENT).read_bytes())
         except (FileNotFoundError, NotADirectoryError) as error:
             if (folder / PLY).is_file():
                 raise _damaged(scene_id, f"{DOCUMENT} is missing") from error
             raise self._missing(scene_id) from error
         except (IsADirectoryError, PermissionError) as error:
-            raise _damaged(scene_id, f"{DOCUMENT} cannot be read: {error.strerror}") from error
+            raise _unreadable(scene_id, DOCUMENT, error) from error
         except (ValueError, RecursionError) as error:
             raise _damaged(scene_id, f"{DOCUMENT} is no JSON: {error}") from error
         if not isinstance(document, dict):
@@ -117,6 +120,8 @@ class SceneFiles:
         """A photograph as the network saw it, as PNG. Raises `SceneNotFound`, also for an input that does not exist."""
         try:
             return (self.folder(scene_id) / _input(index)).read_bytes()
+        except PermissionError as error:
+            raise _unreadable(scene_id, _input(index), error) from error
         except (FileNotFoundError, NotADirectoryError) as error:
             if not self.folder(scene_id).is_dir():
                 raise unknown(scene_id) from error
@@ -143,6 +148,8 @@ class SceneFiles:
             handle = os.open(path, os.O_RDONLY)
         except (FileNotFoundError, NotADirectoryError) as error:
             raise self._missing(scene_id) from error
+        except PermissionError as error:
+            raise _unreadable(scene_id, PLY, error) from error
         try:
             fcntl.flock(handle, fcntl.LOCK_SH)
             if not _same(handle, path):  # deleted or replaced before it was locked
@@ -239,6 +246,10 @@ def _require_gaussians(scene_id: str, ply: os.stat_result) -> None:
 
 def _damaged(scene_id: str, what: str) -> FormatError:
     return FormatError(f"the stored scene {scene_id} cannot be read: {what}", field="scene", cure=_ANEW)
+
+
+def _unreadable(scene_id: str, name: str, error: OSError) -> FormatError:
+    return _damaged(scene_id, f"{name} cannot be read: {error.strerror}")
 
 
 def unknown(scene_id: str) -> SceneNotFound:

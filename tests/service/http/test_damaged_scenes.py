@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -57,6 +59,33 @@ def test_who_asks_again_gets_it_anew(client: TestClient, damaged: Damaged) -> No
     for path in (again.json()["links"]["ply"], *again.json()["links"]["views"], *again.json()["links"]["inputs"]):
         assert client.get(path).status_code == 200
     assert post(client, PHOTOGRAPHS).status_code == 200
+
+
+def test_files_of_another_user_are_damage(
+    client: TestClient, settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after a backup was put back by root."""
+    scene = post(client, PHOTOGRAPHS).json()
+    folder = settings.store / scene["id"]
+    may_access, may_open, may_read = os.access, os.open, Path.read_bytes
+
+    def refuse(path: object) -> None:
+        if str(path) in (str(folder / "scene.ply"), str(folder / "input_0.png")):
+            raise PermissionError(errno.EACCES, "Permission denied")
+
+    def access(path: Any, mode: int) -> bool:
+        return str(path) != str(folder / "scene.ply") and may_access(path, mode)
+
+    with monkeypatch.context() as denied:
+        denied.setattr(os, "access", access)
+        denied.setattr(os, "open", lambda path, *more, **options: refuse(path) or may_open(path, *more, **options))
+        denied.setattr(Path, "read_bytes", lambda path: refuse(path) or may_read(path))
+        for path in (*scene["links"]["files"].values(), *scene["links"]["views"], scene["links"]["self"]):
+            problem = assert_problem(client.get(path), 422, "format_invalid", "scene", cured=True)
+            assert problem["detail"].endswith("scene.ply cannot be read: Permission denied")
+        problem = assert_problem(client.get(scene["links"]["inputs"][0]), 422, "format_invalid", "scene", cured=True)
+        assert problem["detail"].endswith("input_0.png cannot be read: Permission denied")
+    assert client.get(scene["links"]["ply"]).status_code == 200
 
 
 def test_a_job_makes_it_anew_too(client: TestClient, damaged: Damaged) -> None:
