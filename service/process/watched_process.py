@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import pickle
 import signal
@@ -16,6 +17,8 @@ from uvicorn.supervisors import multiprocess
 
 TO_END = (signal.SIGTERM, signal.SIGINT)
 LOOK_S = 0.2  # between checks for a signal while waiting for the answer to a ping
+EXIT_S = 1.0  # from the end of a worker's pipe to its own
+_log = logging.getLogger("gapmes")
 
 
 class LockFreeEvent:
@@ -70,6 +73,24 @@ class WatchedProcess(multiprocess.Process):
         except (OSError, EOFError, pickle.UnpicklingError):
             return False
         return True
+
+    def is_alive(self, timeout: float = 5) -> bool:
+        """As uvicorn's. A death is told as a warning, with its cause: uvicorn's own line is an info without."""
+        alive = super().is_alive(timeout)
+        if not alive and not self._ending.is_set():
+            self.process.join(EXIT_S)
+            _log.warning("worker process %s %s; another takes its place", self.pid, _end_of(self.exitcode))
+        return alive
+
+
+def _end_of(exitcode: int | None) -> str:
+    if exitcode is None:
+        return "does not answer"
+    if exitcode >= 0:
+        return f"ended with status {exitcode}"
+    number = -exitcode
+    name = signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}"
+    return f"was ended by {name}{', as for lack of memory' if number == signal.SIGKILL else ''}"
 
 
 class Watcher(multiprocess.Multiprocess):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import threading
@@ -48,6 +49,20 @@ def test_a_worker_that_does_not_answer_keeps_nobody_from_ending() -> None:
     assert heard == [True]
     worker.kill()
     worker.join()
+
+
+def test_a_death_is_a_warning_with_its_cause(caplog: pytest.LogCaptureFixture) -> None:
+    """Also for who keeps only warnings: a worker may have been killed for lack of memory."""
+    worker = WatchedProcess(CONFIG, [])
+    worker.start()
+    assert worker.pid is not None
+    os.kill(worker.pid, signal.SIGKILL)
+    assert not worker.is_alive(600)
+    (told,) = [record for record in caplog.records if record.levelno == logging.WARNING]
+    assert told.getMessage() == (
+        f"worker process {worker.pid} was ended by SIGKILL, as for lack of memory; another takes its place"
+    )
+    worker.kill()
 
 
 class Worker:
