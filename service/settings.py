@@ -76,7 +76,10 @@ class Settings(BaseSettings):
             raise PydanticCustomError("plain_number", "Input should be a number without _")
         return value
 
-    host: str = Field("127.0.0.1", description="address that `gapmes serve` listens on")
+    host: str = Field(
+        "127.0.0.1",
+        description="address that `gapmes serve` listens on; `::` includes IPv4 with several workers, not with one",
+    )
     port: int = Field(8000, ge=0, le=65535, description="port that `gapmes serve` listens on; 0 takes a free one")
     model: Path | None = Field(None, description="ONNX model file; empty means the `tiny` network of the package")
     models: str = Field(
