@@ -18,6 +18,7 @@ import numpy as np
 from .process.control_group import cpu_limit, memory_limit_mb
 from .process.machine import available_memory_mb, processor
 from .process.threads import available_threads
+from .scenes.own_files import check_own_files
 from .settings import Settings
 from .shipped import sample_folder
 
@@ -144,10 +145,12 @@ class Doctor:
         free = shutil.disk_usage(nearest).free / 2**20
         text = f"{folder}, {free:,.0f} MB free"
         try:
+            check_own_files(folder)
             with TemporaryDirectory(prefix=".gapmes-", dir=nearest):
                 pass
         except OSError as error:
-            return "failure", f"{text}, cannot be written: {error.strerror}"
+            inside = f"{error.filename} " if error.filename and Path(error.filename).exists() else ""
+            return "failure", f"{text}, {inside}cannot be written: {error.strerror}"
         there = "" if nearest == folder else ", will be made"
         return ("ok" if free >= LEAST_DISK_MB else "warning"), text + there
 

@@ -19,6 +19,7 @@ from ..process.file_lock import exclusive, exclusive_if_free, shared
 from . import scene_ids
 from .database import Database
 from .gaussians_cache import GaussiansCache
+from .own_files import check_own_files
 from .scene_files import SceneFiles, is_id, unknown
 from .scene_index import Indexed, SceneIndex
 
@@ -58,6 +59,7 @@ class SceneStore:
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             self.database = Database(self.root / _INDEX)
+            check_own_files(self.root)
             self._index = SceneIndex(self.database)
             with exclusive_if_free(self.root / _LOCK) as free:
                 if free:
@@ -65,10 +67,12 @@ class SceneStore:
                     self._agree()
             self._index.used_by_now()
         except OSError as error:
+            inside = error.filename is not None and Path(error.filename).is_relative_to(self.root)
             raise GapmesError(
-                f"{self.root} cannot be used: {error.strerror}",
+                f"{error.filename if inside else self.root} cannot be used: {error.strerror}",
                 field="store",
-                cure=f"let GAPMES_STORE or --store name a folder that this user (uid {os.getuid()}) may write",
+                cure=f"let GAPMES_STORE or --store name a folder that this user (uid {os.getuid()}) may write, and all"
+                " that the service keeps in it",
             ) from error
 
     def put(self, scene_id: str, ply: bytes, document: Mapping[str, Any], inputs: Sequence[bytes] = ()) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from importlib.metadata import version
 from pathlib import Path
@@ -83,6 +84,12 @@ def test_a_store_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch, tmp_pat
     before = list(tmp_path.iterdir())
     assert Doctor(Settings(store=tmp_path / "new"))._store()[1].endswith("MB free, will be made")
     assert list(tmp_path.iterdir()) == before
+    (tmp_path / ".jobs").mkdir()
+    with monkeypatch.context() as denied:
+        denied.setattr(os, "access", lambda path, _: path != tmp_path / ".jobs")
+        state, text = Doctor(Settings(store=tmp_path))._store()
+        assert state == "failure"
+        assert text.endswith(f"{tmp_path / '.jobs'} cannot be written: Permission denied")
     monkeypatch.setattr(doctor, "TemporaryDirectory", refused)
     state, text = Doctor(Settings(store=tmp_path))._store()
     assert state == "failure"

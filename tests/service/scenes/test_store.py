@@ -49,6 +49,17 @@ def test_what_is_put_can_be_read(store):
     assert SceneStore(store.root).document(A) == document
 
 
+@pytest.mark.parametrize("name", [".jobs", ".processes", ".lock", "index.sqlite-wal"])
+def test_files_of_the_service_that_root_has_made_are_named(tmp_path, monkeypatch, name):
+    """As by a start as root; each request that needs them would fail."""
+    SceneStore(tmp_path)
+    (tmp_path / name).touch()
+    monkeypatch.setattr(os, "access", lambda path, _: path != tmp_path / name)
+    with pytest.raises(GapmesError, match=f"{tmp_path / name} cannot be used: Permission denied") as refused:
+        SceneStore(tmp_path)
+    assert refused.value.cure.endswith(f"(uid {os.getuid()}) may write, and all that the service keeps in it")
+
+
 def test_a_folder_that_cannot_be_one_is_refused(tmp_path):
     (tmp_path / "file").write_text("no folder")
     for root in (tmp_path / "file", tmp_path / "file" / "scenes"):
