@@ -119,15 +119,16 @@ class Database:
         return self._path.is_file() and os.access(self._path, os.W_OK) and os.access(self._path.parent, os.W_OK)
 
     @contextmanager
-    def write(self) -> Iterator[sqlite3.Connection]:
+    def write(self, patience_s: float | None = None) -> Iterator[sqlite3.Connection]:
         """A write transaction around the block: committed at its end, rolled back if it raises.
 
         Raises `StorageFull` if the disk is full, after truncating the write-ahead log, and `ServiceBusy` if another
-        program holds the lock for `BUSY_S`.
+        program holds the lock for `patience_s`, by default `BUSY_S`.
         """
         connection = self._connection()
+        patience_s = BUSY_S if patience_s is None else patience_s
         try:
-            connection.execute("BEGIN IMMEDIATE")
+            _begin(connection, patience_s)
             yield connection
             connection.execute("COMMIT")
         except BaseException as error:
@@ -139,7 +140,7 @@ class Database:
                     "no space for the index", field="store", cure="delete scenes, or give it room"
                 ) from error
             if _is_locked(error):
-                raise _locked(BUSY_S) from error
+                raise _locked(patience_s) from error
             raise
 
     def empty_log(self) -> None:
@@ -166,6 +167,15 @@ class Database:
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
         """The rows of a query."""
         return self._connection().execute(statement, values).fetchall()
+
+
+def _begin(connection: sqlite3.Connection, patience_s: float) -> None:
+    """Begin to write; only this statement waits as long as that for the lock of another."""
+    connection.execute(f"PRAGMA busy_timeout = {round(1000 * patience_s)}")
+    try:
+        connection.execute("BEGIN IMMEDIATE")
+    finally:
+        connection.execute(f"PRAGMA busy_timeout = {round(1000 * BUSY_S)}")
 
 
 def _is_locked(error: BaseException) -> bool:

@@ -14,6 +14,7 @@ from ..errors import ServiceBusy, StorageFull
 from .database import Database
 
 TOUCH_NS = 60 * 10**9  # resolution of the last use, so that reading a scene seldom writes
+NOTE_S = 0.5  # that such a write waits for the lock of another: who reads waits for it, and it may be left out
 HANDOVER_S = 2.0  # after a job ended, until all waiting requests have polled it, which they do every 0.2 s
 _NOT_WRITTEN = (StorageFull, ServiceBusy, sqlite3.OperationalError)  # errors of a write that may be skipped
 UNSET_NS = 1_735_689_600 * 10**9  # 2025: a clock before it is not set yet, so that no other time is corrected by it
@@ -65,7 +66,7 @@ class SceneIndex:
         now = time.time_ns()
         if now < UNSET_NS or not self._database.rows(f"SELECT 1 FROM scenes WHERE {where} LIMIT 1", values(now)):
             return
-        with contextlib.suppress(*_NOT_WRITTEN), self._database.write() as connection:
+        with contextlib.suppress(*_NOT_WRITTEN), self._database.write(NOTE_S) as connection:
             connection.execute(f"UPDATE scenes SET used_ns = ? WHERE {where}", [now, *values(now)])
 
     def next_ns(self) -> int:

@@ -16,6 +16,7 @@ from full_disk import full_disk
 from gapmes.service.errors import GapmesError, ServiceBusy, StorageFull
 from gapmes.service.jobs.table import JobTable
 from gapmes.service.scenes import database as database_module
+from gapmes.service.scenes import scene_index as scene_index_module
 from gapmes.service.scenes.database import Database
 from gapmes.service.scenes.scene_index import Indexed, SceneIndex
 
@@ -237,9 +238,10 @@ def test_who_meets_a_locked_file_may_try_again(tmp_path: Path, monkeypatch: pyte
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(ServiceBusy, match=r"locked the index for 0\.05 s"):
             index.remove(["s"])
+        monkeypatch.setattr(database_module, "BUSY_S", 600.0)  # too long for who reads, or asks whether all is ready
+        monkeypatch.setattr(scene_index_module, "NOTE_S", 0.02)
         index.used("s")
         assert [row.used_ns for row in index.page(1)] == [1]
-        monkeypatch.setattr(database_module, "BUSY_S", 600.0)  # too long for who asks whether the service is ready
         monkeypatch.setattr(database_module, "PROBE_S", 0.02)
         with pytest.raises(ServiceBusy, match=r"locked the index for 0\.02 s"):
             database.writable()
