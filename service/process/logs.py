@@ -7,6 +7,7 @@ import json
 import logging
 import sys
 import time
+import warnings
 from typing import Any, Literal
 
 REQUEST_ID: contextvars.ContextVar[str | None] = contextvars.ContextVar("request_id", default=None)
@@ -32,6 +33,12 @@ def configure(form: Literal["text", "json"], *, quiet: bool = False) -> None:
         logger = logging.getLogger(name)
         logger.handlers.clear()
         logger.propagate = name != "uvicorn.access"
+    warnings.showwarning = _of_a_library
+
+
+def _of_a_library(message: Warning | str, category: type[Warning], *_: Any) -> None:
+    """A warning of Python's, such as Pillow's about a photograph with damaged EXIF: an event like others."""
+    logging.getLogger("gapmes").info("%s: %s", category.__name__, " ".join(str(message).split()))
 
 
 class _Stderr(logging.StreamHandler):
