@@ -80,6 +80,15 @@ def run(*arguments: object, **environment: str) -> subprocess.CompletedProcess[s
     return subprocess.run(words, capture_output=True, text=True, env=os.environ | environment, check=False)
 
 
+def test_what_libraries_warn_of_is_not_for_who_uses_a_command() -> None:
+    """Such as Pillow's two lines about a photograph with damaged EXIF, which -q did not keep off stderr."""
+    code = (
+        "import warnings; from gapmes.service import cli, entry; cli.main = lambda: warnings.warn('so'); entry.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+
+
 def test_quiet_commands_say_nothing_and_still_refuse(tmp_path: Path) -> None:
     sample, ply = sample_folder(), tmp_path / "scene.ply"
     arguments = ("render", ply, "--cameras", sample / "cameras.json", "-o")
