@@ -36,7 +36,7 @@ def configure(form: Literal["text", "json"], *, quiet: bool = False) -> None:
     warnings.showwarning = _of_a_library
 
 
-def _of_a_library(message: Warning | str, category: type[Warning], *_: Any) -> None:
+def _of_a_library(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
     """A warning of Python's, such as Pillow's about a photograph with damaged EXIF: an event like others."""
     logging.getLogger("gapmes").info("%s: %s", category.__name__, " ".join(str(message).split()))
 
