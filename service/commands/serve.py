@@ -107,6 +107,7 @@ def serve(
         "factory": True,
         "host": settings.host,
         "port": settings.port,
+        "workers": settings.workers,  # else it would be WEB_CONCURRENCY of the environment
         "log_config": None,
         "access_log": False,
         "server_header": False,
@@ -125,7 +126,7 @@ def serve(
     with own_folder(OURS, memory) as folder:
         os.environ[FOLDER] = str(folder)
         watched_process.install()
-        served |= {"workers": settings.workers, "timeout_worker_healthcheck": round(ANSWER_S)}
+        served["timeout_worker_healthcheck"] = round(ANSWER_S)
         uvicorn.run("gapmes.service.serving:app", **served)
 
 

@@ -65,6 +65,20 @@ def test_a_name_that_is_nearly_a_setting_is_refused(
     assert one_line(capfd) == "error: GAPMES_WORKER: is no setting (set GAPMES_WORKERS if that is meant, or unset it)"
 
 
+@pytest.mark.parametrize("said", ["3", "auto"])
+def test_the_number_of_processes_is_that_of_the_settings_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: str
+) -> None:
+    """Hosts set WEB_CONCURRENCY, which the server reads: its processes would know nothing of one another."""
+    found: list[dict[str, Any]] = []
+    monkeypatch.setattr(uvicorn, "run", lambda _, **options: found.append(options))
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    for name, value in (("WEB_CONCURRENCY", said), ("GAPMES_PORT", "0"), ("GAPMES_STORE", str(tmp_path))):
+        monkeypatch.setenv(name, value)
+    assert run("serve") == 0
+    assert uvicorn.Config("", **{**found[0], "log_config": None}).workers == 1
+
+
 @pytest.mark.usefixtures("refused")
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_address_that_cannot_be_listened_on_is_refused_once(
