@@ -17,6 +17,7 @@ import typer
 
 from ..errors import InputError
 from ..network.backends.choice import DEFAULT_ENGINE, ENGINES
+from ..process.peers import FOLDER
 from ..process.terminal import ProgressBars
 from ..process.threads import MAX_THREADS
 from ..progress import Stages
@@ -66,6 +67,7 @@ def serve(
 ) -> None:
     """Start the service; /readyz answers 200 once the model is loaded and the kernels are warm. With --prepare nothing
     starts: what the first start would do once is done."""
+    os.environ.pop(FOLDER, None)  # another program's; what counts looks at it when it is imported
     import uvicorn
 
     from ..http.connections import BACKLOG, HEAD_S, ask_for_files
@@ -74,7 +76,7 @@ def serve(
     from ..process import watched_process
     from ..process.logs import configure
     from ..process.own_folder import own_folder
-    from ..process.peers import FOLDER, OURS
+    from ..process.peers import OURS
     from ..process.temporary_folder import use_temporary_folder
     from ..process.with_parent import end_with_parent
     from ..scenes.store import SceneStore

@@ -25,6 +25,7 @@ from served_process import serving, until
 from gapmes.service.commands import serve
 from gapmes.service.commands.listening import check_address
 from gapmes.service.errors import InputError
+from gapmes.service.process.peers import FOLDER
 from gapmes.service.scenes.database import Database
 
 
@@ -77,6 +78,19 @@ def test_the_number_of_processes_is_that_of_the_settings_alone(
         monkeypatch.setenv(name, value)
     assert run("serve") == 0
     assert uvicorn.Config("", **{**found[0], "log_config": None}).workers == 1
+
+
+def test_one_process_shares_its_numbers_with_no_other_program(tmp_path: Path) -> None:
+    """The folder may not be there, and what others have counted in it is not the service's."""
+    code = (
+        "import uvicorn; uvicorn.run = lambda *_, **__: None\n"
+        "from gapmes.service import cli\n"
+        f"try: cli.main(['serve', '--port', '0', '--store', {str(tmp_path)!r}])\n"
+        "except SystemExit: from gapmes.service import metrics; print(metrics.SHARED)"
+    )
+    environment = os.environ | {FOLDER: str(tmp_path / "none")}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout == "False\n"
 
 
 @pytest.mark.usefixtures("refused")
