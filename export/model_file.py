@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import secrets
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 
 import onnx
@@ -11,7 +13,7 @@ from onnx.external_data_helper import set_external_data
 
 from gapmes.model.weights_file import file_sha256
 from gapmes.service.process.disk import replacing
-from gapmes.service.process.ending import unfinished
+from gapmes.service.process.ending import done_at_the_end, unfinished
 
 from .metadata import add_metadata
 
@@ -27,7 +29,7 @@ def write_model(model: onnx.ModelProto, path: Path) -> None:
 
     From `EXTERNAL_BYTES` on, weights are stored in NAME.onnx.<first digits of their sha256>.data beside it. The graph
     is replaced last, so that at any moment the existing graph finds its own weights; then those of the previous graph
-    are deleted. Whatever ends the writing, no partial file stays (`replacing`).
+    are deleted. Whatever ends the writing, no partial file stays (`replacing`), nor weights that no graph names.
     """
     path = path.resolve()  # external weights lie beside the graph
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -35,16 +37,9 @@ def write_model(model: onnx.ModelProto, path: Path) -> None:
     changed.CopyFrom(model)
     _forget_digest(changed)
     before = data_files(path)
-    data = None
-    try:
-        if sum(len(tensor.raw_data) for tensor in model.graph.initializer) >= EXTERNAL_BYTES:
-            data = _moved_outside(changed, path)
-        with replacing(path) as part:
-            part.write_bytes(changed.SerializeToString(deterministic=True))
-    except BaseException:
-        if data is not None and data not in before:
-            data.unlink()
-        raise
+    outside = sum(len(tensor.raw_data) for tensor in model.graph.initializer) >= EXTERNAL_BYTES
+    with _moved_outside(changed, path) if outside else nullcontext() as data, replacing(path) as part:
+        part.write_bytes(changed.SerializeToString(deterministic=True))
     for old in before:
         if old != data:
             old.unlink()
@@ -64,9 +59,12 @@ def remove_model(path: Path) -> None:
         data.unlink()
 
 
-def _moved_outside(model: onnx.ModelProto, path: Path) -> Path:
+@contextmanager
+def _moved_outside(model: onnx.ModelProto, path: Path) -> Iterator[Path]:
+    """Move the weights into a file beside `path`; the block writes the graph. Where that fails, or a signal ends it,
+    the file is deleted, unless the graph at `path` names it."""
     part = path.with_name(f".gapmes-{secrets.token_hex(8)}.data")
-    with unfinished(part):
+    with unfinished(part), ExitStack() as moved:
         try:
             places = []
             with part.open("wb") as file:
@@ -82,10 +80,21 @@ def _moved_outside(model: onnx.ModelProto, path: Path) -> Path:
                 set_external_data(tensor, data.name, offset=offset, length=length)
                 tensor.ClearField("raw_data")
             add_metadata(model, {DIGEST: digest})
+            moved.enter_context(done_at_the_end(lambda: _drop_unnamed(data, path)))
             part.replace(data)
         finally:
             part.unlink(missing_ok=True)
-    return data
+        try:
+            yield data
+        except BaseException:
+            _drop_unnamed(data, path)
+            raise
+
+
+def _drop_unnamed(data: Path, graph: Path) -> None:
+    """Delete a file of weights that the graph does not name."""
+    if not graph.is_file() or data.name.encode() not in graph.read_bytes():
+        data.unlink(missing_ok=True)
 
 
 def _forget_digest(model: onnx.ModelProto) -> None:

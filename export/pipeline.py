@@ -37,7 +37,7 @@ from .verify import FAILED
 AS_TRAINED = Variant()
 
 
-class VerificationBroken(RuntimeError):
+class VerificationBroken(Exception):
     """The verification process ended without a verdict."""
 
 
@@ -90,14 +90,28 @@ def export_checkpoint(
     if out.is_symlink():
         out = out.resolve()
         _check_place(out, checkpoint)
+    with memory.enough_memory(height, width):
+        return _exported(checkpoint, out, height, width, precision, variant, quick, listener)
+
+
+def _exported(
+    checkpoint: Path,
+    out: Path,
+    height: int,
+    width: int,
+    precision: Precision,
+    variant: Variant,
+    quick: bool,
+    listener: Listener,
+) -> Exported:
     stages = Stages(listener)
-    with stages.stage("load checkpoint"), memory.enough_memory(height, width):
+    with stages.stage("load checkpoint"):
         loaded = load_variant(checkpoint, variant)
         network = loaded.network
-    with stages.stage("export graph"), memory.enough_memory(height, width):
+    with stages.stage("export graph"):
         model = export_graph(network, height, width)
     if precision == "int8":
-        with stages.stage("quantise"), memory.enough_memory(height, width):
+        with stages.stage("quantise"):
             model = quantised(model)
     metadata = contract_metadata(
         network,

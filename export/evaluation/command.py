@@ -73,10 +73,9 @@ def evaluate(
     from gapmes.model.training.lpips import default_weights
     from gapmes.model.weights_file import CheckpointError
 
-    from ..pipeline import ExportRejected, VerificationBroken
     from ..size import Size
     from .models import checked_engines
-    from .plans import evaluation_plans
+    from .plans import evaluation_plans, outlook
     from .run import evaluate as run
 
     if threads is not None:
@@ -85,6 +84,7 @@ def evaluate(
     sizes = [Size.parse(text) for text in size or ()]
     plans = evaluation_plans(scenes or (), generated, inputs or (), sizes, model or (), seed, whole=whole)
     with ProgressBars(quiet=quiet) as bars:
+        bars.say(outlook(plans, model or (), len(engines)))
         try:
             report = run(
                 plans,
@@ -97,7 +97,7 @@ def evaluate(
                 threads=threads,
                 listener=bars,
             )
-        except (CheckpointError, ExportRejected, VerificationBroken) as error:
+        except CheckpointError as error:
             raise ModelError(str(error), field="model") from error
     missed = [floor for floor in report.floors if floor.passed is False]
     for floor in report.floors:

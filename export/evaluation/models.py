@@ -17,7 +17,8 @@ from gapmes.service.network.engine import Engine
 from gapmes.service.progress import Listener, silent
 from gapmes.service.shipped import shipped_model
 
-from ..pipeline import export_checkpoint
+from ..memory import OutOfMemory
+from ..pipeline import ExportRejected, VerificationBroken, export_checkpoint
 from ..recording_engine import RecordingEngine
 from ..size import Size
 from .labels import given_twice, shortest_names
@@ -53,8 +54,8 @@ def load_models(
     """Models of these `sizes`, in the order of `files`, each in all `engines`; without files the shipped one.
 
     With several engines the labels name them. A checkpoint (.safetensors), and the shipped one at other sizes than its
-    own, is exported into `folder` and verified. Raises `ModelError` where a size has no model or a file has no size
-    that is wanted, `ExportRejected`, `VerificationBroken` and `CheckpointError` of an export.
+    own, is exported into `folder` and verified. Raises `ModelError` where a size has no model, a file has no size that
+    is wanted, or a checkpoint cannot be exported.
     """
     runtime = _Runtime(engines, threads)
     if not files:
@@ -96,6 +97,14 @@ def check_sizes(files: Sequence[Path], sizes: Sequence[Size]) -> None:
         for size in sizes:
             if misfit := size.misfit(step):
                 raise InputError(f"{source.name} cannot be exported for {size} px: {misfit}", field="size")
+
+
+def exports(files: Sequence[Path], sizes: Sequence[Size]) -> list[tuple[str, Size]]:
+    """Name and size of each checkpoint that `load_models` exports."""
+    if files:
+        return [(path.name, size) for path in files if path.suffix == CHECKPOINT for size in sizes]
+    own = model_sizes([shipped_model()])
+    return [(shipped_checkpoint("tiny").name, size) for size in sizes if size not in own]
 
 
 def model_sizes(files: Sequence[Path]) -> list[Size]:
@@ -148,7 +157,10 @@ def _exported(
     if not checkpoint.is_file():
         raise ModelError(f"{checkpoint} is not a file", field="model")
     target = folder / f"{checkpoint.stem}-{size}.onnx"
-    export_checkpoint(checkpoint, target, height=size.height, width=size.width, quick=True, listener=listener)
+    try:
+        export_checkpoint(checkpoint, target, height=size.height, width=size.width, quick=True, listener=listener)
+    except (ExportRejected, VerificationBroken, OutOfMemory, ValueError) as error:
+        raise ModelError(f"{checkpoint.name} cannot be exported for {size} px: {error}", field="model") from error
     return [
         replace(m, file=checkpoint.name) for m in runtime.load(target, label, {file_sha256(checkpoint): checkpoint})
     ]

@@ -6,16 +6,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gapmes.service.errors import InputError
+from gapmes.service.plain_number import counted
 
 from ..size import Size
 from .case import GENERATED_SEED
 from .labels import given_twice, shortest_names
-from .models import model_sizes
+from .models import exports, model_sizes
 from .run import GroupPlan
 from .suggested import NoSuchViews, suggested_views
 
 PHOTOGRAPH_SIZES = (Size.square(256), Size.square(128))
 PHOTOGRAPH_INPUTS, GENERATED_INPUTS = (2, 3), (2,)
+SCENE_SECONDS = 12.0  # of a processor: one scene of 256 px from two views; half of it is for the baselines
+EXPORT_SECONDS = 100.0  # the same, with the verification
 GENERATED_SIZE, MOST_GENERATED = Size.square(128), 100
 GENERATED = {Size.square(256): 24, GENERATED_SIZE: MOST_GENERATED}  # scenes; one of 256 px takes four times as long
 
@@ -63,6 +66,18 @@ def evaluation_plans(
     if seed is not None and not any(plan.generated for plan in plans):
         raise InputError(f"is {seed}, but no scene is generated", field="seed", cure="add --generated 100")
     return plans
+
+
+def outlook(plans: Sequence[GroupPlan], files: Sequence[Path], engines: int) -> str:
+    """What `plans` measure with these files in so many engines, and roughly for how long."""
+    scenes, seconds = [], 0.0
+    for plan in plans:
+        scenes.append(f"{counted(plan.count, 'scene')} of {plan.size} px from {plan.inputs} views ({plan.kind})")
+        seconds += plan.count * SCENE_SECONDS * plan.size.height * plan.size.width / 256**2 * plan.inputs / 2
+    first = exports(files, list(dict.fromkeys(plan.size for plan in plans)))
+    minutes = (seconds * (1 + engines * max(1, len(files))) / 2 + len(first) * EXPORT_SECONDS) / 60
+    made = "".join(f"; exports and verifies {name} for {size} px first" for name, size in first)
+    return f"measures {', '.join(scenes)}{made}: about {max(1, round(minutes))} min of processor time"
 
 
 def _check_once(field: str, values: Sequence[int | Size]) -> None:

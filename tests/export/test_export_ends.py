@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 import torch
 from test_export_place import QUICK, small, verdict
@@ -34,7 +35,9 @@ from test_export_place import small
 from test_model_file import product
 folder = Path(sys.argv[2])
 tempfile.tempdir = str(folder)
-model_file.EXTERNAL_BYTES = 1000 if sys.argv[1] == "weights" else 2**26
+model_file.EXTERNAL_BYTES = 2**26 if sys.argv[1] == "graph" else 1000
+if sys.argv[1] == "graph of weights":
+    model_file.write_model(product(2), folder / "net.onnx")
 def waits(*_):
     print("now", flush=True)
     time.sleep(600)
@@ -43,7 +46,8 @@ def half(path, data):
     write(path, data[:10])
     waits()
 Path.write_bytes = half
-model_file.add_metadata = waits  # once the weights are written
+if sys.argv[1] == "weights":
+    model_file.add_metadata = waits  # once they are written
 quantise._quantise = waits
 with ended_in_order():
     if sys.argv[1] == "quantised":
@@ -52,19 +56,27 @@ with ended_in_order():
 """
 
 
-@pytest.mark.parametrize("what", ["graph", "weights", "quantised"])
-def test_a_signal_while_a_file_is_written_leaves_no_part_of_it(what: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("what", "unfinished", "kept"),
+    [("graph", 1, 0), ("weights", 1, 0), ("quantised", 1, 0), ("graph of weights", 2, 2)],
+)
+def test_a_signal_while_a_file_is_written_leaves_no_part_of_it(
+    what: str, unfinished: int, kept: int, tmp_path: Path
+) -> None:
+    """The last writes in the place of a graph with weights of its own, which both stay."""
     command = [sys.executable, "-c", WRITES, what, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent) as process:
         assert process.stdout is not None
         try:
             assert process.stdout.readline() == "now\n"
-            assert len(list(tmp_path.iterdir())) == 1  # what is unfinished
+            assert len(list(tmp_path.iterdir())) == unfinished + kept
             process.send_signal(signal.SIGTERM)
             assert process.wait(120) == -signal.SIGTERM
         finally:
             process.kill()
-    assert list(tmp_path.iterdir()) == []
+    assert len(list(tmp_path.iterdir())) == kept
+    if kept:
+        onnx.load(tmp_path / "net.onnx")  # finds its weights
 
 
 def test_a_model_that_is_replaced_keeps_its_mode(tmp_path: Path) -> None:
@@ -105,6 +117,23 @@ def test_a_lack_of_memory_is_refused_with_the_size(
     assert result.exit_code == 1
     assert "refused: not enough memory to export for 64x64 px" in result.output
     assert "take a smaller --size" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("stage", ["quantised", "add_metadata", "write_model", "_verify_elsewhere", "_kept"])
+def test_a_lack_of_memory_in_a_later_stage_is_refused_too(
+    stage: str, checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lacks(*_: object) -> None:
+        raise MemoryError
+
+    stub = {"export_graph": lambda *_: small(), "quantised": lambda model: model, "_verify_elsewhere": verdict}
+    for name, function in (stub | {stage: lacks}).items():
+        monkeypatch.setattr(pipeline, name, function)
+    arguments = ["--checkpoint", str(checkpoint), "--size", "64", "--precision", "int8", "-o", str(tmp_path / "a.onnx")]
+    result = CliRunner().invoke(app, arguments, env={"COLUMNS": "400"})
+    assert result.exit_code == 1
+    assert "refused: not enough memory to export for 64x64 px: take a smaller --size" in result.output
     assert list(tmp_path.iterdir()) == []
 
 

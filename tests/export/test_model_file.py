@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from gapmes.export.model_file import data_files, remove_model, write_model
+from gapmes.service.process.disk import replacing
 
 
 def product(seed: int) -> onnx.ModelProto:
@@ -59,6 +62,30 @@ def test_a_write_that_fails_leaves_nothing_of_its_own(tmp_path: Path) -> None:
     with pytest.raises(IsADirectoryError):
         write_model(product(1), tmp_path / "a.onnx")
     assert names(tmp_path) == {"a.onnx"}
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_an_interrupt_leaves_a_graph_with_its_weights(
+    late: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Just before the graph is replaced, and just after."""
+
+    @contextmanager
+    def interrupted(path: Path) -> Iterator[Path]:
+        with replacing(path) as part:
+            yield part
+            if not late:
+                raise KeyboardInterrupt
+        raise KeyboardInterrupt
+
+    write_model(product(1), tmp_path / "a.onnx")
+    before = names(tmp_path)
+    monkeypatch.setattr("gapmes.export.model_file.replacing", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_model(product(2), tmp_path / "a.onnx")
+    assert late or names(tmp_path) == before
+    (weights,) = onnx.load(tmp_path / "a.onnx").graph.initializer
+    assert weights.raw_data == product(2 if late else 1).graph.initializer[0].raw_data
 
 
 def test_behind_a_link_graph_and_weights_lie_together(tmp_path: Path) -> None:

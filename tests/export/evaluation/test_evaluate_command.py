@@ -14,10 +14,12 @@ from evaluate_runs import refused, run
 from PIL import Image
 from standin_model import METADATA, write_standin
 
-from gapmes.export.evaluation import command
+from gapmes.export.evaluation import command, models
 from gapmes.export.evaluation import run as measuring
 from gapmes.export.evaluation.case import GENERATED_SEED
 from gapmes.export.evaluation.scores import BASELINES, TRUE_DEPTH
+from gapmes.export.memory import OutOfMemory
+from gapmes.export.pipeline import VerificationBroken
 from gapmes.service import cli, extra_commands
 from gapmes.service.network.contract import REQUIRED_OUTPUTS
 from gapmes.service.shipped import sample_folder, shipped_model
@@ -155,6 +157,20 @@ def test_refusals_are_one_line(
     monkeypatch.setattr(command, "find_spec", lambda name: None if name == "torch" else name)
     assert run("--generated", 1, "--out", out) == 1
     refused(capfd, "pip install 'gapmes[export]'")
+
+
+@pytest.mark.parametrize("error", [OutOfMemory("no room"), VerificationBroken("no room"), ValueError("no room")])
+def test_an_export_that_fails_is_refused_in_one_line_after_what_was_to_be_done(
+    error: Exception, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(models, "export_checkpoint", fails)
+    assert run("--generated", 2, "--size", 64, "--out", tmp_path) == 1
+    told, refusal = capfd.readouterr().err.splitlines()
+    assert told.startswith("measures 2 scenes of 64 px from 2 views (generated); exports and verifies tiny.safetensors")
+    assert refusal == "error: model: tiny.safetensors cannot be exported for 64 px: no room"
 
 
 def test_the_command_line_starts_without_torch_and_knows_the_command() -> None:

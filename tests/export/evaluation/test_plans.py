@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from gapmes.export.evaluation.case import GENERATED_SEED, generated_cases
-from gapmes.export.evaluation.plans import evaluation_plans
+from gapmes.export.evaluation.plans import evaluation_plans, outlook
 from gapmes.export.size import Size
 from gapmes.model.training.validation import VALIDATION_SEED
 from gapmes.service.shipped import sample_folder, shipped_model
@@ -30,6 +32,19 @@ def test_plans() -> None:
     assert [(p.size, p.count) for p in everything if p.kind == "generated"] == [((256, 256), 24), ((128, 128), 100)]
     small = evaluation_plans([], None, [], [Size.square(64)], [])[-1]
     assert (small.kind, small.size, small.count) == ("generated", (64, 64), 100)
+
+
+def test_what_is_about_to_be_done_is_told() -> None:
+    told = outlook(evaluation_plans([sample_folder()], 24, [2], [Size.square(256), Size.square(128)], []), [], 1)
+    scenes = ("1 scene of 256", "1 scene of 128", "24 scenes of 256", "24 scenes of 128")
+    kinds = ("photographs", "photographs", "generated", "generated")
+    groups = ", ".join(f"{some} px from 2 views ({kind})" for some, kind in zip(scenes, kinds, strict=True))
+    export = "exports and verifies tiny.safetensors for 128 px first"
+    assert told == f"measures {groups}; {export}: about 8 min of processor time"
+    plain = evaluation_plans([], 5, [], [Size.square(256)], [])
+    assert outlook(plain, [], 1).endswith("5 scenes of 256 px from 2 views (generated): about 1 min of processor time")
+    twice = outlook(plain, [Path("a.onnx"), Path("b.safetensors")], 2)
+    assert twice.endswith("; exports and verifies b.safetensors for 256 px first: about 4 min of processor time")
 
 
 def test_generated_scenes_are_those_of_their_seed_and_not_of_the_validation() -> None:
