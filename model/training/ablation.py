@@ -171,7 +171,7 @@ def write_results(out: Path, results: Results, budget: Budget) -> None:
         if runs
     }
     body = {"budget": asdict(budget), "baseline": WIDE, "variants": variants}
-    replace_file(out / RESULT, (json.dumps(body, indent=1) + "\n").encode())
+    replace_file(out / RESULT, (json.dumps(body, indent=1, allow_nan=False) + "\n").encode())
     replace_file(out / TABLES, tables(results, caption(results, budget)).encode())
 
 

@@ -163,7 +163,7 @@ class Run:
             "scores": by_scene(scores),
             "lpips_weights": scores.lpips_weights,
         }
-        replace_file(self.folder / SCORES, (json.dumps(body) + "\n").encode())
+        replace_file(self.folder / SCORES, (json.dumps(body, allow_nan=False) + "\n").encode())
 
     def _identity(self) -> dict[str, Any]:
         parts = {

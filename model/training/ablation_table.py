@@ -35,7 +35,8 @@ SAME_SCENE_DB = 1e-3  # figures are rounded to 1e-4 dB; another number of thread
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """One trained variant on the fixed validation scenes; arrays are (N,), one number per scene."""
+    """One trained variant on the fixed validation scenes; arrays are (N,), one finite number per scene, or `ValueError`
+    is raised."""
 
     parameters: int
     minutes: float
@@ -45,6 +46,15 @@ class Scores:
     copy_psnr: F64  # dB, the nearer input shown as it is
     lpips: F64 | None = None  # None where it was scored without
     lpips_weights: str | None = None  # the fingerprint of `Lpips`
+
+    def __post_init__(self) -> None:
+        for name, values in vars(self).items():
+            if isinstance(values, np.ndarray) and (wrong := ~np.isfinite(values)).any():
+                scene = int(wrong.argmax())
+                raise ValueError(
+                    f"{name} of scene {scene} is {values[scene]}, need a finite number: the run has diverged, or its "
+                    "weights are damaged; use a new folder and another seed"
+                )
 
 
 @dataclass(frozen=True)

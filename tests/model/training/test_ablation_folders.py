@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 
+from gapmes.model.config import preset
+from gapmes.model.network import GaPMeS
 from gapmes.model.training import ablation, ablation_runs, study
 from gapmes.model.training.ablation_runs import VARIANTS, Budget, run_in
 from gapmes.model.training.ablation_table import COMPLETE
@@ -47,6 +50,26 @@ def test_scores_that_are_damaged_are_named(tmp_path: Path) -> None:
         run.scores()
     path.write_text(json.dumps(wide))
     with pytest.raises(ValueError, match=r"scores\.json has ssim of shape \(1,\), need one number for each of the 2"):
+        run.scores()
+
+
+def test_a_figure_that_is_no_number_is_refused_and_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figures = iter([1.0, math.nan])
+    monkeypatch.setattr(ablation_runs, "train", lambda *_, **__: GaPMeS(preset("tiny")))
+    monkeypatch.setattr(ablation_runs, "read_rows", lambda _: [{"step": 2, "minutes": 1.0}])
+    monkeypatch.setattr(ablation_runs, "validate", lambda *_: dict.fromkeys(ablation_runs.FIGURES, next(figures)))
+    monkeypatch.setattr(Budget, "batches", lambda _: [None, None])
+    monkeypatch.setattr(study, "default_weights", lambda: None)
+    assert ablation.main([str(tmp_path), "--only", COMPLETE]) == 1
+    assert "refused: psnr of scene 1 is nan, need a finite number: the run has diverged" in capsys.readouterr().err
+    assert list(tmp_path.rglob("*.json")) == []
+    run = run_in(tmp_path, COMPLETE, 1, SMALL)
+    run.folder.mkdir(exist_ok=True)
+    scores = {"parameters": 5, "minutes": 1.0, "scores": {key: [math.inf, 1.0] for key in ablation_runs.FIGURES}}
+    (run.folder / ablation_runs.SCORES).write_text(json.dumps({**run._identity(), **scores}))
+    with pytest.raises(ValueError, match=r"scores\.json holds no scores of a run: .*psnr of scene 0 is inf"):
         run.scores()
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numba
-import numpy as np
 import pytest
 import torch
 from killed_runs import killed_with_a_state
@@ -15,12 +14,13 @@ from killed_runs import killed_with_a_state
 from gapmes.model.checkpoint import load_checkpoint, save_checkpoint
 from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
-from gapmes.model.training import loop, run_folder
+from gapmes.model.training import loop, run_folder, step_scenes
 from gapmes.model.training.log_rows import read_rows
-from gapmes.model.training.recipe import FINISH, Phase, Recipe
+from gapmes.model.training.recipe import FINISH, RECIPES, Phase, Recipe
 from gapmes.model.training.scenes import SceneSampler
 from gapmes.model.training.step import to_tensors
 from gapmes.model.training.validation import validate, validation_batches
+from gapmes.model.training.workers import Worker
 from gapmes.model.weights_file import CheckpointError
 
 SMALL = replace(
@@ -183,13 +183,21 @@ def test_zoomed_batches_halve_the_inputs_only() -> None:
     assert torch.equal(zoomed.intrinsics, plain.intrinsics)  # normalised, so the size does not matter
 
 
-def test_the_two_recipes_draw_no_scene_twice() -> None:
-    """The scenes of a step depend on (seed, step) alone."""
-    seen = [
-        {int(np.random.default_rng((r.seed, s)).integers(2**62)) for s in range(r.steps)} for r in (Recipe(), FINISH)
-    ]
-    assert not seen[0] & seen[1]
-    assert [len(draws) for draws in seen] == [Recipe().steps, FINISH.steps]
+def test_the_two_recipes_draw_no_scene_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scenes of two steps differ if the seeds of their samplers do."""
+    drawn: list[int] = []
+
+    def asked(seed: int, split: str, first: int) -> SceneSampler:
+        assert (split, first) == ("train", 0)
+        drawn.append(seed)
+        raise InterruptedError  # the scenes need not be drawn
+
+    monkeypatch.setattr(step_scenes, "SceneSampler", asked)
+    for recipe in RECIPES.values():
+        for step in range(recipe.steps):
+            with pytest.raises(InterruptedError):
+                step_scenes.draw_step(recipe, step, Worker())
+    assert len(set(drawn)) == len(drawn) == Recipe().steps + FINISH.steps
 
 
 def test_sizes_and_views_that_never_meet_are_refused() -> None:
