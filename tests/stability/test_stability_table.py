@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from gapmes.export import measurements
 from gapmes.export.cli import app
-from gapmes.export.stability import matching, naive
+from gapmes.export.stability import geometry, matching, naive
 from gapmes.export.stability import table as writing
 from gapmes.export.stability.row import Row
 from gapmes.export.stability.splatter import cloud, view
@@ -29,6 +29,8 @@ def rows() -> dict[str, Row]:
 def test_every_case_is_within_its_tolerance(rows: dict[str, Row]) -> None:
     assert len(rows) == CASES
     assert [row.case for row in rows.values() if not row.passed] == []
+    head, *others = markdown(list(rows.values())).splitlines()
+    assert {line.count("|") for line in others} == {head.count("|")}
 
 
 @pytest.mark.parametrize("case", ["E1", "E2", "E6", "E7", "E19", "R1", "R2", "R3", "P6", "P11", "A1", "A3", "I1"])
@@ -66,6 +68,19 @@ def test_a_case_that_finds_nan_fails_and_is_written(tmp_path: Path, monkeypatch:
     stability_table(tmp_path)
     body = json.loads((tmp_path / "stability.json").read_text())
     assert [(row["passed"], row["worst"]) for row in body["rows"]] == [(False, "not finite")] * 2
+
+
+def test_a_short_quaternion_taken_for_none_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The identity is a rotation too, but another one."""
+    right = geometry.normalized_quaternions
+
+    def cut(wxyz: np.ndarray) -> np.ndarray:
+        short = np.abs(wxyz).max(axis=1, keepdims=True) < 1e-20
+        return right(np.where(short, np.float32([1, 0, 0, 0]), wxyz))
+
+    assert geometry.quaternions().passed
+    monkeypatch.setattr(geometry, "normalized_quaternions", cut)
+    assert not geometry.quaternions().passed
 
 
 def test_progress_is_told_case_by_case(tmp_path: Path) -> None:
