@@ -23,6 +23,7 @@ class Load:
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[float]] = {"picture": [], "scene": []}
+        self.active: Counter[str] = Counter()  # seconds of all clients together
         self.refused: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._rounds = 0
@@ -39,13 +40,15 @@ class Load:
         until = time.monotonic() + seconds
 
         def ask(kind: str, seed: int) -> None:
-            asker = Asker(service.address, seed)
+            asker, begun = Asker(service.address, seed), time.monotonic()
             while time.monotonic() < until:
                 start = time.perf_counter()
                 answer = asker.picture(scenes) if kind == "picture" else asker.scene()
                 self.note(kind, answer, time.perf_counter() - start)
                 if answer.status_code >= 400:
                     time.sleep(0.2)
+            with self._lock:
+                self.active[kind] += time.monotonic() - begun  # longer than asked for: the last answer is waited for
 
         kinds = ["picture"] * pictures + ["scene"] * reconstructions
         self._rounds += 1  # other requests in every round: a stored scene costs nothing
@@ -56,13 +59,14 @@ class Load:
         for thread in threads:
             thread.join()
 
-    def line(self, kind: str, wall: float) -> str:
-        times = sorted(self.seconds[kind])
+    def line(self, kind: str, clients: int) -> str:
+        """Answers per second of so many clients, and quantiles of their times, none above the longest."""
+        times = self.seconds[kind]
         if len(times) < 2:
             return f"{kind:8} {len(times)}"
-        cuts = statistics.quantiles(times, n=100)
+        cuts = statistics.quantiles(times, n=100, method="inclusive")
         shown = ", ".join(f"p{p} {1000 * cuts[p - 1]:.0f} ms" for p in (50, 95, 99))
-        return f"{kind:8} {len(times) / wall:6.1f} per second, {shown}"
+        return f"{kind:8} {clients * len(times) / self.active[kind]:6.2f} per second, {shown}"
 
 
 def main() -> None:
@@ -81,7 +85,7 @@ def main() -> None:
         print(f"{len(service.workers())} processes, {given.pictures} clients for pictures", flush=True)
         alone = Load()
         alone.clients(service, scenes, given.pictures, 0, 15.0)
-        print("alone:  ", alone.line("picture", 15.0), flush=True)
+        print("alone:  ", alone.line("picture", given.pictures), flush=True)
         load, wall, first = Load(), 0.0, service.memory_mb()
         rounds = max(2, round(6 * given.minutes))
         for _ in range(rounds):
@@ -94,8 +98,8 @@ def main() -> None:
                 flush=True,
             )
         print(f"while {given.scenes} clients request scenes:")
-        for kind in ("picture", "scene"):
-            print("        ", load.line(kind, wall))
+        for kind, clients in (("picture", given.pictures), ("scene", given.scenes)):
+            print("        ", load.line(kind, clients))
         print("refused: ", dict(load.refused) or "nothing")
         last = service.memory_mb()
         print(f"resident at first {first[0]:.0f} MB, at last {last[0]:.0f} MB, at most {service.peak_mb():.0f} MB")

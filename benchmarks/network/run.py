@@ -1,7 +1,8 @@
 """Time every network in every runtime, in turns on one thread: medians of CPU seconds, ratios, share of the peak.
 
-`python -m benchmarks.network.run MODEL.onnx=CHECKPOINT …`; a model without a checkpoint (an int8 file) is given as
-MODEL.onnx alone and runs in onnxruntime only. Only the processes of one model and one number of views exist at a time.
+`python -m benchmarks.network.run MODEL.onnx=CHECKPOINT[=INT8.onnx] …`; without its checkpoint a model does not run in
+torch, and an int8 file runs in onnxruntime only. Ratios are to onnxruntime, which always runs. Only the processes of
+one model and one number of views exist at a time.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from gapmes.service.process.terminal import ProgressBars
 
 from .intel import told_intel
 from .worker import RUNTIMES
+
+BASE = "onnxruntime"  # what times are compared with
 
 
 @dataclass
@@ -87,7 +90,8 @@ def compare(
 ) -> list[Timed]:
     """All runtimes of one network, one run of each per round; the first round is not counted."""
     plan: list[tuple[str, str, Path, dict[str, str]]] = [("matrix product", "peak", model, {})]
-    plan += [(runtime, runtime, model, {}) for runtime in runtimes if checkpoint or "torch" not in runtime]
+    chosen = [runtime for runtime in RUNTIMES if runtime in (BASE, *runtimes)]
+    plan += [(runtime, runtime, model, {}) for runtime in chosen if checkpoint or "torch" not in runtime]
     if int8 is not None:
         plan.append(("onnxruntime int8", "onnxruntime", int8, {}))
     if checkpoint and intel:
@@ -112,7 +116,7 @@ def table(timed: Sequence[Timed]) -> list[str]:
     by = {one.name: one for one in timed}
     peak = by["matrix product"].rows[0]["operations"] / by["matrix product"].median()
     flop = max((one.rows[0]["operations"] for one in timed if one.name == "torch"), default=0.0)
-    base = by["onnxruntime"].median()
+    base = by[BASE].median()
     lines = []
     for one in timed:
         if one.name == "matrix product":

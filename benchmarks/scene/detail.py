@@ -30,6 +30,7 @@ from gapmes.service.photographs.images import FittedView
 from gapmes.service.reconstruct import Reconstructor, Scene
 
 Targets = Sequence[FittedView]
+Found = tuple[Case, Targets, Targets]
 
 HEADER = """| scene, detail | PSNR / SSIM / LPIPS at {twice} px | at {once} px | Gaussians | .ply, MB | CPU, s |
 |---|---|---|---|---|---|
@@ -79,19 +80,21 @@ def save_middles(path: Path, pictures: Sequence[NDArray[np.float32]]) -> None:
     Image.fromarray(np.concatenate(middles, axis=1)).save(path)
 
 
-def cases(options: argparse.Namespace, height: int, width: int) -> Iterator[tuple[Case, Targets, Targets]]:
+def photographs(folders: Sequence[Path], inputs: int, height: int, width: int) -> Iterator[Found]:
     """Scenes with their targets at twice the network's size and at its own."""
-    for folder in options.scenes:
-        case = photograph_case(folder, options.inputs, height, width)
+    for folder in folders:
+        case = photograph_case(folder, inputs, height, width)
         assert case.at_twice is not None
         yield case, case.at_twice().views, case.targets
-    for case in generated_cases(options.generated, options.inputs, 2 * height, 2 * width):
+
+
+def generated(count: int, inputs: int, height: int, width: int) -> Iterator[Found]:
+    """The same of generated scenes, which have targets at twice the size alone."""
+    for case in generated_cases(count, inputs, 2 * height, 2 * width):
         yield case, case.targets, ()
 
 
-def row(
-    service: Reconstructor, found: tuple[Case, Targets, Targets], detail: int, fade: int, lpips: Lpips | None
-) -> tuple[Row, Scene]:
+def row(service: Reconstructor, found: Found, detail: int, fade: int, lpips: Lpips | None) -> tuple[Row, Scene]:
     """Reconstruct and compare."""
     case, *sizes = found
     started = time.process_time()
@@ -131,28 +134,33 @@ def main() -> None:
     parser.add_argument("--fade", type=int, default=DEFAULT_PASSES)
     parser.add_argument("--pictures", type=Path, metavar="DIR")
     options = parser.parse_args()
+    if not options.scenes and options.generated < 1:
+        parser.error("no scenes: name a SCENE_DIR, or give --generated 8")
     weights = default_weights()
     lpips = None if weights is None else Lpips.load(weights)
     service = Reconstructor()
     height, width = service.engine.info.height, service.engine.info.width
     sys.stdout.write(HEADER.format(once=f"{height}x{width}", twice=f"{2 * height}x{2 * width}"))
-    rows: dict[int, list[Row]] = {detail: [] for detail in DETAILS}
-    count = 0
-    for found in cases(options, height, width):
-        count += 1
-        name, target = found[0].name, found[1][0]
-        shown = [target.image]
+    size = options.inputs, height, width
+    for kind, scenes in (
+        ("photographs", photographs(options.scenes, *size)),
+        ("generated scenes", generated(options.generated, *size)),
+    ):
+        rows: dict[int, list[Row]] = {detail: [] for detail in DETAILS}
+        for found in scenes:
+            name, target = found[0].name, found[1][0]
+            shown = [target.image]
+            for detail, each in rows.items():
+                figured, scene = row(service, found, detail, options.fade, lpips)
+                each.append(figured)
+                shown.append(drawn(scene, target))
+                sys.stdout.write(figured.line(f"{name}, {detail}"))
+                sys.stdout.flush()
+            if options.pictures is not None:
+                save_middles(options.pictures / f"{name.replace(' ', '_')}.png", shown)
         for detail, each in rows.items():
-            figured, scene = row(service, found, detail, options.fade, lpips)
-            each.append(figured)
-            shown.append(drawn(scene, target))
-            sys.stdout.write(figured.line(f"{name}, {detail}"))
-            sys.stdout.flush()
-        if options.pictures is not None:
-            save_middles(options.pictures / f"{name.replace(' ', '_')}.png", shown)
-    if count > 1:
-        for detail, each in rows.items():
-            sys.stdout.write(mean(each).line(f"mean, {detail}"))
+            if len(each) > 1:
+                sys.stdout.write(mean(each).line(f"mean of {len(each)} {kind}, {detail}"))
 
 
 if __name__ == "__main__":

@@ -39,22 +39,23 @@ class Row:
     count: int
     px: int  # width of the picture
     milliseconds: float
-    ratio: float  # plain renderer's time over ours; nan where it did not run
+    ratio: float | None  # plain renderer's time over ours; None where it did not run
     scaling: float  # one thread's time over that of two
     harmonics: float | None  # time over that with degree 0 alone, where the scene has more
     pairs: float  # millions, of a Gaussian and a pixel
     share: float  # of the measured float32 peak, in the blend stage
-    agreement: float  # dB to the plain renderer
+    agreement: float | None  # dB to the plain renderer
     stages: dict[str, float]  # ms
     others: dict[str, tuple[float, float]]  # time over ours, dB between the pictures
 
     def cells(self) -> dict[str, str]:
         """The table's row."""
         cells = {"scene": self.name, "px": str(self.px), "ms": f"{self.milliseconds:.1f}"}
-        cells["x plain"], cells["one to two threads"] = f"{self.ratio:.1f}", f"{self.scaling:.2f}"
+        cells["x plain"] = "" if self.ratio is None else f"{self.ratio:.1f}"
+        cells["one to two threads"] = f"{self.scaling:.2f}"
         cells |= {stage: f"{value:.1f}" for stage, value in self.stages.items()}
         cells |= {"M pairs": f"{self.pairs:.1f}", "blend / peak": f"{100 * self.share:.0f} %"}
-        cells["dB to plain"] = f"{self.agreement:.0f}"
+        cells["dB to plain"] = "" if self.agreement is None else f"{self.agreement:.0f}"
         for name, (ratio, agreement) in self.others.items():
             cells[f"x {name}"], cells[f"dB to {name}"] = f"{ratio:.1f}", f"{agreement:.0f}"
         return cells
@@ -108,12 +109,12 @@ def measure(
         len(gaussians),
         view.width,
         1e3 * median["ours"],
-        median["plain"] / median["ours"] if "plain" in runs else float("nan"),
+        median["plain"] / median["ours"] if "plain" in runs else None,
         median["one"] / median["two" if threads > 2 else "ours"],
         median["ours"] / median["degree 0"] if "degree 0" in runs else None,
         pairs / 1e6,
         pairs * FLOP_PER_PAIR / middle["blend"] / (1e9 * peak),
-        agreement("plain") if "plain" in runs else float("nan"),
+        agreement("plain") if "plain" in runs else None,
         {stage: 1e3 * value for stage, value in middle.items() if stage != "prepare"},
         {other.name: (median[other.name] / median["ours"], agreement(other.name)) for other in others},
     )

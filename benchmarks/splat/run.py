@@ -66,7 +66,7 @@ def verdicts(rows: list[tuple[Row, float | None]], threads: int) -> list[str]:
         lines.append(f"{what}: {value:.2f}, need {need:g}: {'reached' if reached else 'MISSED'}")
 
     for row, floor in rows:
-        if floor is not None:
+        if floor is not None and row.ratio is not None:
             say(f"{row.name} at {row.px} px, times the plain renderer", row.ratio, floor, row.ratio >= floor)
         if row.harmonics is not None and "SH 3" in row.name:  # of the scenes above, not of others
             reached = row.harmonics <= NEED_HARMONICS
@@ -93,13 +93,16 @@ def main() -> None:
         "--other", type=Path, action="append", default=[], help="a Python file with renderer(gaussians, threads)"
     )
     options = parser.parse_args()
+    if len(options.cameras) > len(options.ply):
+        parser.error(f"{len(options.cameras)} camera files for {len(options.ply)} scenes")
+    for path in (*options.ply, *options.cameras, *options.other):
+        if not path.is_file():
+            parser.error(f"{path} is no file")
     start = time.perf_counter()
     warm_up()
     ready, peak = time.perf_counter() - start, peak_gflops(options.threads)
     print(f"{platform.processor() or platform.machine()}, {options.threads} threads, numba {numba.__version__}; "
           f"kernels ready after {ready:.2f} s; peak {peak:.0f} GFLOP/s")  # fmt: skip
-    if len(options.cameras) > len(options.ply):
-        parser.error(f"{len(options.cameras)} camera files for {len(options.ply)} scenes")
     others = [other_renderer(path) for path in options.other]
     cameras = [*options.cameras, *[None] * len(options.ply)]
     todo: list[tuple[str, Callable[[], tuple[Gaussians, Camera]], float | None]] = [

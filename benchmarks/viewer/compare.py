@@ -124,12 +124,17 @@ def main() -> None:
     options = parser.parse_args()
     if not VIEWER.is_dir():
         raise SystemExit("the viewer is not there: install the package again with npm on the path")
+    if shutil.which(options.chromium) is None:
+        raise SystemExit(f"{options.chromium} is no command here: install Chromium, or name it with --chromium")
+    views = read_camera_file(options.cameras).views
+    if not 0 <= options.view < len(views):
+        parser.error(f"--view is {options.view}, {options.cameras} has {len(views)} views: need 0 to {len(views) - 1}")
     with tempfile.TemporaryDirectory() as folder:
         ply = options.ply or Path(folder) / "sample.ply"
         if options.ply is None:
             command = [Path(sys.executable).with_name("gapmes"), "reconstruct", sample_folder(), "--views", "1,5"]
             subprocess.run([*command, "--output", ply], check=True)
-        camera = read_camera_file(options.cameras).views[options.view].camera
+        camera = views[options.view].camera
         camera = camera.resized(options.size, round(options.size * camera.height / camera.width))
         ours = render(read_ply(ply), camera, outputs=()).rgb8()
         theirs = shown_by_viewer(ply, camera, options.chromium)

@@ -1,0 +1,132 @@
+"""The benchmarks' own arithmetic and usage: quantiles, rates, means by kind of scene, cells of what did not run."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture
+def benchmark(monkeypatch: pytest.MonkeyPatch):
+    """Imports a module of `benchmarks`."""
+    monkeypatch.syspath_prepend(ROOT)
+    return lambda name: importlib.import_module(f"benchmarks.{name}")
+
+
+def test_no_quantile_of_few_times_is_above_the_longest(benchmark) -> None:
+    load = benchmark("load.run").Load()
+    load.seconds["scene"], load.active["scene"] = [2.0, 3.0, 4.0, 9.0], 20.0
+    line = load.line("scene", 2)
+    assert "p50 3500 ms, p95 8250 ms, p99 8850 ms" in line
+    assert " 0.40 per second" in line  # two clients that had four answers in 20 s together
+
+
+def test_the_rate_counts_the_time_that_the_last_answer_took(benchmark, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A client that is to ask for 10 s has two answers, after 8 s each."""
+    module = benchmark("load.run")
+    clock = SimpleNamespace(now=0.0)
+
+    def answered(_: object) -> SimpleNamespace:
+        clock.now += 8.0
+        return SimpleNamespace(status_code=201)
+
+    monkeypatch.setattr(module.Asker, "scene", answered)
+    times = SimpleNamespace(monotonic=lambda: clock.now, perf_counter=lambda: clock.now)
+    monkeypatch.setattr(module, "time", times)
+    load = module.Load()
+    load.clients(SimpleNamespace(address="http://127.0.0.1:9"), [], 0, 1, 10.0)
+    assert load.seconds["scene"] == [8.0, 8.0]
+    assert " 0.12 per second" in load.line("scene", 1)  # 2 in 16 s
+
+
+def splat_row(measuring: ModuleType, ratio: float | None) -> object:
+    return measuring.Row("a", 9, 64, 1.0, ratio, 1.0, None, 1.0, 0.5, ratio, {}, {})
+
+
+def test_a_renderer_that_did_not_run_has_an_empty_cell(benchmark) -> None:
+    measuring = benchmark("splat.measure")
+    cells = [splat_row(measuring, ratio).cells() for ratio in (None, 7.0)]
+    assert [(row["x plain"], row["dB to plain"]) for row in cells] == [("", ""), ("7.0", "7")]
+
+
+@pytest.mark.parametrize(
+    ("module", "options", "told"),
+    [
+        ("splat.run", ["--ply", "none.ply"], "none.ply is no file"),
+        ("splat.run", ["--cameras", __file__], "1 camera files for 0 scenes"),
+        ("scene.detail", [], "no scenes: name a SCENE_DIR"),
+        ("viewer.compare", ["--chromium", sys.executable, "--view", "8"], "has 8 views: need 0 to 7"),
+        ("viewer.compare", ["--chromium", "no-such-browser"], "no-such-browser is no command here"),
+    ],
+)
+def test_wrong_usage_is_told_before_the_work(
+    module: str,
+    options: list[str],
+    told: str,
+    benchmark,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    found = benchmark(module)
+    for name in ("warm_up", "Reconstructor", "subprocess"):
+        monkeypatch.setattr(found, name, None, raising=False)
+    monkeypatch.setattr(found, "VIEWER", tmp_path, raising=False)
+    monkeypatch.setattr("sys.argv", ["benchmark", *options])
+    with pytest.raises(SystemExit) as ended:
+        found.main()
+    assert told in f"{ended.value} {capsys.readouterr().err}"
+
+
+def test_means_of_photographs_and_of_generated_scenes_are_apart(
+    benchmark, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only the former have targets at the network's own size."""
+    detail = benchmark("scene.detail")
+    values = iter(range(20, 28))
+    target = SimpleNamespace(image=None)
+
+    def row(_service: object, found: tuple, *_: object) -> tuple[object, None]:
+        seen = detail.Figures(float(next(values)), None, None)
+        nothing = detail.Figures(None, None, None)
+        return detail.Row(seen, seen if found[2] else nothing, 1.0, 1.0, 1.0), None
+
+    monkeypatch.setattr(detail, "Reconstructor", lambda: SimpleNamespace(engine=SimpleNamespace(info=size)))
+    size = SimpleNamespace(height=32, width=32)
+    for name, own in (("photographs", [target]), ("generated", ())):
+        scenes = [(SimpleNamespace(name=f"{name} {number}"), [target], own) for number in range(2)]
+        monkeypatch.setattr(detail, name, lambda *_, scenes=scenes: scenes)
+    monkeypatch.setattr(detail, "row", row)
+    monkeypatch.setattr(detail, "drawn", lambda *_: np.zeros(0))
+    monkeypatch.setattr(detail, "default_weights", lambda: None)
+    monkeypatch.setattr("sys.argv", ["detail", "a", "b", "--generated", "2"])
+    detail.main()
+    means = [line for line in capsys.readouterr().out.splitlines() if "mean" in line]
+    assert [line.split("|")[1:4] for line in means] == [
+        [" mean of 2 photographs, 1 ", " 21.00 / - / - ", " 21.00 / - / - "],
+        [" mean of 2 photographs, 2 ", " 22.00 / - / - ", " 22.00 / - / - "],
+        [" mean of 2 generated scenes, 1 ", " 25.00 / - / - ", " - / - / - "],
+        [" mean of 2 generated scenes, 2 ", " 26.00 / - / - ", " - / - / - "],
+    ]
+
+
+def test_onnxruntime_to_which_ratios_refer_always_runs(benchmark, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = benchmark("network.run")
+
+    @contextmanager
+    def worker(name: str, *_: object) -> Iterator[SimpleNamespace]:
+        yield SimpleNamespace(name=name, run=lambda: None, rows=[])
+
+    monkeypatch.setattr(network, "worker", worker)
+    for checkpoint, others in ((None, []), (Path("a.safetensors"), ["torch"])):
+        timed = network.compare(Path("a.onnx"), checkpoint, None, 2, 1, {}, ["torch"])
+        assert [one.name for one in timed] == ["matrix product", "onnxruntime", *others]
