@@ -130,3 +130,14 @@ def test_onnxruntime_to_which_ratios_refer_always_runs(benchmark, monkeypatch: p
     for checkpoint, others in ((None, []), (Path("a.safetensors"), ["torch"])):
         timed = network.compare(Path("a.onnx"), checkpoint, None, 2, 1, {}, ["torch"])
         assert [one.name for one in timed] == ["matrix product", "onnxruntime", *others]
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_operations_that_nothing_counted_are_not_told(benchmark, counted: bool) -> None:
+    """Torch counts them."""
+    names = ["matrix product", "onnxruntime", *(["torch"] if counted else [])]
+    rows = [{"operations": 3e9}]
+    timed = [SimpleNamespace(name=name, rows=rows, median=lambda what="cpu": 1.0) for name in names]
+    *lines, last = benchmark("network.run").table(timed)
+    assert ("; the network has 3.0 GFLOP" in last) == counted
+    assert all((" 100% " in line) == counted for line in lines)

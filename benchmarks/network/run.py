@@ -125,7 +125,8 @@ def table(timed: Sequence[Timed]) -> list[str]:
         lines.append(
             f"| {one.name} | {one.median():.3f} | {one.median() / base:.2f} | {share} | {one.median('peak_mb'):.0f} |"
         )
-    lines.append(f"\nmatrix product {peak / 1e9:.0f} GFLOP/s on one core; the network has {flop / 1e9:.1f} GFLOP\n")
+    counted = f"; the network has {flop / 1e9:.1f} GFLOP" if flop else ""
+    lines.append(f"\nmatrix product {peak / 1e9:.0f} GFLOP/s on one core{counted}\n")
     return lines
 
 
