@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -48,14 +48,16 @@ def test_the_rate_counts_the_time_that_the_last_answer_took(benchmark, monkeypat
     assert " 0.12 per second" in load.line("scene", 1)  # 2 in 16 s
 
 
-def splat_row(measuring: ModuleType, ratio: float | None) -> object:
-    return measuring.Row("a", 9, 64, 1.0, ratio, 1.0, None, 1.0, 0.5, ratio, {}, {})
-
-
-def test_a_renderer_that_did_not_run_has_an_empty_cell(benchmark) -> None:
+def test_what_did_not_run_has_an_empty_cell(benchmark, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plain renderer on many splats, and two threads where all renderers have one."""
     measuring = benchmark("splat.measure")
-    cells = [splat_row(measuring, ratio).cells() for ratio in (None, 7.0)]
-    assert [(row["x plain"], row["dB to plain"]) for row in cells] == [("", ""), ("7.0", "7")]
+    scene, view = benchmark("splat.scenes").surface_scene(64, 0), benchmark("splat.scenes").camera(16)
+    found = []
+    for threads, most in ((1, 0), (2, 64)):
+        monkeypatch.setattr(measuring, "PLAIN_UP_TO", most)
+        found.append(measuring.measure("a", scene, view, 1, threads, [], 1.0).cells())
+    names = ("x plain", "dB to plain", "one to two threads")
+    assert [[cells[name] != "" for name in names] for cells in found] == [[False] * 3, [True] * 3]
 
 
 @pytest.mark.parametrize(

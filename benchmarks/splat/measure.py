@@ -40,7 +40,7 @@ class Row:
     px: int  # width of the picture
     milliseconds: float
     ratio: float | None  # plain renderer's time over ours; None where it did not run
-    scaling: float  # one thread's time over that of two
+    scaling: float | None  # one thread's time over that of two; None where all have one thread
     harmonics: float | None  # time over that with degree 0 alone, where the scene has more
     pairs: float  # millions, of a Gaussian and a pixel
     share: float  # of the measured float32 peak, in the blend stage
@@ -52,7 +52,7 @@ class Row:
         """The table's row."""
         cells = {"scene": self.name, "px": str(self.px), "ms": f"{self.milliseconds:.1f}"}
         cells["x plain"] = "" if self.ratio is None else f"{self.ratio:.1f}"
-        cells["one to two threads"] = f"{self.scaling:.2f}"
+        cells["one to two threads"] = "" if self.scaling is None else f"{self.scaling:.2f}"
         cells |= {stage: f"{value:.1f}" for stage, value in self.stages.items()}
         cells |= {"M pairs": f"{self.pairs:.1f}", "blend / peak": f"{100 * self.share:.0f} %"}
         cells["dB to plain"] = "" if self.agreement is None else f"{self.agreement:.0f}"
@@ -72,10 +72,9 @@ def measure(
         stages.append(image.stats["seconds"])
         return image.rgb
 
-    runs: dict[str, Draw] = {
-        "ours": ours,
-        "one": lambda camera: render(gaussians, camera, threads=1, outputs=()).rgb,
-    }
+    runs: dict[str, Draw] = {"ours": ours}
+    if threads > 1:
+        runs["one"] = lambda camera: render(gaussians, camera, threads=1, outputs=()).rgb
     if threads > 2:
         runs["two"] = lambda camera: render(gaussians, camera, threads=2, outputs=()).rgb
     if gaussians.sh_degree > 0:
@@ -110,7 +109,7 @@ def measure(
         view.width,
         1e3 * median["ours"],
         median["plain"] / median["ours"] if "plain" in runs else None,
-        median["one"] / median["two" if threads > 2 else "ours"],
+        median["one"] / median["two" if threads > 2 else "ours"] if threads > 1 else None,
         median["ours"] / median["degree 0"] if "degree 0" in runs else None,
         pairs / 1e6,
         pairs * FLOP_PER_PAIR / middle["blend"] / (1e9 * peak),

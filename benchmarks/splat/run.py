@@ -58,7 +58,7 @@ def trained_scene(path: Path, cameras: Path | None, size: int) -> tuple[Gaussian
     return gaussians, view.resized(size, round(size * view.height / view.width))
 
 
-def verdicts(rows: list[tuple[Row, float | None]], threads: int) -> list[str]:
+def verdicts(rows: list[tuple[Row, float | None]]) -> list[str]:
     """The requirements, and whether each is met."""
     lines = []
 
@@ -73,7 +73,7 @@ def verdicts(rows: list[tuple[Row, float | None]], threads: int) -> list[str]:
             say(f"{row.name} at {row.px} px, times SH 0", row.harmonics, NEED_HARMONICS, reached)
     large = [row for row, _ in rows if row.px == 1024 and "SH 0" in row.name]
     for row in large:
-        if row.count == 131_072 and threads > 1:
+        if row.count == 131_072 and row.scaling is not None:
             say("one thread to two", row.scaling, NEED_SCALING, row.scaling >= NEED_SCALING)
     if len(large) > 1:
         growth = (large[-1].milliseconds / large[0].milliseconds) / (large[-1].count / large[0].count)
@@ -123,7 +123,7 @@ def main() -> None:
     print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
     for row, _ in rows:
         print("| " + " | ".join(row.cells().get(key, "") for key in columns) + " |")
-    lines = verdicts(rows, options.threads)
+    lines = verdicts(rows)
     for name, seconds, need in zip(
         ("first picture, s", "first picture of a later process, s"),
         first_and_later(),
