@@ -115,7 +115,7 @@ def quaternions() -> Row:
         wide = raw.astype(np.float64)
         exact = matrix_from_quaternion(wide / np.linalg.norm(wide, axis=1, keepdims=True))
         ours, others, simple = (
-            float(np.abs(matrix_from_quaternion(unit) - exact).max())
+            float(np.abs(matrix_from_quaternion(unit.astype(np.float64)) - exact).max())
             for unit in (normalized_quaternions(raw), heads, naive.unit_quaternion(raw))
         )
         worst, plain = larger(worst, ours, others), larger(plain, simple)
