@@ -104,8 +104,8 @@ def export(
 
     With --json refusals and rejections are printed as well, as {"error": {"detail": ...}}.
 
-    Exit status: 0 accepted; 1 refused (checkpoint, size, memory, disk); 2 wrong usage; 3 beyond tolerance, in which case the
-    file is kept as NAME.rejected.onnx and OUT is left as it was.
+    Exit status: 0 accepted; 1 refused (checkpoint, size, memory, disk); 2 wrong usage; 3 beyond tolerance, in which
+    case the file is kept as NAME.rejected.onnx and OUT is left as it was.
     """
     if report is None and scene:
         raise typer.BadParameter("goes with --report", param_hint="--scene")

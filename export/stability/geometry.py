@@ -170,12 +170,11 @@ def half_turns() -> Row:
 
 
 def ply_file() -> Row:
-    worst = plain = 0.0
-    opacities = np.array([1e-38, 1e-6, 0.5, 1 - 2.0**-24, 1.0], np.float32)
-    scales = np.array([1e-38, 1e-6, 1.0, 1e6, 1e38], np.float32)
-    turned, harmonics = np.tile([1.0, 0, 0, 0], (5, 1)), np.zeros((5, 1, 3))
-    scene = Gaussians.make(np.ones((5, 3)), np.tile(scales[:, None], (1, 3)), turned, opacities, harmonics)
-    back = read_ply(io.BytesIO(ply_bytes(scene)))
+    opacities = np.array([1e-38, 1e-6, *np.linspace(0.01, 0.99, 50), 1 - 2.0**-24, 1.0], np.float32)
+    count = len(opacities)
+    scales, turned = np.geomspace(1e-38, 1e38, count), np.tile([1.0, 0, 0, 0], (count, 1))
+    columns = np.tile(scales[:, None], (1, 3)), turned, opacities, np.zeros((count, 1, 3))
+    back = read_ply(io.BytesIO(ply_bytes(Gaussians.make(np.ones((count, 3)), *columns))))
     worst = float(np.abs(back.opacities - opacities).max())
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         logit = np.log(opacities / (np.float32(1) - opacities))

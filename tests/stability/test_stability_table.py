@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,14 @@ from typer.testing import CliRunner
 
 from gapmes.export import measurements
 from gapmes.export.cli import app
-from gapmes.export.stability import geometry, matching, naive
+from gapmes.export.stability import geometry, matching, naive, routing
 from gapmes.export.stability import table as writing
 from gapmes.export.stability.row import Row
 from gapmes.export.stability.splatter import cloud, view
 from gapmes.export.stability.table import CASES, all_rows, markdown, stability_table
+from gapmes.model.routing import hybrid_weights
+from gapmes.service.formats.ply_write import _logit
+from gapmes.service.gaussians import normalized_quaternions
 from gapmes.service.splat import render_reference
 
 
@@ -70,17 +74,34 @@ def test_a_case_that_finds_nan_fails_and_is_written(tmp_path: Path, monkeypatch:
     assert [(row["passed"], row["worst"]) for row in body["rows"]] == [(False, "not finite")] * 2
 
 
-def test_a_short_quaternion_taken_for_none_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_short_ones(wxyz: np.ndarray) -> np.ndarray:
     """The identity is a rotation too, but another one."""
-    right = geometry.normalized_quaternions
+    short = np.abs(wxyz).max(axis=1, keepdims=True) < 1e-20
+    return normalized_quaternions(np.where(short, np.float32([1, 0, 0, 0]), wxyz))
 
-    def cut(wxyz: np.ndarray) -> np.ndarray:
-        short = np.abs(wxyz).max(axis=1, keepdims=True) < 1e-20
-        return right(np.where(short, np.float32([1, 0, 0, 0]), wxyz))
 
-    assert geometry.quaternions().passed
-    monkeypatch.setattr(geometry, "normalized_quaternions", cut)
-    assert not geometry.quaternions().passed
+@pytest.mark.parametrize(
+    ("row", "place", "spoilt"),
+    [
+        (geometry.quaternions, "gapmes.export.stability.geometry.normalized_quaternions", without_short_ones),
+        (
+            geometry.ply_file,
+            "gapmes.service.formats.ply_write._logit",
+            lambda opacities: _logit(opacities).astype(np.float16),
+        ),
+        (
+            routing.balance,
+            "gapmes.export.stability.routing.hybrid_weights",
+            lambda soft, balance: hybrid_weights(soft, 1 - balance),
+        ),
+    ],
+)
+def test_a_mistake_that_keeps_lengths_extremes_and_sums_is_found(
+    row: Callable[[], Row], place: str, spoilt: Callable[..., object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert row().passed
+    monkeypatch.setattr(place, spoilt)
+    assert not row().passed
 
 
 def test_progress_is_told_case_by_case(tmp_path: Path) -> None:
