@@ -9,7 +9,7 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from typing import Any
 import httpx
 import numpy as np
 import uvicorn
-from browser_tab import Tab
+from browser_tab import PATIENCE_MS, Tab
 from http_requests import camera_object, photograph
 from numpy.typing import NDArray
 from PIL import Image
@@ -153,6 +153,14 @@ def opened(tab: Tab, scene: str) -> Any:
     page.click("#mode-server")
     page.wait_for_selector("#picture[src^='blob:']")
     return page
+
+
+def until(page: Any, holds: Callable[[], Any]) -> None:
+    """Let the browser's events come until the condition holds, for as long as the page's own waits last."""
+    deadline = time.monotonic() + PATIENCE_MS / 1000
+    while not holds():
+        assert time.monotonic() < deadline, "the page did not come so far"
+        page.wait_for_timeout(10)
 
 
 def settled(page: Any) -> None:

@@ -88,11 +88,11 @@ def test_back_and_forward_in_the_middle_of_a_job_follow_it_once(
     before = page.url
     page.click("#go")
     page.wait_for_selector("#stage-name:has-text('network')")
-    for step in (page.go_back, page.go_forward):
-        step()
-        page.wait_for_timeout(1000)
+    with page.expect_response(f"**/scenes/{newest}"):
+        page.go_back()
+    page.go_forward()
     assert "/?job=" in page.url
     shows(page, newest)
-    assert len(followed) == 1
     held_network.set()
     made(page, before)
+    assert len(followed) == 1

@@ -11,7 +11,7 @@ import httpx
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object
-from page_service import cloud, opened, settled
+from page_service import cloud, opened
 
 from gapmes.service.formats.registry import FORMATS
 
@@ -44,18 +44,16 @@ def test_of_many_inputs_those_that_are_seen_are_drawn(tab: Tab, many: str) -> No
     tab.page.on("request", lambda request: "/render?" in request.url and asked.append(request.url))
     page = opened(tab, many)
     page.wait_for_selector(".inputs img[src^='blob:'] >> nth=1")
-    settled(page)
-    page.wait_for_timeout(3000)  # for what it should not ask for
-    of_rows = [url for url in asked if "height=72" not in url and "channel=rgb" not in url]
-    assert 2 <= len(of_rows) < COUNT
     shown = page.locator(".inputs img").first.bounding_box()["width"]
-    assert {re.findall(r"&width=(\d+)", url)[0] for url in of_rows} == {str(math.ceil(shown))}
     assert page.locator(".inputs th").all_inner_texts() == ["drawn again", "depth"]
     first, last = page.locator(".inputs img").first, page.locator(".inputs img").last
     assert first.get_attribute("alt") == "View 0"
     assert last.get_attribute("src") is None
     last.scroll_into_view_if_needed()
-    page.wait_for_selector(".inputs tr:last-child img[src^='blob:']")
+    page.wait_for_selector(".inputs tr:last-child img[src^='blob:'] >> nth=1")
+    of_rows = [url for url in asked if "height=72" not in url and "channel=rgb" not in url]  # in their order
+    assert 2 <= len(of_rows) < COUNT
+    assert {re.findall(r"&width=(\d+)", url)[0] for url in of_rows} == {str(math.ceil(shown))}
 
 
 def test_numbers_of_a_plan_can_be_read(tab: Tab, many: str, scene: str) -> None:

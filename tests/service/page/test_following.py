@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from browser_tab import Tab
-from page_service import choose_two, made
+from page_service import choose_two, made, until
 
 BUSY = {"title": "Service busy", "status": 503, "code": "service_busy", "detail": "2 requests are following jobs"}
 
@@ -27,13 +27,13 @@ def test_without_a_stream_the_job_itself_is_asked(tab: Tab, tmp_path: Path, held
     before = page.url
     page.click("#go")
     page.wait_for_selector("#progress:not([hidden])")
-    for _ in range(3000):  # a minute, for a busy machine to reach that stage
+
+    def followed_long() -> bool:
         page.clock.run_for(1600)
-        page.wait_for_timeout(20)
         often = len([url for url in asked if "/events" in url]) >= 25  # more than it tries where nobody answers
-        if often and "network" in page.inner_text("#stage-name"):
-            break
-    assert "network" in page.inner_text("#stage-name")
+        return often and "network" in page.inner_text("#stage-name")
+
+    until(page, followed_long)
     assert page.inner_text("#problem") == ""
     page.clock.resume()
     held_network.set()

@@ -42,7 +42,7 @@ def test_only_the_first_button_turns(tab: Tab) -> None:
         page.mouse.down(button=button)
         page.mouse.move(x - 30, y)
         page.mouse.up(button=button)
-        page.wait_for_timeout(500)
+        settled(page)
         assert ("turned" in page.inner_text("#caption")) == turned, button
 
 

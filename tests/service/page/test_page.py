@@ -125,6 +125,8 @@ def test_back_leads_out_of_a_scene_and_starting_over_starts_nothing(tab: Any, tm
     """Steps of the history are scenes, not jobs. "Try the sample", once cancelled, does not send what comes later."""
     page = tab.open()
     first = page.url
+    sent: list[str] = []
+    page.on("request", lambda request: request.url.endswith("/reconstruct") and sent.append(request.url))
     held: list[Any] = []
     page.route("**/check", lambda route: route.continue_() if held else held.append(route))  # the first one waits
     with page.expect_request("**/check"):
@@ -132,11 +134,11 @@ def test_back_leads_out_of_a_scene_and_starting_over_starts_nothing(tab: Any, tm
     page.click("#clear")
     choose_two(page, tmp_path, seed=97)
     held[0].continue_()  # the answer for the sample comes late
-    page.wait_for_timeout(1000)
     assert page.url == first
     page.click("#go")
     scene = made(page, first)
-    page.wait_for_timeout(500)
+    page.wait_for_selector("#progress", state="hidden")
+    assert len(sent) == 1
     page.go_back()
     page.wait_for_url(lambda url: scene not in url and "job" not in url)
     page.go_forward()

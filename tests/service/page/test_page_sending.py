@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import choose_two, cloud, made, stored_cloud, write_scene
+from page_service import choose_two, cloud, made, stored_cloud, until, write_scene
 
 from gapmes.service.formats.registry import FORMATS
 
@@ -178,8 +178,7 @@ def test_a_check_that_is_under_way_is_not_given_up_for_another(tab: Tab) -> None
     page.goto(tab.address)
     with page.expect_request("**/check"):
         page.click("#sample")
-    while not (lists and checks):
-        page.wait_for_timeout(20)
+    until(page, lambda: lists and checks)
     before = page.url
     lists[0].continue_()
     page.wait_for_selector("#main[aria-busy=false]")
