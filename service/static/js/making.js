@@ -4,6 +4,7 @@ import { addressOf, forgetJob, nameJob } from "./address.js";
 import { ask, askBlob, askJson, Refused } from "./api.js";
 import { add, all, cameras, fillChooser, gaussians, images, isCameras, prepareChosen, strays, takeAllOut, takeOut, zips } from "./chosen.js";
 import { $, counted, discard, make, tell } from "./dom.js";
+import { prepareDropping } from "./dropping.js";
 import { Ended, follow, following } from "./job.js";
 import { fill, prepareOptions, tellSet, unset } from "./options.js";
 import { impossible, missing, MOST } from "./refusals.js";
@@ -26,14 +27,7 @@ export function prepareMaking(open) {
   $("files").addEventListener("change", () => take([...$("files").files]));
   $("files").addEventListener("click", () => { $("files").value = ""; }); // or a file that was edited could not be chosen again
   $("files").addEventListener("cancel", fillChooser);
-  for (const name of ["dragenter", "dragover"]) {
-    document.addEventListener(name, (event) => {
-      event.preventDefault();
-      $("drop").classList.add("over");
-    });
-  }
-  document.addEventListener("dragleave", (event) => event.relatedTarget === null && $("drop").classList.remove("over"));
-  document.addEventListener("drop", dropped);
+  prepareDropping(take);
   $("clear").addEventListener("click", () => {
     clear();
     $("files").focus();
@@ -44,12 +38,12 @@ export function prepareMaking(open) {
   $("cancel").addEventListener("blur", () => { held = $("cancel").hidden; });
   $("upload").addEventListener("submit", (event) => {
     event.preventDefault();
-    if (ready && !running) (gaussians().length ? check : send)();
+    if (ready && !running) (gaussians().length ? check : begin)();
   });
   $("upload").addEventListener("change", ({ target }) => {
-    if (all().length && (gaussians().length ? OF_GAUSSIANS : OF_PHOTOGRAPHS).includes(target.id)) check();
+    if (all().length && (gaussians().length ? OF_GAUSSIANS : OF_PHOTOGRAPHS).includes(target.id)) check(ready && !gaussians().length);
   });
-  prepareChosen(() => (all().length ? looked() : clear()));
+  prepareChosen(() => (all().length ? others() : clear()));
   prepareOptions();
 }
 
@@ -70,24 +64,16 @@ function state(next) {
   $("clear").hidden = all().length === 0;
 }
 
-function dropped(event) {
-  event.preventDefault();
-  $("drop").classList.remove("over");
-  const folder = [...event.dataTransfer.items].map((item) => item.webkitGetAsEntry?.()).find((entry) => entry?.isDirectory);
-  if (!folder) return void take([...event.dataTransfer.files]);
-  tell($("problem"), { title: "A folder", detail: `${folder.name} is a folder`, cure: "drop its photographs with the camera file, or one zip of it" });
-}
-
 /** Files come in addition to those that are there; beside cameras alone a file of Gaussians that was refused stays. */
 function take(files) {
   if (refused && !files.every(isCameras)) takeOut(refused);
   refused = null;
   add(files);
-  return looked();
+  return others();
 }
 
 /** Other files are chosen than before. */
-function looked() {
+function others() {
   askHowMany(images().length);
   return check();
 }
@@ -130,20 +116,21 @@ function form() {
   return data;
 }
 
-/** Ask what the service understands; gives whether a reconstruction may begin. */
-const check = () => (looking = look());
+/** Ask what the service understands, `again` of files that it took; gives whether a reconstruction may begin. */
+const check = (again = false) => (looking = look(again));
 
-async function look() {
+async function look(again) {
   const signal = anew();
   const fault = impossible();
+  const wish = missing();
   tell($("problem"), fault);
-  state({ ready: false });
-  say();
+  if (wish || !again) state({ ready: false }); // else nothing moves below a pointer that goes on to press
+  if (wish || !again) say();
   if (fault) return false;
   if (gaussians().length) return load(gaussians()[0], signal);
-  const wish = missing();
-  say(make("p", {}, wish ?? "Checking the cameras …"));
+  if (wish || !again) say(make("p", {}, wish ?? "Checking the cameras …"));
   if (wish) return false;
+  $("understood").setAttribute("aria-busy", "true");
   try {
     const found = await askJson("/check", { method: "POST", body: form(), signal });
     if (signal.aborted) return false;
@@ -157,19 +144,28 @@ async function look() {
   } catch (error) {
     if (signal.aborted) return false;
     say();
+    state({ ready: false });
     tell($("problem"), error);
     return false;
   }
 }
 
+/** What the newest check or loading gives, once it has ended. */
+async function looked() {
+  const last = looking;
+  const result = await last;
+  return last === looking ? result : looked();
+}
+
 /** The service is there, or has its key: what it did not look at before is asked for again, once what is under way has failed. */
 export async function checkAgain() {
-  for (let last = null; last !== looking;) await (last = looking);
+  await looked();
   if (all().length && (refused || !ready) && !running) check();
 }
 
 function say(...nodes) {
   discard($("understood"));
+  $("understood").removeAttribute("aria-busy");
   $("understood").append(...nodes);
 }
 
@@ -227,6 +223,11 @@ function curedByOption(error) {
   if (!/drop_invalid/.test(error.problem?.cure)) return error;
   $("options").open = true;
   return { ...error.problem, cure: "tick \"Leave out rows that cannot be read\" under Options" };
+}
+
+/** Reconstruct what is chosen, once the newest check has ended well. */
+async function begin() {
+  if ((await looked()) && ready && !running) await send();
 }
 
 async function send() {

@@ -176,3 +176,23 @@ def test_what_is_set_is_told_and_ends_with_the_try(tab: Tab, tmp_path: Path) -> 
     document = httpx.get(f"{tab.address}/scenes/{made(page, before)}").json()
     assert document["near"] != 0.5
     assert page.input_value("#far") == ""
+
+
+DROPPED = """([text]) => {
+  const data = new DataTransfer();
+  data.setData("text/plain", text);
+  for (const kind of ["dragover", "drop"]) {
+    document.body.dispatchEvent(new DragEvent(kind, { dataTransfer: data, bubbles: true, cancelable: true }));
+    if (kind === "dragover" && document.querySelector("#drop.over")) throw Error("text is no file");
+  }
+}"""
+
+
+def test_what_is_dropped_and_is_no_file_is_told(tab: Tab, tmp_path: Path) -> None:
+    """For example a picture of another page, or a text; what is chosen stays."""
+    page = tab.open()
+    choose_two(page, tmp_path, seed=41)
+    page.evaluate(DROPPED, ["hello"])
+    assert "what was dropped is not a file" in page.inner_text("#problem")
+    assert page.is_enabled("#go")
+    assert len(listed(page)) == 3

@@ -1,0 +1,68 @@
+"""Options beside photographs that are chosen: whoever sets one goes on at once, while the page looks again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import httpx
+from browser_tab import Tab
+from page_service import choose_two, made, until
+
+
+def looks_again_slowly(page: Any) -> list[Any]:
+    """Checks that are held back from now on."""
+    held: list[Any] = []
+    page.route("**/check", lambda route: held.append(route))
+    return held
+
+
+def test_a_press_after_an_option_is_not_lost(tab: Tab, tmp_path: Path) -> None:
+    """The field is left as the button goes down: nothing may move away from below the pointer."""
+    page = tab.open()
+    choose_two(page, tmp_path, seed=200)
+    page.click("summary:has-text('Options')")
+    held = looks_again_slowly(page)
+    page.fill("#near", "0.5")
+    page.check("#trust_poses")
+    assert page.is_checked("#trust_poses")
+    assert page.locator(".cards li").count() == 2
+    assert page.get_attribute("#understood", "aria-busy") == "true"
+    until(page, lambda: len(held) == 2)  # the first one was given up
+    held[1].continue_()
+    page.wait_for_selector("#understood:not([aria-busy])")
+    assert "Depth from 0.5" in page.inner_text("#understood")
+
+
+def test_reconstruct_waits_for_the_check(tab: Tab, tmp_path: Path) -> None:
+    """Pressed straight after an option, by Enter too, it begins as soon as the check has ended well, and once."""
+    page = tab.open()
+    choose_two(page, tmp_path, seed=202)
+    page.click("summary:has-text('Options')")
+    sent: list[str] = []
+    page.on("request", lambda request: request.url.endswith("/reconstruct") and sent.append(request.url))
+    held = looks_again_slowly(page)
+    page.fill("#near", "0.5")
+    page.press("#near", "Enter")
+    page.click("#go")
+    until(page, lambda: held)
+    assert sent == []
+    before = page.url
+    held[0].continue_()
+    document = httpx.get(f"{tab.address}/scenes/{made(page, before)}").json()
+    assert document["near"] == 0.5
+    assert len(sent) == 1
+
+
+def test_an_option_that_is_refused_ends_the_wait(tab: Tab, tmp_path: Path) -> None:
+    page = tab.open()
+    choose_two(page, tmp_path, seed=204)
+    page.click("summary:has-text('Options')")
+    page.fill("#near", "20")
+    page.click("#go")
+    page.wait_for_selector("#problem:has-text('near = 20')")
+    assert page.is_disabled("#go")
+    assert page.inner_text("#understood") == ""
+    page.fill("#near", "0.5")
+    page.press("#near", "Tab")
+    page.wait_for_selector("#go:not([disabled])")
