@@ -53,7 +53,7 @@ async function silence(body) {
       return { title: "File unreadable", detail, cure: "choose it again" };
     }
   }
-  return { title: "Unreachable", detail: "the service does not answer", cure: "check that it is running" };
+  return { title: "Unreachable", detail: "the service does not answer", cure: "wait a moment and try again; if that does not help, tell whoever runs the service" };
 }
 
 /** A successful response. Throws `Refused` for any other. */

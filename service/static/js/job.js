@@ -9,6 +9,7 @@ const PASSING = [0, 502, 503, 504]; // transient: no answer, or a proxy whose se
 
 let current = null;
 let ending = false; // it was asked to
+let complaint = null; // the node that tells that it could not be cancelled
 
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
@@ -52,23 +53,33 @@ export async function follow(id) {
 /** The job once it has ended: by its events or, without them, by polling. */
 async function watched(id) {
   let last = "0";
-  let refused = null;
-  for (let tries = 0; tries < RETRIES; tries += 1) {
-    await passing(async () => {
-      for await (const { id: number, event, data } of events(`${pathOf(id)}/events?after=${last}`)) {
-        last = number;
-        if (event === "stage") stage(data);
-      }
-    });
+  for (let tries = 1; ; tries += 1) {
     let job = null;
-    refused = await passing(async () => { job = await askJson(pathOf(id)); });
+    let heard = false;
+    const refused = await passing(async () => { job = await askJson(pathOf(id)); });
     if (job?.state === "done" || job?.problem) return job;
-    if (job) tries = 0;
-    if (job?.stage) stage(job.stage);
+    if (refused && tries === RETRIES) throw refused;
     if (refused) say(`${refused.message}; retrying`);
-    await pause(PAUSE_MS);
+    else {
+      tries = 0;
+      here(job);
+      await passing(async () => {
+        for await (const { id: number, event, data } of events(`${pathOf(id)}/events?after=${last}`)) {
+          [last, heard] = [number, true];
+          if (event === "stage") stage(data);
+        }
+      });
+    }
+    if (!heard) await pause(PAUSE_MS);
   }
-  throw refused;
+}
+
+/** The service tells where the job is. */
+function here(job) {
+  if (complaint?.isConnected) tell($("problem"), null);
+  if (job.stage) return stage(job.stage);
+  $("bar").removeAttribute("value");
+  say("waiting in the queue");
 }
 
 /** Run `act`; returns a transient error, null without one. Throws `Ended` for other refusals. */
@@ -114,5 +125,6 @@ $("cancel").addEventListener("click", async () => {
   } catch (error) {
     end(false);
     tell($("problem"), error);
+    complaint = $("problem").firstChild;
   }
 });

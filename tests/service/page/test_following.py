@@ -69,3 +69,24 @@ def test_a_cancelled_job_is_ending_until_it_has_ended(tab: Tab, tmp_path: Path, 
     assert page.evaluate("document.activeElement.id") == "go"
     page.click("#go")
     page.wait_for_selector("#cancel[aria-disabled=false]")
+
+
+def test_a_service_that_is_back_is_told(tab: Tab, tmp_path: Path, held_network: threading.Event) -> None:
+    """What was said of its absence goes, also of a job that waits in the queue and of which there is no news."""
+    queued = {"state": "queued", "stage": None}
+    page = tab.open()
+    choose_two(page, tmp_path, seed=180)
+    before = page.url
+    page.route("**/events?*", lambda route: None)  # a stream without events
+    page.route("**/jobs/*", lambda route: route.abort())
+    page.click("#go")
+    page.wait_for_selector("#stage-name:has-text('the service does not answer; retrying')")
+    page.click("#cancel")
+    page.wait_for_selector("#problem:has-text('the service does not answer')")
+    page.route("**/jobs/*", lambda route: route.fulfill(json=queued))
+    page.wait_for_selector("#stage-name:text('waiting in the queue')")
+    page.wait_for_selector("#problem:empty", state="attached")
+    page.unroute_all()
+    page.reload()
+    held_network.set()
+    made(page, before)
