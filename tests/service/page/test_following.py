@@ -77,13 +77,14 @@ def test_a_service_that_is_back_is_told(tab: Tab, tmp_path: Path, held_network: 
     page = tab.open()
     choose_two(page, tmp_path, seed=180)
     before = page.url
-    page.route("**/events?*", lambda route: None)  # a stream without events
-    page.route("**/jobs/*", lambda route: route.abort())
+    page.route("**/jobs/**", lambda route: route.abort())
     page.click("#go")
     page.wait_for_selector("#stage-name:has-text('the service does not answer; retrying')")
     page.click("#cancel")
     page.wait_for_selector("#problem:has-text('the service does not answer')")
+    page.route("**/events?*", lambda route: None)  # a stream without events
     page.route("**/jobs/*", lambda route: route.fulfill(json=queued))
+    page.unroute("**/jobs/**")
     page.wait_for_selector("#stage-name:text('waiting in the queue')")
     page.wait_for_selector("#problem:empty", state="attached")
     page.unroute_all()
