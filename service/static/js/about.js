@@ -26,7 +26,7 @@ export function showAbout(target, scene) {
   if (!scene) return;
   for (const warning of scene.warnings ?? []) target.append(make("p", { class: "warning" }, make("strong", {}, "Note: "), warning.message));
   target.append(files(scene));
-  target.append(part("Inputs beside their pictures", (body) => inputs(body, scene), true));
+  target.append(part(scene.links.inputs ? "Inputs beside their pictures" : "Views and their depth", (body) => inputs(body, scene), true));
   if (scene.left_out?.length) target.append(part("What was left out, and what it cost", (body) => leftOut(body, scene)));
   if (scene.check?.input_views) target.append(part("How far to trust the scene", (body) => trust(body, scene)));
   target.append(part("Cameras and timings", (body) => timings(body, scene)));

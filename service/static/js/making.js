@@ -145,7 +145,7 @@ async function look(again) {
     if (signal.aborted) return false;
     say();
     state({ ready: false });
-    tell($("problem"), error);
+    tell($("problem"), withName(error));
     return false;
   }
 }
@@ -218,6 +218,13 @@ async function load(file, signal) {
   return false;
 }
 
+/** With the name of the photograph instead of its place among them. */
+function withName(error) {
+  const { field, index } = error.problem ?? {};
+  const file = field === "images" && images()[index];
+  return file ? { ...error.problem, file: file.name } : error;
+}
+
 /** In the page's words where one of its options helps, which is shown then. */
 function curedByOption(error) {
   if (!/drop_invalid/.test(error.problem?.cure)) return error;
@@ -243,7 +250,7 @@ async function send() {
     const answer = await ask("/reconstruct", { method: "POST", body: form(), headers, signal: sent.signal });
     job = answer.headers.get("Location").split("/").pop();
   } catch (error) {
-    if (!sent.signal.aborted) tell($("problem"), error);
+    if (!sent.signal.aborted) tell($("problem"), withName(error));
     ended();
   } finally {
     sent = null;

@@ -14,10 +14,11 @@ export function missing() {
   const count = images().length;
   if (zips().length && !count) return null;
   if (!cameras().length && !zips().length) {
-    return `${counted(count, "photograph")}. Add their camera file: cameras.json, transforms.json, poses_bounds.npy or a RealEstate10K .txt, or a zip of a COLMAP model.`;
+    return `${counted(count, "photograph")}. Add their camera file: cameras.json, transforms.json, poses_bounds.npy or a RealEstate10K .txt, or a zip of a COLMAP model. If there is none, the program COLMAP computes it, from eight photographs or more: choose one zip of its project folder.`;
   }
   if (count > MOST && !$("context").value) return `${counted(all().length, "file")}. Choose how many photographs to use.`;
-  return count < 2 ? `${count} of 2 to ${MOST} photographs.` : null;
+  if (count < 2) return `${counted(count, "photograph")} so far. Add ${count ? "1" : "2"} or more, of 2 to ${MOST} photographs.`;
+  return null;
 }
 
 /** A problem document about files that cannot be sent, null if all can. */
@@ -30,9 +31,10 @@ export function impossible() {
     return { title: "Files of Gaussians", detail: `${gaussians().length} at once, need one: ${names(gaussians())}`, cure: "remove the others, and load the files one at a time" };
   }
   const those = [...cameras(), ...zips()];
-  if ((count || gaussians().length) && those.length > 1) {
-    const beside = count ? "the photographs" : gaussians()[0].name;
-    return { title: "Camera files", detail: `${those.length} beside ${beside}, need one: ${names(those)}`, cure: "remove the others; add a COLMAP model of several files as one zip" };
+  if (those.length > 1) {
+    const beside = count ? " beside the photographs" : gaussians().length ? ` beside ${gaussians()[0].name}` : "";
+    const cure = zips().length && !count ? "remove the others; the cameras of a zip belong inside it" : "remove the others; add a COLMAP model of several files as one zip";
+    return { title: "Camera files", detail: `${those.length}${beside}, need one: ${names(those)}`, cure };
   }
   if (strays().length === all().length) return { title: "Files", detail: `${names(strays())}: none can be used`, cure: `choose ${TAKEN}` };
   if (count <= MOST_SENT) return null;

@@ -175,7 +175,10 @@ turnBy($("stage"), move);
 $("nearer").addEventListener("click", () => move(0, 0, 1.2));
 $("farther").addEventListener("click", () => move(0, 0, 1 / 1.2));
 $("full").hidden = !document.fullscreenEnabled;
-$("full").addEventListener("click", () => $("stage").requestFullscreen());
+$("full").addEventListener("click", () => {
+  $("stage").requestFullscreen();
+  $("stage").focus(); // for the keys that turn it
+});
 $("mode-webgl").addEventListener("click", () => setMode("webgl"));
 $("mode-server").addEventListener("click", () => setMode("server"));
 $("channel").addEventListener("change", () => look(false));

@@ -45,6 +45,7 @@ def test_of_many_inputs_those_that_are_seen_are_drawn(tab: Tab, many: str) -> No
     page = opened(tab, many)
     page.wait_for_selector(".inputs img[src^='blob:'] >> nth=1")
     shown = page.locator(".inputs img").first.bounding_box()["width"]
+    assert page.locator("#about summary").first.inner_text() == "Views and their depth"
     assert page.locator(".inputs th").all_inner_texts() == ["drawn again", "depth"]
     first, last = page.locator(".inputs img").first, page.locator(".inputs img").last
     assert first.get_attribute("alt") == "View 0"

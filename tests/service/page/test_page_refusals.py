@@ -39,9 +39,18 @@ FISHEYE = {
         ([photograph(0), photograph(1)], FISHEYE, "FISHEYE"),
         ([photograph(0), photograph(1)], "{no json", "JSON"),
         ([photograph(0), photograph(1)], {"views": []}, "non-empty list of views"),
-        ([photograph(0), b"\x89PNG\r\n\x1a\n broken"], camera_object(2), r"^Image unreadable \(images 1\)"),
-        ([photograph(0), photograph(1), photograph(2)], camera_object(2), "2 cameras for 3 images"),
-        ([photograph(0), photograph(1, 16, 16)], camera_object(2), r"^Image invalid \(images 1\).*16"),
+        ([photograph(0), b"\x89PNG\r\n\x1a\n broken"], camera_object(2), r"^Image unreadable \(1\.png\)"),
+        (
+            [photograph(0), photograph(1), photograph(2)],
+            camera_object(2),
+            "2 cameras for 3 images.*\n.*to which",
+        ),
+        (
+            [photograph(0), photograph(1)[:-200]],
+            camera_object(2),
+            r"^Image unreadable \(1\.png\).*\n.*damaged",
+        ),
+        ([photograph(0), photograph(1, 16, 16)], camera_object(2), r"^Image invalid \(1\.png\).*16"),
     ],
 )
 def test_every_refusal_is_shown_with_what_helps(
@@ -63,14 +72,18 @@ def test_what_is_missing_is_said(tab: Any, tmp_path: Path) -> None:
     files = write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2))
     page.set_input_files("#files", files[:2])
     page.wait_for_selector("#understood:has-text('2 photographs. Add their camera file')")
+    assert "the program COLMAP computes it" in page.inner_text("#understood")
     page.click("#clear")
     page.set_input_files("#files", files[:1])
     page.wait_for_selector("#understood:has-text('1 photograph. Add their camera file')")
     page.click("#clear")
     page.set_input_files("#files", files[1:])
-    page.wait_for_selector("#understood:has-text('1 of 2 to 6 photographs')")
+    page.wait_for_selector("#understood:has-text('1 photograph so far. Add 1 or more')")
     page.set_input_files("#files", files[:1])
     page.wait_for_selector("#go:not([disabled])")
+    page.click("#clear")
+    page.set_input_files("#files", files[2:])
+    page.wait_for_selector("#understood:has-text('0 photographs so far. Add 2 or more')")
 
 
 def test_a_file_that_no_camera_names_is_told(tab: Any, tmp_path: Path) -> None:
@@ -82,8 +95,8 @@ def test_a_file_that_no_camera_names_is_told(tab: Any, tmp_path: Path) -> None:
     files[1] = files[1].rename(tmp_path / "notes.png")
     page.set_input_files("#files", files)
     page.wait_for_selector("#problem:has-text('4 cameras for 2 images, and none of them names')")
-    assert "(images 1)" in page.inner_text("#problem")
-    assert "notes.png" in page.inner_text("#problem")
+    assert "(notes.png)" in page.inner_text("#problem")
+    assert "the name that the camera file has for it" in page.inner_text("#problem")
 
 
 def test_the_files_of_a_model_go_in_as_one_zip(tab: Any, tmp_path: Path) -> None:
@@ -95,6 +108,18 @@ def test_the_files_of_a_model_go_in_as_one_zip(tab: Any, tmp_path: Path) -> None
     page.set_input_files("#files", files)
     page.wait_for_selector("#problem:has-text('2 beside the photographs, need one: cameras.txt, images.txt')")
     assert "one zip" in page.inner_text("#problem")
+
+
+@pytest.mark.parametrize("other", ["more.zip", "cameras.json"])
+def test_a_zip_comes_alone(tab: Any, tmp_path: Path, other: str) -> None:
+    """The page says so itself, since the words of the service are those of a form."""
+    page = tab.open()
+    files = [tmp_path / "capture.zip", tmp_path / other]
+    for file in files:
+        file.write_bytes(b"")
+    page.set_input_files("#files", files)
+    page.wait_for_selector("#problem:has-text('2, need one:')")
+    assert "the cameras of a zip belong inside it" in page.inner_text("#problem")
 
 
 def test_sixty_photographs_at_once(tab: Any, tmp_path: Path) -> None:

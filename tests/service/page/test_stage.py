@@ -164,6 +164,33 @@ def test_without_webgl_the_service_draws(playwright: Any, address: str, scene: s
         browser.close()
 
 
+def test_the_keys_turn_the_scene_on_the_full_screen(tab: Tab, scene: str) -> None:
+    page = opened(tab, scene)
+    page.click("#full")
+    page.wait_for_function("document.fullscreenElement?.id === 'stage'")
+    page.keyboard.press("ArrowRight")
+    settled(page)
+    assert "turned by 3°" in page.inner_text("#caption")
+
+
+def test_where_a_picture_is_still_to_come_there_are_words(tab: Tab, scene: str) -> None:
+    """And no sign of a broken one in its place."""
+    page = tab.page
+    page.route("**/render?*", lambda route: None)
+    tab.open(f"/?scene={scene}")
+    page.wait_for_selector("#drawing:visible")
+    pictures = page.locator(".inputs img:not([src])")
+    assert pictures.count() >= 2
+    assert (
+        pictures.evaluate_all("all => all.map(one => getComputedStyle(one).visibility)")
+        == ["hidden"] * pictures.count()
+    )
+    page.unroute_all()
+    tab.open(f"/?scene={scene}")
+    page.wait_for_selector("#picture[src^='blob:']")
+    assert page.is_hidden("#drawing")
+
+
 def test_everything_can_be_reached_by_keyboard(tab: Tab, scene: str) -> None:
     """Tabs go through all that can be pressed, in the order in which it is seen, and each has a name."""
     page = opened(tab, scene)
