@@ -87,12 +87,13 @@ export async function askBlob(path, options) {
 /** The body of a path as an object URL, which the caller revokes. */
 export const askPicture = async (path, options) => URL.createObjectURL(await askBlob(path, options));
 
-/** Load a path into an image, and revoke the object URL that it had. */
+/** Load a path into an image, and revoke the object URL that it had; nothing for one that was removed from the page. */
 export async function showPicture(image, path) {
+  if (!image.isConnected) return;
   const address = await askPicture(path);
+  if (!image.isConnected) return void URL.revokeObjectURL(address);
   if (image.src.startsWith("blob:")) URL.revokeObjectURL(image.src);
   image.src = address;
-  if (!image.isConnected) URL.revokeObjectURL(address); // it was removed meanwhile
 }
 
 /** Server-sent events of a path, one after the other, as {id, event, data}. */

@@ -106,19 +106,20 @@ async function choose(id) {
 
 function item(scene) {
   const picture = make("img", { alt: "", width: 72, height: 72 });
-  const open = make("button", { type: "button", "aria-label": `Show scene ${scene.id.slice(0, 8)} of ${scene.created}` }, picture);
+  const created = new Date(scene.created).toLocaleString();
+  const open = make("button", { type: "button", "aria-label": `Show scene ${scene.id.slice(0, 8)} of ${created}` }, picture);
   open.addEventListener("click", () => choose(scene.id));
   const what = scene.file ? `from a .${scene.file}, ` : `${scene.views} views, `;
   const node = make("li", { "data-id": scene.id }, open, make("div", {},
     make("p", {}, `${what}${count(scene.gaussians ?? 0)} Gaussians`),
-    make("p", { class: "small" }, make("time", { datetime: scene.created }, new Date(scene.created).toLocaleString())),
+    make("p", { class: "small" }, make("time", { datetime: scene.created }, created)),
     make("p", { class: "small" }, make("code", {}, scene.id.slice(0, 8)), " ", button("Delete", () => remove(scene.id, problem), { class: "quiet", "aria-label": `Delete scene ${scene.id.slice(0, 8)}` })),
   ));
   mark(node);
   const seen = new IntersectionObserver((entries) => {
     if (!entries.some((entry) => entry.isIntersecting)) return;
     seen.disconnect();
-    showPicture(picture, `${scene.links.views[0]}&height=72&format=jpeg`).catch(() => picture.classList.add("missing"));
+    showPicture(picture, `${scene.links.views[0]}&height=72&format=jpeg`).catch(() => undefined);
   });
   seen.observe(picture);
   return node;

@@ -11,7 +11,7 @@ import httpx
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object
-from page_service import cloud, opened
+from page_service import cloud, opened, settled, until
 
 from gapmes.service.formats.registry import FORMATS
 
@@ -75,3 +75,21 @@ def test_numbers_of_a_plan_can_be_read(tab: Tab, many: str, scene: str) -> None:
     for place, (x, y, width, height) in enumerate(boxes):
         for left, top, wide, _ in boxes[place + 1 :]:
             assert abs(top - y) >= 0.75 * height or x + width <= left or left + wide <= x
+
+
+def test_nothing_more_is_asked_for_a_scene_that_is_left(tab: Tab, many: str, scene: str) -> None:
+    """Its picture that comes late is thrown away, before the browser looks for it in vain."""
+    held: list[Any] = []
+    said: list[str] = []
+    tab.page.route(f"**/render?*{many}*&width=*", lambda route: held.append(route))
+    tab.page.on("console", lambda message: said.append(message.text))
+    page = opened(tab, many)
+    until(page, lambda: held)
+    page.click(f"li[data-id='{scene}'] button >> nth=0")
+    page.wait_for_selector(f"li.chosen[data-id='{scene}']")
+    with page.expect_event("requestfinished", lambda request: request.url == held[0].request.url):
+        held[0].continue_()
+    page.wait_for_selector(".inputs img[alt='Depth from view 1'][src]")  # pictures are loaded one after the other
+    settled(page)
+    assert len(held) == 1
+    assert not [text for text in said if "ERR_FILE_NOT_FOUND" in text]

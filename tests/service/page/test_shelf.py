@@ -76,6 +76,7 @@ def test_the_scene_on_show_is_told(tab: Tab) -> None:
         assert current.count() == 1
         assert current.evaluate("button => button.closest('li').dataset.id") == scene
         assert scene[:8] in page.title()
+        assert current.get_attribute("aria-label") == f"Show scene {scene[:8]} of {row.locator('time').inner_text()}"
 
 
 def test_a_scene_that_was_deleted_elsewhere_leaves_the_list(tab: Tab) -> None:
