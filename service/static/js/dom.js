@@ -28,7 +28,7 @@ export function tell(target, said) {
   target.replaceChildren();
   if (!problem) return;
   const at = problem.index === undefined ? "" : ` ${problem.index}`;
-  const named = problem.file ?? (problem.field && `${problem.field}${at}`);
+  const named = problem.name ?? (problem.field && `${problem.field}${at}`);
   const where = named ? ` (${named})` : "";
   target.append(make("strong", {}, `${problem.title}${where}: `), problem.detail || "");
   const cure = cureOf(problem);

@@ -1,7 +1,7 @@
 // The table of inputs: photograph, render, depth and routing of each view, loaded when they become visible.
 
 import { showPicture } from "./api.js";
-import { make } from "./dom.js";
+import { make, percent } from "./dom.js";
 import { legend, routingPicture, TASKS } from "./routing.js";
 import { decibels, head, row, wide } from "./table.js";
 
@@ -44,10 +44,12 @@ function view(scene, camera, index, kinds) {
   const photograph = scene.links.inputs && image(`Photograph ${index}`);
   const again = image(photograph ? `Photograph ${index}, drawn again` : `View ${index}`);
   const depth = image(`Depth from view ${index}`);
+  const share = scene.crop?.[index]?.kept_share;
+  const middle = share < 1 ? `, its middle ${percent(share)}` : "";
   const found = scene.check?.input_views?.[index];
   const places = kinds.map(() => make("span"));
   const node = row(
-    ...(photograph ? [figure(photograph, `input ${index}`)] : []),
+    ...(photograph ? [figure(photograph, `input ${index}${middle}`)] : []),
     figure(again, found ? decibels(found) : `view ${index}`),
     figure(depth, "near is dark"),
     ...places,

@@ -218,11 +218,13 @@ async function load(file, signal) {
   return false;
 }
 
-/** With the name of the photograph instead of its place among them. */
+/** With the name of the photograph instead of its place among them, or the words beside an option. */
 function withName(error) {
   const { field, index } = error.problem ?? {};
-  const file = field === "images" && images()[index];
-  return file ? { ...error.problem, file: file.name } : error;
+  const photograph = field === "images" ? images()[index] : null;
+  const option = $("options").querySelector(`input[name="${field}"]`);
+  const name = photograph?.name ?? option?.labels[0].textContent.trim();
+  return name ? { ...error.problem, name } : error;
 }
 
 /** In the page's words where one of its options helps, which is shown then. */

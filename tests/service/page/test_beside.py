@@ -77,6 +77,16 @@ def test_numbers_of_a_plan_can_be_read(tab: Tab, many: str, scene: str) -> None:
             assert abs(top - y) >= 0.75 * height or x + width <= left or left + wide <= x
 
 
+def test_how_much_of_a_photograph_is_used_is_told(tab: Tab, scene: str) -> None:
+    """Below it, where the network saw its middle only."""
+    document = httpx.get(f"{tab.address}/scenes/{scene}").json()
+    document["crop"] = [{"kept_share": 1.0, "turned_degrees": 0}, {"kept_share": 0.56, "turned_degrees": 0}]
+    tab.page.route(f"**/scenes/{scene}", lambda route: route.fulfill(json=document))
+    page = opened(tab, scene)
+    told = page.locator(".inputs td:first-child figcaption").all_inner_texts()
+    assert told == ["input 0", "input 1, its middle 56 %"]
+
+
 def test_nothing_more_is_asked_for_a_scene_that_is_left(tab: Tab, many: str, scene: str) -> None:
     """Its picture that comes late is thrown away, before the browser looks for it in vain."""
     held: list[Any] = []

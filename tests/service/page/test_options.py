@@ -54,6 +54,16 @@ def test_reconstruct_waits_for_the_check(tab: Tab, tmp_path: Path) -> None:
     assert len(sent) == 1
 
 
+def test_a_refused_option_is_called_as_it_is_on_the_page(tab: Tab, tmp_path: Path) -> None:
+    page = tab.open()
+    choose_two(page, tmp_path, seed=206)
+    page.click("summary:has-text('Options')")
+    page.fill("#max_error", "5")
+    page.click("#go")
+    page.wait_for_selector("#problem:has-text('(Largest change of a colour for which')")
+    assert "is 5, need 0 to 1" in page.inner_text("#problem")
+
+
 def test_an_option_that_is_refused_ends_the_wait(tab: Tab, tmp_path: Path) -> None:
     page = tab.open()
     choose_two(page, tmp_path, seed=204)
