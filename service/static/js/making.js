@@ -128,7 +128,7 @@ async function look(again) {
   if (wish || !again) say();
   if (fault) return false;
   if (gaussians().length) return load(gaussians()[0], signal);
-  if (wish || !again) say(make("p", {}, wish ?? "Checking the cameras …"));
+  if (wish || !again) say(wish ?? "Checking the cameras …");
   if (wish) return false;
   $("understood").setAttribute("aria-busy", "true");
   try {
@@ -163,10 +163,12 @@ export async function checkAgain() {
   if (all().length && (refused || !ready) && !running) check();
 }
 
-function say(...nodes) {
-  discard($("understood"));
+/** What is understood, in words that screen readers hear, and in pictures. */
+function say(words = "", ...nodes) {
+  $("in-words").textContent = words;
+  discard($("in-pictures"));
+  $("in-pictures").append(...nodes);
   $("understood").removeAttribute("aria-busy");
-  $("understood").append(...nodes);
 }
 
 /** What is on its way, which can be cancelled; null when nothing is. What is made has the place first. */

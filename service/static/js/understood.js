@@ -1,17 +1,17 @@
-// The answer of POST /check as cards, a top view and sentences.
+// The answer of POST /check as a sentence, cards, a top view and warnings.
 
 import { colourOf, digits, make, swatch } from "./dom.js";
 import { plan } from "./plan.js";
 
 const SOURCES = { cameras: "estimated from the cameras; the photographs will narrow it" };
 
-/** Elements that show an answer of POST /check. */
+/** Words about an answer of POST /check, and the elements that show it. */
 export function understood({ images, near, far, depth_range_source: source, paired_by: by, warnings, selection }) {
   const chosen = selection.by === "score" ? `${images.length} of ${selection.of} photographs, chosen for their overlap and baselines. ` : "";
   return [
+    `${chosen}Cameras paired by ${by}. Depth from ${digits(near)} to ${digits(far)} (${SOURCES[source] ?? source}), in the cameras' units.`,
     make("ul", { class: "cards" }, ...images.map(card)),
     plan(images.map((image) => image.camera), near, far),
-    make("p", { role: "status" }, `${chosen}Cameras paired by ${by}. Depth from ${digits(near)} to ${digits(far)} (${SOURCES[source] ?? source}), in the cameras' units.`),
     ...warnings.map((warning) => make("p", { class: "warning" }, make("strong", {}, "Note: "), warning.message)),
   ];
 }

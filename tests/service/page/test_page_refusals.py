@@ -86,6 +86,17 @@ def test_what_is_missing_is_said(tab: Any, tmp_path: Path) -> None:
     page.wait_for_selector("#understood:has-text('0 photographs so far. Add 2 or more')")
 
 
+def test_screen_readers_hear_what_is_missing_and_what_is_understood(tab: Any, tmp_path: Path) -> None:
+    """In a status that is there before its words: one that comes with them need not be read."""
+    page = tab.open()
+    files = write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2))
+    status = page.query_selector("#understood [role=status]")
+    for chosen, told in ((files[:2], "Add their camera file"), (files[2:], "Cameras paired by order")):
+        page.set_input_files("#files", chosen)
+        page.wait_for_function("([status, told]) => status.textContent.includes(told)", arg=[status, told])
+    assert status.evaluate("status => status.isConnected")
+
+
 def test_a_file_that_no_camera_names_is_told(tab: Any, tmp_path: Path) -> None:
     page = tab.open()
     cameras = camera_object(4)
