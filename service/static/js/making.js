@@ -7,7 +7,7 @@ import { $, counted, discard, make, tell } from "./dom.js";
 import { prepareDropping } from "./dropping.js";
 import { Ended, follow, following } from "./job.js";
 import { fill, prepareOptions, tellSet, unset } from "./options.js";
-import { impossible, missing, MOST } from "./refusals.js";
+import { impossible, missing, MOST, withName } from "./refusals.js";
 import { understood } from "./understood.js";
 
 const OF_PHOTOGRAPHS = ["near", "far", "detail", "trust_poses", "context"]; // options on which a check depends
@@ -18,6 +18,7 @@ let looking = null;    // the newest check or loading, with what it gives
 let sent = null;       // of the photographs that are on their way
 let refused = null;    // a file of Gaussians that was not loaded, and gives way to what comes next
 let ready = false;     // what is chosen may be sent
+let unchecked = false; // what is chosen got no answer
 let running = false;   // a job is sent or followed
 let held = false;      // the focus is on Cancel, or was when that was hidden
 let opened = () => {}; // called with a scene's id and what becomes of the address; gives where the eye goes then
@@ -38,7 +39,9 @@ export function prepareMaking(open) {
   $("cancel").addEventListener("blur", () => { held = $("cancel").hidden; });
   $("upload").addEventListener("submit", (event) => {
     event.preventDefault();
-    if (ready && !running) (gaussians().length ? check : begin)();
+    if (running) return;
+    if (unchecked || (ready && gaussians().length)) check();
+    else if (ready) begin();
   });
   $("upload").addEventListener("change", ({ target }) => {
     if (all().length && (gaussians().length ? OF_GAUSSIANS : OF_PHOTOGRAPHS).includes(target.id)) check(ready && !gaussians().length);
@@ -57,9 +60,9 @@ export async function prepareModels() {
 }
 
 function state(next) {
-  ({ ready = ready, running = running } = next);
-  $("go").disabled = !ready || running;
-  $("go").textContent = gaussians().length ? "Load" : "Reconstruct";
+  ({ ready = ready, unchecked = unchecked, running = running } = next);
+  $("go").disabled = !(ready || unchecked) || running;
+  $("go").textContent = gaussians().length ? "Load" : unchecked ? "Check again" : "Reconstruct";
   $("sample").disabled = running;
   $("clear").hidden = all().length === 0;
 }
@@ -102,7 +105,7 @@ function clear() {
   askHowMany(0);
   say();
   tell($("problem"), null);
-  state({ ready: false });
+  state({ ready: false, unchecked: false });
 }
 
 /** The form of POST /reconstruct for what is chosen; a zip beside photographs holds a model of cameras. */
@@ -124,7 +127,7 @@ async function look(again) {
   const fault = impossible();
   const wish = missing();
   tell($("problem"), fault);
-  if (wish || !again) state({ ready: false }); // else nothing moves below a pointer that goes on to press
+  if (wish || !again) state({ ready: false, unchecked: false }); // else nothing moves below a pointer that goes on to press
   if (wish || !again) say();
   if (fault) return false;
   if (gaussians().length) return load(gaussians()[0], signal);
@@ -144,7 +147,7 @@ async function look(again) {
   } catch (error) {
     if (signal.aborted) return false;
     say();
-    state({ ready: false });
+    state({ ready: false, unchecked: error.status === 0 || error.status >= 429 });
     tell($("problem"), withName(error));
     return false;
   }
@@ -218,15 +221,6 @@ async function load(file, signal) {
     if (held) passFocus($("go"));
   }
   return false;
-}
-
-/** With the name of the photograph instead of its place among them, or the words beside an option. */
-function withName(error) {
-  const { field, index } = error.problem ?? {};
-  const photograph = field === "images" ? images()[index] : null;
-  const option = $("options").querySelector(`input[name="${field}"]`);
-  const name = photograph?.name ?? option?.labels[0].textContent.trim();
-  return name ? { ...error.problem, name } : error;
 }
 
 /** In the page's words where one of its options helps, which is shown then. */

@@ -1,4 +1,4 @@
-// Checks by the page itself: chosen files that cannot be sent, and files that are missing.
+// What is wrong with the chosen files: checks by the page itself, and names for what the service refuses.
 
 import { all, cameras, gaussians, images, strays, zips } from "./chosen.js";
 import { $, counted } from "./dom.js";
@@ -39,4 +39,13 @@ export function impossible() {
   if (strays().length === all().length) return { title: "Files", detail: `${names(strays())}: none can be used`, cure: `choose ${TAKEN}` };
   if (count <= MOST_SENT) return null;
   return { title: "View count", detail: `${count} photographs, at most ${MOST_SENT} outside a zip`, cure: "send them as one zip with their camera file: the best few are then chosen" };
+}
+
+/** With the name of the photograph instead of its place among them, or the words beside an option. */
+export function withName(error) {
+  const { field, index } = error.problem ?? {};
+  const photograph = field === "images" ? images()[index] : null;
+  const option = $("options").querySelector(`input[name="${field}"]`);
+  const name = photograph?.name ?? option?.labels[0].textContent.trim();
+  return name ? { ...error.problem, name } : error;
 }

@@ -143,8 +143,25 @@ def test_files_chosen_while_the_service_starts_are_looked_at_then(tab: Tab, tmp_
     page.wait_for_selector("#problem:has-text('prepared')")
     for path in ("**/check", "**/readyz"):
         page.unroute(path)
-    page.wait_for_selector("#go:not([disabled])")
+    page.wait_for_selector("#go:text('Reconstruct'):not([disabled])")
     assert page.inner_text("#problem") == ""
+
+
+@pytest.mark.parametrize("status", [0, 429, 503])
+def test_files_that_got_no_answer_can_be_checked_again(tab: Tab, tmp_path: Path, status: int) -> None:
+    """Without being chosen once more; what was refused cannot."""
+    page = tab.open()
+    page.route("**/check", lambda route: route.fulfill(status=status, json=STARTING) if status else route.abort())
+    page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
+    page.wait_for_selector("#go:text('Check again'):not([disabled])")
+    page.unroute("**/check")
+    page.click("#go")
+    page.wait_for_selector("#go:text('Reconstruct'):not([disabled])")
+    assert page.inner_text("#problem") == ""
+    page.set_input_files("#files", write_scene(tmp_path, [photograph(0)], {})[1:])
+    page.wait_for_selector("#problem strong")
+    assert page.is_disabled("#go")
+    assert page.inner_text("#go") == "Reconstruct"
 
 
 def test_the_focus_goes_with_the_work(tab: Tab, tmp_path: Path, held_network: threading.Event) -> None:
