@@ -143,11 +143,13 @@ $("key-form").addEventListener("submit", (event) => {
   }
   tell($("key-problem"), null);
   setKey(key);
+  $("stage").focus({ preventScroll: true }); // the form goes
   $("key-form").hidden = true;
   unlocked();
 });
-document.addEventListener("key-needed", () => {
+document.addEventListener("key-needed", ({ detail }) => {
   if (!$("key-form").hidden) return;
+  if (detail.refused) tell($("key-problem"), { title: "Key", detail: "the service does not take this one", cure: "type it again" });
   $("key-form").hidden = false;
   $("key").focus();
 });

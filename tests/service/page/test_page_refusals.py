@@ -185,10 +185,13 @@ def test_a_wrong_key_is_told_and_asked_for_again(browser: Any, standin_model: Pa
         for key in ("wrong", "open sesame"):
             page.wait_for_selector("#view-problem:has-text('needs a key')")
             assert "Bearer" not in page.inner_text("#view-problem")  # which is for those who write requests
+            page.wait_for_selector("#key:focus")
+            assert ("does not take this one" in page.inner_text("#key-problem")) == (key == "open sesame")
             page.fill("#key", key)
-            page.click("#key-form button")
+            page.press("#key", "Enter")
         page.wait_for_selector("#view-problem:empty", state="attached")
         assert page.is_hidden("#key-form")
+        assert page.evaluate("document.activeElement.id") == "stage"
         tab.done()
 
 
