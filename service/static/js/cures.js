@@ -14,6 +14,7 @@ const CURES = {
   origin_refused: "ask whoever runs the service: a proxy in front of it must pass on the Host header",
 };
 const PHRASES = [ // replaced within a cure
+  [/^ask for it again$/, "reconstruct it again"],
   [/set trust_poses/, 'tick "Only warn if …" under Options'],
   [/(\. Or|, or) raise GAPMES_\w+/, ""],
   [/^is the upload complete\?$/, "the file is damaged: copy it once more from where it comes from"],

@@ -40,8 +40,8 @@ export function prepareMaking(open) {
   $("upload").addEventListener("submit", (event) => {
     event.preventDefault();
     if (running) return;
-    if (unchecked || (ready && gaussians().length)) check();
-    else if (ready) begin();
+    if (unchecked) checkOnceMore();
+    else if (ready) (gaussians().length ? check : begin)();
   });
   $("upload").addEventListener("change", ({ target }) => {
     if (all().length && (gaussians().length ? OF_GAUSSIANS : OF_PHOTOGRAPHS).includes(target.id)) check(ready && !gaussians().length);
@@ -158,6 +158,12 @@ async function looked() {
   const last = looking;
   const result = await last;
   return last === looking ? result : looked();
+}
+
+/** The button that was pressed cannot hold the focus meanwhile. */
+async function checkOnceMore() {
+  await check();
+  if (document.activeElement === document.body) $("go").focus();
 }
 
 /** The service is there, or has its key: what it did not look at before is asked for again, once what is under way has failed. */

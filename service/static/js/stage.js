@@ -177,7 +177,7 @@ $("farther").addEventListener("click", () => move(0, 0, 1 / 1.2));
 $("full").hidden = !document.fullscreenEnabled;
 $("full").addEventListener("click", () => {
   $("stage").requestFullscreen();
-  $("stage").focus(); // for the keys that turn it
+  $(mode === "webgl" ? "frame" : "stage").focus(); // for the keys that turn it
 });
 $("mode-webgl").addEventListener("click", () => setMode("webgl"));
 $("mode-server").addEventListener("click", () => setMode("server"));

@@ -11,7 +11,14 @@ from browser_tab import Tab
 from http_requests import camera_object, photograph
 from page_service import write_scene
 
-from gapmes.service.errors import DeadlineExceeded, ModelNotReady, OverlapError, UploadTooLarge, ViewCountError
+from gapmes.service.errors import (
+    DeadlineExceeded,
+    JobCancelled,
+    ModelNotReady,
+    OverlapError,
+    UploadTooLarge,
+    ViewCountError,
+)
 from gapmes.service.formats.reading import DROP_CURE, FormatError
 from gapmes.service.problem_document import of_error
 
@@ -48,6 +55,7 @@ def test_of_a_wrong_camera_file(tab: Tab, tmp_path: Path, name: str, cameras: An
         (UploadTooLarge("9 bytes", cure="send smaller photographs. Or raise GAPMES_MAX_UPLOAD_BYTES"), "smaller photo"),
         (UploadTooLarge("9 bytes", cure="choose fewer with `select` or `context`"), "send smaller photographs, or"),
         (DeadlineExceeded("9 s", cure="use fewer views, or raise GAPMES_RECONSTRUCT_SECONDS"), "use fewer views"),
+        (JobCancelled("the job was cancelled", cure="ask for it again"), "reconstruct it again"),
         (ModelNotReady("stage 'network'", cure="poll /readyz until it answers 200"), "the top of the page names"),
         (ViewCountError("1 image", field="images", cure="send a `capture`"), "choose 2 to 6 photographs"),
         (FormatError("2 rows are invalid", field="ply", cure=DROP_CURE), "write the file again"),

@@ -155,8 +155,8 @@ def test_files_that_got_no_answer_can_be_checked_again(tab: Tab, tmp_path: Path,
     page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
     page.wait_for_selector("#go:text('Check again'):not([disabled])")
     page.unroute("**/check")
-    page.click("#go")
-    page.wait_for_selector("#go:text('Reconstruct'):not([disabled])")
+    page.press("#go", "Enter")
+    page.wait_for_selector("#go:text('Reconstruct'):focus")
     assert page.inner_text("#problem") == ""
     page.set_input_files("#files", write_scene(tmp_path, [photograph(0)], {})[1:])
     page.wait_for_selector("#problem strong")
