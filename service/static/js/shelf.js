@@ -17,6 +17,7 @@ export function prepareShelf(acts) {
   act = acts;
   $("scenes").before(problem);
   $("more").addEventListener("click", older);
+  document.addEventListener("visibilitychange", () => document.hidden || refreshShelf().catch(() => undefined)); // else it stays as it is
 }
 
 const rows = () => [...$("scenes").children];

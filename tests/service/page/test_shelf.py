@@ -64,6 +64,22 @@ def test_older_scenes_stay_listed(tab: Tab, tmp_path: Path) -> None:
     page.wait_for_selector("#more")
 
 
+def test_the_list_is_read_again_when_its_tab_is_looked_at(tab: Tab) -> None:
+    """Scenes come and go by other tabs and other users."""
+    stored(tab.address, 2)
+    page = tab.open()
+    gone = page.locator("#scenes li").nth(1).get_attribute("data-id")
+    assert httpx.delete(f"{tab.address}/scenes/{gone}").status_code == 204
+    come = stored_cloud(tab.address, next(SEEDS))
+    page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+    page.wait_for_selector(f"#scenes li:first-child[data-id='{come}']")
+    assert page.locator(f"li[data-id='{gone}']").count() == 0
+    page.route("**/scenes?*", lambda route: route.abort())
+    with page.expect_event("requestfailed"):
+        page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+    assert page.locator("#scenes li").first.get_attribute("data-id") == come
+
+
 def test_the_scene_on_show_is_told(tab: Tab) -> None:
     page = whole_list(tab)
     for place in (0, 13):
