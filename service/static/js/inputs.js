@@ -45,7 +45,7 @@ function view(scene, camera, index, kinds) {
   const again = image(photograph ? `Photograph ${index}, drawn again` : `View ${index}`);
   const depth = image(`Depth from view ${index}`);
   const share = scene.crop?.[index]?.kept_share;
-  const middle = share < 1 ? `, its middle ${percent(share)}` : "";
+  const middle = share < 0.95 ? `, its middle ${percent(share)}` : "";
   const found = scene.check?.input_views?.[index];
   const places = kinds.map(() => make("span"));
   const node = row(
