@@ -212,11 +212,11 @@ class Reconstructor:
         self, views: Sequence[FittedView], depths: DepthRange
     ) -> tuple[Arrays, WorldFrame, NDArray[np.bool_]]:
         """The network's outputs on the grid of `views`, whatever their shape; the frame that they are in; and the mask
-        (V, P) of its patches."""
+        (V, P) of its patches, each of which has every pixel of `views` that lies in it."""
         info = self.engine.info
         given = [squeezed(view, *info.shape) for view in views]
         cameras = [view.camera for view in given]
-        frame, masks = WorldFrame.of(cameras, depths), patch_mask(given, info.patch)
+        frame, masks = WorldFrame.of(cameras, depths), patch_mask(views, *info.patch_shape)
         outputs = self.engine.run(
             np.stack([view.image for view in given]),
             np.stack([camera.normalized_intrinsics for camera in cameras]).astype(np.float32),

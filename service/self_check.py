@@ -40,7 +40,7 @@ def self_check(
     compared: Sequence[FittedView],
 ) -> dict[str, Any]:
     """Plain JSON values; `drawn` are the scene's pictures, with their opacity, from the cameras of `compared`: `views`,
-    which are as the network saw them, or the same crops with more pixels.
+    which are on the scene's grid with `detail` 1, or the same with more pixels.
 
     `input_views`: PSNR in dB, SSIM and share of holes of every input drawn again, over the pixels that its mask keeps
     (None where it keeps none; windows of SSIM at its edge see pixels beyond). `depth_step`: half a step between the

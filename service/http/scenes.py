@@ -93,7 +93,7 @@ async def scene_file(
 @router.get(
     "/scenes/{scene_id}/inputs/{index}",
     response_class=Response,
-    responses={200: {"description": "what the network saw of a photograph", "content": {"image/png": {}}}},
+    responses={200: {"description": "a photograph as the scene has it", "content": {"image/png": {}}}},
 )
 def scene_input(
     scene_id: str, index: Annotated[int, Path(ge=0, le=MAX_VIEWS - 1), BeforeValidator(whole)], runtime: RuntimeDep

@@ -46,7 +46,7 @@ class SceneLinks(BaseModel):
     preview: str = Field(description="a small film of it")
     sheet: str = Field(description="its inputs drawn again, in one picture")
     views: list[str] = Field(description="pictures from the inputs' cameras")
-    inputs: list[str] = Field([], description="the photographs as the network saw them")
+    inputs: list[str] = Field([], description="the photographs as the scene has them")
     renders: list[str] = Field([], description="those that were asked for with `views`")
 
 

@@ -44,9 +44,15 @@ class ModelInfo:
         return self.height, self.width
 
     @property
+    def patch_shape(self) -> tuple[int, int]:
+        """Rows and columns of the patches of a view."""
+        return self.height // self.patch, self.width // self.patch
+
+    @property
     def patches(self) -> int:
         """Patches of one view."""
-        return (self.height // self.patch) * (self.width // self.patch)
+        rows, columns = self.patch_shape
+        return rows * columns
 
 
 def parse_model_info(metadata: Mapping[str, str], path: Path, file_sha256: str) -> ModelInfo:

@@ -35,14 +35,17 @@ def check_kept(view: FittedView, index: int) -> None:
     )
 
 
-def patch_mask(views: Sequence[FittedView], patch: int) -> NDArray[np.bool_]:
-    """(V, P) patches of `patch` x `patch` px with at least one kept pixel, row by row."""
-    rows = []
+def patch_mask(views: Sequence[FittedView], rows: int, columns: int) -> NDArray[np.bool_]:
+    """(V, P) which of `rows` x `columns` equal patches of each view have the centre of a kept pixel, row by row."""
+    found = []
     for view in views:
         height, width = view.image.shape[1:]
-        blocks = view.kept.reshape(height // patch, patch, width // patch, patch)
-        rows.append(blocks.any(axis=(1, 3)).ravel())
-    return np.stack(rows)
+        down, across = (
+            np.searchsorted((np.arange(count) + 0.5) * patches / count, np.arange(patches))
+            for count, patches in ((height, rows), (width, columns))
+        )  # the first pixel of each patch
+        found.append(np.logical_or.reduceat(np.logical_or.reduceat(view.kept, down, 0), across, 1).ravel())
+    return np.stack(found)
 
 
 def kept_rows(

@@ -117,7 +117,7 @@ class SceneFiles:
         return files, (folder / DOCUMENT).stat().st_mtime_ns
 
     def input(self, scene_id: str, index: int) -> bytes:
-        """A photograph as the network saw it, as PNG. Raises `SceneNotFound`, also for an input that does not exist."""
+        """A photograph as the scene has it, as PNG. Raises `SceneNotFound`, also for an input that does not exist."""
         try:
             return (self.folder(scene_id) / _input(index)).read_bytes()
         except PermissionError as error:

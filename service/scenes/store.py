@@ -113,7 +113,7 @@ class SceneStore:
         return self._files.document(scene_id)
 
     def input(self, scene_id: str, index: int) -> bytes:
-        """A photograph as the network saw it, as PNG. Raises `SceneNotFound`, also for an input that does not exist."""
+        """A photograph as the scene has it, as PNG. Raises `SceneNotFound`, also for an input that does not exist."""
         self._index.used(scene_id)
         return self._files.input(scene_id, index)
 

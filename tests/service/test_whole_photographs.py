@@ -127,6 +127,26 @@ def test_masked_pixels_of_the_margins_are_left_out_and_counted(reconstructor: Re
     assert dropped[MASKED] == hidden
 
 
+@pytest.mark.parametrize(("size", "kept"), [((640, 360), slice(222, 230)), ((720, 360), slice(210, 219))])
+def test_a_strip_as_wide_as_a_pixel_of_the_scene_stays(
+    reconstructor: Reconstructor, size: tuple[int, int], kept: slice
+) -> None:
+    """It fills less than half of the network's wider pixels, so that no pixel of theirs is kept."""
+    plane = PlaneScene.make(np.random.default_rng(7), size=size, turn=0.3)
+    alpha = np.zeros((size[1], size[0], 1), np.uint8)
+    alpha[:, kept] = 255
+    masked = PlaneScene(plane.cameras, (np.dstack([plane.images[0], alpha]), *plane.images[1:]), plane.near, plane.far)
+    scene = reconstructed(reconstructor, masked, fade=0, leave_one_out=0)
+    shown = scene.inputs[0][..., 3] > 0
+    assert shown.sum() == HEIGHT  # a column
+    count = shown.size
+    assert len(scene.gaussians) >= 2 * count + HEIGHT
+    own = scene.gaussians[:HEIGHT]
+    colours = 0.5 + C0 * own.harmonics[:, 0]
+    np.testing.assert_allclose(colours, scene.inputs[0][shown][:, :3] / 255, atol=0.5 / 255 + 1e-5)
+    np.testing.assert_allclose(own.opacities, OPACITY, rtol=1e-6)
+
+
 def test_a_wide_photograph_on_its_side_is_as_good(shipped: Reconstructor) -> None:
     """One of two photographs of 4 : 3 was taken with the camera on its side: the scene is that of upright ones."""
     cameras = [camera.cropped(0, 32, 256, 192) for camera in sample_cameras((1, 5, 3))]
