@@ -73,7 +73,7 @@ def fitted(
 
     A path is read, and bytes are an encoded file; a memoryview is either that, if it has one axis, or pixels. Raises
     `ImageError` for what is no photograph, one that is too small or differs from its camera in aspect, and one whose
-    mask keeps nothing of the crop.
+    mask keeps nothing of what the scene has of it.
     """
     if isinstance(image, str | PathLike):
         image = _read(image, index)
@@ -134,7 +134,7 @@ def _fitted(
     height, width = shape
     view = fit_view(photo, camera, height, width)
     check_kept(view, index)
-    notices += of_bars if view.mask is not None else []  # bars outside of what is kept are nothing to tell
+    notices += of_bars if view.mask is not None else []  # what the scene does not have is nothing to tell
     notices += _too_small(photo.width, photo.height, shape, detail, index)
     if finer == 1:
         return view, view, notices
@@ -162,12 +162,12 @@ def _within(fine: FittedView, mask: NDArray[np.bool_] | None) -> FittedView:
 
 
 def _too_small(width: int, height: int, shape: Shape, detail: int, index: int) -> list[Notice]:
-    """The warning about a photograph whose crop has fewer pixels than the scene has with this detail."""
+    """The warning about a photograph that has fewer pixels than the scene has of it with this detail."""
     crop, shown = min(width, height * shape[1] / shape[0]), detail * shape[1]
     if detail == 1 or crop >= shown:
         return []
     message = (
-        f"the crop of the photograph is {crop:.0f} px wide, the scene with detail {detail} {shown} px: it is as "
+        f"the photograph has {crop:.0f} px where a row of the scene with detail {detail} has {shown} px: it is as "
         "sharp as the photograph, not sharper"
     )
     return [{"code": "detail_beyond_photograph", "field": "images", "index": index, "message": message}]
