@@ -212,7 +212,7 @@ class Reconstructor:
         self, views: Sequence[FittedView], depths: DepthRange
     ) -> tuple[Arrays, WorldFrame, NDArray[np.bool_]]:
         """The network's outputs on the grid of `views`, whatever their shape; the frame that they are in; and the mask
-        (V, P) of its patches, each of which has every pixel of `views` that lies in it."""
+        (V, P) of its patches, those in which `views` have a kept pixel."""
         info = self.engine.info
         given = [squeezed(view, *info.shape) for view in views]
         cameras = [view.camera for view in given]
