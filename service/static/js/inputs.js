@@ -6,7 +6,7 @@ import { legend, routingPicture, TASKS } from "./routing.js";
 import { decibels, head, row, wide } from "./table.js";
 
 const KINDS = ["experts", "tasks"];
-const LEAST = 256;    // px: views are not requested smaller, so that those of the network's size are shown pixel by pixel
+const LEAST = 256;    // px: pictures are not requested narrower
 const NARROWEST = 7;  // rem, a column
 const AHEAD = "100%"; // of the window's height: rows within it are loaded in advance
 
