@@ -71,8 +71,13 @@ def _notice(found: Exposures, numbers: Sequence[int]) -> Notice:
     if len(found.parts) > 1:
         apart = "; ".join(", ".join(str(numbers[view]) for view in views) for views in found.parts)
         message += f"; not enough matches to compare these groups of views with each other: {apart}"
-    about: Notice = {"field": "images", "index": numbers[dark], "message": message, "gains": gains.round(4).tolist()}
-    return {"code": "exposures_differ", **about}
+    return {
+        "code": "exposures_differ",
+        "field": "images",
+        "index": numbers[dark],
+        "message": message,
+        "gains": gains.round(4).tolist(),
+    }
 
 
 def exposures(pairs: PairMatches) -> Exposures | None:
