@@ -48,9 +48,9 @@ def prepared_inputs(
     """Fit, check and equalise V photographs of V cameras for the network of `info`.
 
     `depths` is the range as given or estimated from the cameras; `detail`, `finer` and `done` are those of
-    `fitted_photos`, `trust_poses` that of `check_photos`; with `whole` False photographs are cropped to the network's
-    shape; `numbers` are what the caller calls the views. Raises
-    `ImageError` for a photograph that cannot be used and `ContradictionError` where the photographs refute the poses.
+    `fitted_photos`, `trust_poses` that of `check_photos`; `numbers` are what the caller calls the views. With `whole`
+    False photographs are cropped to the network's shape. Raises `ImageError` for a photograph that cannot be used and
+    `ContradictionError` where the photographs refute the poses.
     """
     turns = quarter_turns(cameras, square=info.height == info.width)
     shapes = view_shapes(cameras, turns, info.shape) if whole else [info.shape] * len(cameras)

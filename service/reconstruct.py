@@ -109,7 +109,7 @@ class Reconstructor:
         `images`: uint8 arrays (H, W, 3) or (H, W, 4) with a mask as alpha, paths, bytes of files, PIL images, `Photo`
         or `EncodedPhoto`. Files are decoded one at a time and dropped once fitted; a photograph with a lens is
         undistorted to its camera, the pinhole of `pinhole_window`. Exposures are equalised (`exposures.py`), also in
-        the scene's `inputs`; rolled photographs are turned for the network alone (`rolled.py`).
+        the scene's `inputs`; rolled photographs are turned to stand alike (`rolled.py`), but not in these.
 
         `near`, `far`: z-depths in the cameras' units; by default estimated from the cameras and narrowed to where the
         photographs match. A given range is only narrowed where it is far too wide.

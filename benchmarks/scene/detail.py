@@ -98,16 +98,7 @@ def row(service: Reconstructor, found: Found, detail: int, fade: int, lpips: Lpi
     """Reconstruct and compare."""
     case, *sizes = found
     started = time.process_time()
-    scene = service.reconstruct(
-        case.photos,
-        case.cameras,
-        near=case.near,
-        far=case.far,
-        detail=detail,
-        fade=fade,
-        leave_one_out=0,
-        whole=case.whole,
-    )
+    scene = case.reconstructed(service, detail=detail, fade=fade)
     seconds = time.process_time() - started
     twice, once = (compared(scene, targets, lpips) for targets in sizes)
     return Row(twice, once, len(scene.gaussians), ply_size(scene.gaussians), seconds), scene

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gapmes.export.evaluation.case import Case, photograph_case
+from gapmes.export.evaluation.case import photograph_case
 from gapmes.service.formats.ply_write import ply_size
-from gapmes.service.leaving_out.budget import KEEP_ALL, Budget
+from gapmes.service.leaving_out.budget import KEEP_ALL
 from gapmes.service.mending.fade_passes import DEFAULT_PASSES
 from gapmes.service.photographs.images import FittedView
 from gapmes.service.pictures.picture_error import psnr
@@ -33,19 +33,6 @@ PICTURE = 512  # px of the picture that is timed
 HEADER = """| scene | inputs | .ply | time of a picture | bound | found | PSNR, dB | deciding |
 |---|---|---|---|---|---|---|---|
 """
-
-
-def reconstructed(service: Reconstructor, case: Case, budget: Budget, fade: int) -> Scene:
-    return service.reconstruct(
-        case.photos,
-        case.cameras,
-        near=case.near,
-        far=case.far,
-        budget=budget,
-        fade=fade,
-        leave_one_out=0,
-        whole=case.whole,
-    )
 
 
 def held_out_psnr(scene: Scene, targets: Sequence[FittedView]) -> float:
@@ -70,8 +57,8 @@ def picture_times(scenes: Sequence[Scene], rounds: int) -> list[float]:
 def row(service: Reconstructor, folder: Path, inputs: int, fade: int, rounds: int) -> str:
     """One row of the table; deciding is timed in `rounds` reconstructions after one that is not counted."""
     case = photograph_case(folder, inputs, SIDE, SIDE)
-    whole = reconstructed(service, case, KEEP_ALL, fade)
-    runs = [reconstructed(service, case, Budget(), fade) for _ in range(rounds + 1)]
+    whole = case.reconstructed(service, budget=KEEP_ALL, fade=fade)
+    runs = [case.reconstructed(service, fade=fade) for _ in range(rounds + 1)]
     lean = runs[0]
     timings = [run.document["timings"] for run in runs[1:]]
     deciding = statistics.median(times["leave out"] / sum(times.values()) for times in timings)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from gapmes.service.captures.capture import SceneFolder
 from gapmes.service.errors import ImageError
 from gapmes.service.photographs.images import FittedView, Photo, decode_image, fit_view, match_photo
 from gapmes.service.photographs.whole import view_shapes
+from gapmes.service.reconstruct import Reconstructor, Scene
 
 from .labels import shortest_names
 from .suggested import suggested_views
@@ -66,6 +68,11 @@ class Case:
     truth: TrueDepth | None = None
     at_twice: Callable[[], LargerTargets] | None = None  # computed on demand
     whole: bool = False  # whether photographs are used beyond the aspect of the network
+
+    def reconstructed(self, service: Reconstructor, **options: Any) -> Scene:
+        """The scene of the inputs, without predicting any from the others; `options` as for `reconstruct`."""
+        given = {"near": self.near, "far": self.far, "whole": self.whole, "leave_one_out": 0, **options}
+        return service.reconstruct(self.photos, self.cameras, **given)
 
 
 def photograph_case(

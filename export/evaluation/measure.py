@@ -112,16 +112,7 @@ def measure(
 
 
 def _reconstruct(case: Case, model: Model, fade: int) -> _Reconstruction:
-    scene = Reconstructor(model.engine).reconstruct(
-        case.photos,
-        case.cameras,
-        near=case.near,
-        far=case.far,
-        trust_poses=True,
-        leave_one_out=0,
-        fade=fade,
-        whole=case.whole,
-    )
+    scene = case.reconstructed(Reconstructor(model.engine), trust_poses=True, fade=fade)
     near, far = scene.document["near"], scene.document["far"]
     outputs = model.engine.last
     seconds = float(sum(scene.document["timings"].values()))

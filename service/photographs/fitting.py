@@ -153,7 +153,7 @@ def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> lis
 
 
 def _within(fine: FittedView, mask: NDArray[np.bool_] | None) -> FittedView:
-    """`fine` without the pixels that the network's `mask` (H, W) leaves out, where it has neither colour nor depth."""
+    """`fine` without the pixels that the coarser `mask` (H, W) leaves out: the scene has nothing there."""
     if mask is None:
         return fine
     k = fine.image.shape[1] // len(mask)

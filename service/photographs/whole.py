@@ -24,9 +24,9 @@ Shape = tuple[int, int]  # height and width, px
 def view_shapes(cameras: Sequence[Camera], turns: Sequence[int], network: Shape) -> list[Shape]:
     """Shape of each photograph in a scene by a network of this shape, which has each after so many quarter `turns`.
 
-    All have the same shape after turning: the network's along one axis, and along the other a multiple of its patches
-    by which the aspect is that of the photographs. Of several aspects, the geometric mean of the least and the largest,
-    so that the photograph that is cropped most keeps as much as it can.
+    All have the same shape after turning: the network's along one axis, and along the other the multiple of its patches
+    that comes nearest to the aspect of the photographs. Of several aspects, this is the geometric mean of the least and
+    the largest, so that the photograph that is cropped most keeps as much as it can.
     """
     aspects = [
         camera.height / camera.width if turn % 2 else camera.width / camera.height

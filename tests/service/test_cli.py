@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
@@ -212,84 +211,6 @@ def test_the_help_of_serve_says_what_quiet_is_there() -> None:
     assert meant in shown
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("render", "a.ply", "--cameras", "cameras.json", "-o"),
-        ("reconstruct", "capture", "-o"),
-        ("convert", "a.ply", "--to", "spz"),
-        ("demo", "-o"),
-        ("evaluate", "missing", "-o"),
-    ],
-    ids=lambda arguments: arguments[0],
-)
-@pytest.mark.parametrize(("output", "why"), [("", "is empty"), ("-", "does not stand for stdout")])
-def test_an_output_without_a_name_is_refused(
-    arguments: tuple[str, ...],
-    output: str,
-    why: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    """An empty one would mean the working folder, and - a file or folder of that name."""
-    monkeypatch.chdir(tmp_path)
-    assert run(*arguments, output) == 2
-    assert why in " ".join(capfd.readouterr().err.split())
-
-
-def test_who_may_not_write_is_told_as_whom_that_was(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """In a container that is a number, which the folder of a host must belong to."""
-
-    def refused(path: Path, *_: object, **__: object) -> None:
-        raise PermissionError(errno.EACCES, "Permission denied", str(path))
-
-    monkeypatch.setattr(Path, "mkdir", refused)
-    monkeypatch.setenv("TMPDIR", "/data/tmp")
-    assert run("serve") == 1
-    cure = f"is there room, and permission to read and write there as uid {os.getuid()}?"
-    assert capfd.readouterr().err == f"error: /data/tmp: Permission denied ({cure})\n"
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("convert", "file", "file"),
-        ("reconstruct", "file", "-o", "file"),
-        ("reconstruct", "missing", "-o", "missing", "--model", "file"),
-        ("render", "file", "--cameras", "file", "-o", "file"),
-        ("demo", "-o", "file", "--keep"),
-        ("evaluate", "file", "--model", "file", "-o", "file", "--lpips", "file"),
-    ],
-    ids=" ".join,
-)
-def test_files_are_looked_at_by_the_commands_and_not_as_usage(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...]
-) -> None:
-    """What may not be read is refused as the system says, and what may be written alone is no wrong usage."""
-    (tmp_path / "file").touch()
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("GAPMES_PORT", "none, so that no service starts")
-    monkeypatch.setattr(os, "access", lambda _, mode, **__: mode != os.R_OK)
-    assert run(*arguments, "--json") == 1
-    assert_refusal(capfd, "error: ")
-
-
-def test_a_file_that_may_not_be_read_is_refused_as_the_system_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    def refused(path: Path) -> bytes:
-        raise PermissionError(errno.EACCES, "Permission denied", str(path))
-
-    (tmp_path / "in.ply").touch()
-    monkeypatch.setattr(os, "access", lambda _, mode, **__: mode != os.R_OK)
-    monkeypatch.setattr(Path, "read_bytes", refused)
-    assert run("convert", tmp_path / "in.ply", tmp_path / "in.ply", "--json") == 1
-    assert assert_refusal(capfd, "in.ply: Permission denied (is there room, ")["code"] == "storage_error"
-
-
 INTERRUPTED = """
 import sys
 class Interrupt:
@@ -313,12 +234,3 @@ def test_an_interrupt_while_the_commands_are_imported_is_no_traceback() -> None:
 def test_the_version(capfd: pytest.CaptureFixture[str]) -> None:
     assert run("--version") == 0
     assert re.fullmatch(r"gapmes \d+\.\d+\.\d+\n", capfd.readouterr().out)
-
-
-@pytest.mark.parametrize("name", ["film.avi", "one.png", "one.JPG", ".webp", ".png"])
-def test_pictures_do_not_go_into_a_folder_that_is_named_as_a_file(
-    name: str, scene_dir: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert run("render", tmp_path / "none.ply", "--cameras", scene_dir, "-o", tmp_path / name, "--json") == 1
-    assert_refusal(capfd, f"output: '{name}' names a file, and pictures go into a folder")
-    assert not (tmp_path / name).exists()

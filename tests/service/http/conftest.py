@@ -36,3 +36,13 @@ def unharmed(client: TestClient, settings: Settings) -> Iterator[None]:
     again = post(client)
     assert again.status_code == 200
     assert again.json()["id"] == good.json()["id"]
+
+
+@pytest.fixture
+def no_scene_stays(client: TestClient) -> Iterator[None]:
+    """Other tests look at the list of the same service."""
+    before = {row["id"] for row in client.get("/scenes").json()["scenes"]}
+    yield
+    for row in client.get("/scenes").json()["scenes"]:
+        if row["id"] not in before:
+            client.delete(row["links"]["self"])

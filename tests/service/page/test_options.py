@@ -17,11 +17,17 @@ def looks_again_slowly(page: Any) -> list[Any]:
     return held
 
 
+def with_options(tab: Tab, tmp_path: Path, *, seed: int) -> Any:
+    """The page with two photographs chosen and its options unfolded."""
+    page = tab.open()
+    choose_two(page, tmp_path, seed=seed)
+    page.click("summary:has-text('Options')")
+    return page
+
+
 def test_a_press_after_an_option_is_not_lost(tab: Tab, tmp_path: Path) -> None:
     """The field is left as the button goes down: nothing may move away from below the pointer."""
-    page = tab.open()
-    choose_two(page, tmp_path, seed=200)
-    page.click("summary:has-text('Options')")
+    page = with_options(tab, tmp_path, seed=200)
     held = looks_again_slowly(page)
     page.fill("#near", "0.5")
     page.check("#trust_poses")
@@ -36,9 +42,7 @@ def test_a_press_after_an_option_is_not_lost(tab: Tab, tmp_path: Path) -> None:
 
 def test_reconstruct_waits_for_the_check(tab: Tab, tmp_path: Path) -> None:
     """Pressed straight after an option, by Enter too, it begins as soon as the check has ended well, and once."""
-    page = tab.open()
-    choose_two(page, tmp_path, seed=202)
-    page.click("summary:has-text('Options')")
+    page = with_options(tab, tmp_path, seed=202)
     sent: list[str] = []
     page.on("request", lambda request: request.url.endswith("/reconstruct") and sent.append(request.url))
     held = looks_again_slowly(page)
@@ -55,9 +59,7 @@ def test_reconstruct_waits_for_the_check(tab: Tab, tmp_path: Path) -> None:
 
 
 def test_a_refused_option_is_called_as_it_is_on_the_page(tab: Tab, tmp_path: Path) -> None:
-    page = tab.open()
-    choose_two(page, tmp_path, seed=206)
-    page.click("summary:has-text('Options')")
+    page = with_options(tab, tmp_path, seed=206)
     page.fill("#max_error", "5")
     page.click("#go")
     page.wait_for_selector("#problem:has-text('(Largest change of a colour for which')")
@@ -65,9 +67,7 @@ def test_a_refused_option_is_called_as_it_is_on_the_page(tab: Tab, tmp_path: Pat
 
 
 def test_an_option_that_is_refused_ends_the_wait(tab: Tab, tmp_path: Path) -> None:
-    page = tab.open()
-    choose_two(page, tmp_path, seed=204)
-    page.click("summary:has-text('Options')")
+    page = with_options(tab, tmp_path, seed=204)
     page.fill("#near", "20")
     page.click("#go")
     page.wait_for_selector("#problem:has-text('near = 20')")
