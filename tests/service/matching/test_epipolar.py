@@ -41,6 +41,15 @@ def turned(pairs: PairMatches, which: int, axis: Sequence[float], degrees: float
     return PairMatches(views, pairs.depths)
 
 
+def zoomed(pairs: PairMatches, which: int, factor: float) -> PairMatches:
+    """The cameras with one focal length that many times as long."""
+    views = list(pairs.views)
+    camera = views[which].camera
+    longer = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+    views[which] = replace(views[which], camera=longer)
+    return PairMatches(views, pairs.depths)
+
+
 def of_pair(pairs: PairMatches) -> EpipolarResidual:
     (found,) = epipolar_residuals(pairs)
     return found
@@ -66,6 +75,30 @@ def test_a_turn_is_measured_whichever_camera_has_it(made, axis: Sequence[float],
         assert np.degrees(found.turn) == pytest.approx(degrees, rel=0.25)  # measured up to 0.2
     assert large.px == pytest.approx(2 * small.px, rel=0.25)
     assert large.px > 2.5 * EXACT_PX
+
+
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("factor", [0.97, 0.98, 1.02, 1.03])
+@pytest.mark.parametrize("made", [sample, plane])
+def test_a_focal_length_is_measured_whichever_camera_has_it(made, factor: float, which: int) -> None:
+    pairs = zoomed(made(), which, factor)
+    found = of_pair(pairs)
+    assert found.zoomed_px < EXACT_PX
+    assert found.turned_px > 2 * found.zoomed_px
+    expected = -np.log(factor) if which == 1 else np.log(factor)  # of the second camera, to mend it
+    assert found.zoom == pytest.approx(expected, rel=0.25)
+    (notice,) = inexact_poses(pairs, (4, 7))
+    one, other = (4, 7) if expected > 0 else (7, 4)
+    assert f" % longer, or that of view {one} as much shorter, it would be " in notice["message"]
+    assert f"with the focal length of view {other} " in notice["message"]
+
+
+def test_a_turn_and_a_focal_length_are_told_apart() -> None:
+    both = of_pair(zoomed(turned(plane(), 1, (0, 0, 1), 0.5), 1, 1.02))
+    assert both.zoomed_px < EXACT_PX < both.turned_px
+    assert both.zoom == pytest.approx(-np.log(1.02), rel=0.25)
+    alone = of_pair(turned(plane(), 1, (0, 0, 1), 0.5))
+    assert abs(alone.zoom) < 0.003
 
 
 def test_px_are_those_by_which_the_picture_moves() -> None:
