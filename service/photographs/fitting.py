@@ -142,9 +142,14 @@ def _fitted(
 
 
 def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> list[Notice]:
-    """The warnings that an EXIF orientation is not applied, as camera or lens has the size of the pixels as stored, and
-    that the photograph is undistorted; `photo` is turned as these have it."""
-    notices = []
+    """The warnings that a colour profile cannot be used, that an EXIF orientation is not applied, as camera or lens has
+    the size of the pixels as stored, and that the photograph is undistorted; `photo` is turned as these have it."""
+    notices: list[Notice] = []
+    if photo.profile_problem is not None:
+        message = f"its colour profile is not used, {photo.profile_problem}; levels are taken as sRGB"
+        cure = "save the photograph in sRGB if its colours look wrong"
+        where: Notice = {"field": "images", "index": index}
+        notices.append({"code": "colour_profile_ignored", "message": f"{message} ({cure})", **where})
     if photo.orientation != 1:  # 1 also where it was turned
         size = f"{camera.width} x {camera.height}" if lens is None else f"{lens.width} x {lens.height}"
         message = f"EXIF orientation {photo.orientation} is not applied: the camera has the stored size {size}"

@@ -28,6 +28,7 @@ class Photo:
     mask: NDArray[np.bool_] | None = None  # (H, W), True keeps; None keeps everything
     orientation: int = 1  # EXIF 1..8
     own_mask: bool = False  # it came with an alpha channel, perhaps opaque everywhere: no bars are masked
+    profile_problem: str | None = None  # why its colour profile was not used
 
     @property
     def height(self) -> int:
@@ -64,10 +65,10 @@ class Photo:
             raise ImageError(what, field="images", index=index, cure=cure)
         check_mode(image, index)
         try:
-            pixels, orientation = eight_bit(image), _orientation(image)
+            (pixels, problem), orientation = eight_bit(image), _orientation(image)
         except DAMAGED as error:
             raise damaged(error, index) from error
-        return replace(cls.from_array(pixels, index=index), orientation=orientation)
+        return replace(cls.from_array(pixels, index=index), orientation=orientation, profile_problem=problem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,9 +126,10 @@ class PackedView:
 def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Photo:
     """Decode JPEG, PNG or WEBP bytes; the size is checked before any pixel is decoded.
 
-    Greyscale, palette, CMYK and 16-bit images become 8-bit RGB; an alpha channel or the transparent level, colour or
-    palette entry of a PNG becomes the mask. 16-bit grey is rounded to eight; of colours, and of grey with an alpha
-    channel, Pillow keeps the upper eight bits, one level off at most.
+    Greyscale, palette, CMYK and 16-bit images become 8-bit RGB, in sRGB where a colour profile says that they have
+    other colours. An alpha channel or the transparent level, colour or palette entry of a PNG becomes the mask. 16-bit
+    grey is rounded to eight; of colours, and of grey with an alpha channel, Pillow keeps the upper eight bits, one
+    level off at most.
     Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (below 32 x 32, animated, a
     JPEG of hundreds of scans).
     """
@@ -145,10 +147,10 @@ def decode_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Ph
             orientation = _orientation(image)
             image.load()
             narrow_transparency(image, data)
-            pixels = eight_bit(image)
+            pixels, problem = eight_bit(image, in_place=True)
         except DAMAGED as error:
             raise damaged(error, index) from error
-    return replace(Photo.from_array(pixels, index=index), orientation=orientation)
+    return replace(Photo.from_array(pixels, index=index), orientation=orientation, profile_problem=problem)
 
 
 @dataclass(frozen=True, eq=False)
