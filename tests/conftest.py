@@ -7,9 +7,16 @@ import os
 
 from hypothesis import settings
 
+from gapmes.service.process.threads import available_threads
+
 if "PYTEST_XDIST_WORKER" in os.environ:  # threads that wait for each other by spinning take the others' time
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 settings.register_profile("ci", derandomize=True)
 if os.environ.get("CI"):
     settings.load_profile("ci")
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One process more than processors, as some tests wait: for a browser, or for a command that begins."""
+    return available_threads() + 1
