@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .cameras.camera import Camera
 from .cameras.camera_file import camera_document
-from .cameras.depth_range import DepthRange
 from .gaussians import Gaussians
-from .network.backends.choice import MadeBy
-from .network.model_info import ModelInfo
-from .photographs.images import FittedView
 from .photographs.rolled import turned_patches
+
+if TYPE_CHECKING:
+    from .inputs import Inputs
+    from .mending.after_network import Unpruned
+    from .network.engine import Engine
 
 GAUSSIANS = "Gaussians"  # how those rows of `left_out` begin that count them
 TASKS = ("mean", "opacity", "covariance", "colour")  # order of the four task weights
@@ -23,26 +24,20 @@ TASKS = ("mean", "opacity", "covariance", "colour")  # order of the four task we
 
 def scene_document(
     *,
-    info: ModelInfo,
-    made_by: MadeBy,
-    threads: int,
+    engine: Engine,
     cameras: Sequence[Camera],
     detail: int,
-    views: Sequence[FittedView],
-    turns: Sequence[int],
-    depths: DepthRange,
-    outputs: Mapping[str, NDArray],
+    inputs: Inputs,
+    unpruned: Unpruned,
     gaussians: Gaussians,
-    added: int,
-    dropped: Mapping[str, int],
     left_out: Sequence[Mapping[str, Any]],
     pruned: Mapping[str, Any],
-    faded: Mapping[str, Any],
     check: Mapping[str, Any],
     warnings: Sequence[Mapping[str, Any]],
     timings: Mapping[str, float],
 ) -> dict[str, Any]:
     """Depths, scales and camera centres are in the caller's units; `timings` in seconds per stage."""
+    info, depths, views = engine.info, inputs.depths, inputs.photos.shown
     return {
         "model": {
             "preset": info.preset,
@@ -52,8 +47,8 @@ def scene_document(
             "licence": info.licence,
             "height": info.height,
             "width": info.width,
-            "threads": threads,
-            "engine": made_by.document(),
+            "threads": engine.threads,
+            "engine": engine.made_by.document(),
         },
         "near": depths.near,
         "far": depths.far,
@@ -63,14 +58,14 @@ def scene_document(
         "view_cameras": [camera_document(view.camera) for view in views],
         "crop": [
             {"kept_share": round(view.kept_share, 6), "turned_degrees": 90 * turn}
-            for view, turn in zip(views, turns, strict=True)
+            for view, turn in zip(views, inputs.turns, strict=True)
         ],
-        "gaussians": {"count": len(gaussians), "sh_degree": gaussians.sh_degree, "added": added},
-        "dropped": [{"reason": reason, "count": count} for reason, count in dropped.items()],
+        "gaussians": {"count": len(gaussians), "sh_degree": gaussians.sh_degree, "added": unpruned.placed.added},
+        "dropped": [{"reason": reason, "count": count} for reason, count in unpruned.dropped.items()],
         "left_out": [dict(row) for row in left_out],
         "pruning": dict(pruned),
-        "fading": dict(faded),
-        "routing": routing_summary(outputs, turns, info.height // info.patch),
+        "fading": unpruned.fading.document(),
+        "routing": routing_summary(unpruned.outputs, inputs.turns, info.height // info.patch),
         "check": dict(check),
         "warnings": [dict(warning) for warning in warnings],
         "timings": {stage: round(seconds, 6) for stage, seconds in timings.items()},

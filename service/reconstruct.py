@@ -25,17 +25,16 @@ from .inputs import prepared_inputs
 from .kernels import is_warm, warm_up
 from .leaving_out.budget import Budget, checked_budget
 from .leaving_out.left_out import leave_out, table
-from .mending.after_network import MOVED, Placed, at_finer_depths, at_mended_depths, mended, placed
+from .mending.after_network import MOVED, Unpruned, at_finer_depths, at_mended_depths, mended, placed
 from .mending.detail import finer
 from .mending.detail_level import DETAILS, checked_detail
 from .mending.fade_passes import DEFAULT_PASSES, checked_passes
-from .mending.fading import Fading
 from .mending.finer_grid import unsqueezed
 from .network.backends.choice import DEFAULT_ENGINE, EngineName
 from .network.engine import Arrays, Engine
 from .photographs.fitting import FittedPhotos, Picture
 from .photographs.images import FittedView, PackedView
-from .photographs.masks import FADED, patch_mask
+from .photographs.masks import patch_mask
 from .photographs.whole import squeezed
 from .process.allocator import freed_blocks_reused
 from .process.compiler_pages import leave_compiler
@@ -129,7 +128,7 @@ class Reconstructor:
         Raises `InputError` and `ModelError`.
         """
         stages = Stages(listener)
-        info = self.engine.info
+        engine = self.engine
         warnings: list[Notice] = []
         budget = checked_budget(budget)
         leave_one_out, fade = checked_others(leave_one_out), checked_passes(fade)
@@ -145,63 +144,48 @@ class Reconstructor:
             warnings += check_views(cameras, depths, trust_poses=trust_poses, numbers=numbers)
             warnings += pose_notices(cameras, depths.near, numbers)
         with stages.stage("images", len(images) + 1) as done, freed_blocks_reused():
-            finest = FINEST if fade or detail > 1 else 1
             inputs = prepared_inputs(
                 images,
                 cameras,
                 numbers,
                 depths,
-                info,
+                engine.info,
                 detail=detail,
-                finer=finest,
+                finer=FINEST if fade or detail > 1 else 1,
                 trust_poses=trust_poses,
                 whole=whole,
                 done=done,
             )
             warnings += inputs.warnings
-            depths, photos = inputs.depths, inputs.photos
-            views = inputs.turned.shown
+        depths, photos, turned = inputs.depths, inputs.photos, inputs.turned
         view_cameras = tuple(view.camera for view in photos.shown)
         scene = SceneViews(view_cameras, depths.near, depths.far)
-        outputs, masks, found, fading = self._mended(
-            inputs.turned, depths, scene, fade=fade, detail=detail, stride=budget.stride, stages=stages
-        )
-        dropped = {**found.dropped, FADED: int(fading.gone.sum())} if fading.gone.any() else found.dropped
-        gaussians = fading.gaussians[~fading.gone]
+        found = self._mended(turned, depths, scene, fade=fade, detail=detail, stride=budget.stride, stages=stages)
         with stages.stage("leave out"):
-            may_go = found.of_pixel[~fading.gone]
-            lean, drawn, pruned = leave_out(gaussians, may_go, scene, budget, self.engine.threads)
+            lean, drawn, pruned = leave_out(found.gaussians, found.of_pixel, scene, budget, engine.threads)
         with stages.stage("check"), freed_blocks_reused():
+            own, options = found.placed, {"threads": engine.threads, **scene.near_plane}
             check = {
-                **self_check(photos.seen, depths, info, drawn, photos.shown),
-                "from_others": from_others(
-                    found.gaussians, found.owner, views, threads=self.engine.threads, **scene.near_plane
-                ),
+                **self_check(photos.seen, depths, engine.info, drawn, photos.shown),
+                "from_others": from_others(own.gaussians, own.owner, turned.shown, **options),
                 "leave_one_out": None,
-                "ambiguous_routes": ambiguous_routes(outputs, masks),
+                "ambiguous_routes": ambiguous_routes(found.outputs, found.patch_mask),
             }
-        if leave_one_out and len(views) > MIN_VIEWS:
-            with stages.stage("leave one out", len(views)) as done:
-                chosen = [nearest_others(cameras, i, leave_one_out, depths.near) for i in range(len(views))]
+        if leave_one_out and len(cameras) > MIN_VIEWS:
+            with stages.stage("leave one out", len(cameras)) as done:
+                chosen = [nearest_others(cameras, i, leave_one_out, depths.near) for i in range(len(cameras))]
                 alone = [i for i, others in enumerate(chosen) if not others]
                 warnings += [not_foretold(cameras, i, depths.near, numbers[i]) for i in alone]
-                check["leave_one_out"] = self._left_one_out(inputs.turned, depths, scene, chosen, fade, done)
+                check["leave_one_out"] = self._left_one_out(turned, depths, scene, chosen, fade, done)
         document = scene_document(
-            info=info,
-            made_by=self.engine.made_by,
-            threads=self.engine.threads,
+            engine=engine,
             cameras=cameras,
             detail=detail,
-            views=photos.shown,
-            turns=inputs.turns,
-            depths=depths,
-            outputs=outputs,
+            inputs=inputs,
+            unpruned=found,
             gaussians=lean,
-            added=found.added,
-            dropped=dropped,
-            left_out=table(outputs, masks, info, dropped, pruned, added=found.added),
+            left_out=table(found, engine.info, pruned),
             pruned=pruned,
-            faded=fading.document(),
             check=check,
             warnings=warnings,
             timings=stages.timings,
@@ -236,10 +220,8 @@ class Reconstructor:
         detail: int = 1,
         stride: int = 1,
         stages: Stages,
-    ) -> tuple[Arrays, NDArray[np.bool_], Placed, Fading]:
-        """From `photos` to mended Gaussians: the network's outputs but for MOVED ones, the mask (V, P) of its patches,
-        the Gaussians as they are placed in the caller's world, and as they are after `fade` passes. `scene` has the
-        near plane of all pictures."""
+    ) -> Unpruned:
+        """From `photos` to Gaussians after `fade` passes. `scene` has the near plane of all pictures."""
         seen, views, threads = photos.seen, photos.shown, self.engine.threads
         if not is_warm():
             leave_compiler()  # it comes with the import of the loops
@@ -261,7 +243,8 @@ class Reconstructor:
             outputs = {name: value for name, value in outputs.items() if name not in MOVED}
         with stages.stage("fade", fade + 1) as done:
             resized = [PackedView.of(view) for view in seen] if detail > 1 else photos.fine
-            return outputs, masks, found, mended(found, views, scene, fade, threads, done, resized=resized)
+            fading = mended(found, views, scene, fade, threads, done, resized=resized)
+        return Unpruned(outputs, masks, found, fading)
 
     def _left_one_out(
         self,
@@ -278,9 +261,9 @@ class Reconstructor:
             row: dict[str, Any] = dict.fromkeys(("psnr", "ssim", "holes"))
             if chosen[index]:
                 others = photos.without_detail(chosen[index])
-                *_, fading = self._mended(others, depths, scene, fade=fade, stages=Stages())
+                found = self._mended(others, depths, scene, fade=fade, stages=Stages())
                 options: dict[str, Any] = {"threads": self.engine.threads, **scene.near_plane}
-                row = drawn_again(render(fading.gaussians, view.camera, outputs=("alpha",), **options), view)
+                row = drawn_again(render(found.gaussians, view.camera, outputs=("alpha",), **options), view)
             rows.append({"from": list(chosen[index]), **row})
             done(index + 1)
         return rows

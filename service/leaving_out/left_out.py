@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from ..viewpoints.scene_views import SceneViews
 from .budget import Budget
 from .certified import certified_views
 from .pruning import largest_change, prune, removal_bound
+
+if TYPE_CHECKING:
+    from ..mending.after_network import Unpruned
 
 
 def leave_out(
@@ -83,21 +86,12 @@ def _seconds(gaussians: Gaussians, camera: Camera, options: Mapping[str, Any]) -
     return round(sum(seconds for name, seconds in stages.items() if name != "prepare"), 6)
 
 
-def table(
-    outputs: Mapping[str, NDArray],
-    patch_mask: NDArray[np.bool_],
-    info: ModelInfo,
-    dropped: Mapping[str, int],
-    pruned: Mapping[str, Any],
-    *,
-    added: int = 0,
-) -> list[dict[str, Any]]:
-    """Rows {what, count, of, error} from the network's `outputs`, the `patch_mask` (V, P), the counts of Gaussians
-    `dropped` by reason and the report `pruned` of `leave_out`.
+def table(unpruned: Unpruned, info: ModelInfo, pruned: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Rows {what, count, of, error} from a scene before `leave_out`, and the report `pruned` of that.
 
     `error` bounds the change of colour in certified views: 0 where nothing changes, None where no bound applies.
-    `added` is the number of Gaussians beside the network's.
     """
+    outputs, patch_mask = unpruned.outputs, unpruned.patch_mask
     rows: list[dict[str, Any]] = []
 
     def row(what: str, count: int, of: int, error: float | None = 0.0) -> None:
@@ -111,10 +105,10 @@ def table(
         row("runs of an expert on a patch", patch_mask.size * experts - runs, patch_mask.size * experts)
         idle = experts - len(np.unique(outputs["expert_index"][outputs["expert_weight"] > 0]))
         row("experts that no patch chose", idle, experts)
-    total = len(outputs["opacities"]) + added
-    for reason, count in dropped.items():
+    total = len(outputs["opacities"]) + unpruned.placed.added
+    for reason, count in unpruned.dropped.items():
         row(f"{GAUSSIANS}: {reason}", count, total, 0.0 if reason in (TRANSPARENT, FADED) else None)
-    lost = sum(dropped.values())
+    lost = sum(unpruned.dropped.values())
     row(f"{GAUSSIANS} between strides", total - lost - pruned["kept"] - pruned["dropped"], total, None)
     row(f"{GAUSSIANS} below min_opacity", pruned["faint"], total, pruned["faint_bound"])
     row(f"{GAUSSIANS} without weight in the certified views", pruned["unseen"], total)

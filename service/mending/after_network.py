@@ -17,7 +17,7 @@ from ..matching.confirmed import confirmed
 from ..network.contract import GAUSSIAN_OUTPUTS
 from ..network.engine import Arrays
 from ..photographs.images import FittedView, PackedView
-from ..photographs.masks import REPLACED, kept_rows
+from ..photographs.masks import FADED, REPLACED, kept_rows
 from ..process.allocator import freed_blocks_reused
 from ..viewpoints.scene_views import SceneViews
 from .anchors import anchors
@@ -57,6 +57,32 @@ class Placed:
     def owner(self) -> NDArray[np.intp]:
         """(N,) index of the view whose pixel each belongs to, V for none."""
         return np.minimum(self.rows // self.depths[0].size, len(self.depths))
+
+
+@dataclass(frozen=True, eq=False)
+class Unpruned:
+    """A scene before anything of it is left out: what the network and the stages after it have made of photographs."""
+
+    outputs: Arrays  # the network's, but for MOVED ones
+    patch_mask: NDArray[np.bool_]  # (V, P) its patches in which the photographs have a kept pixel
+    placed: Placed
+    fading: Fading  # of the `placed` Gaussians
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """Those that are still drawn."""
+        return self.fading.gaussians[~self.fading.gone]
+
+    @property
+    def of_pixel(self) -> NDArray[np.bool_]:
+        """(N,) whether each of these belongs to a pixel."""
+        return self.placed.of_pixel[~self.fading.gone]
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Number of Gaussians that are not among them, by reason."""
+        gone = int(self.fading.gone.sum())
+        return {**self.placed.dropped, FADED: gone} if gone else self.placed.dropped
 
 
 @freed_blocks_reused()
