@@ -17,7 +17,7 @@ from gapmes.model.checkpoint import read_config, shipped_checkpoint
 from gapmes.model.config import PRESETS
 from gapmes.model.depthsplat.config import LARGEST_SCALE, SCALE_MIN, Compatibility
 from gapmes.model.weights_file import CheckpointError
-from gapmes.service.commands.given import output_path
+from gapmes.service.commands.given import output_option
 from gapmes.service.errors import InputError
 from gapmes.service.process.ending import ended_in_order
 from gapmes.service.process.terminal import ProgressBars, Quiet
@@ -39,10 +39,7 @@ errors = Console(stderr=True)
 
 @app.command()
 def export(
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", parser=output_path, metavar="<path>", help="Path of the .onnx file to write."),
-    ] = None,
+    out: Annotated[Path | None, output_option("Path of the .onnx file to write.", "--out", "-o")] = None,
     architecture: Annotated[str, typer.Option(help=f"One of {', '.join(ARCHITECTURES)}.")] = "gapmes",
     preset: Annotated[
         str | None,
@@ -79,19 +76,10 @@ def export(
     quick: Annotated[bool, typer.Option(help="Verify at two view counts instead of five; shorten --report.")] = False,
     report: Annotated[
         Path | None,
-        typer.Option(
-            parser=output_path,
-            metavar="<path>",
-            help="Export nothing: write a report of error against run time of every setting into this folder.",
-        ),
+        output_option("Export nothing: write a report of error against run time of every setting into this folder."),
     ] = None,
     stability: Annotated[
-        Path | None,
-        typer.Option(
-            parser=output_path,
-            metavar="<path>",
-            help="Export nothing: write the table of stiff and extreme cases into this folder.",
-        ),
+        Path | None, output_option("Export nothing: write the table of stiff and extreme cases into this folder.")
     ] = None,
     scene: Annotated[
         list[Path] | None,

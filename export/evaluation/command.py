@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from gapmes.service.commands.given import output_path
+from gapmes.service.commands.given import Threads, output_option
 from gapmes.service.errors import GapmesError, ModelError
 from gapmes.service.mending.fade_passes import DEFAULT_PASSES, checked_passes
 from gapmes.service.network.backends.choice import DEFAULT_ENGINE, ENGINES
@@ -48,14 +48,12 @@ def evaluate(
     ] = False,
     twice: Annotated[bool, typer.Option("--twice", help="also draw at twice the size, and compare")] = False,
     fade: Annotated[int, typer.Option(help="passes of fading, as in reconstruct; 0: none")] = DEFAULT_PASSES,
-    out: Annotated[
-        Path, typer.Option("-o", "--out", parser=output_path, metavar="<path>", help="folder of the report")
-    ] = Path("evaluation"),
+    out: Annotated[Path, output_option("folder of the report", "-o", "--out")] = Path("evaluation"),
     lpips: Annotated[
         Path | None, typer.Option(readable=False, help="LPIPS weights, .safetensors [default: beside the checkout]")
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="exit with code 1 if a floor is missed")] = False,
-    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="CPU threads [default: all]")] = None,
+    threads: Threads = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the report to stdout as JSON")] = False,
     quiet: Quiet = False,
 ) -> None:

@@ -10,7 +10,6 @@ import typer
 
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
-from ..process.threads import MAX_THREADS
 from .dialect_options import (
     AxesOption,
     DropInvalidOption,
@@ -19,7 +18,7 @@ from .dialect_options import (
     ScalesOption,
     SourceFormatOption,
 )
-from .given import output_path
+from .given import Threads, output_path
 
 if TYPE_CHECKING:
     from ..cameras.camera import Camera
@@ -46,7 +45,7 @@ def convert(
         str,
         typer.Option(metavar="CAMERAS|around|off", help="cameras from which pictures are compared; off: no comparison"),
     ] = "around",
-    threads: Annotated[int | None, typer.Option(min=1, max=MAX_THREADS, help="CPU threads [default: all]")] = None,
+    threads: Threads = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
     quiet: Quiet = False,
 ) -> None:

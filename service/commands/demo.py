@@ -13,13 +13,11 @@ import typer
 from ..process.ending import SIGNALS
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
-from .given import output_path
+from .given import output_option
 
 
 def demo(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", parser=output_path, metavar="<path>", help="folder for results")
-    ] = Path("demo"),
+    output: Annotated[Path, output_option("folder for results", "-o", "--output")] = Path("demo"),
     keep: Annotated[
         bool, typer.Option("--keep", help="leave the service running [also: KEEP=1 in the environment]")
     ] = False,

@@ -11,8 +11,7 @@ import typer
 from ..network.backends.choice import ENGINES, checked_engine
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
-from ..process.threads import MAX_THREADS
-from .given import given, path_option
+from .given import Threads, given, path_option
 
 
 def doctor(
@@ -21,7 +20,7 @@ def doctor(
         str | None, typer.Option(help=f"engine that runs the network: {', '.join(ENGINES)} [default: GAPMES_ENGINE]")
     ] = None,
     store: Annotated[Path | None, path_option("folder of the scenes [default: GAPMES_STORE]")] = None,
-    threads: Annotated[int | None, typer.Option(min=1, max=MAX_THREADS, help="CPU threads [default: all]")] = None,
+    threads: Threads = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the findings to stdout as one JSON object")] = False,
     quiet: Quiet = False,
 ) -> None:

@@ -1,12 +1,16 @@
-"""Options that override settings, where an empty one, such as `--store "$STORE"` without a value, counts as not given;
-and paths of outputs, where an empty one is refused."""
+"""Options of several commands: those that override settings, where an empty one, such as `--store "$STORE"` without a
+value, counts as not given; paths of outputs, where an empty one is refused; the number of threads."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
+
+from ..process.threads import MAX_THREADS
+
+Threads = Annotated[int | None, typer.Option(min=1, max=MAX_THREADS, help="CPU threads [default: all]")]
 
 
 def _path(text: str) -> Path | None:
@@ -29,6 +33,11 @@ def output_path(text: str) -> Path:
             " file of that name is ./-"
         )
     return Path(text)
+
+
+def output_option(help: str, *names: str) -> Any:
+    """An option for the path of an output, see `output_path`."""
+    return typer.Option(*names, parser=output_path, metavar="<path>", help=help)
 
 
 def given(**options: Any) -> dict[str, Any]:

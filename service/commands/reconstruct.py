@@ -14,8 +14,7 @@ from ..mending.fade_passes import DEFAULT_PASSES, checked_passes
 from ..network.backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
-from ..process.threads import MAX_THREADS
-from .given import output_path
+from .given import Threads, output_option
 from .summary import check_line, fading_line, left_out_lines, selection_line
 
 
@@ -29,16 +28,7 @@ def reconstruct(
             " RealEstate10K",
         ),
     ],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            parser=output_path,
-            metavar="<path>",
-            help="file to write: .ply, .compressed.ply, .splat or .spz",
-        ),
-    ],
+    output: Annotated[Path, output_option("file to write: .ply, .compressed.ply, .splat or .spz", "-o", "--output")],
     views: Annotated[
         str | None,
         typer.Option(help="2 to 6 views by index or name, such as 1,5 [default: all; some of more than 6]"),
@@ -73,7 +63,7 @@ def reconstruct(
     ] = 1,
     model: Annotated[Path | None, typer.Option(readable=False, help="ONNX model [default: the packaged one]")] = None,
     engine: Annotated[str, typer.Option(help=f"engine that runs the network: {', '.join(ENGINES)}")] = DEFAULT_ENGINE,
-    threads: Annotated[int | None, typer.Option(min=1, max=MAX_THREADS, help="CPU threads [default: all]")] = None,
+    threads: Threads = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the scene document to stdout as JSON")] = False,
     quiet: Quiet = False,
 ) -> None:

@@ -12,7 +12,6 @@ import typer
 from ..pictures.effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
-from ..process.threads import MAX_THREADS
 from ..viewpoints.camera_path import PathName
 from .dialect_options import (
     AxesOption,
@@ -22,7 +21,7 @@ from .dialect_options import (
     ScalesOption,
     SourceFormatOption,
 )
-from .given import output_path
+from .given import Threads, output_option
 from .selection import view_specs
 
 if TYPE_CHECKING:
@@ -35,13 +34,7 @@ def render(
     cameras: Annotated[Path, typer.Option(readable=False, help="a camera file, or the folder or .zip of a capture")],
     output: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--output",
-            parser=output_path,
-            metavar="<path>",
-            help="folder for pictures, created if missing, or the file of a film or sheet",
-        ),
+        output_option("folder for pictures, created if missing, or the file of a film or sheet", "-o", "--output"),
     ],
     views: Annotated[str | None, typer.Option(help="such as 5,6,7, or 5.5 between two [default: all]")] = None,
     size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in px; views are cropped to this aspect ratio")] = None,
@@ -74,7 +67,7 @@ def render(
     rotation: RotationOption = "auto",
     axes: AxesOption = "rub",
     drop_invalid: DropInvalidOption = False,
-    threads: Annotated[int | None, typer.Option(min=1, max=MAX_THREADS, help="CPU threads [default: all]")] = None,
+    threads: Threads = None,
     as_json: Annotated[bool, typer.Option("--json", help="print what was written to stdout as JSON")] = False,
     quiet: Quiet = False,
 ) -> None:
