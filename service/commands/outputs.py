@@ -15,9 +15,11 @@ from ..pictures.picture import MAX_SIDE, Channel, Format, encode, encode_image
 from ..problem_document import plain
 from ..process.disk import named, replace_file
 from ..progress import Stages
+from ..viewpoints.camera_path import Path as CameraPath
 from ..viewpoints.camera_path import PathName, loop
 from ..viewpoints.framing import even, within
 from ..viewpoints.scene_views import SceneViews
+from .output_file import check_output_folder
 
 if TYPE_CHECKING:
     from ..cameras.camera import Camera
@@ -91,6 +93,11 @@ class FilmPlan:
             raise InputError(f"a film shows rgb, not {channel}", field="channel", cure="draw pictures into a folder")
         return cls(ending, even=ending == "mp4" and not sized, **given)
 
+    def among(self, scene: SceneViews, specs: Sequence[str]) -> CameraPath:
+        """The film's path among these views of a scene. Raises `ViewError`."""
+        cameras = [scene.resolve(spec, field="views") for spec in specs]
+        return replace(scene, cameras=cameras).path(self.path, self.swing)
+
     def fit(self, camera: Camera) -> Camera:
         """The camera with sides that the format supports."""
         return even(camera) if self.even else camera
@@ -109,10 +116,17 @@ class FilmPlan:
         return [f"{shape.frames} frames in {shape.seconds:g} s are {shape.fps:.4g} per second, not {self.fps:g}"]
 
 
-def names_file(output: Path) -> bool:
-    """Whether a path that must be a folder looks like a file, by its suffix or as a bare suffix such as `.webp`."""
+def check_folder(output: Path) -> None:
+    """Raises `InputError` if pictures cannot be written into a folder at `output`, also where it looks like a file, by
+    its suffix or as a bare suffix such as `.webp`."""
     ending = (output.suffix or output.name).lower()
-    return ending in (*NO_FOLDER, *(f".{film}" for film in FILM_FORMATS))
+    if not output.is_dir() and ending in (*NO_FOLDER, *(f".{film}" for film in FILM_FORMATS)):
+        raise InputError(
+            f"{output.name!r} names a file, and pictures go into a folder",
+            field="output",
+            cure="name a folder; a film ends in .mp4, .webp or .gif; --sheet puts all views into one picture",
+        )
+    check_output_folder(output)
 
 
 def empty_pictures(drawing: Drawing) -> list[str]:
@@ -160,8 +174,7 @@ def write_pictures(drawing: Drawing, folder: Path, depth_scale: float | None, st
 def write_moving(drawing: Drawing, output: Path, plan: FilmPlan, stages: Stages) -> dict[str, Any]:
     """Write the film of a path among the views, frame by frame. Returns its entry for the JSON result, with the
     smallest and the largest number of Gaussians in a frame."""
-    among = replace(drawing.scene, cameras=[drawing.scene.resolve(spec, field="views") for spec in drawing.specs])
-    path = among.path(plan.path, plan.swing)
+    path = plan.among(drawing.scene, drawing.specs)
     shape = plan.shape(plan.fit(drawing.fit(path(0.0))))
     projected: list[int] = []
 
@@ -178,10 +191,13 @@ def write_moving(drawing: Drawing, output: Path, plan: FilmPlan, stages: Stages)
     return said | {"projected": (min(projected), max(projected))}
 
 
-def check_sheet(output: Path, shots: Sequence[Camera]) -> None:
-    """Raises `InputError` if a sheet of these views exceeds the side limit of the file's format."""
+def check_sheet(output: Path, channel: Channel, shots: Sequence[Camera]) -> None:
+    """Raises `InputError` unless a sheet shows rgb, in a format that holds one, within the limit of its sides."""
     from ..pictures.contact_sheet import CELL, in_rows, sheet_size
 
+    if channel != "rgb" or output.suffix.lower() not in SHEET_FORMATS:
+        message = f"is {channel} in {output.name!r}, need rgb in one of {', '.join(SHEET_FORMATS)}"
+        raise InputError(message, field="sheet", cure="name such a file, and leave --channel out")
     cells = [within(camera, CELL) for camera in shots]
     size = sheet_size(in_rows([(cell.width, cell.height) for cell in cells]))
     format = SHEET_FORMATS[output.suffix.lower()]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -76,7 +75,6 @@ def render(
     Where the camera file lacks near and far, the depths of the Gaussians that its cameras see stand in for them.
     """
     from ..cameras.depth_range import depth_range
-    from ..errors import InputError
     from ..formats.dialect import Dialect
     from ..formats.registry import inspect_gaussians
     from ..pictures.picture import check_format, parse_background
@@ -85,14 +83,13 @@ def render(
     from ..viewpoints.scene_views import SceneViews
     from ..viewpoints.seen_depths import seen_depths
     from .input_file import capture_of_option, check_input_file
-    from .output_file import check_output_file, check_output_folder
+    from .output_file import check_output_file
     from .outputs import (
-        SHEET_FORMATS,
         Drawing,
         FilmPlan,
+        check_folder,
         check_sheet,
         empty_pictures,
-        names_file,
         write_moving,
         write_pictures,
         write_sheet,
@@ -106,14 +103,10 @@ def render(
     in_file = file.near is not None or file.far is not None
     if in_file:
         depth_range(file.cameras, file.near, file.far)  # refuses an invalid range, and one end alone
-    scene = SceneViews(file.cameras, file.near, file.far) if in_file else SceneViews(file.cameras)
+    scene = SceneViews(file.cameras, file.near, file.far)
     sides = None if size is None else parse_size(size)
     moving: dict[str, Any] = {"path": path, "seconds": seconds, "fps": fps, "swing": swing}
     plan = FilmPlan.asked(output, channel, sheet, sides is not None, **moving)
-    if sheet and (channel != "rgb" or output.suffix.lower() not in SHEET_FORMATS):
-        wanted = ", ".join(SHEET_FORMATS)
-        message = f"is {channel} in {output.name!r}, need rgb in one of {wanted}"
-        raise InputError(message, field="sheet", cure="name such a file, and leave --channel out")
 
     def fit(camera: Camera) -> Camera:
         cropped = square(camera) if crop == "square" else camera
@@ -123,21 +116,15 @@ def render(
     shots = [fit(scene.resolve(spec, field="views")) for spec in specs]
     for shot in shots:  # checked before the Gaussians are read
         check_format(shot.width, shot.height, channel, "png", depth_scale)
-    if sheet:
-        check_sheet(output, shots)
     if plan is not None:
-        replace(scene, cameras=[scene.resolve(spec, field="views") for spec in specs]).path(plan.path, plan.swing)
+        plan.among(scene, specs)
         passed_over += plan.notes(plan.shape(plan.fit(shots[0])))
-    if plan is None and not sheet and not output.is_dir() and names_file(output):
-        raise InputError(
-            f"{output.name!r} names a file, and pictures go into a folder",
-            field="output",
-            cure="name a folder; a film ends in .mp4, .webp or .gif; --sheet puts all views into one picture",
-        )
+    if sheet:
+        check_sheet(output, channel, shots)
     if plan is not None or sheet:
         check_output_file(output, as_json=as_json)
     else:
-        check_output_folder(output)
+        check_folder(output)
     options = {"background": parse_background(background), "threads": threads}
     check_input_file(ply, "SCENE", source_format)
     with ProgressBars(quiet=quiet) as bars:
