@@ -8,8 +8,8 @@ import numpy as np
 
 from .cameras.camera import Camera
 from .gaussians import Gaussians
-from .matching.plane_kernels import compare_level, compare_pixels, mean_planes, spread_along_rows, spread_down_columns
-from .matching.reprojection_kernels import reproject_pixels, sample_bilinear
+from .matching.plane_kernels import mean_planes, spread_along_rows, spread_down_columns
+from .matching.reprojection_kernels import compare_level, compare_pixels, reproject_pixels, sample_bilinear
 from .mending.choice.candidates import ABOUT, COUNT, KNOWN
 from .mending.choice.network import shipped_choice
 from .process.compiler_pages import leave_compiler

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..photographs.images import FittedView
 from .correspondence import Reprojection, reprojected
 from .guided_filter import GuidedFilter
-from .plane_kernels import compare_pixels
+from .reprojection_kernels import compare_pixels
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -1,5 +1,4 @@
-"""Compiled loops over pixels that would take numpy many passes: box filter, matching costs, recursive edge-aware
-filter."""
+"""Compiled loops over pixels that would take numpy many passes: box filter, recursive edge-aware filter."""
 
 from __future__ import annotations
 
@@ -63,54 +62,6 @@ def _cut_off(along, begin, x, radius, width):
     """The mean around column x of the row whose running sums start at `begin`, over a window clipped at the border."""
     low, high = larger(x - radius, 0), smaller(x + radius + 1, width)
     return (get(along, begin + high) - get(along, begin + low)) / (high - low)
-
-
-@kernel()
-def _apart(own, others, at, column, row):
-    """Mean absolute difference of pixel `at` of `own` and the bilinear sample of `others` at pixel index `column`,
-    `row`, clamped to the border."""
-    height, width, channels = others.shape
-    x = smaller(larger(column, 0.0), width - 1.0)
-    y = smaller(larger(row, 0.0), height - 1.0)
-    left, upper = np.int64(x), np.int64(y)
-    over, down = np.float32(x - left), np.float32(y - upper)
-    right, lower = smaller(left + 1, width - 1), smaller(upper + 1, height - 1)
-    corners = (upper * width + left) * channels, (upper * width + right) * channels
-    below = (lower * width + left) * channels, (lower * width + right) * channels
-    before, above = np.float32(1.0) - over, np.float32(1.0) - down
-    total = np.float32(0.0)
-    for channel in range(channels):
-        top = get(others, corners[0] + channel) * before + get(others, corners[1] + channel) * over
-        base = get(others, below[0] + channel) * before + get(others, below[1] + channel) * over
-        total += abs(top * above + base * down - get(own, at * channels + channel))
-    return np.float64(total * (np.float32(1.0) / np.float32(channels)))
-
-
-@kernel()
-def compare_pixels(own, others, column, row, seen, limit, found):
-    """Write `found` (H, W): the mean absolute difference of `own` (H, W, C) and bilinear samples of `others` (h, w, C)
-    at pixel indices `column` and `row` (H, W), truncated at `limit`; `limit` where `seen` (H, W) is 0."""
-    for at in range(found.size):
-        put(found, at, limit)
-        if get(seen, at) != 0:
-            put(found, at, smaller(_apart(own, others, at, get(column, at), get(row, at)), limit))
-
-
-@kernel()
-def compare_level(own, others, rays, baseline, lens, level, limit, found):
-    """Write `found` (H, W): the mean absolute difference of `own` (H, W, C) and `others` (h, w, C), truncated at
-    `limit`, with all pixels at the inverse z-depth `level`. A pixel then lies along ray + level * baseline, with `rays`
-    (H, W, 3) and `baseline` (3,) in the axes of the other view, whose `lens` is fx, fy, cx, cy in px. `limit` where the
-    point is behind the other view or outside its picture, and where one of the four pixels around it is NaN."""
-    height, width, _ = others.shape
-    x_shift, y_shift, z_shift = level * get(baseline, 0), level * get(baseline, 1), level * get(baseline, 2)
-    for at in range(found.size):
-        apart, z = limit, get(rays, 3 * at + 2) + z_shift
-        x = get(lens, 0) * ((get(rays, 3 * at) + x_shift) / z) + get(lens, 2)
-        y = get(lens, 1) * ((get(rays, 3 * at + 1) + y_shift) / z) + get(lens, 3)
-        if z > 0 and x > 0 and y > 0 and x < width and y < height:
-            apart = smaller(_apart(own, others, at, x - 0.5, y - 0.5), limit)  # the limit for NaN
-        put(found, at, apart)
 
 
 @kernel()

@@ -1,4 +1,4 @@
-"""Compiled loops over pixels: reprojection into another view, and bilinear sampling there."""
+"""Compiled loops over pixels: reprojection into another view, bilinear sampling there, and matching costs."""
 
 from __future__ import annotations
 
@@ -64,20 +64,74 @@ def _finite(place):
 
 
 @kernel()
+def _around(values, column, row):
+    """Of the four pixels of `values` (H, W, C) around pixel index `column`, `row`, clamped to the border: the flat
+    indices of their first channels, and the weights of the right and of the lower ones."""
+    height, width, channels = values.shape
+    x = smaller(larger(column, 0.0), width - 1.0)
+    y = smaller(larger(row, 0.0), height - 1.0)
+    left, upper = np.int64(x), np.int64(y)
+    right, lower = smaller(left + 1, width - 1), smaller(upper + 1, height - 1)
+    above = (upper * width + left) * channels, (upper * width + right) * channels
+    below = (lower * width + left) * channels, (lower * width + right) * channels
+    return above, below, np.float32(x - left), np.float32(y - upper)
+
+
+@kernel()
+def _bilinear(values, around, channel):
+    """The bilinear sample of a channel. The same bits as `bilinear.py`."""
+    above, below, over, down = around
+    before = np.float32(1.0) - over
+    top = get(values, above[0] + channel) * before + get(values, above[1] + channel) * over
+    base = get(values, below[0] + channel) * before + get(values, below[1] + channel) * over
+    return top * (np.float32(1.0) - down) + base * down
+
+
+@kernel()
 def sample_bilinear(values, column, row, found):
     """Bilinear samples `found` (N, C) of `values` (H, W, C) at real-valued pixel indices `column` and `row` (N,),
-    clamped to the border. The same bits as `bilinear.py`."""
-    height, width, channels = values.shape
+    clamped to the border."""
+    channels = values.shape[2]
     for at in range(column.size):
-        x = smaller(larger(get(column, at), 0.0), width - 1.0)
-        y = smaller(larger(get(row, at), 0.0), height - 1.0)
-        left, upper = np.int64(x), np.int64(y)
-        over, down = np.float32(x - left), np.float32(y - upper)
-        before, above = np.float32(1.0) - over, np.float32(1.0) - down
-        right, lower = smaller(left + 1, width - 1), smaller(upper + 1, height - 1)
+        around = _around(values, get(column, at), get(row, at))
         for channel in range(channels):
-            corners = (upper * width + left) * channels + channel, (upper * width + right) * channels + channel
-            below = (lower * width + left) * channels + channel, (lower * width + right) * channels + channel
-            top = get(values, corners[0]) * before + get(values, corners[1]) * over
-            base = get(values, below[0]) * before + get(values, below[1]) * over
-            put(found, at * channels + channel, top * above + base * down)
+            put(found, at * channels + channel, _bilinear(values, around, channel))
+
+
+@kernel()
+def _apart(own, others, at, column, row):
+    """Mean absolute difference of pixel `at` of `own` and the bilinear sample of `others` at pixel index `column`,
+    `row`, clamped to the border."""
+    channels = others.shape[2]
+    around = _around(others, column, row)
+    total = np.float32(0.0)
+    for channel in range(channels):
+        total += abs(_bilinear(others, around, channel) - get(own, at * channels + channel))
+    return np.float64(total * (np.float32(1.0) / np.float32(channels)))
+
+
+@kernel()
+def compare_pixels(own, others, column, row, seen, limit, found):
+    """Write `found` (H, W): the mean absolute difference of `own` (H, W, C) and bilinear samples of `others` (h, w, C)
+    at pixel indices `column` and `row` (H, W), truncated at `limit`; `limit` where `seen` (H, W) is 0."""
+    for at in range(found.size):
+        put(found, at, limit)
+        if get(seen, at) != 0:
+            put(found, at, smaller(_apart(own, others, at, get(column, at), get(row, at)), limit))
+
+
+@kernel()
+def compare_level(own, others, rays, baseline, lens, level, limit, found):
+    """Write `found` (H, W): the mean absolute difference of `own` (H, W, C) and `others` (h, w, C), truncated at
+    `limit`, with all pixels at the inverse z-depth `level`. A pixel then lies along ray + level * baseline, with `rays`
+    (H, W, 3) and `baseline` (3,) in the axes of the other view, whose `lens` is fx, fy, cx, cy in px. `limit` where the
+    point is behind the other view or outside its picture, and where one of the four pixels around it is NaN."""
+    height, width, _ = others.shape
+    x_shift, y_shift, z_shift = level * get(baseline, 0), level * get(baseline, 1), level * get(baseline, 2)
+    for at in range(found.size):
+        apart, z = limit, get(rays, 3 * at + 2) + z_shift
+        x = get(lens, 0) * ((get(rays, 3 * at) + x_shift) / z) + get(lens, 2)
+        y = get(lens, 1) * ((get(rays, 3 * at + 1) + y_shift) / z) + get(lens, 3)
+        if z > 0 and x > 0 and y > 0 and x < width and y < height:
+            apart = smaller(_apart(own, others, at, x - 0.5, y - 0.5), limit)  # the limit for NaN
+        put(found, at, apart)

@@ -18,7 +18,7 @@ from ..cameras.rotations import rotated
 from ..matching.confirmed import AGREEMENT_PX, confirmed, textured
 from ..matching.correspondence import disagreement, reprojected, views_with_parallax
 from ..matching.match_cost import GAIN, LIMIT, NOTHING, CostAggregation, difference, features
-from ..matching.plane_kernels import compare_level
+from ..matching.reprojection_kernels import compare_level
 from ..photographs.images import FittedView
 from ..splat.parallel import checked_threads, run_ranges
 

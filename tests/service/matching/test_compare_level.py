@@ -12,7 +12,7 @@ from plane_views import SIDE, plane_depths, plane_views
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.matching.correspondence import reprojected
 from gapmes.service.matching.match_cost import LIMIT, difference, features
-from gapmes.service.matching.plane_kernels import compare_level
+from gapmes.service.matching.reprojection_kernels import compare_level
 from gapmes.service.mending.searched import _Sweep
 from gapmes.service.photographs.images import FittedView
 

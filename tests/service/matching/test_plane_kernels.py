@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from guarded import Guarded, beside_nan
 
-from gapmes.service.matching.plane_kernels import compare_pixels, mean_planes, spread_along_rows, spread_down_columns
+from gapmes.service.matching.plane_kernels import mean_planes, spread_along_rows, spread_down_columns
 from gapmes.service.matching.plane_means import plane_means
+from gapmes.service.matching.reprojection_kernels import compare_pixels
 from gapmes.service.matching.window_match import window_mean
 from gapmes.service.photographs.bilinear import bilinear
 
