@@ -28,9 +28,7 @@ LOADING = ("start", "import", "model", "kernels")  # the stages that /readyz nam
 
 
 @contextmanager
-def local_server(
-    log: Path, *, store: Path, keep: bool = False, port: int = 0
-) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+def local_server(log: Path, *, store: Path, keep: bool, port: int = 0) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """Yield (address, process) of `gapmes serve` on `port` if that is free, else on a free one; stopped at the end
     unless `keep` and no failure, without `keep` also if this process is killed. It needs no key, whatever the
     environment says."""

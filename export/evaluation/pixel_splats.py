@@ -44,7 +44,7 @@ def pixel_gaussians(views: Sequence[FittedView], depths: F32, trusted: NDArray[n
     )
 
 
-def drawn_over(gaussians: Gaussians, camera: Camera, behind: F32, near: float, threads: int | None = None) -> F32:
+def drawn_over(gaussians: Gaussians, camera: Camera, behind: F32, near: float, threads: int | None) -> F32:
     """(3, H, W) in [0, 1]: the splats' unpremultiplied colour, blended with `behind` (3, H, W) below opacity SOLID."""
     picture = render(gaussians, camera, definition=Definition(dilation=DILATION, near=near), threads=threads)
     alpha = picture.alpha

@@ -43,7 +43,7 @@ class ModelScore:
     holes: float  # share of all pixels with opacity below 0.5
     holes_covisible: float | None  # the same among co-visible pixels
     seconds: float  # of the reconstruction, without drawing
-    twice: Twice | None = None
+    twice: Twice | None
 
 
 @dataclass(frozen=True)

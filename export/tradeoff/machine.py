@@ -13,7 +13,7 @@ from .schema import Machine
 PACKAGES = ("gapmes", "numpy", "numba", "onnxruntime", "torch")
 
 
-def this_machine(threads: int | None = None) -> Machine:
+def this_machine(threads: int | None) -> Machine:
     """Processor and flags as Linux tells them; elsewhere only what Python knows."""
     cpu, flags = processor()
     return Machine(

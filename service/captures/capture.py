@@ -38,7 +38,7 @@ class ChosenViews:
     photographs: Photographs
     indices: tuple[int, ...]  # of the views in the camera file
     selection: dict[str, Any]  # JSON values: how they were chosen, of how many
-    warnings: tuple[Notice, ...] = ()
+    warnings: tuple[Notice, ...]
 
     def read(self, place: int) -> bytes:
         """The encoded photograph of a chosen view."""

@@ -42,7 +42,7 @@ def is_compressed(header: Header) -> bool:
     return chunk is not None and any(prop.name in PACKED for prop in header.vertex.properties)
 
 
-def read_compressed_ply(data: bytes, *, drop_invalid: bool = False, max_count: int | None = None) -> Reading:
+def read_compressed_ply(data: bytes, *, drop_invalid: bool, max_count: int | None) -> Reading:
     """Decode a binary file; colours without bounds range from 0 to 1.
 
     Raises `PlyError` naming element and row.

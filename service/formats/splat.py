@@ -20,7 +20,7 @@ COLOUR_LEVELS = 255
 ROTATION_LEVELS = 128  # per unit; 1 exceeds the range and is stored as 127/128
 
 
-def read_splat(data: bytes, *, drop_invalid: bool = False, max_count: int | None = None) -> Reading:
+def read_splat(data: bytes, *, drop_invalid: bool, max_count: int | None) -> Reading:
     """Decode a file. Raises `FormatError` for an incomplete row or an invalid one."""
     count, left = divmod(len(data), ROW.itemsize)
     if left:

@@ -57,7 +57,7 @@ def holds_spz(data: bytes) -> bool:
         return False
 
 
-def read_spz(data: bytes, *, axes: Axes = "rub", drop_invalid: bool = False, max_count: int | None = None) -> Reading:
+def read_spz(data: bytes, *, axes: Axes, drop_invalid: bool, max_count: int | None) -> Reading:
     """Decode a file; no more is decompressed than its header announces. Raises `FormatError`."""
     columns, degree, fraction, version, remarks = _unpacked(data, max_count)
     positions, alphas, colours, scales, rotations, higher = columns

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..splat import Render
 
 
-def check_size(camera: Camera, max_pixels: int, samples: int = 1) -> Camera:
+def check_size(camera: Camera, max_pixels: int, samples: int) -> Camera:
     """The camera itself. Raises `InputError` for a picture of more than `max_pixels` samples."""
     pixels = camera.width * camera.height * samples**2
     if pixels > max_pixels:

@@ -44,9 +44,9 @@ def matches(request: Request, etag: str) -> bool:
     return "*" in tags or etag.removeprefix("W/") in tags
 
 
-def not_modified(etag: str, headers: Mapping[str, str] | None = None) -> Response:
-    """A response 304 with this tag."""
-    return Response(status_code=304, headers={"ETag": etag, **(headers or {})})
+def not_modified(headers: Mapping[str, str]) -> Response:
+    """A response 304 with these headers, the tag among them."""
+    return Response(status_code=304, headers=headers)
 
 
 def etag_of_converted(etag: str, extension: str) -> str:

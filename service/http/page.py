@@ -80,7 +80,7 @@ def _answer(request: Request, name: str, policy: str) -> Response:
     if file.packed is not None:
         headers["Vary"] = "Accept-Encoding"
     if matches(request, file.etag):
-        return not_modified(file.etag, headers)
+        return not_modified(headers)
     body = file.body
     if file.packed is not None and takes_gzip(",".join(request.headers.getlist("accept-encoding"))):
         body = file.packed

@@ -31,7 +31,7 @@ class Pairing:
     images: tuple[NamedImage, ...]
     views: tuple[NamedView, ...]
     by: str
-    warnings: tuple[dict[str, Any], ...] = ()
+    warnings: tuple[dict[str, Any], ...]
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -47,7 +47,7 @@ class Match:
     warnings: tuple[dict[str, Any], ...] = ()
 
 
-def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sorted_name: bool = False) -> Match:
+def match_names(images: Sequence[str], cameras: Sequence[str | None], *, by_sorted_name: bool) -> Match:
     """Pair by name if every camera names its image and each posted name is that of exactly one camera. Only names are
     compared: cameras without an image are never parsed, and the file may hold more cameras than images were posted.
 

@@ -157,7 +157,7 @@ async def _answer(
     """The response with what `work` draws in the queue of pictures, or 304; nothing is drawn for HEAD."""
     cache = {"ETag": etag, "Cache-Control": KEPT}
     if matches(request, etag):
-        return not_modified(etag, cache)
+        return not_modified(cache)
     if request.method == "HEAD":
         return head_alone(media_type, cache)
 

@@ -84,7 +84,7 @@ async def render(request: Request, query: Annotated[RenderQuery, Query()], runti
         asked = await anyio.to_thread.run_sync(_asked, runtime, query, held)
         cache = {"ETag": asked.etag, "Cache-Control": KEPT if query.scene is not None else "no-cache"}
         if matches(request, asked.etag):
-            return not_modified(asked.etag, cache)
+            return not_modified(cache)
         if request.method == "HEAD":
             return head_alone(f"image/{query.format}", {"X-Gapmes-Scene": asked.scene_id, **cache})
         return await _drawn(request, runtime, query, asked, cache)

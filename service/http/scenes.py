@@ -77,7 +77,7 @@ async def scene_file(
         if extension != "ply":
             etag = etag_of_converted(etag, extension)
         if matches(request, etag):
-            return not_modified(etag, {"Cache-Control": ASKED_AGAIN})
+            return not_modified({"ETag": etag, "Cache-Control": ASKED_AGAIN})
         if extension == "ply":
             return SceneFile(runtime.store, scene_id, etag, size)
 

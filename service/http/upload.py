@@ -102,7 +102,7 @@ class RequestSummary:
         }
 
 
-async def read_upload(request: Request, settings: Settings, models: Sequence[str] = (DEFAULT,)) -> Upload:
+async def read_upload(request: Request, settings: Settings, models: Sequence[str]) -> Upload:
     """Read and check the form; `models` are the names that it may choose from. Raises errors of our own, which name the
     field.
 

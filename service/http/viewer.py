@@ -42,7 +42,7 @@ async def viewer_ply(request: Request, scene_id: str, runtime: RuntimeDep) -> Re
         etag = await anyio.to_thread.run_sync(tag, held)
         cache = {"ETag": etag, "Cache-Control": ASKED_AGAIN}
         if matches(request, etag):
-            return not_modified(etag, cache)
+            return not_modified(cache)
         if request.method == "HEAD":
             return head_alone(PLY, cache)
         return SpilledResponse(await runtime.pictures.run(made, request.is_disconnected), PLY, cache)

@@ -26,7 +26,7 @@ class DepthCode:
 
 
 def depth_levels(
-    depth: NDArray[np.floating], there: NDArray[np.bool_], top: int, scale: float | None = None
+    depth: NDArray[np.floating], there: NDArray[np.bool_], top: int, scale: float | None
 ) -> tuple[NDArray[np.unsignedinteger], DepthCode]:
     """Levels (H, W), 8 bits for `top` 255 and 16 for more, of depths (H, W) where `there` (H, W) is true.
 

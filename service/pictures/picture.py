@@ -40,7 +40,7 @@ class Picture:
 
     data: bytes
     media_type: str
-    depth: DepthCode | None = None
+    depth: DepthCode | None
 
 
 def check_format(width: int, height: int, channel: Channel, format: Format, depth_scale: float | None = None) -> None:
