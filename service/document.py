@@ -39,17 +39,7 @@ def scene_document(
     """Depths, scales and camera centres are in the caller's units; `timings` in seconds per stage."""
     info, depths, views = engine.info, inputs.depths, inputs.photos.shown
     return {
-        "model": {
-            "preset": info.preset,
-            "weights_sha256": info.weights_sha256,
-            "file_sha256": info.file_sha256,
-            "precision": info.precision,
-            "licence": info.licence,
-            "height": info.height,
-            "width": info.width,
-            "threads": engine.threads,
-            "engine": engine.made_by.document(),
-        },
+        "model": {**info.document(), "threads": engine.threads, "engine": engine.made_by.document()},
         "near": depths.near,
         "far": depths.far,
         "depth_range_source": depths.source,

@@ -79,16 +79,9 @@ class Models:
     def summary(self, name: str) -> dict[str, Any]:
         """A model as the service tells of it."""
         model = self.get(name)
-        info = model.file.info
         return {
             "name": name,
-            "preset": info.preset,
-            "weights_sha256": info.weights_sha256,
-            "file_sha256": info.file_sha256,
-            "width": info.width,
-            "height": info.height,
-            "precision": info.precision,
-            "licence": info.licence,
+            **model.file.info.document(),
             "engine": self.made_by.document(),
             "bytes": model.file.bytes,
             "loaded": self.loaded(name),

@@ -54,6 +54,11 @@ class ModelInfo:
         rows, columns = self.patch_shape
         return rows * columns
 
+    def document(self) -> dict[str, Any]:
+        """What the service and its scenes tell of a model, as JSON values."""
+        names = ("preset", "weights_sha256", "file_sha256", "precision", "licence", "height", "width")
+        return {name: getattr(self, name) for name in names}
+
 
 def parse_model_info(metadata: Mapping[str, str], path: Path, file_sha256: str) -> ModelInfo:
     """Parse the ONNX `metadata` of the model at `path`. Raises `ModelError` for one that is no gapmes model, of another
