@@ -54,20 +54,9 @@ class Runtime:
             max_days=settings.store_days,
         )
         self.jobs = JobService(self.store, settings)
-        self.pictures = WorkQueue(
-            "pictures",
-            settings.render_concurrency,
-            settings.render_waiting,
-            settings.render_seconds,
-            "drawing or waiting to",
-        )
-        self.files = WorkQueue(
-            "files",
-            settings.render_concurrency,
-            settings.render_waiting,
-            settings.render_seconds,
-            "converting files or waiting to",
-        )
+        limits = settings.render_concurrency, settings.render_waiting, settings.render_seconds
+        self.pictures = WorkQueue("pictures", *limits, "drawing or waiting to")
+        self.files = WorkQueue("files", *limits, "converting files or waiting to")
         self.looks = WorkQueue(  # one photograph at a time is in memory at full size
             "looks", 1, settings.max_uploads, settings.render_seconds, "having their photographs looked at"
         )
