@@ -108,10 +108,7 @@ def export(
             "--precision": precision,
             "--top-k": top_k,
             "--keep-all": keep_all,
-        }
-        if report is None:
-            given["--quick"] = quick
-        given |= {
+            "--quick": quick and report is None,
             "--compatibility": compatibility,
             "--scale-max": scale_max,
             "--architecture": architecture != "gapmes",

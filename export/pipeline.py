@@ -91,45 +91,34 @@ def export_checkpoint(
         out = out.resolve()
         _check_place(out, checkpoint)
     with memory.enough_memory(height, width):
-        return _exported(checkpoint, out, height, width, precision, variant, quick, listener)
-
-
-def _exported(
-    checkpoint: Path,
-    out: Path,
-    height: int,
-    width: int,
-    precision: Precision,
-    variant: Variant,
-    quick: bool,
-    listener: Listener,
-) -> Exported:
-    stages = Stages(listener)
-    with stages.stage("load checkpoint"):
-        loaded = load_variant(checkpoint, variant)
-        network = loaded.network
-    with stages.stage("export graph"):
-        model = export_graph(network, height, width)
-    if precision == "int8":
-        with stages.stage("quantise"):
-            model = quantised(model)
-    metadata = contract_metadata(
-        network,
-        height=height,
-        width=width,
-        weights_sha256=file_sha256(checkpoint),
-        licence=licence(checkpoint, variant.architecture),
-        precision=precision,
-    )
-    add_metadata(model, metadata | ({"keep_all": "true"} if variant.keep_all else {}))
-    with stages.stage("verify"):
-        report = _verified(model, out, checkpoint, quick, lambda done, total: listener(Stage("verify", done, total)))
-    rejected = _rejected_path(out)
-    if not report.passed:
-        raise ExportRejected(rejected, *_kept(model, rejected, report))
-    remove_model(rejected)  # of an export before, with its report
-    _report_path(rejected).unlink(missing_ok=True)
-    return _accept(model, out, report, loaded.fit, stages.timings)
+        stages = Stages(listener)
+        with stages.stage("load checkpoint"):
+            loaded = load_variant(checkpoint, variant)
+            network = loaded.network
+        with stages.stage("export graph"):
+            model = export_graph(network, height, width)
+        if precision == "int8":
+            with stages.stage("quantise"):
+                model = quantised(model)
+        metadata = contract_metadata(
+            network,
+            height=height,
+            width=width,
+            weights_sha256=file_sha256(checkpoint),
+            licence=licence(checkpoint, variant.architecture),
+            precision=precision,
+        )
+        add_metadata(model, metadata | ({"keep_all": "true"} if variant.keep_all else {}))
+        with stages.stage("verify"):
+            report = _verified(
+                model, out, checkpoint, quick, lambda done, total: listener(Stage("verify", done, total))
+            )
+        rejected = _rejected_path(out)
+        if not report.passed:
+            raise ExportRejected(rejected, *_kept(model, rejected, report))
+        remove_model(rejected)  # of an export before, with its report
+        _report_path(rejected).unlink(missing_ok=True)
+        return _accept(model, out, report, loaded.fit, stages.timings)
 
 
 def _check_place(out: Path, checkpoint: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from gapmes.model.training.lpips import Lpips
@@ -78,7 +79,8 @@ def evaluate(
     for plan in plans:
         ours = [model for model in models if model.size == plan.size]
         with stages.stage(f"{plan.kind[:5]} {plan.inputs}v {plan.size}", plan.count) as done:
-            group = _group(plan, ours, out, weights, twice, fade, threads, done)
+            of_case = partial(measure, models=ours, lpips=weights, twice=twice, fade=fade, threads=threads)
+            group = _group(plan, ours, out, of_case, done)
         report = replace(report, groups=[*report.groups, group])
         report.write(out)  # after every group, so that an interrupted run leaves what it has
     return report
@@ -88,10 +90,7 @@ def _group(
     plan: GroupPlan,
     models: Sequence[Model],
     out: Path,
-    lpips: Lpips | None,
-    twice: bool,
-    fade: int,
-    threads: int | None,
+    of_case: Callable[[Case], Measured],
     done: Callable[[int], None],
 ) -> Group:
     first = models[0].label
@@ -109,7 +108,7 @@ def _group(
         sheet.save(out / f"{stems[case.name]}{ending}")
 
     for number, case in enumerate(_cases(plan), start=1):
-        measured = measure(case, models, lpips=lpips, twice=twice, fade=fade, threads=threads)
+        measured = of_case(case)
         scenes.append(measured.score)
         routes.append(measured.routes)
         if plan.generated:
