@@ -9,8 +9,8 @@ from .cameras.camera import Camera
 from .cameras.depth_range import DepthRange
 from .cameras.view_checks import DEPTH_PLANES, Notice, range_notices
 from .matching.depth_sweep import coarse_notices, narrowed
-from .matching.epipolar import inexact_poses
 from .matching.exposures import equalised
+from .matching.inexact_poses import inexact_poses
 from .matching.missed_depths import missed_depths
 from .matching.pair_matches import PairMatches
 from .matching.photo_checks import check_photos

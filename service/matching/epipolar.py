@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cameras.camera import pixel_grid
-from ..cameras.view_checks import Notice
+from ..cameras.camera import Camera, pixel_grid
 from ..photographs.bilinear import bilinear
 from ..photographs.images import FittedView
 from .coarse_views import block_px
@@ -35,89 +34,48 @@ LIKE_NOISE_PX = 0.3  # scale of the robust weight: larger residuals weigh less
 # A rotation that moves points across their lines by less, per degree, is regularised away; so is another focal length
 # that does, per 1.7 %.
 UNSEEN_PX = 0.1
-# Median residual in px from which poses are doubted if a turn of one camera, with or without another focal length,
-# leaves less than half of it, and from which they are doubted anyway. Right pairs, 113 of six captures and 102 that
-# were generated, have up to 0.44 px, one 0.72, of which neither takes half where it is that much.
-LEAST_PX, LEFT, MOST_PX = 0.5, 0.5, 1.2
-SIDE = 256  # px of the shorter side up to which that is so; from there on they grow with it
+CHANGES = 4  # of a camera: three of its rotation, one of its focal length
 
 
 @dataclass(frozen=True, eq=False)
-class EpipolarResidual:
-    """Epipolar residuals of a pair of views."""
+class EpipolarDistances:
+    """N matches of a pair of views, with their distances from their epipolar lines."""
 
     pair: tuple[int, int]
-    px: float  # median distance from the epipolar line
-    turned_px: float  # the same after the best rotation of the second camera
-    turn: float  # rad, angle of that rotation
-    zoomed_px: float  # after the best rotation together with the best focal length of the second camera
-    zoom: float  # natural logarithm of that focal length's ratio to the given one
-
-    def inexact(self, unit: float) -> bool:
-        """Whether cameras are doubted, at `unit` times SIDE."""
-        left = min(self.turned_px, self.zoomed_px)
-        return self.px > MOST_PX * unit or (self.px > LEAST_PX * unit and left < LEFT * self.px)
-
-    def cause(self, one: int, other: int) -> str:
-        """The change of a camera that explains the most, the views being called `one` and `other`."""
-        if self.zoomed_px >= LEFT * self.turned_px:
-            return f"with one of them turned by {np.degrees(self.turn):.2g} degrees it would be {self.turned_px:.2f} px"
-        shorter, longer = (one, other) if self.zoom > 0 else (other, one)
-        percent = 100 * np.expm1(abs(self.zoom))
-        return (
-            f"with the focal length of view {longer} {percent:.2g} % longer, or that of view {shorter} as much "
-            f"shorter, it would be {self.zoomed_px:.2f} px"
-        )
+    px: F64  # (N,) signed
+    # (N, 2, CHANGES) their derivatives by changes of both cameras of the pair: rotations about the axes of the world,
+    # px per rad, and the logarithm of the focal length
+    slopes: F64
 
 
-def inexact_poses(pairs: PairMatches, numbers: Sequence[int]) -> list[Notice]:
-    """The warning about the pair of neighbouring views with the largest residual beyond noise, if there is one.
-
-    `numbers` are what the caller calls the views.
-    """
-    height, width = pairs.views[0].image.shape[1:]
-    unit = max(1.0, min(height, width) / SIDE)
-    found = [residual for residual in epipolar_residuals(pairs) if residual.inexact(unit)]
-    if not found:
-        return []
-    worst = max(found, key=lambda residual: residual.px)
-    one, other = (numbers[view] for view in worst.pair)
-    message = (
-        f"at {width} x {height} px what views {one} and {other} have in common stands {worst.px:.2f} px (median) "
-        f"beside where their cameras allow it, usual is {0.1 * unit:.1f} to {0.5 * unit:.1f}; "
-        f"{worst.cause(one, other)}"
-    )
-    if len(found) > 1:
-        others = [
-            " and ".join(str(numbers[view]) for view in residual.pair) for residual in found if residual is not worst
-        ]
-        message += f"; the same of views {', '.join(others)}"
-    cure = "are poses and intrinsics exact, and those of these very photographs? refine them, for example with COLMAP"
-    return [{"code": "poses_inexact", "field": "cameras", "message": f"{message} ({cure})", "px": round(worst.px, 3)}]
-
-
-def epipolar_residuals(pairs: PairMatches) -> list[EpipolarResidual]:
-    """Per pair of nearest neighbours with ENOUGH matches; distances are in px of the views."""
+def epipolar_distances(pairs: PairMatches) -> list[EpipolarDistances]:
+    """Per pair of nearest neighbours with ENOUGH matches; in px of the views."""
     pictures = [_picture(view) for view in pairs.views]
-    residuals = []
+    found = []
     for pair in pairs.nearest():
         views, drawn = [pairs.views[view] for view in pair], [pictures[view] for view in pair]
-        parts = [_residuals(index, match, views, drawn) for index, match in enumerate(pairs.of(*pair))]
+        parts = [_distances(index, match, views, drawn) for index, match in enumerate(pairs.of(*pair))]
         px, slopes = (np.concatenate(part) for part in zip(*parts, strict=True))
         if len(px) >= ENOUGH:
-            turn, turned = _best_change(px, slopes[:, :3])
-            change, zoomed = _best_change(px, slopes)
-            given_px, turned_px, zoomed_px = (float(np.median(np.abs(rest))) for rest in (px, turned, zoomed))
-            residuals.append(
-                EpipolarResidual(pair, given_px, turned_px, float(np.linalg.norm(turn)), zoomed_px, float(change[3]))
-            )
-    return residuals
+            found.append(EpipolarDistances(pair, px, slopes))
+    return found
 
 
-def _residuals(index: int, match: Matches, views: Sequence[FittedView], pictures: Sequence[F64]) -> tuple[F64, F64]:
-    """(N,) signed distances in px from their epipolar lines, in the other view, of points of view `index` of the pair;
-    and (N, 4) their derivatives by a rotation of the pair's second camera about the axes of the world, px per rad, and
-    by the logarithm of its focal length."""
+def best_change(px: F64, slopes: F64) -> tuple[F64, F64]:
+    """(C,) the change that best explains the distances `px` (N,) with their derivatives `slopes` (N, C), by iteratively
+    reweighted least squares; and (N,) the distances that remain."""
+    count = slopes.shape[1]
+    change: F64 = np.zeros(count)
+    for _ in range(REWEIGHTINGS):
+        weights = 1.0 / (1.0 + np.abs(px + slopes @ change) / LIKE_NOISE_PX)
+        least = np.linalg.norm(weights) * np.degrees(UNSEEN_PX) * np.eye(count)
+        system = np.concatenate([slopes * weights[:, None], least])
+        change = np.asarray(np.linalg.lstsq(system, np.append(-px * weights, np.zeros(count)))[0])
+    return change, px + slopes @ change
+
+
+def _distances(index: int, match: Matches, views: Sequence[FittedView], pictures: Sequence[F64]) -> tuple[F64, F64]:
+    """`EpipolarDistances.px` and `slopes` of points of view `index` of the pair, in the other view."""
     view, other = views[index], views[match.other]
     pixels, depth = _surfaces(match, view, other)
     offsets = pixel_grid((2 * RADIUS + 1,) * 2) - (RADIUS + 0.5)
@@ -135,15 +93,20 @@ def _residuals(index: int, match: Matches, views: Sequence[FittedView], pictures
     length = np.linalg.norm(line, axis=1)
     good &= length > 0
     normal = np.stack([-line[:, 1], line[:, 0]], axis=1) / np.where(length > 0, length, 1.0)[:, None]
-    # A turn of the second camera moves what it sees the other way, and what is seen from it along with it; of a longer
-    # focal length, what it sees moves away from its axis, and what is seen from it towards the axis.
-    second, sign = (other, -1.0) if match.other == 1 else (view, 1.0)
-    offset = (points - second.camera.center)[:, None]
-    ahead = second.camera.rotation[:, 2]
-    away = offset - (offset @ ahead)[..., None] * ahead
-    moved = sign * np.concatenate([np.cross(np.eye(3)[None], offset), -away], axis=1)  # (N, 4, 3) in the world
-    slopes = -np.einsum("ni,nij,naj->na", normal, flow, moved @ other.camera.rotation)
-    return (shift * normal).sum(axis=1)[good], slopes[good]
+    # A turn of a camera moves what it sees the other way, and what is seen from it along with it; of a longer focal
+    # length, what it sees moves away from its axis, and what is seen from it towards the axis.
+    moved = [sign * _moved(points, camera) for camera, sign in ((view.camera, 1.0), (other.camera, -1.0))]
+    slopes = [-np.einsum("ni,nij,naj->na", normal, flow, each @ other.camera.rotation) for each in moved]
+    return (shift * normal).sum(axis=1)[good], np.stack(slopes if index == 0 else slopes[::-1], axis=1)[good]
+
+
+def _moved(points: F64, camera: Camera) -> F64:
+    """(N, CHANGES, 3) derivatives, in the world, of `points` (N, 3) that a camera carries along: by its rotation about
+    the axes of the world, and by the logarithm of its focal length at fixed pixels and depths."""
+    offset = (points - camera.center)[:, None]
+    ahead = camera.rotation[:, 2]
+    across = offset - (offset @ ahead)[..., None] * ahead
+    return np.concatenate([np.cross(np.eye(3)[None], offset), -across], axis=1)
 
 
 def _surfaces(match: Matches, view: FittedView, other: FittedView) -> tuple[F64, F64]:
@@ -196,19 +159,6 @@ def _normalised(values: F64) -> tuple[F64, F64]:
     values = values - values.mean(axis=1, keepdims=True)
     size = np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9)
     return values / size, size
-
-
-def _best_change(px: F64, slopes: F64) -> tuple[F64, F64]:
-    """(C,) the change of the second camera that best explains the distances `px` (N,) with their derivatives `slopes`
-    (N, C), by iteratively reweighted least squares; and (N,) the distances that remain."""
-    count = slopes.shape[1]
-    change: F64 = np.zeros(count)
-    for _ in range(REWEIGHTINGS):
-        weights = 1.0 / (1.0 + np.abs(px + slopes @ change) / LIKE_NOISE_PX)
-        least = np.linalg.norm(weights) * np.degrees(UNSEEN_PX) * np.eye(count)
-        system = np.concatenate([slopes * weights[:, None], least])
-        change = np.asarray(np.linalg.lstsq(system, np.append(-px * weights, np.zeros(count)))[0])
-    return change, px + slopes @ change
 
 
 def _picture(view: FittedView) -> F64:

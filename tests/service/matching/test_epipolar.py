@@ -15,7 +15,7 @@ from gapmes.service.cameras.depth_range import DepthRange
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.matching.coarse_views import pixel_grid
-from gapmes.service.matching.epipolar import EpipolarResidual, epipolar_residuals, inexact_poses
+from gapmes.service.matching.inexact_poses import EpipolarResidual, epipolar_residuals, inexact_poses
 from gapmes.service.matching.pair_matches import PairMatches
 from gapmes.service.photographs.images import FittedView, Photo, decode_image, fit_view, match_photo
 from gapmes.service.shipped import sample_folder
