@@ -14,6 +14,7 @@ from .matching.inexact_poses import inexact_poses
 from .matching.missed_depths import missed_depths
 from .matching.pair_matches import PairMatches
 from .matching.photo_checks import check_photos
+from .matching.refined_poses import refined_cameras
 from .matching.sharpness import less_sharp
 from .network.model_info import ModelInfo
 from .photographs.fitting import FittedPhotos, Picture, fitted_photos
@@ -42,13 +43,15 @@ def prepared_inputs(
     detail: int,
     finer: int,
     trust_poses: bool,
+    refine_poses: bool,
     whole: bool,
     done: Callable[[int], None],
 ) -> Inputs:
     """Fit, check and equalise V photographs of V cameras for the network of `info`.
 
     `depths` is the range as given or estimated from the cameras; `detail`, `finer` and `done` are those of
-    `fitted_photos`, `trust_poses` that of `check_photos`; `numbers` are what the caller calls the views. With `whole`
+    `fitted_photos`, `trust_poses` that of `check_photos`; `numbers` are what the caller calls the views. With
+    `refine_poses` cameras that are doubted, and nothing else is, are replaced by `refined_cameras`, with `whole`
     False photographs are cropped to the network's shape. Raises `ImageError` for a photograph that cannot be used and
     `ContradictionError` where the photographs refute the poses.
     """
@@ -60,12 +63,23 @@ def prepared_inputs(
     planes = info.depth_planes or DEPTH_PLANES
     found = narrowed(depths, given.seen, planes)
     pairs = PairMatches(given.seen, found)
+    refined = refined_cameras(pairs, numbers) if refine_poses and not doubts else None
+    told: list[Notice] = []
+    if refined is not None:
+        given, told = given.with_cameras(refined[0]), [refined[1]]
+        pairs = PairMatches(given.seen, found)
     turned, exposure = equalised(given, pairs, numbers)
     warnings = [
         *given.notices,
         *range_notices(found, planes),
         *coarse_notices(depths, found, given.seen, planes),
-        *(doubts or [*(inexact_poses(pairs, numbers) or missed_depths(pairs)), *less_sharp(pairs, numbers)]),
+        *(doubts or [*told, *_of_matches(pairs, numbers, refine_poses)]),
         *exposure,
     ]
     return Inputs(turned_photos(turned, [-turn for turn in turns]), turned, turns, found, warnings)
+
+
+def _of_matches(pairs: PairMatches, numbers: Sequence[int], refined: bool) -> list[Notice]:
+    """The warnings of checks that presume photographs which match in the given range."""
+    inexact = inexact_poses(pairs, numbers, tried=refined)
+    return [*(inexact or missed_depths(pairs)), *less_sharp(pairs, numbers)]

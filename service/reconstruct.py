@@ -95,6 +95,7 @@ class Reconstructor:
         near: float | None = None,
         far: float | None = None,
         trust_poses: bool = False,
+        refine_poses: bool = False,
         budget: Budget | None = None,
         leave_one_out: int = DEFAULT_OTHERS,
         fade: int = DEFAULT_PASSES,
@@ -113,6 +114,8 @@ class Reconstructor:
         `near`, `far`: z-depths in the cameras' units; by default estimated from the cameras and narrowed to where the
         photographs match. A given range is only narrowed where it is far too wide.
         `trust_poses`: only warn where the photographs contradict the poses, or views do not overlap.
+        `refine_poses`: where poses or focal lengths are slightly wrong, all cameras but the first are turned to match
+        it (`refined_poses.py`), a warning tells by how much, and `view_cameras` has them.
         `budget`: what may be left out of the scene, and for which views the error is bounded; None is `Budget()`.
         `leave_one_out`: of three photographs or more, each is compared with its render from a reconstruction of this
         many others, 2 or more, the nearest with parallax among themselves (a warning where none have); 0: not done.
@@ -134,6 +137,7 @@ class Reconstructor:
         leave_one_out, fade = checked_others(leave_one_out), checked_passes(fade)
         detail = checked_detail(detail, budget.stride)
         trust_poses, whole = truth(trust_poses, "trust_poses"), truth(whole, "whole")
+        refine_poses = truth(refine_poses, "refine_poses")
         with stages.stage("cameras"):
             images, cameras = listed(images, "images"), listed(cameras, "cameras")
             numbers = range(len(images)) if numbers is None else whole_numbers(numbers, "numbers")
@@ -153,6 +157,7 @@ class Reconstructor:
                 detail=detail,
                 finer=FINEST if fade or detail > 1 else 1,
                 trust_poses=trust_poses,
+                refine_poses=refine_poses,
                 whole=whole,
                 done=done,
             )

@@ -41,6 +41,9 @@ def reconstruct(
     ] = None,
     far: Annotated[float | None, typer.Option(help="farthest depth, in the cameras' units")] = None,
     trust_poses: Annotated[bool, typer.Option(help="only warn if photographs or overlap contradict the poses")] = False,
+    refine_poses: Annotated[
+        bool, typer.Option(help="turn cameras whose poses are slightly wrong to match the first")
+    ] = False,
     max_error: Annotated[
         str, typer.Option(help="largest change of a colour by leaving Gaussians out; 0: none, off: keep all")
     ] = "1/255",
@@ -108,6 +111,7 @@ def reconstruct(
             near=near,
             far=far,
             trust_poses=trust_poses,
+            refine_poses=refine_poses,
             budget=budget,
             leave_one_out=leave_one_out,
             fade=fade,

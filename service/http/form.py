@@ -65,6 +65,10 @@ FORM: dict[str, Any] = {
             "type": "boolean",
             "description": "warn only, where photographs or overlap speak against the poses",
         },
+        "refine_poses": {
+            "type": "boolean",
+            "description": "turn cameras whose poses are slightly wrong to match the first view's",
+        },
         "max_error": {
             "type": "string",
             "default": "1/255",

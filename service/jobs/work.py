@@ -46,6 +46,7 @@ class Work:
     detail: int = 1
     lenses: tuple[Lens | None, ...] = ()  # of photographs that are to be undistorted; empty if none is
     numbers: tuple[int, ...] = ()  # view numbers for errors and warnings; empty for 0, 1, ...
+    refine_poses: bool = False
 
     def scene_id(self, identity: str) -> str:
         """Hash of everything that the stored scene depends on, and of nothing else: neither file names nor the model's
@@ -56,6 +57,7 @@ class Work:
             "near": self.near,
             "far": self.far,
             "trust_poses": self.trust_poses,
+            "refine_poses": self.refine_poses,
             "max_error": budget.max_error,
             "certify": budget.certify if bounded else None,
             "views": budget.asked if bounded else None,
@@ -79,7 +81,7 @@ class Work:
 
     def document(self) -> dict[str, Any]:
         """All but the images as JSON values; `of_document` restores them exactly."""
-        names = ("near", "far", "trust_poses", "leave_one_out", "fade", "detail", "model")
+        names = ("near", "far", "trust_poses", "refine_poses", "leave_one_out", "fade", "detail", "model")
         rest: dict[str, Any] = {name: getattr(self, name) for name in names}
         cameras, lenses = (
             [_camera_entry(camera) for camera in self.cameras],
@@ -115,6 +117,7 @@ def compute(
         near=work.near,
         far=work.far,
         trust_poses=work.trust_poses,
+        refine_poses=work.refine_poses,
         budget=work.budget,
         leave_one_out=work.leave_one_out,
         fade=work.fade,

@@ -46,16 +46,16 @@ class EpipolarResidual:
         )
 
 
-def inexact_poses(pairs: PairMatches, numbers: Sequence[int]) -> list[Notice]:
+def inexact_poses(pairs: PairMatches, numbers: Sequence[int], *, tried: bool = False) -> list[Notice]:
     """The warning about the pair of neighbouring views with the largest residual beyond noise, if there is one.
 
-    `numbers` are what the caller calls the views.
+    `numbers` are what the caller calls the views; `tried`: whether they are left after `refined_cameras`.
     """
-    height, width = pairs.views[0].image.shape[1:]
-    unit = max(1.0, min(height, width) / SIDE)
-    found = [residual for residual in epipolar_residuals(pairs) if residual.inexact(unit)]
+    found = doubted(pairs)
     if not found:
         return []
+    height, width = pairs.views[0].image.shape[1:]
+    unit = _unit(pairs)
     worst = max(found, key=lambda residual: residual.px)
     one, other = (numbers[view] for view in worst.pair)
     message = (
@@ -69,7 +69,19 @@ def inexact_poses(pairs: PairMatches, numbers: Sequence[int]) -> list[Notice]:
         ]
         message += f"; the same of views {', '.join(others)}"
     cure = "are poses and intrinsics exact, and those of these very photographs? refine them, for example with COLMAP"
+    cure += ", as refine_poses could not" if tried else ", or set refine_poses"
     return [{"code": "poses_inexact", "field": "cameras", "message": f"{message} ({cure})", "px": round(worst.px, 3)}]
+
+
+def doubted(pairs: PairMatches) -> list[EpipolarResidual]:
+    """The residuals beyond noise."""
+    unit = _unit(pairs)
+    return [residual for residual in epipolar_residuals(pairs) if residual.inexact(unit)]
+
+
+def _unit(pairs: PairMatches) -> float:
+    """How many times SIDE the shorter side of the pictures has, at least 1."""
+    return max(1.0, min(pairs.views[0].image.shape[1:]) / SIDE)
 
 
 def epipolar_residuals(pairs: PairMatches) -> list[EpipolarResidual]:

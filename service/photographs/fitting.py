@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from .whole import Shape
 Bytes = bytes | bytearray | memoryview  # of a file
 Picture = NDArray[np.uint8] | Photo | EncodedPhoto | Image.Image | str | PathLike[str] | Bytes
 """What is taken for a photograph."""
+View = TypeVar("View", FittedView, PackedView)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,25 @@ class FittedPhotos:
         """The views of these `indices`, for a scene without detail."""
         seen = [self.seen[index] for index in indices]
         return FittedPhotos(seen, seen, [self.fine[index] for index in indices], [])
+
+    def with_cameras(self, cameras: Sequence[Camera]) -> FittedPhotos:
+        """The photographs with the poses of these `cameras` of `seen`, and focal lengths changed as theirs are."""
+        given = [view.camera for view in self.seen]
+
+        def changed(views: Sequence[View]) -> list[View]:
+            return [
+                replace(
+                    view,
+                    camera=replace(
+                        view.camera.posed(new.world_from_cam),
+                        fx=view.camera.fx * (new.fx / old.fx),
+                        fy=view.camera.fy * (new.fy / old.fy),
+                    ),
+                )
+                for view, old, new in zip(views, given, cameras, strict=True)
+            ]
+
+        return FittedPhotos(changed(self.seen), changed(self.shown), changed(self.fine), self.notices)
 
 
 def fitted_photos(

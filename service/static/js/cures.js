@@ -1,4 +1,4 @@
-// Cures in the words of the page, where those of the service are for API clients or operators.
+// Cures and warnings in the words of the page, where those of the service are for API clients or operators.
 
 const CAMERA_FILES = "choose a camera file: cameras.json, transforms.json, poses_bounds.npy, a RealEstate10K .txt or a zip of a COLMAP model";
 
@@ -16,18 +16,23 @@ const CURES = {
 const PHRASES = [ // replaced within a cure
   [/^ask for it again$/, "reconstruct it again"],
   [/set trust_poses/, 'tick "Only warn if …" under Options'],
+  [/set refine_poses/, 'tick "Correct poses …" under Options'],
+  [/, as refine_poses could not/, ", which could not be done here"],
   [/(\. Or|, or) raise GAPMES_\w+/, ""],
   [/^is the upload complete\?$/, "the file is damaged: copy it once more from where it comes from"],
   [/^leave it out, or name the file as its view .*/, "leave it out, or give it the name that the camera file has for it"],
   [/^send one camera per image, or name .*/, "choose the photographs to which the camera file belongs, under the names that they have there"],
 ];
-const OF_REQUESTS = /`|\b(GET|POST) \/|\/readyz|Bearer|\bcurl |--[a-z]|GAPMES_|\b(over HTTP|trust_poses|drop_invalid)\b/;
+const OF_REQUESTS = /`|\b(GET|POST) \/|\/readyz|Bearer|\bcurl |--[a-z]|GAPMES_|\b(over HTTP|trust_poses|refine_poses|drop_invalid)\b/;
 const OF_CAMERAS = /^(cameras|views|frames)\b/;
+
+/** A cure, or a warning with one, in the page's words as far as it has some. */
+export const inPageWords = (text) => PHRASES.reduce((words, [theirs, ours]) => words.replace(theirs, ours), text);
 
 /** The cure of a problem document in the page's own words; undefined where there is none. */
 export function cureOf({ code, field, cure }) {
   if (!cure) return cure;
-  const words = PHRASES.reduce((text, [theirs, ours]) => text.replace(theirs, ours), cure);
+  const words = inPageWords(cure);
   if (!OF_REQUESTS.test(words)) return words;
   return CURES[code] ?? (OF_CAMERAS.test(field) ? CAMERA_FILES : undefined);
 }

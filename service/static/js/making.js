@@ -114,7 +114,7 @@ function form() {
   for (const file of images()) data.append("images", file, file.name);
   for (const file of zips()) data.append(images().length ? "cameras" : "capture", file, file.name);
   for (const file of cameras()) data.append("cameras", file, file.name);
-  fill(data, ["context", "near", "far", "max_error", "detail", "trust_poses"]);
+  fill(data, ["context", "near", "far", "max_error", "detail", "trust_poses", "refine_poses"]);
   if (!$("model-row").hidden) data.set("model", $("model").value);
   return data;
 }

@@ -13,6 +13,7 @@ const SET = {
   drop_invalid: () => "without unreadable rows",
   detail: () => "sharper",
   trust_poses: () => "poses trusted",
+  refine_poses: () => "poses corrected",
 };
 
 /** Value of a field, empty if it is not set. */

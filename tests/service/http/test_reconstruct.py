@@ -208,6 +208,13 @@ def test_trust_poses_is_a_flag_of_its_own_scene(client: TestClient) -> None:
     assert refused.json()["field"] == "trust_poses"
 
 
+def test_refine_poses_is_a_flag_of_its_own_scene(client: TestClient) -> None:
+    plain, refined = post(client), post(client, refine_poses="true")
+    assert refined.status_code == 201
+    assert refined.json()["id"] != plain.json()["id"]
+    assert post(client, refine_poses="perhaps").json()["field"] == "refine_poses"
+
+
 def test_a_budget_belongs_to_the_scene(client: TestClient) -> None:
     """Other budgets and other certified views are other scenes; where nothing may go, views certify nothing."""
     default = post(client).json()

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from plane_scene import DEPTH, PlaneScene, photograph
 from sample_matches import sample
+from wrong_cameras import turned, zoomed
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.depth_range import DepthRange
-from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.matching.coarse_views import pixel_grid
 from gapmes.service.matching.inexact_poses import EpipolarResidual, epipolar_residuals, inexact_poses
@@ -29,25 +29,6 @@ def plane(count: int = 2) -> PairMatches:
     return PairMatches(
         [fit_view(Photo(image), c, 192, 256) for image, c in zip(scene.images, scene.cameras, strict=True)], DEPTHS
     )
-
-
-def turned(pairs: PairMatches, which: int, axis: Sequence[float], degrees: float) -> PairMatches:
-    """The cameras with one pose rotated about an axis of its own."""
-    views = list(pairs.views)
-    camera = views[which].camera
-    pose = camera.world_from_cam.copy()
-    pose[:3, :3] = pose[:3, :3] @ about_axis(np.asarray(axis, float), np.radians(degrees))
-    views[which] = replace(views[which], camera=camera.posed(pose))
-    return PairMatches(views, pairs.depths)
-
-
-def zoomed(pairs: PairMatches, which: int, factor: float) -> PairMatches:
-    """The cameras with one focal length that many times as long."""
-    views = list(pairs.views)
-    camera = views[which].camera
-    longer = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
-    views[which] = replace(views[which], camera=longer)
-    return PairMatches(views, pairs.depths)
 
 
 def of_pair(pairs: PairMatches) -> EpipolarResidual:
