@@ -13,7 +13,12 @@ from .camera import Camera
 from .camera_fields import OPENCV_FROM_OPENGL
 from .pose import rigid_inverse
 
+# To x right, y down, z forward, from the axes of a robot: x forward, and y left, z up, or y right, z down.
+OPENCV_FROM_LEFT_UP = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+OPENCV_FROM_RIGHT_DOWN = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 CLEARLY = 10.0  # times the baseline as read; below it the inverted poses would hardly have a baseline either
+_LEFT_UP = "a robot's axes (x forward, y left, z up)"
+_RIGHT_DOWN = "a robot's axes (x forward, y right, z down)"
 
 
 @dataclass(frozen=True)
@@ -47,10 +52,32 @@ def other_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
             [rigid_inverse(pose) @ OPENCV_FROM_OPENGL for pose in poses],
         ),
     )
-    return tuple(
-        Reading(name, cure, tuple(c.posed(pose) for c, pose in zip(cameras, changed, strict=True)))
-        for name, cure, changed in readings
+    return tuple(_posed(cameras, *reading) for reading in readings)
+
+
+def robot_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
+    """The axes of a robot's body instead of OpenCV axes. The cures are as those of `other_readings`."""
+    poses = [camera.world_from_cam for camera in cameras]
+    readings = (
+        (
+            f"{_LEFT_UP}, or in a transforms.json {_RIGHT_DOWN}",
+            "put -column 1, -column 2, column 0 for columns 0, 1, 2 of each c2w; in a transforms.json column 1, "
+            "-column 2, -column 0",
+            [pose @ OPENCV_FROM_LEFT_UP for pose in poses],
+        ),
+        (
+            f"{_RIGHT_DOWN}, or in a transforms.json {_LEFT_UP}",
+            "put column 1, column 2, column 0 for columns 0, 1, 2 of each c2w; in a transforms.json -column 1, "
+            "column 2, -column 0",
+            [pose @ OPENCV_FROM_RIGHT_DOWN for pose in poses],
+        ),
     )
+    return tuple(_posed(cameras, *reading) for reading in readings)
+
+
+def _posed(cameras: Sequence[Camera], looks_like: str, cure: str, poses: Sequence[NDArray[np.float64]]) -> Reading:
+    """The reading under which the cameras have these poses."""
+    return Reading(looks_like, cure, tuple(c.posed(pose) for c, pose in zip(cameras, poses, strict=True)))
 
 
 def with_cures(readings: Iterable[Reading]) -> str:

@@ -12,7 +12,7 @@ from ..plain_number import counted
 from .camera import Camera
 from .depth_range import MAX_RATIO, DepthRange, depth_range_of_reading, largest_baseline
 from .overlap import best_partner_shares, inverse_depth_steps
-from .pose_readings import apart_when_inverted, other_readings, with_cures
+from .pose_readings import apart_when_inverted, other_readings, robot_readings, with_cures
 from .rotations import rotation_angle
 
 MIN_VIEWS = 2
@@ -162,7 +162,7 @@ def _check_overlap(
 def _cure_of_overlap(cameras: Sequence[Camera], depths: DepthRange) -> str:
     """What to do about views that do not overlap: names other readings of the poses under which they do."""
     shares = []
-    for reading in other_readings(cameras):
+    for reading in (*other_readings(cameras), *robot_readings(cameras)):
         other = depth_range_of_reading(reading.cameras, depths)
         if other is not None:
             steps = inverse_depth_steps(other.near, other.far, _DEPTHS)

@@ -11,6 +11,8 @@ from gapmes.service.cameras.rotations import about_axis
 
 DEPTH = 4.0  # of the plane z = DEPTH in the world of the unmoved scene
 WAVES = 24
+# The axes of a robot, x forward, y left and z up, in those of its camera.
+ROBOT = np.eye(4)[[1, 2, 0, 3]] * [[-1], [-1], [1], [1]]
 
 
 @dataclass(frozen=True)

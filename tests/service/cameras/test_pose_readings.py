@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_scene import PlaneScene, photograph
+from plane_scene import ROBOT, PlaneScene, photograph
 from sample_photographs import sample_cameras, sample_pixels, sample_views
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.camera_file import parse_camera_file
 from gapmes.service.cameras.depth_range import DepthRange, depth_range
-from gapmes.service.cameras.pose_readings import other_readings
+from gapmes.service.cameras.pose_readings import other_readings, robot_readings
 from gapmes.service.errors import ContradictionError
 from gapmes.service.matching.photo_checks import check_photos
 from gapmes.service.photographs.images import Photo, fit_view
@@ -57,18 +57,50 @@ def between(cameras: tuple[Camera, ...]) -> np.ndarray:
         (lambda c2w: c2w, 1, "in a transforms.json OpenCV axes: negate columns 1 and 2 of each", lambda m: m @ GL),
         (inv, 0, "invert them, .*of a transforms.json negate columns 1 and 2 then", lambda m: inv(m) @ GL),
         (lambda c2w: inv(c2w @ GL), 2, "of a transforms.json invert them", inv),
+        (
+            lambda c2w: c2w @ ROBOT,
+            4,
+            r"json a robot's axes \(x forward, y left, z up\): .*json -column 1, column 2, -column 0",
+            lambda m: m[:, [1, 2, 0, 3]] * [-1, 1, -1, 1],
+        ),
+        (
+            lambda c2w: c2w @ ROBOT @ GL,
+            3,
+            r"json a robot's axes \(x forward, y right, z down\): .*json column 1, -column 2, -column 0",
+            lambda m: m[:, [1, 2, 0, 3]] * [1, -1, -1, 1],
+        ),
     ],
 )
 def test_cures_are_those_of_a_transforms_json_too(written, place, told, mended):
     """It has OpenGL axes, and takes no word for others."""
     poses = [camera.world_from_cam for camera in sample_cameras((1, 5))]
     matrices = [written(pose) for pose in poses]
-    reading = other_readings(transforms(matrices))[place]
+    cameras = transforms(matrices)
+    reading = (*other_readings(cameras), *robot_readings(cameras))[place]
     np.testing.assert_allclose(between(reading.cameras), inv(poses[0]) @ poses[1], atol=1e-12)
     assert re.search(told, f"{reading.looks_like}: {reading.cure}")
     np.testing.assert_allclose(
         between(transforms([mended(matrix) for matrix in matrices])), inv(poses[0]) @ poses[1], atol=1e-12
     )
+
+
+@pytest.mark.parametrize(
+    ("written", "place", "mended"),
+    [
+        (lambda c2w: c2w @ ROBOT, 0, lambda m: m[:, [1, 2, 0, 3]] * [-1, -1, 1, 1]),
+        (lambda c2w: c2w @ ROBOT @ GL, 1, lambda m: m[:, [1, 2, 0, 3]]),
+    ],
+)
+def test_the_cure_of_a_robots_axes_gives_the_right_poses(written, place, mended):
+    """The columns of the cure, as it counts and signs them."""
+    cameras = sample_cameras((1, 5))
+    wrong = [camera.posed(written(camera.world_from_cam)) for camera in cameras]
+    reading = robot_readings(wrong)[place]
+    signs = "-column 1, -column 2, column 0" if place == 0 else "column 1, column 2, column 0"
+    assert reading.cure.startswith(f"put {signs} for columns 0, 1, 2 of each c2w")
+    for camera, read, bad in zip(cameras, reading.cameras, wrong, strict=True):
+        np.testing.assert_array_equal(mended(bad.world_from_cam), read.world_from_cam)
+        np.testing.assert_allclose(read.world_from_cam, camera.world_from_cam, atol=1e-15)
 
 
 STORED = {2: 2, 3: 3, 4: 4, 5: 5, 6: 8, 7: 7, 8: 6}  # the orientation that undoes another; both turned by 90 degrees

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from plane_scene import DEPTH, PlaneScene
+from plane_scene import DEPTH, ROBOT, PlaneScene
 from sample_photographs import sample_cameras, sample_views
 
 from gapmes.service.cameras.depth_range import DepthRange, depth_range
@@ -26,6 +26,8 @@ WRONG = {
     "world-to-camera matrices: ": rigid_inverse,
     "OpenGL axes": lambda pose: pose @ FLIP,
     "world-to-camera matrices in OpenGL axes": lambda pose: rigid_inverse(pose @ FLIP),
+    "look like a robot's axes (x forward, y left, z up)": lambda pose: pose @ ROBOT,
+    "look like a robot's axes (x forward, y right, z down)": lambda pose: pose @ ROBOT @ FLIP,
 }
 
 
