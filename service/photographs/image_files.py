@@ -23,6 +23,11 @@ _LONG_TEXT = "MAX_TEXT_"  # in Pillow's errors about a PNG's chunks of text, of 
 _START_OF_SCAN, _END_OF_IMAGE, _START_OF_IMAGE = 0xDA, 0xD9, 0xD8
 # ITU-T T.81, B.1.1.2: inside a scan 0xFF stands before 0 (stuffed) or a restart marker; 1 (TEM) has no parameters.
 _MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
+_OTHERS = {  # what cameras and phones write beside these formats, by their first bytes
+    "HEIC": re.compile(rb"....ftyp(?:he[iv][cmsx]|m[is]f1)", re.DOTALL),
+    "AVIF": re.compile(rb"....ftypavi[fs]", re.DOTALL),
+    "TIFF or raw": re.compile(rb"II\*\0|MM\0\*"),
+}
 _quiet = threading.Lock()  # the filters of `warnings` belong to the whole process
 
 
@@ -39,7 +44,7 @@ def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Imag
             image = Image.open(io.BytesIO(data), formats=FORMATS)
     except UnidentifiedImageError as error:
         raise ImageUnreadable(
-            f"{len(data)} bytes are not a {', '.join(FORMATS)} file",
+            f"{len(data)} bytes are not a {', '.join(FORMATS)} file{_but(data)}",
             field="images",
             index=index,
             cure="save the photograph in one of these formats; its content counts, not its name",
@@ -60,6 +65,11 @@ def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Imag
             cure="scale it down; the network works on far smaller images",
         )
     return image
+
+
+def _but(data: bytes) -> str:
+    """The end of a refusal: which other format the bytes have, if they show one of `_OTHERS`."""
+    return next((f", but {name}" for name, start in _OTHERS.items() if start.match(data)), "")
 
 
 def image_size(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> tuple[int, int]:

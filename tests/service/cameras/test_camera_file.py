@@ -223,6 +223,12 @@ def test_a_blender_folder_without_sizes_and_suffixes(tmp_path):
         load_scene_folder(tmp_path)
 
 
+def test_a_bare_list_of_views_is_told_where_it_belongs():
+    with pytest.raises(CameraError, match="is a list, need a JSON object") as caught:
+        parse_camera_file([{"width": 640}])
+    assert '{"views": [...]}' in caught.value.cure
+
+
 def test_folders_without_a_camera_file(tmp_path):
     with pytest.raises(CaptureError, match="holds no cameras, only nothing"):
         load_scene_folder(tmp_path)

@@ -42,7 +42,7 @@ def test_lossless_formats_are_decoded_to_the_bit(kind):
 
 
 def test_text_named_as_an_image_is_415():
-    with pytest.raises(ImageUnreadable, match="are not a JPEG, PNG, WEBP file") as caught:
+    with pytest.raises(ImageUnreadable, match=r"are not a JPEG, PNG, WEBP file \(save") as caught:
         decode_image(b"this is not a picture", index=3)
     assert (caught.value.status, caught.value.index) == (415, 3)
 
@@ -51,6 +51,21 @@ def test_text_named_as_an_image_is_415():
 def test_other_formats_are_415(kind):
     with pytest.raises(ImageUnreadable):
         decode_image(encoded(Image.fromarray(picture()), kind), index=0)
+
+
+@pytest.mark.parametrize(
+    ("start", "name"),
+    [
+        (b"\0\0\0\x24ftypheic", "HEIC"),
+        (b"\0\0\0\x0aftypmif1", "HEIC"),
+        (b"\0\0\0\x20ftypavif", "AVIF"),
+        (b"II*\0", "TIFF or raw"),
+        (b"MM\0*", "TIFF or raw"),
+    ],
+)
+def test_formats_of_phones_and_cameras_are_named(start, name):
+    with pytest.raises(ImageUnreadable, match=rf"not a JPEG, PNG, WEBP file, but {name} \(save"):
+        decode_image(start + bytes(40), index=0)
 
 
 @pytest.mark.filterwarnings("error::PIL.Image.DecompressionBombWarning")  # ours is the only word on it
