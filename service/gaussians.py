@@ -20,19 +20,25 @@ GAUSSIANS_CURE = "give those of a scene, or what read_gaussians returns"  # wher
 _TAIL = {"means": (3,), "scales": (3,), "rotations_wxyz": (4,), "opacities": ()}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Gaussians:
     """N Gaussians; build them with `Gaussians.make`, which checks shapes, finiteness and ranges once.
+
+    `means`: (N, 3) world, caller's units; float64 so that a far-off origin costs nothing.
+    `scales`: (N, 3) standard deviations along the own axes, caller's units, >= 0.
+    `rotations_wxyz`: (N, 4) unit quaternions, own axes to world.
+    `opacities`: (N,) in [0, 1].
+    `harmonics`: (N, K, 3) SH coefficients in 3DGS order and sign, K = (degree + 1)^2.
 
     The arrays must not change afterwards: what was prepared to draw them is kept. For other values make another set
     (`dataclasses.replace`).
     """
 
-    means: F64  # (N, 3) world, caller's units; float64 so that a far-off origin costs nothing
-    scales: F32  # (N, 3) standard deviations along the own axes, caller's units, >= 0
-    rotations_wxyz: F32  # (N, 4) unit quaternions, own axes to world
-    opacities: F32  # (N,) in [0, 1]
-    harmonics: F32  # (N, K, 3) SH coefficients in 3DGS order and sign, K = (degree + 1)^2
+    means: F64
+    scales: F32
+    rotations_wxyz: F32
+    opacities: F32
+    harmonics: F32
 
     @classmethod
     def make(
@@ -65,6 +71,9 @@ class Gaussians:
 
     def __len__(self) -> int:
         return len(self.means)
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} Gaussians of SH degree {self.sh_degree}>"
 
     @property
     def sh_degree(self) -> int:
