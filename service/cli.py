@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from .commands import convert, demo, doctor, reconstruct, render, serve
-from .errors import CameraError, GapmesError, ImageError
+from .errors import MORE_MEMORY, CameraError, GapmesError, ImageError
 from .extra_commands import WithExtraCommands
 from .problem_document import of_error, problem
 from .process.allocator import give_back_freed
@@ -68,6 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         line, document = _one_line(error), of_error(error)
     except OSError as error:
         line, document = _of_system(error)
+    except MemoryError as error:
+        line, document = _of_memory(error)
     except KeyboardInterrupt:
         sys.exit(130)
     else:
@@ -94,6 +96,12 @@ def _of_system(error: OSError) -> tuple[str, dict[str, Any]]:
     who = f" as uid {os.getuid()}" if isinstance(error, PermissionError) else ""
     cure = f"is there room, and permission to read and write there{who}?"
     return f"{detail} ({cure})", problem(500, "storage_error", detail, cure=cure)
+
+
+def _of_memory(error: MemoryError) -> tuple[str, dict[str, Any]]:
+    """Memory that the system does not grant: a line, and a problem document."""
+    detail = f"the memory does not suffice{': ' if str(error) else ''}{error}"
+    return f"{detail} ({MORE_MEMORY})", problem(500, "system_error", detail, cure=MORE_MEMORY)
 
 
 if __name__ == "__main__":

@@ -43,6 +43,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+MORE_MEMORY = "give it more memory (a container's limit, ulimit -v), or fewer and smaller photographs and pictures"
+
 
 class GapmesError(Exception):
     """Base of all refusals; `message` says what is wrong with both numbers, `cure` what to do about it."""

@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arguments import shown, whole_number
-from ..errors import ModelError
+from ..errors import MORE_MEMORY, ModelError
 from ..process.threads import MAX_THREADS, available_threads
 from ..shipped import shipped_model
 from .backends.choice import DEFAULT_ENGINE, EngineName, Session, Sides, checked_engine, identity, made_by, open_session
 from .contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from .model_file import model_file
 from .model_info import ModelInfo
+
+_OUT_OF_MEMORY = ("bad_alloc", "Failed to allocate memory")  # in the words of the runtimes, which have no type for it
 
 Arrays = dict[str, NDArray]
 
@@ -80,7 +82,10 @@ class Engine:
         try:
             found = self._session.run(self.outputs, feed)
         except self._session.failures as error:
-            raise ModelError(f"{self.made_by.name} failed on {views} views: {error}", field="model") from error
+            cure = MORE_MEMORY if any(word in str(error) for word in _OUT_OF_MEMORY) else None
+            raise ModelError(
+                f"{self.made_by.name} failed on {views} views: {error}", field="model", cure=cure
+            ) from error
         outputs = dict(zip(self.outputs, found, strict=True))
         _check_outputs(outputs, views, info)
         return outputs

@@ -25,6 +25,19 @@ from gapmes.service.formats.ply import ply_bytes
 from gapmes.service.settings import Settings
 
 
+@pytest.mark.parametrize("words", ["", "Unable to allocate 3 MiB"])
+def test_memory_that_does_not_suffice_is_told_without_a_traceback(
+    words: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def without_memory(*_: object, **__: object) -> None:
+        raise MemoryError(*([words] if words else []))
+
+    monkeypatch.setattr(cli, "app", without_memory)
+    assert run("render", "--json") == 1
+    refusal = assert_refusal(capfd, f"the memory does not suffice{': ' if words else ''}{words}")
+    assert "ulimit" in refusal["cure"]
+
+
 @pytest.mark.parametrize("unit", [1e-3, 1e3])
 def test_pictures_do_not_depend_on_the_unit(scene_dir: Path, tmp_path: Path, unit: float) -> None:
     """Without near and far in the camera file, and with one camera or several: orbits and near plane follow."""

@@ -10,7 +10,7 @@ import pytest
 from onnx import TensorProto, helper
 from standin_model import COLUMNS, EXTRA, HEIGHT, METADATA, ROWS, WIDTH, write_standin
 
-from gapmes.service.errors import ModelError
+from gapmes.service.errors import MORE_MEMORY, ModelError
 from gapmes.service.network.contract import OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from gapmes.service.network.engine import Engine
 from gapmes.service.process.threads import available_threads
@@ -190,6 +190,20 @@ def test_depths_that_no_camera_sees_are_refused(engine, monkeypatch, value):
     with pytest.raises(ModelError, match="numbers are not above 0") as caught:
         engine.run(**inputs())
     assert caught.value.field == "depth"
+
+
+@pytest.mark.parametrize(
+    ("words", "cure"),
+    [("std::bad_alloc", MORE_MEMORY), ("Failed to allocate memory for", MORE_MEMORY), ("?", None)],
+)
+def test_a_runtime_without_memory_is_told_so(engine, monkeypatch, words, cure):
+    def run(names, feed):
+        raise engine._session.failures[0](words)
+
+    monkeypatch.setattr(engine._session, "run", run)
+    with pytest.raises(ModelError, match="failed on 2 views") as caught:
+        engine.run(**inputs())
+    assert caught.value.cure == cure
 
 
 def test_default_model_is_the_packaged_one():
