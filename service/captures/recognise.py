@@ -53,11 +53,8 @@ def recognised(files: Files, max_bytes: int = MAX_CAMERA_BYTES) -> tuple[str, Ca
             f"{files.label} holds {len(found)} captures: {listed}", field="capture", cure="give one of them"
         )
     there = [f"{name}/" for name in files.folders("")] + list(files.files(""))
-    raise CaptureError(
-        f"{files.label} holds no cameras, only {', '.join(there[:8]) or 'nothing'}",
-        field="capture",
-        cure=f"it needs one of {KNOWN}",
-    )
+    found_instead = f"holds no cameras, only {', '.join(there[:8])}" if there else "is empty"
+    raise CaptureError(f"{files.label} {found_instead}", field="capture", cure=f"it needs one of {KNOWN}")
 
 
 def table_of_file(files: Files, path: str, max_bytes: int = MAX_CAMERA_BYTES) -> CameraTable:

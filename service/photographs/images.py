@@ -238,6 +238,10 @@ def _checked_pixels(array: object, index: int | None) -> NDArray[np.uint8]:
             cure = "give what its read() returns, from the beginning of a file opened for bytes, or the file's path"
     elif pixels.dtype == np.uint8 and pixels.ndim == 1:
         cure = "are these the bytes of a file? give them as bytes, such as by tobytes()"
+    elif pixels.dtype == np.uint8 and pixels.ndim == 2:
+        cure = "of a grey photograph give np.stack([array] * 3, axis=-1)"
+    elif pixels.dtype == np.uint8 and pixels.ndim == 3 and pixels.shape[0] in (3, 4):
+        cure = "put the channels last: array.transpose(1, 2, 0)"
     raise ImageError(f"{what}, need uint8 (H, W, 3) or (H, W, 4)", field="images", index=index, cure=cure)
 
 

@@ -22,7 +22,7 @@ def test_an_option_with_a_capture_is_named(kind: str, scene: Path, capfd: pytest
     folder = scene.parent / kind
     if kind == "empty":
         folder.mkdir()
-    words = "does not exist" if kind == "missing" else "holds no cameras"
+    words = "does not exist" if kind == "missing" else "is empty"
     assert run("render", scene, "--cameras", folder, "-o", scene.parent / "out", "--json") == 1
     assert assert_refusal(capfd, f"cameras: {folder} {words}")["field"] == "cameras"
     assert run("convert", scene, scene.parent / "a.spz", "--measure", folder, "--json") == 1

@@ -230,7 +230,7 @@ def test_a_bare_list_of_views_is_told_where_it_belongs():
 
 
 def test_folders_without_a_camera_file(tmp_path):
-    with pytest.raises(CaptureError, match="holds no cameras, only nothing"):
+    with pytest.raises(CaptureError, match="is empty"):
         load_scene_folder(tmp_path)
     (tmp_path / "cameras.json").write_text("{")
     with pytest.raises(CameraError, match="is not readable JSON"):

@@ -128,6 +128,20 @@ def test_files_and_other_things_are_refused_with_a_cure(engine: Engine, tmp_path
 
 
 @pytest.mark.parametrize(
+    ("wrong", "cure", "mended"),
+    [
+        (lambda rgb: rgb[:, :, 0], "np.stack([array] * 3, axis=-1)", lambda array: np.stack([array] * 3, axis=-1)),
+        (lambda rgb: rgb.transpose(2, 0, 1), "array.transpose(1, 2, 0)", lambda array: array.transpose(1, 2, 0)),
+    ],
+    ids=["grey", "channels first"],
+)
+def test_arrays_of_other_shapes_are_refused_with_what_mends_them(wrong, cure, mended, engine: Engine) -> None:
+    array = wrong(picture(*SIZE))
+    assert cure in refusal(array, engine).cure
+    assert view(mended(array), engine).shape[0] == 3
+
+
+@pytest.mark.parametrize(
     ("name", "said", "cure"),
     [
         ("none.png", "No such file or directory", "a relative path counts from the working folder"),
