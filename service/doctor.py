@@ -157,10 +157,11 @@ class Doctor:
     def _caches(self) -> tuple[State, str]:
         """Both are made anew where they are missing."""
         from .http.runtime import MODELS
-        from .splat.kernel_cache import KERNELS
+        from .splat.kernel_cache import ELSEWHERE, KERNELS
 
         folders = {"kernels": KERNELS, "optimised models": self._settings.store / MODELS}
-        return "ok", ", ".join(f"{name}: {folder} {_size(folder)}" for name, folder in folders.items())
+        text = ", ".join(f"{name}: {folder} {_size(folder)}" for name, folder in folders.items())
+        return ("ok", text) if ELSEWHERE is None else ("warning", f"{text}; {ELSEWHERE}")
 
     def _sample(self) -> tuple[State, str]:
         """Two photographs to a scene, and its picture beside a third."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from .mending.choice.candidates import ABOUT, COUNT, KNOWN
 from .mending.choice.network import shipped_choice
 from .process.compiler_pages import leave_compiler
 from .splat import Definition, leverage, render
+from .splat.kernel_cache import ELSEWHERE
+
+_log = logging.getLogger("gapmes")
 
 
 @functools.cache
@@ -48,3 +52,10 @@ def warm_up() -> None:
 def is_warm() -> bool:
     """Whether `warm_up` has returned in this process."""
     return warm_up.cache_info().currsize > 0
+
+
+def warm_up_with_notice() -> None:
+    """`warm_up`, with a line in the log where compiled kernels are not kept in the folder that was named for them."""
+    if ELSEWHERE is not None:
+        _log.warning("%s", ELSEWHERE)
+    warm_up()

@@ -140,7 +140,7 @@ def _tell(strange: Sequence[str]) -> None:
 def _prepare(settings: Settings, models: Models) -> None:
     """Write an optimised copy of every model into the store, and compile the kernels."""
     from ..http.runtime import MODELS
-    from ..kernels import warm_up
+    from ..kernels import warm_up_with_notice
     from ..network.backends.onnxruntime_session import session_options
     from ..network.prepared_model import prepared
     from ..process.threads import available_threads
@@ -162,7 +162,7 @@ def _prepare(settings: Settings, models: Models) -> None:
                     cure="the line above says why",
                 )
         with stages.stage("kernels"):
-            warm_up()
+            warm_up_with_notice()
 
 
 def _end_with_the_terminal() -> None:

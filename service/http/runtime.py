@@ -170,14 +170,14 @@ class Runtime:
         with self._bars as listener:
             self._stages = Stages(listener)
             with self._timed("import"):
-                from ..kernels import warm_up
+                from ..kernels import warm_up_with_notice
                 from ..models import Models
             with self._timed("model"):
                 models = Models(self.settings, prepare=self.settings.store / MODELS)
                 with models.using(DEFAULT):  # further models are loaded on first use
                     pass
             with self._timed("kernels"):
-                warm_up()
+                warm_up_with_notice()
         self.jobs.open(models)
         self._models = models
         self.peers.loaded()
@@ -206,9 +206,8 @@ class Runtime:
         if self._models is not None:
             return self._models
         if self.failure is not None:
-            raise ModelNotReady(
-                f"loading failed in stage {self.stage!r}", cure="the service's log says why; is GAPMES_MODEL right?"
-            )
+            hint = "; is GAPMES_MODEL right?" if self.stage == "model" else ""
+            raise ModelNotReady(f"loading failed in stage {self.stage!r}", cure=f"the service's log says why{hint}")
         raise ModelNotReady(f"the service is starting, stage {self.stage!r}", cure="poll /readyz and retry")
 
 

@@ -36,12 +36,12 @@ def source_stamp(package: Path = PACKAGE) -> str:
 def cache_folder(package: Path = PACKAGE) -> Path:
     """The folder that holds the compiled kernels of all states of the package.
 
-    NUMBA_CACHE_DIR where it is set; else the first of these that is writable by this user alone: the package's
-    __pycache__, $XDG_CACHE_HOME/gapmes, ~/.cache/gapmes, <temporary folder>/gapmes-<user id>; else a new private
-    temporary folder.
+    NUMBA_CACHE_DIR where it is set and can be written; else the first of these that is writable by this user alone: the
+    package's __pycache__, $XDG_CACHE_HOME/gapmes, ~/.cache/gapmes, <temporary folder>/gapmes-<user id>; else a new
+    private temporary folder.
     """
     given = os.environ.get("NUMBA_CACHE_DIR")
-    if given:
+    if given and given_refusal(package) is None:
         return Path(given)
     if _is_private(package / "__pycache__", create=package):
         return package / "__pycache__"
@@ -56,6 +56,29 @@ def cache_folder(package: Path = PACKAGE) -> Path:
     if _is_private(temporary, create=temporary.parent):
         return temporary
     return Path(tempfile.mkdtemp(prefix="gapmes-"))
+
+
+def given_refusal(package: Path = PACKAGE) -> str | None:
+    """Why the folder that NUMBA_CACHE_DIR names cannot hold kernels; None where it can, or where none is named.
+
+    Tried as numba tries it: it would pass over such a folder without a word, for one without a stamp, or refuse to
+    decorate any function.
+    """
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if not given:
+        return None
+    folder = _of_this_state(Path(given), package)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        return f"NUMBA_CACHE_DIR: {folder} cannot be written: {error.strerror}"
+    return None
+
+
+def _of_this_state(folder: Path, package: Path) -> Path:
+    """The folder's part for the present state of the package."""
+    return folder / f"kernels-{source_stamp(package)}"
 
 
 def _is_private(folder: Path, *, create: Path) -> bool:
@@ -77,7 +100,9 @@ def _is_private(folder: Path, *, create: Path) -> bool:
     return os.access(folder, os.W_OK | os.X_OK)
 
 
-KERNELS = cache_folder() / f"kernels-{source_stamp()}"
+KERNELS = _of_this_state(cache_folder(), PACKAGE)
+_REFUSAL = given_refusal()
+ELSEWHERE = None if _REFUSAL is None else f"{_REFUSAL}; compiled kernels are kept in {KERNELS}"
 
 
 def kernel(*, fastmath: frozenset[str] = frozenset()) -> Callable[[Callable], Callable]:

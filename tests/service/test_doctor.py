@@ -120,6 +120,10 @@ def test_extras_and_caches_are_told_with_version_and_size(tmp_path: Path, monkey
     looked = Doctor(Settings(store=tmp_path))
     assert looked._extras() == ("ok", f"one: numpy {version('numpy')}, other: not installed")
     assert looked._caches()[1].endswith(f"optimised models: {tmp_path / '.models'} (3.0 MB)")
+    monkeypatch.setattr(kernel_cache, "ELSEWHERE", "NUMBA_CACHE_DIR: /x cannot be written")
+    state, text = looked._caches()
+    assert state == "warning"
+    assert text.endswith("(3.0 MB); NUMBA_CACHE_DIR: /x cannot be written")
 
 
 def test_further_models_are_looked_at_and_summed(tmp_path: Path, standin_model: Path) -> None:

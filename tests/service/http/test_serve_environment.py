@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import uvicorn
 from cli_runs import run
+from served_process import serving
 
 from gapmes.service.commands import serve
 from gapmes.service.process.peers import FOLDER
@@ -84,3 +85,15 @@ def test_names_that_nothing_reads_are_said_before_models_are_prepared(
     monkeypatch.setenv("GAPMES_QUEUE", "5")
     assert run("serve", "--prepare", "--store", tmp_path) == 0
     assert ["nothing reads GAPMES_QUEUE: " in text for text in said] == [True]
+
+
+def test_a_folder_for_kernels_that_cannot_be_written_is_told_and_not_used(tmp_path: Path, standin_model: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    more = {"NUMBA_CACHE_DIR": str(tmp_path / "file" / "kernels"), "GAPMES_LOG": "json"}
+    with serving(tmp_path / "scenes", standin_model, tmp_path / "log", **more):
+        pass
+    said = [json.loads(line) for line in (tmp_path / "log").read_text().splitlines()]
+    told = [line["message"] for line in said if line["level"] == "warning"]
+    assert len(told) == 1
+    assert told[0].startswith(f"NUMBA_CACHE_DIR: {tmp_path / 'file' / 'kernels'}/kernels-")
+    assert " cannot be written: Not a directory; compiled kernels are kept in /" in told[0]

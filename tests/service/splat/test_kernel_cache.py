@@ -1,6 +1,8 @@
 """Compiled kernels find a writable folder of their own, and no kernel assumes that NaN is absent."""
 
 import os
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 
@@ -8,7 +10,13 @@ import numba
 import pytest
 
 from gapmes.service.kernels import warm_up
-from gapmes.service.splat.kernel_cache import KERNELS, cache_folder, kernel, source_stamp
+from gapmes.service.splat.kernel_cache import KERNELS, cache_folder, given_refusal, kernel, source_stamp
+
+KERNELS_OF_A_PROCESS = """
+from gapmes.service.splat import blend, kernel_cache
+found = [value for value in vars(blend).values() if hasattr(value, "signatures")]
+print(kernel_cache.KERNELS, *{function.stats.cache_path for function in found}, sep="\\n")
+"""
 
 
 @pytest.fixture
@@ -45,6 +53,30 @@ def test_the_setting_comes_first_and_then_the_package(monkeypatch, tmp_path, bar
     assert cache_folder(tmp_path) == tmp_path / "__pycache__"
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "told"))
     assert cache_folder(bare) == tmp_path / "told"
+
+
+def test_a_named_folder_that_cannot_be_written_is_passed_over(monkeypatch, tmp_path, bare):
+    (tmp_path / "file").write_text("no folder")
+    told = tmp_path / "file" / "told"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(told))
+    assert cache_folder(tmp_path) == tmp_path / "__pycache__"
+    why = given_refusal(bare)
+    assert why == f"NUMBA_CACHE_DIR: {told}/kernels-{source_stamp(bare)} cannot be written: Not a directory"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "other"))
+    assert given_refusal(bare) is None
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    assert given_refusal(bare) is None
+
+
+def test_kernels_have_their_own_folder_also_where_the_named_one_cannot_be_written(tmp_path):
+    """Numba would keep them beside the source, where a change of another file leaves them as they are."""
+    (tmp_path / "file").write_text("no folder")
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "file" / "told")}
+    words = [sys.executable, "-c", KERNELS_OF_A_PROCESS]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+    kernels, *paths = done.stdout.splitlines()
+    assert paths
+    assert all(path.startswith(f"{kernels}{os.sep}") for path in paths)
 
 
 def test_every_state_of_the_sources_has_a_stamp_of_its_own(tmp_path):
