@@ -36,6 +36,7 @@ GapmesError                     500 internal_error
 ├── DeadlineExceeded            504 deadline_exceeded
 ├── JobCancelled                409 job_cancelled
 ├── ModelChanged                409 model_changed
+├── InputsGone                  410 inputs_gone
 └── StorageFull                 507 storage_full
 """
 
@@ -226,6 +227,11 @@ class JobCancelled(GapmesError):
 class ModelChanged(GapmesError):
     status = 409
     code = "model_changed"
+
+
+class InputsGone(GapmesError):
+    status = 410
+    code = "inputs_gone"
 
 
 class StorageFull(GapmesError):

@@ -14,7 +14,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from pydantic import BeforeValidator, Field
 
-from ..errors import JobCancelled
+from ..errors import JobCancelled, JobNotFound
 from ..jobs.rows import Event, Job
 from ..problem_document import of_error
 from .parameters import Parameters, whole
@@ -124,7 +124,10 @@ async def _events(request: Request, runtime: Runtime, job_id: str, after: int) -
     async with runtime.streams.slot():
         yield f"retry: {RETRY_MS}\n\n"
         while not runtime.stopping:
-            over = table.get(job_id).over  # read before the events, of which none follows the end
+            try:
+                over = table.get(job_id).over  # read before the events, of which none follows the end
+            except JobNotFound:  # forgotten, or deleted with the index: who asks for its state is told
+                return
             for event in table.events(job_id, after):
                 after, heard = event.seq, time.monotonic()
                 yield _text(event)

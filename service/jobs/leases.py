@@ -6,9 +6,12 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import threading
 import uuid
 from collections.abc import Iterable
 from pathlib import Path
+
+from ..process.disk import made_again
 
 
 class Lease:
@@ -16,28 +19,50 @@ class Lease:
 
     def __init__(self, folder: Path, slots: int = 1) -> None:
         """Create and lock a file in `folder` that announces `slots`, and delete files of processes that have ended."""
-        folder.mkdir(parents=True, exist_ok=True)
-        self._folder = folder
+        self._folder, self._own = folder, str(slots)
         self.name = uuid.uuid4().hex
-        unseen = folder / f".{self.name}"  # renamed once it is locked, so that no other process deletes it
-        self._handle = os.open(unseen, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
-        fcntl.flock(self._handle, fcntl.LOCK_EX)
-        with contextlib.suppress(OSError):  # a full disk, see `_slots`
-            os.write(self._handle, str(slots).encode())
-        unseen.rename(folder / self.name)
+        self._keeping, self._released = threading.Lock(), False
+        self._handle = self._announced()
         self.gone(path.name for path in folder.iterdir() if not path.name.startswith("."))
+
+    def _announced(self) -> int:
+        self._folder.mkdir(parents=True, exist_ok=True)
+        unseen = self._folder / f".{self.name}"  # renamed once it is locked, so that no other process deletes it
+        handle = os.open(unseen, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        with contextlib.suppress(OSError):  # a full disk, see `_slots`
+            os.write(handle, self._own.encode())
+        unseen.rename(self._folder / self.name)
+        return handle
+
+    def keep(self) -> bool:
+        """Make the file again if somebody has deleted it, since to others this process has ended then; returns whether
+        it was there. Raises `ServiceBusy` if that fails."""
+        with self._keeping:
+            if self._released or (self._folder / self.name).exists():
+                return True
+            with made_again(self._folder):
+                deleted, self._handle = self._handle, self._announced()
+            os.close(deleted)
+            return False
 
     def release(self) -> None:
         """Delete the file: other processes see this one as ended."""
-        (self._folder / self.name).unlink(missing_ok=True)
-        os.close(self._handle)
+        with self._keeping:
+            self._released = True
+            (self._folder / self.name).unlink(missing_ok=True)
+            os.close(self._handle)
 
     def gone(self, names: Iterable[str]) -> set[str]:
-        """Those of the lease `names` that no living process holds; their files are deleted."""
+        """Those of the lease `names` that no living process holds; their files are deleted. None where the file of this
+        process was deleted: those of others were, too, and they have to make theirs again."""
+        if not self.keep():
+            return set()
         return {name for name in set(names) if name != self.name and not self._alive(name)}
 
     def slots(self) -> int:
         """Sum of the slots of all living processes."""
+        self.keep()
         names = {path.name for path in self._folder.iterdir() if not path.name.startswith(".")}
         return sum(self._slots(name) for name in names - self.gone(names))
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from ..errors import DeadlineExceeded, GapmesError, JobCancelled, StorageFull
+from ..errors import DeadlineExceeded, GapmesError, InputsGone, JobCancelled, StorageFull
 from ..problem_document import problem, public
 from ..process.logs import REQUEST_ID
 from ..process.priority import give_way
@@ -129,7 +129,7 @@ class Runner:
         """Compute the job and record its end; whether that was recorded."""
         problem_document: dict[str, Any] | None = None
         try:
-            self._compute(self._spool.get(job.id), job.scene_id, self._listener(job))
+            self._compute(self._inputs(job), job.scene_id, self._listener(job))
         except JobCancelled:
             return self._noted(job, lambda: self._table.end_cancelled(job.id, owner))
         except Exception as error:
@@ -140,6 +140,14 @@ class Runner:
         return self._noted(
             job, lambda: self._table.end(job.id, owner, *end), lambda: self._spool.leave_end(job.id, *end)
         )
+
+    def _inputs(self, job: Job) -> Work:
+        try:
+            return self._spool.get(job.id)
+        except FileNotFoundError as error:
+            raise InputsGone(
+                "the job's photographs were deleted from the store before they were computed", cure="ask for it again"
+            ) from error
 
     def _noted(self, job: Job, note: Callable[[], bool], make_room: Callable[[], None] | None = None) -> bool:
         """Call `note` until it succeeds, or until the runner stops; returns what it does, False when stopping.
@@ -175,6 +183,7 @@ class Runner:
             if inner and now - noted < STEP_S:
                 return
             noted = now
+            self._lease.keep()
             data = {"stage": stage.name, "done": stage.done, "total": stage.total}
             if stage.seconds is not None:
                 data["seconds"] = round(stage.seconds, 6)

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..process.disk import full_is_refused
+from ..process.disk import full_is_refused, made_again
 from .work import Work
 
 _DOCUMENT = "work.json"
@@ -28,11 +28,18 @@ class Spool:
         root.mkdir(parents=True, exist_ok=True)
         self._root = root
 
+    def _ensure_there(self) -> None:
+        """Make the folder again where somebody has deleted it. Raises `ServiceBusy` if that fails."""
+        with made_again(self._root):
+            self._root.mkdir(parents=True, exist_ok=True)
+
     def put(self, job_id: str, work: Work, request_id: str | None = None) -> None:
-        """Write a job's inputs and the id of its request. Raises `StorageFull`."""
+        """Write a job's inputs and the id of its request. Raises `StorageFull`, and `ServiceBusy` if the folder
+        was deleted and cannot be made again."""
         incoming = self._root / f"{_TEMPORARY}{job_id}"
         with full_is_refused("the photographs"):
             try:
+                self._ensure_there()
                 incoming.mkdir()
                 for index, image in enumerate(work.images):
                     (incoming / str(index)).write_bytes(image)
@@ -82,6 +89,7 @@ class Spool:
     def sweep(self, active: Iterable[str]) -> None:
         """Delete the folders of jobs that are not `active`; not recent ones, whose jobs may be about to be queued."""
         keep, old = set(active), time.time() - SUBMITTING_S
+        self._ensure_there()
         for folder in self._root.iterdir():
             with contextlib.suppress(FileNotFoundError):  # deleted by another process
                 if folder.name not in keep and folder.stat().st_mtime < old:

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ..errors import StorageFull
+from ..errors import ServiceBusy, StorageFull
 from .ending import unfinished
 from .places import open_taking, resolved, takes_bytes
 
@@ -108,3 +108,16 @@ def full_is_refused(what: str, place: tuple[str, str] = IN_STORE) -> Iterator[No
         if error.errno in _FULL:
             raise StorageFull(f"no space for {what}: {error.strerror}", field=field, cure=cure) from error
         raise
+
+
+@contextmanager
+def made_again(folder: Path) -> Iterator[None]:
+    """Raises `ServiceBusy` if the block, which makes a folder of the store again that somebody has deleted, fails."""
+    try:
+        yield
+    except OSError as error:
+        raise ServiceBusy(
+            f"the folder {folder.name} was deleted and cannot be made again: {error.strerror}",
+            field="store",
+            cure="put it back, where the service can write it",
+        ) from error

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sqlite3
 import threading
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from ..errors import GapmesError, ServiceBusy, StorageFull
+from ..process.disk import made_again
 from ..process.file_lock import exclusive
 
 BUSY_S = 30.0  # that a write waits for the lock of another; the service's own writes take milliseconds
 PROBE_S = 2.0  # the same for `writable`, which a health check waits for
 VERSION = 2
+_log = logging.getLogger("gapmes")
 _ANEW = "move the file away: scenes are listed anew from their folders, its jobs are lost"
 _FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE)  # the second for a quota
 
@@ -66,8 +69,13 @@ class Database:
         a database, is damaged or cannot be written."""
         self._path = path
         self._threads = threading.local()
-        with exclusive(path.with_name(f"{path.name}.lock")):  # switching to WAL mode does not wait for locks
+        self.made_anew: Callable[[], object] = lambda: None  # called once the file was deleted and is there again
+        with self._alone():
             try:
+                self._connect()
+                damage = self.rows("PRAGMA quick_check(1)")[0][0]
+                if damage != "ok":
+                    raise sqlite3.DatabaseError(str(damage).strip())
                 self._complete()
             except sqlite3.DatabaseError as error:
                 raise GapmesError(
@@ -76,10 +84,12 @@ class Database:
                     cure=f"let this user write it, or {_ANEW}",
                 ) from error
 
-    def _complete(self) -> None:
-        damage = self.rows("PRAGMA quick_check(1)")[0][0]
-        if damage != "ok":
-            raise sqlite3.DatabaseError(str(damage).strip())
+    def _alone(self) -> AbstractContextManager[None]:
+        """Only one process opens the file meanwhile: switching to WAL mode does not wait for locks."""
+        return exclusive(self._path.with_name(f"{self._path.name}.lock"))
+
+    def _complete(self) -> bool:
+        """Bring the file to `VERSION`; returns whether it was new. Raises `GapmesError` for a later version."""
         found = self.rows("PRAGMA user_version")[0][0]
         if found not in _MISSING:
             raise GapmesError(
@@ -92,12 +102,45 @@ class Database:
                 for statement in _MISSING[found].split(";"):
                     connection.execute(statement)
                 connection.execute(f"PRAGMA user_version = {VERSION}")
+        return found == 0
+
+    def ensure_there(self) -> None:
+        """Make the file, and its folder, anew where somebody has deleted them. Raises `ServiceBusy` if that fails."""
+        if _identity(self._path) is None:
+            self._connection()
 
     def _connection(self) -> sqlite3.Connection:
-        connection = getattr(self._threads, "connection", None)
-        if connection is None:
-            connection = self._threads.connection = self._opened()
+        """The thread's connection to the file that is there now: a deleted one would take writes that nobody reads."""
+        connection, file = getattr(self._threads, "known", (None, None))
+        if connection is not None and (connection.in_transaction or _identity(self._path) == file):
+            return connection
+        if _identity(self._path) is None or not self._connect().execute("PRAGMA user_version").fetchone()[0]:
+            self._make_anew()
+        return self._threads.known[0]
+
+    def _connect(self) -> sqlite3.Connection:
+        """A new connection for this thread, in the place of an earlier one."""
+        earlier, _ = getattr(self._threads, "known", (None, None))
+        self._threads.known = None, None
+        if earlier is not None:
+            earlier.close()
+        connection = self._opened()
+        self._threads.known = connection, _identity(self._path)
         return connection
+
+    def _make_anew(self) -> None:
+        """Make the file where it is missing or empty, unless another thread or process does meanwhile."""
+        with made_again(self._path.parent):
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with self._alone():
+                if _identity(self._path) is None:
+                    for end in ("-wal", "-shm"):  # of the deleted file
+                        self._path.with_name(f"{self._path.name}{end}").unlink(missing_ok=True)
+                self._connect()
+                new = self._complete()
+        if new:
+            _log.warning("%s was deleted under the service: it is made anew, and its jobs are lost", self._path)
+            self.made_anew()
 
     def _opened(self) -> sqlite3.Connection:
         """A new connection. Raises `ServiceBusy` if the process has too many open files."""
@@ -167,6 +210,15 @@ class Database:
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[sqlite3.Row]:
         """The rows of a query."""
         return self._connection().execute(statement, values).fetchall()
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Of the file at the path, None without one. It holds while a connection keeps the file open."""
+    try:
+        status = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return status.st_dev, status.st_ino
 
 
 def _begin(connection: sqlite3.Connection, patience_s: float) -> None:

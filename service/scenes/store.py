@@ -66,6 +66,7 @@ class SceneStore:
                     self._files.sweep()
                     self._agree()
             self._index.used_by_now()
+            self.database.made_anew = self._agree
         except OSError as error:
             inside = error.filename is not None and Path(error.filename).is_relative_to(self.root)
             raise GapmesError(
@@ -156,7 +157,9 @@ class SceneStore:
         )
 
     def writable(self) -> bool:
-        """Whether a file can be written, and rows inserted into the index. Raises `ServiceBusy` if that is locked."""
+        """Whether a file can be written, and rows inserted into the index. Raises `ServiceBusy` if that is locked, or
+        was deleted and cannot be made again."""
+        self.database.ensure_there()
         return self._files.writable() and self.database.writable()
 
     def delete(self, scene_id: str) -> None:
@@ -189,6 +192,7 @@ class SceneStore:
     @contextmanager
     def _alone(self) -> Iterator[None]:
         """Only one thread of all processes changes folders and index at a time."""
+        self.database.ensure_there()
         with shared(self.root / _LOCK), exclusive(self.root / _WRITING):
             yield
 

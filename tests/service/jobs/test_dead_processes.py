@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,8 @@ from job_place import A, Place
 
 from gapmes.service.jobs.leases import Lease
 from gapmes.service.jobs.runner import Runner
+from gapmes.service.jobs.work import Work
+from gapmes.service.progress import Listener, Stage
 
 CHILD = """
 import sys, time
@@ -129,3 +132,33 @@ def test_the_living_are_not_taken_for_dead(tmp_path: Path) -> None:
     (tmp_path / "dead").touch()  # as a process leaves it that was killed
     three = Lease(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {one.name, three.name}
+
+
+def test_processes_whose_files_were_deleted_are_still_alive(tmp_path: Path) -> None:
+    """Each makes its own again when it looks, or tells of its progress; until then none takes the jobs of another."""
+    folder = tmp_path / "leases"
+    one, two = Lease(folder, 1), Lease(folder, 2)
+    for _ in range(2):
+        shutil.rmtree(folder)
+        assert one.gone([two.name]) == set()
+        assert not two.keep()
+        assert two.keep()
+        assert one.gone([two.name, "dead"]) == {"dead"}
+        assert (one.slots(), two.slots()) == (3, 3)
+    two.release()
+    assert two.keep()  # it has ended, and stays so
+    assert one.gone([two.name]) == {two.name}
+    assert one.slots() == 1
+
+
+def test_a_job_that_is_computed_keeps_the_file_of_its_process(place: Place) -> None:
+    folder = place.root / "leases"
+
+    def compute(_: Work, __: str, listener: Listener) -> None:
+        shutil.rmtree(folder)
+        listener(Stage("match", 0, 1, None))
+        assert len(list(folder.iterdir())) == 1
+
+    place.submit()
+    place.runner(compute)
+    assert place.ended().state == "done"

@@ -126,7 +126,10 @@ def test_inputs_that_are_gone_are_a_failure(place: Place) -> None:
     place.submit()
     place.spool.drop("1")
     place.runner(lambda *_: None)
-    assert place.ended().problem["code"] == "internal_error"
+    job = place.ended()
+    assert (job.state, job.problem["code"], job.problem["status"]) == ("failed", "inputs_gone", 410)
+    assert "were deleted from the store" in job.problem["detail"]
+    assert job.problem["cure"] == "ask for it again"
 
 
 def endless(_: Work, __: str, listener: Callable[[Stage], None]) -> None:

@@ -7,6 +7,7 @@ import resource
 import sqlite3
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
@@ -253,3 +254,47 @@ def test_an_index_that_is_a_folder_is_no_busy_service(tmp_path: Path) -> None:
     with pytest.raises(GapmesError, match="cannot be used") as caught:
         Database(tmp_path / "index.sqlite")
     assert not isinstance(caught.value, ServiceBusy)
+
+
+@pytest.mark.parametrize("deleted", ["index.sqlite", "index.sqlite*"])
+def test_a_deleted_file_is_made_anew_for_every_thread(tmp_path: Path, deleted: str) -> None:
+    """A connection to the deleted one would take writes that no other thread, and no later process, ever reads."""
+    add = "INSERT INTO scenes VALUES ('x', 1, 1, 1, '{}')"
+    database = Database(tmp_path / "index.sqlite")
+    told: list[str] = []
+    database.made_anew = lambda: told.append("anew")
+    with ThreadPoolExecutor(1) as other:
+        with database.write() as connection:
+            connection.execute(add)
+        assert len(other.submit(database.rows, "SELECT * FROM scenes").result()) == 1
+        for path in tmp_path.glob(deleted):
+            path.unlink()
+        assert database.rows("SELECT * FROM scenes") == []
+        with database.write() as connection:
+            connection.execute(add.replace("x", "y"))
+        for rows in (
+            database.rows("SELECT * FROM scenes"),
+            other.submit(database.rows, "SELECT * FROM scenes").result(),
+        ):
+            assert [row["id"] for row in rows] == ["y"]
+        assert database.writable()
+    assert told == ["anew"]
+    assert [row["id"] for row in Database(tmp_path / "index.sqlite").rows("SELECT * FROM scenes")] == ["y"]
+
+
+def test_an_empty_file_that_another_process_has_just_made_is_completed(tmp_path: Path) -> None:
+    database = Database(tmp_path / "index.sqlite")
+    for path in tmp_path.glob("index.sqlite*"):
+        path.unlink()
+    (tmp_path / "index.sqlite").touch()
+    assert database.rows("SELECT * FROM scenes") == []
+
+
+def test_a_write_that_has_begun_ends_where_it_began(tmp_path: Path) -> None:
+    database = Database(tmp_path / "index.sqlite")
+    with database.write() as connection:
+        connection.execute("INSERT INTO scenes VALUES ('x', 1, 1, 1, '{}')")
+        for path in tmp_path.glob("index.sqlite*"):
+            path.unlink()
+        assert len(database.rows("SELECT * FROM scenes")) == 1
+    assert database.rows("SELECT * FROM scenes") == []
