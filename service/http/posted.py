@@ -12,7 +12,7 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 
 from ..errors import InputError, MalformedRequest, UnsupportedMediaType, UploadTimeout, UploadTooLarge
-from ..process.disk import IN_TEMPORARY, full_is_refused
+from ..process.temporary_folder import temporary_files
 from ..settings import Settings
 
 FORM = "multipart/form-data"
@@ -66,7 +66,7 @@ async def posted_form(
         field = next(iter(request.query_params))[:100]
         raise InputError("is in the query beside a form", field=field, cure="make it a field of the form")
     try:
-        with in_time(settings), full_is_refused("the upload", IN_TEMPORARY):
+        with in_time(settings), temporary_files("the upload"):
             form = await _Parser(
                 request.headers,
                 request.stream(),

@@ -17,8 +17,8 @@ from ..errors import InputError
 from ..pictures.contact_sheet import CELL, Cell, contact_sheet, rows_of
 from ..pictures.film import MEDIA_TYPES, FilmFormat, FilmShape, check_film, write_film
 from ..pictures.picture import Format, encode_image, parse_background
-from ..process.disk import IN_TEMPORARY, full_is_refused
 from ..process.own_folder import own_folder
+from ..process.temporary_folder import temporary_files
 from ..viewpoints.camera_path import PathName, loop
 from ..viewpoints.framing import even, frame, within
 from ..viewpoints.scene_views import SceneViews
@@ -94,7 +94,7 @@ async def preview(
         views, shape, cameras, background, etag = await anyio.to_thread.run_sync(asked, held)
 
         def work(series: PictureSeries) -> bytes:
-            with full_is_refused("the film", IN_TEMPORARY), own_folder(FILMS) as folder:
+            with temporary_files("the film"), own_folder(FILMS) as folder:
                 path = folder / f"film.{shape.format}"
                 write_film(path, shape, map(series.pixels, cameras))
                 return path.read_bytes()

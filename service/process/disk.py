@@ -111,13 +111,13 @@ def full_is_refused(what: str, place: tuple[str, str] = IN_STORE) -> Iterator[No
 
 
 @contextmanager
-def made_again(folder: Path) -> Iterator[None]:
-    """Raises `ServiceBusy` if the block, which makes a folder of the store again that somebody has deleted, fails."""
+def made_again(folder: Path, field: str = "store") -> Iterator[None]:
+    """Raises `ServiceBusy` if the block, which makes a folder again that somebody has deleted, fails."""
     try:
         yield
     except OSError as error:
         raise ServiceBusy(
             f"the folder {folder.name} was deleted and cannot be made again: {error.strerror}",
-            field="store",
+            field=field,
             cure="put it back, where the service can write it",
         ) from error

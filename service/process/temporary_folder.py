@@ -5,9 +5,12 @@ from __future__ import annotations
 import errno
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import InputError
+from .disk import IN_TEMPORARY, full_is_refused, made_again
 
 
 def use_temporary_folder() -> None:
@@ -29,3 +32,14 @@ def use_temporary_folder() -> None:
             field="TMPDIR",
             cure=f"let it name a folder that this user (uid {os.getuid()}) may write",
         ) from error
+
+
+@contextmanager
+def temporary_files(what: str) -> Iterator[None]:
+    """Around a block that writes temporary files; their folder is made again where somebody has deleted it. Raises
+    `ServiceBusy` if that fails, and `StorageFull` where there is no space for `what`."""
+    folder = Path(tempfile.gettempdir())
+    with full_is_refused(what, IN_TEMPORARY):
+        with made_again(folder, "TMPDIR"):
+            folder.mkdir(parents=True, exist_ok=True)
+        yield

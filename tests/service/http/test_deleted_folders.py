@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 import io
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
-from http_requests import assert_problem, photograph, post, wait_until_ready
+from http_requests import assert_problem, camera_object, photograph, post, wait_until_ready
+from PIL import Image
 from served_process import until
 from starlette.testclient import TestClient
 
@@ -82,6 +85,26 @@ def test_the_service_goes_on(served: TestClient, store: Path, caplog: pytest.Log
     assert loaded.status_code == 201, loaded.text
     assert len(served.get("/scenes").json()["scenes"]) == 3
     assert served.delete(before["self"]).status_code == 204
+    assert [record for record in caplog.records if record.levelname == "ERROR"] == []
+
+
+def test_temporary_files_have_a_folder_again(
+    served: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Large uploads, and films while they are made."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    noise = np.random.default_rng(3).integers(0, 256, (700, 700, 3), dtype=np.uint8)
+    buffer = io.BytesIO()
+    Image.fromarray(noise).save(buffer, "PNG")
+    assert len(buffer.getvalue()) > 2**20  # smaller ones stay in memory
+    cameras = camera_object(2, width=700, height=700)
+    for view in cameras["views"]:
+        view["fx"] = view["fy"] = 600.0
+    scene = post(served, [buffer.getvalue(), photograph(4, 700, 700)], cameras)
+    assert scene.status_code == 201, scene.text
+    shutil.rmtree(tmp_path / "tmp")
+    film = served.get(f"/scenes/{scene.json()['id']}/preview?frames=4&width=32&height=32")
+    assert film.status_code == 200, film.text
     assert [record for record in caplog.records if record.levelname == "ERROR"] == []
 
 

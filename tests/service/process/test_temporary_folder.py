@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from gapmes.service.errors import InputError
-from gapmes.service.process.temporary_folder import use_temporary_folder
+from gapmes.service.errors import InputError, ServiceBusy
+from gapmes.service.process.temporary_folder import temporary_files, use_temporary_folder
 
 
 @pytest.fixture
@@ -46,3 +46,18 @@ def test_without_any_folder_the_error_names_the_variable(monkeypatch: pytest.Mon
         InputError, match=r"is not set, and there is no usable temporary directory found in \['/proc/none'\]"
     ):
         use_temporary_folder()
+
+
+def test_a_folder_that_was_deleted_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "volume" / "tmp"
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    with temporary_files("the upload"), tempfile.TemporaryFile() as file:
+        file.write(b"large")
+    folder.rmdir()
+    folder.write_text("no folder")
+    with (
+        pytest.raises(ServiceBusy, match="the folder tmp was deleted and cannot be made again: File exists") as caught,
+        temporary_files("the upload"),
+    ):
+        pass
+    assert caught.value.field == "TMPDIR"
