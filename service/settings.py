@@ -19,6 +19,7 @@ from .model_names import model_paths
 from .network.backends.choice import DEFAULT_ENGINE, EngineName
 from .process.home import at_home
 from .process.threads import MAX_THREADS
+from .switch import NEED, switch
 
 PREFIX = "GAPMES_"
 # Variables that begin so and are read elsewhere: by docker/compose.yaml, by setup.py, and by tests/parity.
@@ -72,6 +73,8 @@ class Settings(BaseSettings):
         kinds = {kind, *get_args(kind)}
         if isinstance(value, str) and int in kinds and not (value.isascii() and value.isdigit()):
             raise PydanticCustomError("plain_number", "Input should be a whole number in decimal digits")
+        if isinstance(value, str) and bool in kinds and switch(value) is None:
+            raise PydanticCustomError("switch", "Input should be {need}", {"need": NEED})
         if isinstance(value, str) and float in kinds and "_" in value:
             raise PydanticCustomError("plain_number", "Input should be a number without _")
         return value

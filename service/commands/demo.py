@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 from pathlib import Path
@@ -26,11 +25,12 @@ def demo(
 ) -> None:
     """Start the service, reconstruct the sample scene, render novel views and compare them with the truth."""
     from ..demo import run_demo
+    from ..switch import switched_on
 
     for number in SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:  # ignored under nohup
             signal.signal(number, _unwound)
-    keep = keep or os.environ.get("KEEP", "") not in ("", "0")
+    keep = keep or switched_on("KEEP")
     with ProgressBars(quiet=quiet) as bars:
         result = run_demo(output, bars, keep=keep)
     scores = ", ".join(f"{score:.1f}" for score in result.psnr)
