@@ -14,6 +14,8 @@ from gapmes.service.commands.output_file import check_output_folder
 from gapmes.service.errors import InputError
 from gapmes.service.process.terminal import ProgressBars
 
+from .memory import OutOfMemory, enough_memory
+
 REFUSED = 1
 FAILED = 3
 
@@ -23,8 +25,8 @@ def write_tables(
 ) -> None:
     """Run the measurements that have a folder; `as_json` prints a summary to stdout.
 
-    Exit status 1 for a folder that cannot be made, one that is no scene, and where a process of the report fails; 3
-    where a case is beyond its tolerance.
+    Exit status 1 for a folder that cannot be made, one that is no scene, lack of memory, and where a process of the
+    report fails; 3 where a case is beyond its tolerance.
     """
     from .tradeoff.child import ChildFailed
 
@@ -33,7 +35,7 @@ def write_tables(
             if folder is not None:
                 check_output_folder(folder)
         document, failed = _measured(report, stability, scenes, quick, quiet)
-    except (ChildFailed, InputError, OSError) as error:
+    except (ChildFailed, InputError, OutOfMemory, OSError) as error:
         Console(stderr=True, soft_wrap=True).print(f"refused: {error}", markup=False)
         raise typer.Exit(REFUSED) from error
     if as_json:
@@ -55,14 +57,17 @@ def _measured(
         if stability is not None:
             from .stability.table import stability_table
 
-            rows = stability_table(stability, bars)
+            with enough_memory("compute the table of stability", "take a machine with more memory"):
+                rows = stability_table(stability, bars)
             failed = sum(not row.passed for row in rows)
             bars.say(f"{len(rows)} cases, {failed} beyond tolerance: {stability / 'stability.md'}")
             document["stability"] = {"folder": str(stability), "cases": len(rows), "beyond_tolerance": failed}
         if report is not None:
+            from .tradeoff.child import CURE
             from .tradeoff.run import report as measure
 
-            found = measure([sample_folder(), *scenes], report, quick=quick, lpips=default_weights(), listener=bars)
+            with enough_memory("measure the report", CURE):
+                found = measure([sample_folder(), *scenes], report, quick=quick, lpips=default_weights(), listener=bars)
             bars.say(
                 f"{len(found.rows)} settings in {found.seconds:.0f} s: {report / 'report.md'}, {report / 'pareto.png'}"
             )

@@ -90,7 +90,7 @@ def export_checkpoint(
     if out.is_symlink():
         out = out.resolve()
         _check_place(out, checkpoint)
-    with memory.enough_memory(height, width):
+    with memory.enough_memory(f"export for {height}x{width} px"):
         stages = Stages(listener)
         with stages.stage("load checkpoint"):
             loaded = load_variant(checkpoint, variant)

@@ -71,6 +71,7 @@ def evaluate(
     from gapmes.model.training.lpips import default_weights
     from gapmes.model.weights_file import CheckpointError
 
+    from ..memory import OutOfMemory, enough_memory
     from ..size import Size
     from .models import checked_engines
     from .plans import evaluation_plans, outlook
@@ -84,19 +85,22 @@ def evaluate(
     with ProgressBars(quiet=quiet) as bars:
         bars.say(outlook(plans, model or (), len(engines)))
         try:
-            report = run(
-                plans,
-                out,
-                files=model or (),
-                engines=engines,
-                lpips=lpips or default_weights(),
-                twice=twice,
-                fade=checked_passes(fade),
-                threads=threads,
-                listener=bars,
-            )
+            with enough_memory("evaluate"):
+                report = run(
+                    plans,
+                    out,
+                    files=model or (),
+                    engines=engines,
+                    lpips=lpips or default_weights(),
+                    twice=twice,
+                    fade=checked_passes(fade),
+                    threads=threads,
+                    listener=bars,
+                )
         except CheckpointError as error:
             raise ModelError(str(error), field="model") from error
+        except OutOfMemory as error:
+            raise GapmesError(str(error)) from error
     missed = [floor for floor in report.floors if floor.passed is False]
     for floor in report.floors:
         verdict = {True: "pass", False: "MISSED", None: "-"}[floor.passed]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import resource
+import signal
 import statistics
 import subprocess
 import sys
@@ -21,10 +22,13 @@ from gapmes.service.mending.fade_passes import DEFAULT_PASSES
 from gapmes.service.photographs.images import Photo
 from gapmes.service.process.with_parent import end_with_parent
 
+from ..memory import LACKING, ended_for_lack_of_memory
+
 if TYPE_CHECKING:
     from gapmes.service.reconstruct import Reconstructor
 
 
+CURE = "take --quick, which measures less, or a machine with more memory"
 CHILD = "import sys; from gapmes.export.tradeoff.child import answer; answer(*sys.argv[1:])"
 
 
@@ -32,7 +36,13 @@ class ChildFailed(RuntimeError):
     """A process of the report ended without a result; its own messages are on stderr."""
 
     def __init__(self, what: str, status: int) -> None:
-        super().__init__(f"{what} ended with status {status}, need 0; its last words are above")
+        if status == LACKING:
+            told = f"{what} had not enough memory: {CURE}"
+        elif status == -signal.SIGKILL:
+            told = f"{what} was ended by SIGKILL; lack of memory may be why: {CURE}"
+        else:
+            told = f"{what} ended with status {status}, need 0; its last words are above"
+        super().__init__(told)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +109,9 @@ def _in_child(work: Callable[..., Any], *arguments: object) -> Any:
 def answer(asked: str, told: str, parent: str) -> None:
     """Entry point of the child, which ends when its parent does."""
     end_with_parent(int(parent))
-    work, arguments = pickle.loads(Path(asked).read_bytes())
-    Path(told).write_bytes(pickle.dumps(work(*arguments)))
+    with ended_for_lack_of_memory():
+        work, arguments = pickle.loads(Path(asked).read_bytes())
+        Path(told).write_bytes(pickle.dumps(work(*arguments)))
 
 
 def _measured(

@@ -16,6 +16,7 @@ from gapmes.model.weights_file import file_sha256
 from gapmes.service.network.onnx_file import read_header
 from gapmes.service.shipped import shipped_model
 
+from ..memory import ended_for_lack_of_memory
 from ..metadata import add_metadata, contract_metadata
 from ..model_file import DIGEST, write_model
 from ..quantise import quantised
@@ -124,7 +125,8 @@ def export_variant(path: str, size: int, top_k: int, keep_all: bool) -> None:
     """Export the shipped checkpoint without verifying it: for measuring, not for serving."""
     from ..build import export_graph
 
-    network = load_variant(shipped_checkpoint("tiny"), Variant(top_k or None, keep_all)).network
-    model = export_graph(network, size, size)
-    add_metadata(model, _metadata(network, size, keep_all))
-    write_model(model, Path(path))
+    with ended_for_lack_of_memory():
+        network = load_variant(shipped_checkpoint("tiny"), Variant(top_k or None, keep_all)).network
+        model = export_graph(network, size, size)
+        add_metadata(model, _metadata(network, size, keep_all))
+        write_model(model, Path(path))

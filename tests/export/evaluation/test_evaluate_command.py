@@ -6,10 +6,13 @@ import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import onnx
 import pytest
+import torch
 from evaluate_runs import refused, run
 from PIL import Image
 from standin_model import METADATA, write_standin
@@ -171,6 +174,27 @@ def test_an_export_that_fails_is_refused_in_one_line_after_what_was_to_be_done(
     told, refusal = capfd.readouterr().err.splitlines()
     assert told.startswith("measures 2 scenes of 64 px from 2 views (generated); exports and verifies tiny.safetensors")
     assert refusal == "error: model: tiny.safetensors cannot be exported for 64 px: no room"
+
+
+@pytest.mark.parametrize("allocate", [torch.empty, np.empty])
+@pytest.mark.parametrize("where", ["_group", "Report"])
+def test_a_lack_of_memory_is_one_line(
+    where: str,
+    allocate: Callable[[int], object],
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(measuring, "load_models", lambda *_, **__: [])
+    monkeypatch.setattr(measuring, where, lambda *_, **__: allocate(2**58))
+    assert run("--generated", 2, "--size", 64, "--out", tmp_path, "--json") == 1
+    told = capfd.readouterr()
+    refusal = [line for line in told.err.splitlines() if line.startswith("error: ")]
+    assert len(refusal) == 1
+    assert refusal[0].startswith("error: not enough memory to evaluate")
+    assert refusal[0].endswith(": take a smaller --size, or a machine with more memory")
+    assert "Traceback" not in told.err
+    assert json.loads(told.out)["error"]["detail"] == refusal[0].removeprefix("error: ")
 
 
 def test_the_command_line_starts_without_torch_and_knows_the_command() -> None:
