@@ -25,6 +25,8 @@ from gapmes.service.progress import Stage
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.shipped import sample_folder
 
+from .options import at_least_one
+
 
 class Clock:
     """Listens to the stages and sums the processor time of each."""
@@ -62,7 +64,7 @@ def main() -> None:
     parser.add_argument("capture", nargs="?", type=Path, default=sample_folder())
     parser.add_argument("--views", default="1,5")
     parser.add_argument("--engine", choices=ENGINES, default=DEFAULT_ENGINE)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=at_least_one, default=5)
     options = parser.parse_args()
     service = Reconstructor(threads=1, engine=options.engine)
     settings = (DEFAULT_PASSES, 0)

@@ -89,6 +89,66 @@ def test_wrong_usage_is_told_before_the_work(
     assert told in f"{ended.value} {capsys.readouterr().err}"
 
 
+@pytest.mark.parametrize(
+    ("module", "options", "told"),
+    [
+        *(
+            (module, [*more, "--rounds", rounds], f"argument --rounds: is {rounds}, need at least 1")
+            for module, more in (
+                ("network.experts", []),
+                ("network.profile", ["net.onnx"]),
+                ("network.run", ["net.onnx=net.safetensors"]),
+                ("scene.leaving_out", ["scene"]),
+                ("stages", []),
+            )
+            for rounds in ("0", "-1")
+        ),
+        ("load.faults", ["--seconds", "0"], "argument --seconds: is 0, need more than 0"),
+        ("load.faults", ["--seconds", "nan"], "argument --seconds: is nan, need more than 0"),
+        ("load.faults", ["--workers", "0"], "argument --workers: is 0, need at least 1"),
+        ("load.faults", ["--seed", "-1"], "argument --seed: is -1, need at least 0"),
+        ("load.run", ["--minutes", "-1"], "argument --minutes: is -1, need more than 0"),
+        ("load.run", ["--workers", "0"], "argument --workers: is 0, need at least 1"),
+        ("load.run", ["--pictures", "-1"], "argument --pictures: is -1, need at least 0"),
+        ("load.run", ["--scenes", "two"], "argument --scenes: invalid whole number value: 'two'"),
+        ("network.profile", ["net.onnx", "--views", "0"], "argument --views: is 0, need at least 2"),
+        ("network.profile", ["net.onnx", "--depth", "0"], "argument --depth: is 0, need at least 1"),
+        ("network.rounding", ["a.onnx=a", "--views", "2", "0"], "argument --views: is 0, need at least 2"),
+        ("network.run", ["net.onnx=a", "--views", "1"], "argument --views: is 1, need at least 2"),
+        ("scene.detail", ["--generated", "-1"], "argument --generated: is -1, need at least 0"),
+        ("scene.detail", ["scene", "--inputs", "0"], "argument --inputs: is 0, need at least 2"),
+        ("scene.detail", ["scene", "--fade", "9"], "argument --fade: is 9, need at most 8"),
+        ("scene.formats", ["--fade", "-1"], "argument --fade: is -1, need at least 0"),
+        ("scene.leaving_out", ["scene", "--fade", "-1"], "argument --fade: is -1, need at least 0"),
+        ("splat.run", ["--repeats", "0"], "argument --repeats: is 0, need at least 1"),
+        ("splat.run", ["--threads", "0"], "argument --threads: is 0, need at least 1"),
+        ("viewer.compare", ["--size", "0"], "argument --size: is 0, need at least 1"),
+    ],
+)
+def test_numbers_out_of_bounds_are_wrong_usage(
+    module: str,
+    options: list[str],
+    told: str,
+    benchmark,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Some ended in a traceback after minutes of work, or measured nothing."""
+    found = benchmark(module)
+
+    def begun(*_: object, **__: object) -> None:
+        raise AssertionError("the work has begun")
+
+    for name in ("warm_up", "Reconstructor", "running", "subprocess", "measure", "profiled", "told_intel", "onnx"):
+        if hasattr(found, name):
+            monkeypatch.setattr(found, name, begun)
+    monkeypatch.setattr("sys.argv", ["benchmark", *options])
+    with pytest.raises(SystemExit) as ended:
+        found.main()
+    assert ended.value.code == 2
+    assert told in capsys.readouterr().err
+
+
 def test_means_of_photographs_and_of_generated_scenes_are_apart(
     benchmark, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,6 +22,7 @@ import httpx
 
 from gapmes.service.formats.ply import read_ply
 
+from ..options import at_least_one, duration, none_or_more
 from .requests import Asker
 from .service import Service, running
 
@@ -105,9 +106,9 @@ def whole(folder: Path) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=duration, default=60.0)
+    parser.add_argument("--workers", type=at_least_one, default=2)
+    parser.add_argument("--seed", type=none_or_more, default=0)
     given = parser.parse_args()
     options = ["--workers", str(given.workers), "--threads", "1"]
     with tempfile.TemporaryDirectory() as folder, running(Path(folder), options) as service:

@@ -14,6 +14,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
+from ..options import at_least_one, duration, none_or_more
 from .requests import Asker
 from .service import Service, running
 
@@ -71,10 +72,10 @@ class Load:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=1.0, help="duration of the load with reconstructions")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--pictures", type=int, default=4, help="clients that request pictures")
-    parser.add_argument("--scenes", type=int, default=2, help="clients that request scenes")
+    parser.add_argument("--minutes", type=duration, default=1.0, help="duration of the load with reconstructions")
+    parser.add_argument("--workers", type=at_least_one, default=1)
+    parser.add_argument("--pictures", type=none_or_more, default=4, help="clients that request pictures")
+    parser.add_argument("--scenes", type=none_or_more, default=2, help="clients that request scenes")
     given = parser.parse_args()
     options = ["--workers", str(given.workers)]
     with tempfile.TemporaryDirectory() as folder, running(Path(folder), options) as service:

@@ -26,6 +26,8 @@ from gapmes.model.config import CELLS_PER_PATCH, ModelConfig, preset
 from gapmes.model.experts import ExpertGroup
 from gapmes.model.routing import Routing
 
+from ..options import at_least_one
+
 PRESETS = ("tiny", "small", "base")
 PATCHES = 2 * 16 * 16  # two views of 256 x 256 px
 
@@ -108,7 +110,7 @@ def measure(name: str, rounds: int) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.network.experts", description=__doc__.splitlines()[0])
     parser.add_argument("--presets", nargs="+", choices=PRESETS, default=PRESETS)
-    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--rounds", type=at_least_one, default=15)
     options = parser.parse_args()
     torch.set_num_threads(1)
     sys.stdout.write("| network | routing | CPU ms | of k / N_e of the dense run |\n|---|---|---|---|\n")

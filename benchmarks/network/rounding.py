@@ -26,6 +26,8 @@ from gapmes.export.variant import Variant, load_variant
 from gapmes.model.architectures import config_from_json
 from gapmes.service.network.contract import INPUTS
 
+from ..options import view_count
+
 Outputs = dict[str, NDArray[np.generic]]
 
 
@@ -47,7 +49,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.network.rounding", description=__doc__.splitlines()[0])
     parser.add_argument("model", help="MODEL.onnx=CHECKPOINT")
     parser.add_argument("--cases", nargs="+", default=["random", "sample", "noise"])
-    parser.add_argument("--views", nargs="+", type=int, default=[2, 3])
+    parser.add_argument("--views", nargs="+", type=view_count, default=[2, 3])
     options = parser.parse_args()
     file, checkpoint = options.model.split("=")
     metadata = {p.key: p.value for p in onnx.load(file, load_external_data=False).metadata_props}

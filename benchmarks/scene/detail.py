@@ -29,6 +29,8 @@ from gapmes.service.mending.fade_passes import DEFAULT_PASSES
 from gapmes.service.photographs.images import FittedView
 from gapmes.service.reconstruct import Reconstructor, Scene
 
+from ..options import none_or_more, passes, view_count
+
 Targets = Sequence[FittedView]
 Found = tuple[Case, Targets, Targets]
 
@@ -120,9 +122,9 @@ def _shown(found: Figures) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE_DIR")
-    parser.add_argument("--generated", type=int, default=0)
-    parser.add_argument("--inputs", type=int, default=2)
-    parser.add_argument("--fade", type=int, default=DEFAULT_PASSES)
+    parser.add_argument("--generated", type=none_or_more, default=0)
+    parser.add_argument("--inputs", type=view_count, default=2)
+    parser.add_argument("--fade", type=passes, default=DEFAULT_PASSES)
     parser.add_argument("--pictures", type=Path, metavar="DIR")
     options = parser.parse_args()
     if not options.scenes and options.generated < 1:

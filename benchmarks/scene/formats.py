@@ -29,6 +29,8 @@ from gapmes.service.shipped import sample_folder
 from gapmes.service.viewpoints.framing import within
 from gapmes.service.viewpoints.scene_views import SceneViews
 
+from ..options import passes
+
 SIDE = 256  # px, the longest of a picture
 
 HEADER = """| format | bytes | share | PSNR, dB: lowest, mean |
@@ -75,7 +77,7 @@ def table(title: str, found: dict[str, Cost]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", type=Path, default=[sample_folder()], metavar="SCENE_DIR")
-    parser.add_argument("--fade", type=int, default=DEFAULT_PASSES)
+    parser.add_argument("--fade", type=passes, default=DEFAULT_PASSES)
     options = parser.parse_args()
     service = Reconstructor()
     by_format: dict[str, list[Cost]] = defaultdict(list)

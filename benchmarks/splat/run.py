@@ -20,6 +20,7 @@ from gapmes.service.gaussians import Gaussians
 from gapmes.service.kernels import warm_up
 from gapmes.service.process.threads import available_threads
 
+from ..options import at_least_one
 from .measure import Other, Row, measure
 from .peak import peak_gflops
 from .scenes import camera, surface_scene
@@ -84,8 +85,10 @@ def verdicts(rows: list[tuple[Row, float | None]]) -> list[str]:
 def main() -> None:
     """Print the table; see --help."""
     parser = argparse.ArgumentParser(prog="make bench-splat", description=__doc__)
-    parser.add_argument("--repeats", type=int, default=9, help="runs of each renderer, in turns (9)")
-    parser.add_argument("--threads", type=int, default=available_threads(), help="threads of each renderer (all)")
+    parser.add_argument("--repeats", type=at_least_one, default=9, help="runs of each renderer, in turns (9)")
+    parser.add_argument(
+        "--threads", type=at_least_one, default=available_threads(), help="threads of each renderer (all)"
+    )
     parser.add_argument("--quick", action="store_true", help="only 131,072 splats")
     parser.add_argument("--ply", type=Path, action="append", default=[], help="a trained scene to draw as well")
     parser.add_argument("--cameras", type=Path, action="append", default=[], help="its camera file, in the same order")

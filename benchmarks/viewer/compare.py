@@ -32,6 +32,8 @@ from gapmes.service.http.viewer import viewer_settings
 from gapmes.service.shipped import sample_folder
 from gapmes.service.splat import render
 
+from ..options import at_least_one
+
 VIEWER = STATIC / "viewer"
 NEED_DB = 35.0
 PATIENCE = 240  # s, for the first frame, drawn without a GPU
@@ -118,7 +120,7 @@ def main() -> None:
     parser.add_argument("--ply", type=Path, help="scene to draw (default: the sample scene, reconstructed)")
     parser.add_argument("--cameras", type=Path, default=sample_folder() / "cameras.json", help="a camera file")
     parser.add_argument("--view", type=int, default=3, help="index of the camera in the file (3)")
-    parser.add_argument("--size", type=int, default=1024, help="width of the picture, px (1024)")
+    parser.add_argument("--size", type=at_least_one, default=1024, help="width of the picture, px (1024)")
     parser.add_argument("--chromium", default="chromium", help="the browser's command (chromium)")
     parser.add_argument("--out", type=Path, default=Path("viewer.png"), help="picture to write (viewer.png)")
     options = parser.parse_args()

@@ -1,0 +1,36 @@
+"""Types for argparse that the benchmarks share, without torch: what is out of bounds is wrong usage, told at once."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+
+from gapmes.service.cameras.view_checks import MIN_VIEWS
+from gapmes.service.mending.fade_passes import MAX_PASSES
+
+
+def _between(least: int, most: float = math.inf) -> Callable[[str], int]:
+    def number(text: str) -> int:
+        value = int(text)
+        if not least <= value <= most:
+            need = f"at least {least}" if value < least else f"at most {most}"
+            raise argparse.ArgumentTypeError(f"is {value}, need {need}")
+        return value
+
+    number.__name__ = "whole number"  # argparse's name of it, for text that is no number
+    return number
+
+
+at_least_one = _between(1)
+none_or_more = _between(0)
+view_count = _between(MIN_VIEWS)
+passes = _between(0, MAX_PASSES)
+
+
+def duration(text: str) -> float:
+    """A time above 0, and finite."""
+    value = float(text)
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"is {value:g}, need more than 0")
+    return value
