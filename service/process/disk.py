@@ -119,5 +119,5 @@ def made_again(folder: Path, field: str = "store") -> Iterator[None]:
         raise ServiceBusy(
             f"the folder {folder.name} was deleted and cannot be made again: {error.strerror}",
             field=field,
-            cure="put it back, where the service can write it",
+            cure="retry later: whoever runs the service has to put it back, where it can be written",
         ) from error

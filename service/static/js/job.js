@@ -1,13 +1,15 @@
 // Following a job to its end by server-sent events, also after a reload or a broken connection.
 
 import { ask, askJson, checkedId, events, Refused } from "./api.js";
-import { $, make, tell } from "./dom.js";
+import { $, counted, make, tell } from "./dom.js";
 
 const RETRIES = 20;
 const PAUSE_MS = 1500;
+const QUEUE_MS = 3000; // between questions how many scenes are before the one that waits, of which no event tells
 const PASSING = [0, 502, 503, 504]; // transient: no answer, or a proxy whose service is restarting
 
 let current = null;
+let waits = false; // it is in the queue, as far as is known
 let ending = false; // it was asked to
 let complaint = null; // the node that tells that it could not be cancelled
 
@@ -37,12 +39,14 @@ export async function follow(id) {
   $("stages").replaceChildren();
   $("bar").removeAttribute("value");
   end(false);
-  say("waiting in the queue");
+  queued();
+  const asking = setInterval(() => waits && askPlace(id), QUEUE_MS);
   try {
     const job = await watched(id);
     if (job.state === "done") return job.links.scene.split("/").pop();
     throw new Ended(job.problem);
   } finally {
+    clearInterval(asking);
     current = null;
     $("progress").hidden = true;
     $("cancel").hidden = true;
@@ -67,6 +71,7 @@ async function watched(id) {
         for await (const { id: number, event, data } of events(`${pathOf(id)}/events?after=${last}`)) {
           [last, heard] = [number, true];
           if (event === "stage") stage(data);
+          else waits = data.state === "queued"; // for the first time, or again
         }
       });
     }
@@ -77,9 +82,21 @@ async function watched(id) {
 /** The service tells where the job is. */
 function here(job) {
   if (complaint?.isConnected) tell($("problem"), null);
-  if (job.stage) return stage(job.stage);
+  if (job.stage) stage(job.stage);
+  else queued(job.ahead);
+}
+
+/** It waits, and `ahead` others before it, where that is known. */
+function queued(ahead) {
+  waits = true;
   $("bar").removeAttribute("value");
-  say("waiting in the queue");
+  say(ahead ? `waiting in the queue, ${counted(ahead, "scene")} before yours` : "waiting in the queue");
+}
+
+/** Ask how many are before it now; without an answer what was said stays. */
+async function askPlace(id) {
+  const job = await askJson(pathOf(id)).catch(() => null);
+  if (waits && id === current && job?.state === "queued") queued(job.ahead);
 }
 
 /** Run `act`; returns a transient error, null without one. Throws `Ended` for other refusals. */
@@ -96,6 +113,7 @@ async function passing(act) {
 }
 
 function stage({ stage: name, done, total, seconds }) {
+  waits = false;
   $("bar").max = total;
   $("bar").value = done;
   say(total > 1 ? `${name}, ${done} of ${total}` : name);
@@ -108,7 +126,8 @@ function stage({ stage: name, done, total, seconds }) {
 
 /** Show what the job does, unless it is being cancelled. */
 function say(text) {
-  $("stage-name").textContent = ending ? "cancelling after this stage" : text;
+  const said = ending ? "cancelling after this stage" : text;
+  if ($("stage-name").textContent !== said) $("stage-name").textContent = said; // or screen readers say it again
 }
 
 function end(now) {

@@ -6,7 +6,9 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import httpx
 from browser_tab import Tab
+from http_requests import photograph, post
 from page_service import choose_two, made, until
 
 BUSY = {"title": "Service busy", "status": 503, "code": "service_busy", "detail": "2 requests are following jobs"}
@@ -14,6 +16,28 @@ BUSY = {"title": "Service busy", "status": 503, "code": "service_busy", "detail"
 
 def refused(route: Any) -> None:
     route.fulfill(status=503, json=BUSY, content_type="application/problem+json")
+
+
+def test_a_job_in_the_queue_says_how_many_scenes_are_before_it(
+    tab: Tab, tmp_path: Path, held_network: threading.Event
+) -> None:
+    """And says it again as their number changes, of which no event tells."""
+    page = tab.open()
+    others = []
+    with httpx.Client(base_url=tab.address, timeout=120) as client:
+        for seed in (210, 212, 214):
+            answer = post(client, [photograph(seed), photograph(seed + 1)], prefer="respond-async")
+            assert answer.status_code == 202
+            others.append(answer.json()["links"]["self"])
+        choose_two(page, tmp_path, seed=200)
+        before = page.url
+        page.click("#go")
+        page.wait_for_selector("#stage-name:text-is('waiting in the queue, 3 scenes before yours')")
+        for left in ("2 scenes", "1 scene"):
+            assert client.delete(others.pop()).json()["state"] == "cancelled"
+            page.wait_for_selector(f"#stage-name:text-is('waiting in the queue, {left} before yours')")
+        held_network.set()
+        made(page, before)
 
 
 def test_without_a_stream_the_job_itself_is_asked(tab: Tab, tmp_path: Path, held_network: threading.Event) -> None:
