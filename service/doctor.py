@@ -131,13 +131,15 @@ class Doctor:
 
     def _kernels(self) -> tuple[State, str]:
         from .kernels import warm_up
-        from .splat.kernel_cache import KERNELS
+        from .splat.kernel_cache import KERNELS, not_kept
 
         there = any(KERNELS.rglob("*.nbi"))
         start = time.perf_counter()
         warm_up()
         seconds = time.perf_counter() - start
-        return "ok", f"{'loaded' if there else 'compiled'} in {seconds:.1f} s, kept in {KERNELS}"
+        text = f"{'loaded' if there else 'compiled'} in {seconds:.1f} s"
+        why = not_kept()
+        return ("ok", f"{text}, kept in {KERNELS}") if why is None else ("warning", f"{text}; {why}")
 
     def _store(self) -> tuple[State, str]:
         folder = self._settings.store

@@ -15,7 +15,7 @@ from .mending.choice.candidates import ABOUT, COUNT, KNOWN
 from .mending.choice.network import shipped_choice
 from .process.compiler_pages import leave_compiler
 from .splat import Definition, leverage, render
-from .splat.kernel_cache import ELSEWHERE
+from .splat.kernel_cache import ELSEWHERE, not_kept
 
 _log = logging.getLogger("gapmes")
 
@@ -55,7 +55,10 @@ def is_warm() -> bool:
 
 
 def warm_up_with_notice() -> None:
-    """`warm_up`, with a line in the log where compiled kernels are not kept in the folder that was named for them."""
+    """`warm_up`, with a line in the log where compiled kernels are not kept in the folder that was named for them, or
+    in none."""
     if ELSEWHERE is not None:
         _log.warning("%s", ELSEWHERE)
     warm_up()
+    if (why := not_kept()) is not None:
+        _log.warning("%s; the next start compiles them again", why)

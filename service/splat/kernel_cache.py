@@ -105,8 +105,31 @@ _REFUSAL = given_refusal()
 ELSEWHERE = None if _REFUSAL is None else f"{_REFUSAL}; compiled kernels are kept in {KERNELS}"
 
 
+_unkept: list[OSError] = []
+
+
+def not_kept() -> str | None:
+    """Why compiled code could not be written into its folder, as on a full disk; None where all could until now."""
+    return f"compiled kernels cannot be kept in {KERNELS}: {_unkept[0].strerror}" if _unkept else None
+
+
+def _kept_where_possible(decorated: Any) -> Any:
+    """The kernel, which is computed with also where numba cannot write what it has compiled."""
+    if hasattr(decorated, "_cache"):  # not with NUMBA_DISABLE_JIT
+        save = decorated._cache.save_overload
+
+        def save_if_possible(*compiled: Any) -> None:
+            try:
+                save(*compiled)
+            except OSError as error:
+                _unkept.append(error)
+
+        decorated._cache.save_overload = save_if_possible
+    return decorated
+
+
 def kernel(*, fastmath: frozenset[str] = frozenset()) -> Callable[[Callable], Callable]:
-    """Compile on first call, cache on disk, release the GIL while running.
+    """Compile on first call, cache on disk where that is possible, release the GIL while running.
 
     Without `fastmath` the arithmetic is IEEE: results depend neither on a Gaussian's position in an array nor on
     vectorisation. Raises `ValueError` for flags that assume finite numbers: they would remove the tests for NaN and
@@ -123,7 +146,7 @@ def kernel(*, fastmath: frozenset[str] = frozenset()) -> Callable[[Callable], Ca
             others = config.CACHE_DIR
             config.CACHE_DIR = str(KERNELS)  # read when a function is decorated, and meant for these alone
             try:
-                return numba.njit(**options)(function)
+                return _kept_where_possible(numba.njit(**options)(function))
             finally:
                 config.CACHE_DIR = others
 

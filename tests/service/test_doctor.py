@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -104,6 +105,10 @@ def test_kernels_in_an_empty_folder_are_compiled_and_not_loaded(
     assert Doctor(Settings(store=tmp_path))._kernels()[1].startswith("compiled in ")
     (tmp_path / "a.nbi").touch()
     assert Doctor(Settings(store=tmp_path))._kernels()[1].startswith("loaded in ")
+    monkeypatch.setattr(kernel_cache, "_unkept", [OSError(errno.ENOSPC, "No space left on device")])
+    state, text = Doctor(Settings(store=tmp_path))._kernels()
+    assert state == "warning"
+    assert text.endswith(f" s; compiled kernels cannot be kept in {tmp_path}: No space left on device")
 
 
 def test_the_verdict_names_what_to_look_at() -> None:

@@ -9,7 +9,9 @@ from collections.abc import Callable
 import numba
 import pytest
 
+from gapmes.service import kernels
 from gapmes.service.kernels import warm_up
+from gapmes.service.splat import kernel_cache
 from gapmes.service.splat.kernel_cache import KERNELS, cache_folder, given_refusal, kernel, source_stamp
 
 KERNELS_OF_A_PROCESS = """
@@ -77,6 +79,37 @@ def test_kernels_have_their_own_folder_also_where_the_named_one_cannot_be_writte
     kernels, *paths = done.stdout.splitlines()
     assert paths
     assert all(path.startswith(f"{kernels}{os.sep}") for path in paths)
+
+
+ON_A_FULL_DISK = """
+import resource, signal
+from gapmes.service.splat import kernel_cache
+@kernel_cache.kernel()
+def twice(x):
+    return 2 * x
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (500, resource.RLIM_INFINITY))
+print(twice(21), kernel_cache.not_kept())
+"""
+
+
+def test_kernels_compute_where_they_cannot_be_kept(tmp_path):
+    (tmp_path / "program.py").write_text(ON_A_FULL_DISK)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "told")}
+    words = [sys.executable, tmp_path / "program.py"]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+    folder = tmp_path / "told" / f"kernels-{source_stamp()}"
+    assert done.stdout == f"42 compiled kernels cannot be kept in {folder}: File too large\n"
+    assert not list(folder.rglob("*.nbc*"))
+
+
+def test_the_log_says_where_kernels_are_not_kept(monkeypatch, caplog):
+    monkeypatch.setattr(kernels, "warm_up", lambda: kernel_cache._unkept.append(OSError(28, "No space left on device")))
+    monkeypatch.setattr(kernel_cache, "_unkept", [])
+    monkeypatch.setattr(kernels, "ELSEWHERE", "elsewhere")
+    kernels.warm_up_with_notice()
+    why = f"compiled kernels cannot be kept in {KERNELS}: No space left on device; the next start compiles them again"
+    assert caplog.messages == ["elsewhere", why]
 
 
 def test_every_state_of_the_sources_has_a_stamp_of_its_own(tmp_path):
