@@ -60,7 +60,7 @@ class Runner:
 
     def stop(self, patience_s: float) -> None:
         """Claim no further jobs and wait up to `patience_s` for those that run. The rest are queued again, or ended if
-        they were cancelled."""
+        they were cancelled; where that cannot be noted, others take them up once the lease is released."""
         with self._wake:
             self._stopping = True
             self._wake.notify_all()
@@ -69,7 +69,12 @@ class Runner:
             if thread.ident is not None:
                 thread.join(max(0.0, deadline - time.monotonic()))
         for job_id in list(self._running):
-            if self._table.give_back(job_id, self._lease.name):
+            try:
+                over = self._table.give_back(job_id, self._lease.name)
+            except Exception:  # such as a full disk, or an index that another program keeps locked
+                _log.exception("that job %s is left cannot be noted", job_id)
+                return
+            if over:
                 self._spool.drop(job_id)
 
     def recover(self) -> None:

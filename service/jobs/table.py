@@ -30,6 +30,7 @@ from .rows import (
 )
 
 UNSET_S = UNSET_NS / 10**9
+PARTING_S = 1.0  # of the about four seconds that a process has to end after its deadline
 MAX_ATTEMPTS = 2  # after this many dead processes the job itself is taken to be the cause
 
 
@@ -134,8 +135,9 @@ class JobTable(JobReader):
         return self._stopped(job_id, owner, "somebody wants it again")
 
     def give_back(self, job_id: str, owner: str) -> bool:
-        """Queue a job again that its owner will not finish, or end it if it was cancelled. Returns whether it ended."""
-        return self._stopped(job_id, owner, "the process that computed it stopped")
+        """Queue a job again that its owner will not finish, or end it if it was cancelled. Returns whether it ended.
+        A process that ends waits no more than `PARTING_S` for the index."""
+        return self._stopped(job_id, owner, "the process that computed it stopped", PARTING_S)
 
     def leave(self, job_id: str, process: str, *, goes_on: bool = False) -> bool:
         """A request of a process stops waiting. A job that nobody else wants is cancelled, unless it `goes_on`. Returns
@@ -201,9 +203,9 @@ class JobTable(JobReader):
         """Checkpoint the write-ahead log into the tables, once a full disk has some room again."""
         self._database.empty_log()
 
-    def _stopped(self, job_id: str, owner: str, why: str) -> bool:
+    def _stopped(self, job_id: str, owner: str, why: str, patience_s: float | None = None) -> bool:
         """End the owner's job if it was cancelled, else queue it again, not counting the attempt; whether it ended."""
-        with self._database.write() as connection:
+        with self._database.write(patience_s) as connection:
             row = running_job(connection, job_id, owner)
             if row is None:
                 return False
