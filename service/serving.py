@@ -58,6 +58,7 @@ def _what_workers_share() -> ExitStack:
     folder = Path(os.environ.get(FOLDER, ""))
     if folder.name.startswith(OURS):
         held.callback(drop_unused, folder)
-        with suppress(OSError):  # somebody has removed it
+        with suppress(OSError):  # somebody has removed it, and where it was
+            folder.mkdir(mode=0o700, exist_ok=True)
             held.enter_context(in_use(folder))
     return held

@@ -46,6 +46,7 @@ def metrics(runtime: RuntimeDep) -> Response:
     """Metrics in the text format of Prometheus."""
     registry = CollectorRegistry()
     if SHARED:
+        runtime.peers.keep()
         forget_dead(Path(os.environ[FOLDER]))
         MultiProcessCollector(registry)
     own = b"" if SHARED else generate_latest(OWN)

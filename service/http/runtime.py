@@ -38,6 +38,7 @@ _log = logging.getLogger("gapmes")
 MODELS = ".models"  # beside the scenes, a folder that is writable and shared by all processes
 RETRY_S = 30.0  # before a process that could not load ends, to be replaced
 PROBES = 4  # of /readyz at once, on threads of their own: all others may wait where the store's index is locked
+KNOWN_S = 2.0
 TIDY_S = 60.0  # between evictions of old scenes and deletions of old jobs
 
 
@@ -85,7 +86,10 @@ class Runtime:
         loader = ThreadPoolExecutor(1, "load", give_way)  # the network's threads inherit the priority of this one
         self._loading = asyncio.ensure_future(asyncio.get_running_loop().run_in_executor(loader, self._load))
         self._loading.add_done_callback(_log_failure)
-        tasks = [asyncio.create_task(each()) for each in (self._tidy, self._end_if_failed, self._end_in_time)]
+        tasks = [
+            asyncio.create_task(each())
+            for each in (self._tidy, self._stay_known, self._end_if_failed, self._end_in_time)
+        ]
         try:
             with self._told_to_stop():
                 while not (self._models or self.stopping or self.peers.wanted):
@@ -147,6 +151,15 @@ class Runtime:
                 except Exception:
                     _log.exception("the store cannot be tidied")
             await asyncio.sleep(TIDY_S)
+
+    async def _stay_known(self) -> None:
+        """Announce this process to its peers again every `KNOWN_S` seconds, if what it has announced is gone."""
+        while True:
+            await asyncio.sleep(KNOWN_S)
+            try:
+                await anyio.to_thread.run_sync(self.peers.keep)
+            except OSError:  # such as a full disk; what was announced may be there
+                _log.exception("the processes of the service cannot share their numbers")
 
     async def _end_in_time(self) -> None:
         """Cancel the remaining requests `drain_seconds` after the signal to end."""

@@ -23,6 +23,7 @@ class Peers:
         self.count = count
         self._folder = folder if count > 1 else None
         self._complete = self._folder is None
+        self._loaded = False
 
     @property
     def complete(self) -> bool:
@@ -38,10 +39,20 @@ class Peers:
 
     def loaded(self) -> None:
         """Announce that this process is loaded."""
-        if self._folder is not None:
-            (self._folder / f"loaded_{os.getpid()}").touch()
-            if len(self.living()) >= self.count:
-                (self._folder / COMPLETE).touch()
+        self._loaded = True
+        self.keep()
+
+    def keep(self) -> None:
+        """Make the folder again if somebody has deleted it, and what this process has announced in it: without the
+        folder no process can be replaced, and what it counts for the first time has no place."""
+        if self._folder is None:
+            return
+        self._folder.mkdir(mode=0o700, exist_ok=True)
+        own, complete = self._folder / f"loaded_{os.getpid()}", self._folder / COMPLETE
+        if self._loaded and not own.exists():
+            own.touch()
+        if not complete.exists() and (self._complete or len(self.living()) >= self.count):
+            complete.touch()
 
     def living(self) -> list[int]:
         """Process ids of loaded processes that are alive."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -43,6 +44,23 @@ def test_a_single_process_leaves_the_folder_of_others_alone(tmp_path: Path) -> N
     alone.loaded()
     assert alone.complete
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_announced_is_announced_again_where_the_folder_was_deleted(tmp_path: Path, living: int) -> None:
+    """Who joins then would never learn that all are loaded."""
+    folder = tmp_path / "shared"
+    folder.mkdir()
+    peers, unloaded = Peers(2, folder), Peers(2, folder)
+    (folder / f"loaded_{living}").touch()
+    peers.loaded()
+    assert peers.complete
+    shutil.rmtree(folder)
+    unloaded.keep()
+    assert list(folder.iterdir()) == []
+    peers.keep()
+    assert sorted(path.name for path in folder.iterdir()) == ["complete", f"loaded_{os.getpid()}"]
+    assert Peers(2, folder).complete
+    assert Peers(2, folder).living() == [os.getpid()]
 
 
 def test_they_are_complete_when_the_last_is_loaded_and_stay_so(tmp_path: Path, living: int) -> None:
