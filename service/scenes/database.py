@@ -72,7 +72,7 @@ class Database:
         self.made_anew: Callable[[], object] = lambda: None  # called once the file was deleted and is there again
         with self._alone():
             try:
-                self._connect()
+                self._connect(switching=True)
                 damage = self.rows("PRAGMA quick_check(1)")[0][0]
                 if damage != "ok":
                     raise sqlite3.DatabaseError(str(damage).strip())
@@ -118,13 +118,14 @@ class Database:
             self._make_anew()
         return self._threads.known[0]
 
-    def _connect(self) -> sqlite3.Connection:
-        """A new connection for this thread, in the place of an earlier one."""
+    def _connect(self, *, switching: bool = False) -> sqlite3.Connection:
+        """A new connection for this thread, in the place of an earlier one; `switching` the file to WAL mode, in which
+        it stays. Only who is `_alone` may do that: it does not wait for another that does."""
         earlier, _ = getattr(self._threads, "known", (None, None))
         self._threads.known = None, None
         if earlier is not None:
             earlier.close()
-        connection = self._opened()
+        connection = self._opened(switching)
         self._threads.known = connection, _identity(self._path)
         return connection
 
@@ -136,20 +137,21 @@ class Database:
                 if _identity(self._path) is None:
                     for end in ("-wal", "-shm"):  # of the deleted file
                         self._path.with_name(f"{self._path.name}{end}").unlink(missing_ok=True)
-                self._connect()
+                self._connect(switching=True)
                 new = self._complete()
         if new:
             _log.warning("%s was deleted under the service: it is made anew, and its jobs are lost", self._path)
             self.made_anew()
 
-    def _opened(self) -> sqlite3.Connection:
+    def _opened(self, switching: bool) -> sqlite3.Connection:
         """A new connection. Raises `ServiceBusy` if the process has too many open files."""
         with ExitStack() as failed:
             try:
                 connection = sqlite3.connect(self._path, timeout=BUSY_S, isolation_level=None)
                 failed.callback(connection.close)
                 connection.row_factory = sqlite3.Row
-                connection.execute("PRAGMA journal_mode = WAL")
+                if switching:
+                    connection.execute("PRAGMA journal_mode = WAL")
                 connection.execute("PRAGMA synchronous = NORMAL")  # a power cut may cost the last writes, a crash none
             except sqlite3.OperationalError as error:
                 if error.sqlite_errorcode & _KIND == sqlite3.SQLITE_CANTOPEN and self._may_be_opened():
