@@ -10,7 +10,7 @@ import anyio
 import anyio.to_thread
 from starlette.requests import ClientDisconnect
 
-from ..errors import DeadlineExceeded
+from ..errors import DeadlineExceeded, InputsGone, JobNotFound
 from ..jobs.job_service import JobService
 from ..jobs.rows import Job
 from .concurrency import Gone
@@ -20,7 +20,7 @@ FIRST_S, LAST_S, SHARE = 0.005, 0.2, 0.05  # polling interval: a share of the ti
 
 async def ended(jobs: JobService, job: Job, patience_s: float, gone: Gone) -> Job:
     """The job once it has ended. Raises `ClientDisconnect` or `DeadlineExceeded`; then the job is cancelled if nobody
-    else wants it.
+    else wants it. Raises `InputsGone` if somebody has deleted the index.
 
     If the wait is cancelled because this process shuts down, the job is left to another process.
     """
@@ -28,7 +28,10 @@ async def ended(jobs: JobService, job: Job, patience_s: float, gone: Gone) -> Jo
     over = goes_on = False
     try:
         while True:
-            job = jobs.table.get(job.id)
+            try:
+                job = jobs.table.get(job.id)
+            except JobNotFound as error:
+                raise InputsGone("the job was deleted, with the index of the store", cure="ask for it again") from error
             if job.over:
                 over = True
                 return job

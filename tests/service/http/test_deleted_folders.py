@@ -17,8 +17,10 @@ from served_process import until
 from starlette.testclient import TestClient
 
 from gapmes.service.app import create_app
+from gapmes.service.errors import InputsGone
 from gapmes.service.http import jobs
 from gapmes.service.http.runtime import Runtime
+from gapmes.service.http.waiting import ended
 from gapmes.service.scenes.store import SceneStore
 from gapmes.service.settings import Settings
 
@@ -146,6 +148,20 @@ def test_a_stream_of_a_job_ends_with_a_deleted_index(tmp_path: Path) -> None:
     begin, event = asyncio.run(streamed())
     assert begin.startswith("retry: ")
     assert "queued" in event
+
+
+def test_who_waits_for_a_job_of_a_deleted_index_is_told(tmp_path: Path) -> None:
+    async def gone() -> bool:
+        index(tmp_path / "scenes")
+        return False
+
+    async def waited() -> None:
+        runtime = Runtime(Settings(store=tmp_path / "scenes"))  # it runs no jobs
+        await ended(runtime.jobs, runtime.jobs.table.submit("1", "a" * 32), 60.0, gone)
+
+    with pytest.raises(InputsGone, match="the job was deleted, with the index of the store") as caught:
+        asyncio.run(waited())
+    assert (caught.value.status, caught.value.cure) == (410, "ask for it again")
 
 
 def test_what_was_deleted_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
