@@ -16,7 +16,7 @@ from gapmes.service.shipped import sample_folder
 from .build import MAX_VIEWS, MIN_VIEWS
 from .gate_settings import GateSetting
 from .graph import SceneInputs
-from .samples import FLAT, UNDETERMINED, all_patches, hostile_scenes, random_scene
+from .samples import FLAT, UNDETERMINED, all_patches, hostile_scenes, lenses_scene, random_scene
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Case:
 
 
 def verification_cases(height: int, width: int, *, quick: bool = False) -> Iterator[Case]:
-    """Random scenes and the sample at every view count, degenerate scenes and gate settings at two counts each;
-    grouped by gate setting.
+    """Random scenes and the sample at every view count; other lenses, degenerate scenes and gate settings at two counts
+    each; grouped by gate setting.
 
     `quick` uses two view counts for the former and one for the latter.
     """
@@ -46,6 +46,7 @@ def verification_cases(height: int, width: int, *, quick: bool = False) -> Itera
         yield Case("sample", "as trained", sample_scene(views, height, width))
     hostile = (3,) if quick else (2, 3)
     for views in hostile:
+        yield Case("lenses", "as trained", lenses_scene(views, height, width, seed=20 + views))
         for name, inputs in hostile_scenes(views, height, width).items():
             yield Case(name, "as trained", inputs, flat=name in FLAT, undetermined=name in UNDETERMINED)
     settings: tuple[GateSetting, ...] = ("all tied", "one expert", "two experts")
