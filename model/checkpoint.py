@@ -21,6 +21,8 @@ from .weights_file import CheckpointError, some, why_no_file, wrapper_of
 
 WEIGHTS_LICENCE = "MIT"
 SHIPPED = Path(__file__).parent / "weights"
+WEIGHTS = "weights.safetensors"  # in the folder of a training
+STATE_PARTS = {"average", "optimiser"}  # beside the weights in the state of a training
 
 
 def shipped_checkpoint(preset: str) -> Path:
@@ -57,11 +59,13 @@ def read_metadata(path: Path) -> dict[str, str]:
 def _likely(path: Path) -> str:
     """What a file that is no checkpoint seems to be, as the end of a sentence; empty if unknown."""
     try:
-        tensors = read_tensors(path).tensors
+        file = read_tensors(path)
     except CheckpointError as error:
         return "" if "cannot be read as safetensors" in str(error) else f"; {error}"
-    own = _preset_of(tensors)
-    kind = f"the tensors of preset {own}, whose configuration is lost" if own else looks_like(path, tensors)
+    if set(file.set_aside) >= STATE_PARTS:
+        return f"; it holds the state of a training: give {WEIGHTS} beside it, which has the averaged weights"
+    own = _preset_of(file.tensors)
+    kind = f"the tensors of preset {own}, whose configuration is lost" if own else looks_like(path, file.tensors)
     return f"; it holds {kind}" if kind else ""
 
 

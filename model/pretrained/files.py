@@ -22,6 +22,7 @@ from .safetensors_file import read_safetensors
 SAFETENSORS = ".safetensors"
 INDEX = ".safetensors.index.json"
 TORCH = (".pth", ".pt", ".bin", ".ckpt")
+EXPORTED = ".onnx"
 NESTS = ("state_dict", "model_state_dict", "model")  # under which trainers put the weights (Lightning: the first)
 DEEPEST = 4  # nests within each other; a file can nest without end
 CONVERT = "convert it to safetensors where you trust it (safetensors.torch.save_file of its tensors), and load that"
@@ -55,6 +56,8 @@ def read_tensors(path: Path) -> TensorFile:
         return TensorFile(path, file_sha256(path), tensors, metadata)
     if path.suffix in TORCH:
         return _read_torch(path)
+    if path.suffix == EXPORTED:
+        raise CheckpointError(f"{path} is an exported network, which cannot be read back: give what it was made from")
     raise CheckpointError(f"{path}: the ending {path.suffix!r} is none of {', '.join((SAFETENSORS, INDEX, *TORCH))}")
 
 

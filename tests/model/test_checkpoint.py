@@ -14,6 +14,7 @@ from small_networks import scene, tiny
 
 from gapmes.model.checkpoint import load_checkpoint, read_metadata, save_checkpoint, shipped_checkpoint
 from gapmes.model.config import PRESETS, preset
+from gapmes.model.training import run_folder
 from gapmes.model.weights_file import CheckpointError
 
 
@@ -96,6 +97,22 @@ def test_a_foreign_file_is_refused(tmp_path: Path) -> None:
     path.write_bytes(b"text")
     with pytest.raises(CheckpointError, match="cannot be read as safetensors"):
         load_checkpoint(path)
+
+
+def test_the_state_of_a_training_is_told_from_its_weights(tmp_path: Path) -> None:
+    network = tiny()
+    optimiser = torch.optim.AdamW(network.parameters())
+    run_folder.save_state(tmp_path, {"step": 1, "sums": {}}, network, network, optimiser)
+    said = r"state\.pt cannot be read as safetensors; it holds the state of a training: give weights\.safetensors"
+    with pytest.raises(CheckpointError, match=said):
+        load_checkpoint(tmp_path / run_folder.STATE)
+    load_checkpoint(tmp_path / run_folder.WEIGHTS)
+
+
+def test_an_exported_network_is_no_checkpoint(tmp_path: Path) -> None:
+    (tmp_path / "net.onnx").write_bytes(b"\x08\x08\x12\x07")
+    with pytest.raises(CheckpointError, match=r"net\.onnx is an exported network, .*: give what it was made from"):
+        load_checkpoint(tmp_path / "net.onnx")
 
 
 # Tensors by which a network is told, and what the refusal says of them.
