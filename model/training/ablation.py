@@ -189,7 +189,7 @@ def caption(results: Results, budget: Budget) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gapmes.model.training.ablation", description=__doc__)
-    parser.add_argument("out", type=Path, help="folder of the runs; an interrupted study continues from it")
+    parser.add_argument("out", type=kinds.folder, help="folder of the runs; an interrupted study continues from it")
     parser.add_argument("--steps", type=int, default=Budget.steps, help="of every variant")
     parser.add_argument("--seeds", type=kinds.seed(), nargs="+", default=[1], metavar="SEED", help="training seeds")
     parser.add_argument("--only", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME", help="variants")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Callable
+from pathlib import Path
 
 import numba
 import torch
@@ -37,6 +38,13 @@ def threads() -> Callable[[str], int]:
 def seed() -> Callable[[str], int]:
     """A type for argparse."""
     return whole_number(0, LARGEST_SEED)
+
+
+def folder(text: str) -> Path:
+    """A type for argparse: an empty name, as of a shell variable without a value, would mean the working directory."""
+    if not text:
+        raise argparse.ArgumentTypeError("is empty, need the name of a folder; the working directory is .")
+    return Path(text)
 
 
 def device(text: str) -> str:

@@ -18,10 +18,12 @@ from ..pretrained.sources import resolve
 from ..weights_file import CheckpointError
 from . import arguments as kinds
 from .log_rows import read_rows
-from .loop import check_start, train
+from .loop import SAVE_SECONDS, check_start, train
 from .recipe import RECIPES, Recipe
-from .run_folder import LOG, WEIGHTS, Refused
+from .run_folder import LOG, STATE, WEIGHTS, Refused
 from .workers import Worker, run_workers
+
+BEGINS_ANEW = f"begins anew: it saves a state every {SAVE_SECONDS:.0f} s, and had saved none"
 
 
 @dataclass(frozen=True)
@@ -41,12 +43,12 @@ PARTS = (
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gapmes.model.training", description=__doc__)
-    parser.add_argument("out", type=Path, help="folder of the run; an interrupted run continues from it")
+    parser.add_argument("out", type=kinds.folder, help="folder of the run; an interrupted run continues from it")
     parser.add_argument("--preset", choices=sorted(PRESETS), default="tiny")
     parser.add_argument("--recipe", choices=sorted(RECIPES), default="whole", help="finish: further steps after a run")
     parser.add_argument("--initial-weights", type=Path, metavar="FILE", help="start from this checkpoint of the preset")
     parser.add_argument("--steps", type=kinds.whole_number(0), help="default: the recipe's; 0 trains nothing")
-    parser.add_argument("--seed", type=kinds.seed(), help="default: the recipe's")
+    parser.add_argument("--seed", type=kinds.seed(), help="default: the recipe's; it decides which scenes are drawn")
     parser.add_argument("--scenes", type=kinds.whole_number(1), help="scenes per step (default: the recipe's, 2 to 4)")
     parser.add_argument(
         "--processes", type=kinds.whole_number(1), default=1, help="share each step's scenes evenly (default 1)"
@@ -129,7 +131,8 @@ def main(arguments: list[str] | None = None) -> int:
         sys.stderr.write(f"refused: {error}\n")
         return 1
     except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command goes on from the last state\n")
+        saved = (options.out / STATE).is_file()
+        sys.stderr.write(f"stopped; the same command {'goes on from the last state' if saved else BEGINS_ANEW}\n")
         return 130
     if options.json:
         log = options.out / LOG

@@ -44,6 +44,7 @@ from .workers import Worker
 
 log = logging.getLogger(__name__)
 
+SAVE_SECONDS = 120.0  # between two states: what an interrupt can cost
 STEPS, SKIPPED = "steps", "skipped"  # counts among the sums of what the log gives means of
 
 
@@ -54,7 +55,7 @@ def train(
     *,
     validate_every: int = 250,
     validation_scenes: int = 12,
-    save_seconds: float = 120.0,
+    save_seconds: float = SAVE_SECONDS,
     device: torch.device | str = "cpu",
     worker: Worker = Worker(),  # noqa: B008 - a frozen value
     backbones: BackboneSources | None = None,
@@ -285,7 +286,7 @@ def _report(
     append_row(folder, row)
     wide, narrow = figures["wide"], figures["narrow"]
     log.info(
-        "step %d/%d  %.1f min  train %.2f dB  wide %.2f dB (copy %.2f)  narrow %.2f dB  depth %.4f  holes %.2f%%",
+        "step %d/%d  %.1f min  train %.2f dB  wide %.2f dB (copy %.2f)  narrow %.2f dB  depth %.4f  holes %.2f%%%s",
         step,
         recipe.steps,
         elapsed / 60,
@@ -295,4 +296,5 @@ def _report(
         narrow["psnr"],
         wide["depth_error"],
         100 * float(wide["holes"]),  # type: ignore[arg-type]
+        f"  skipped {means[SKIPPED]:.1%} of the steps" if SKIPPED in means else "",
     )

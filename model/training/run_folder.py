@@ -17,17 +17,20 @@ from torch import Tensor
 from gapmes.service.process.disk import replace_file
 
 from ..allocation import lacks_memory
-from ..checkpoint import save_checkpoint
+from ..checkpoint import WEIGHTS, save_checkpoint
 from ..network import GaPMeS
 from .differences import differences
 from .log_rows import read_rows
 
 STATE = "state.pt"
-WEIGHTS = "weights.safetensors"
 LOG = "log.jsonl"
 LOCK = "lock"
 
 REVISION = "5"  # to raise when the state or the derivation of random numbers changes: older runs are then refused
+CURES = {  # of what no option sets, where a run is of another one
+    "precision": "the device decides it, so go on on one like that of the beginning",
+    "revision": "go on with the version of gapmes that it began with",
+}
 
 
 class Refused(ValueError):
@@ -142,7 +145,7 @@ def restore_state(
         if state.get(key) != value:
             raise Refused(
                 f"{path} is of a run with another {key}: {differences(_document(state.get(key)), _document(value))}; "
-                "go on with what it began with, or use a new folder"
+                f"{CURES.get(key, 'go on with what it began with')}, or use a new folder"
             )
     try:
         _load_trained(model, state["model"], trained_names(model))

@@ -18,7 +18,7 @@ from gapmes.export.cases import Case
 from gapmes.export.metadata import add_metadata, contract_metadata
 from gapmes.export.model_file import data_files, remove_model, write_model
 from gapmes.export.quantise import quantised
-from gapmes.export.samples import hostile_scenes, random_scene
+from gapmes.export.samples import hostile_scenes, lenses_scene, random_scene
 from gapmes.export.tolerance import TOLERANCES
 from gapmes.export.verify import verify
 from gapmes.model.architectures import Network, config_from_json
@@ -33,13 +33,14 @@ VIEWS = (2, 3, 4, 6)
 
 def cases() -> list[Case]:
     made = [Case("random", "as trained", random_scene(views, SIZE, SIZE, seed=views)) for views in VIEWS]
-    return [*made, Case("half masked", "as trained", hostile_scenes(2, SIZE, SIZE)["half masked"])]
+    half = Case("half masked", "as trained", hostile_scenes(2, SIZE, SIZE)["half masked"])
+    return [*made, half, Case("lenses", "as trained", lenses_scene(3, SIZE, SIZE, seed=23))]
 
 
 def check(model: onnx.ModelProto, network: Network) -> None:
     results = verify(model, network, cases(), TOLERANCES["fp32"])
     assert [failure for result in results for failure in result.failures] == []
-    assert len(results) == len(VIEWS) + 1
+    assert len(results) == len(VIEWS) + 2
 
 
 @pytest.fixture(scope="module")

@@ -141,3 +141,14 @@ def test_gradient_reaches_both_gates_and_both_balances() -> None:
     for parameter in (g.expert_gate.weight, g.task_gate.weight, g.expert_balance, g.task_balance):
         assert parameter.grad is not None
         assert float(parameter.grad.abs().sum()) > 0
+
+
+def test_with_one_expert_a_patch_only_the_balance_teaches_the_gate() -> None:
+    """The softmax over a single choice is 1 whatever its logit: docs/ablations.md says so of `top-1`."""
+    g = gates(k=1).train()
+    routing = g(torch.randn(16, 48))
+    (routing.expert_weight**2).sum().backward(retain_graph=True)
+    assert not g.expert_gate.weight.grad.any()
+    assert not g.expert_balance.grad.any()
+    routing.balance_loss.backward()
+    assert g.expert_gate.weight.grad.any()

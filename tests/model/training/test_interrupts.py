@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from child_processes import eventually, gone, in_a_terminal, spawned
 
+from gapmes.model.training.command import BEGINS_ANEW
+
 
 def _blocks_interrupts(pid: int) -> bool:
     status = dict(line.split(":\t") for line in Path(f"/proc/{pid}/status").read_text().splitlines())
@@ -21,7 +23,7 @@ def _blocks_interrupts(pid: int) -> bool:
     [
         (
             ["gapmes.model.training", "run", "--device", "cpu"],
-            "stopped; the same command goes on from the last state\n",
+            f"stopped; the same command {BEGINS_ANEW}\n",
         ),
         (["gapmes.model.training.choice", "choice.npz"], "stopped; nothing is kept\n"),
     ],

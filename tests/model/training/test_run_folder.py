@@ -6,6 +6,7 @@ import resource
 import signal
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -49,6 +50,19 @@ def test_a_run_of_another_number_of_threads_is_not_continued(tmp_path: Path) -> 
     torch.set_num_threads(2)
     with pytest.raises(run_folder.Refused, match="another thread count: 1, asked for 2; go on with what it began with"):
         run(one, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("key", "cure"),
+    [
+        ("precision", "the device decides it, so go on on one like that of the beginning, or use a new folder"),
+        ("revision", "go on with the version of gapmes that it began with, or use a new folder"),
+    ],
+)
+def test_what_no_option_sets_has_another_cure(key: str, cure: str, tmp_path: Path) -> None:
+    torch.save({"step": 1, key: "another"}, tmp_path / run_folder.STATE)
+    with pytest.raises(run_folder.Refused, match=f"another {key}: another, asked for this; {cure}"):
+        run_folder.restore_state(tmp_path, {key: "this"}, *[Mock()] * 3)
 
 
 def test_a_lack_of_memory_is_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

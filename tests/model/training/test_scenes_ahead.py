@@ -15,6 +15,7 @@ import torch
 from child_processes import eventually, gone, in_a_terminal, spawned
 
 from gapmes.model.training import ahead
+from gapmes.model.training.command import BEGINS_ANEW
 from gapmes.model.training.recipe import Phase, Recipe
 from gapmes.model.training.run_folder import Refused
 from gapmes.model.training.step import TensorBatch
@@ -109,6 +110,6 @@ def test_a_command_that_ends_takes_them_along_also_while_they_begin(end: signal.
     eventually(lambda: all(map(gone, loaders)))
     assert run.returncode == (130 if end == signal.SIGINT else -end)
     if end == signal.SIGINT:
-        assert told == "stopped; the same command goes on from the last state\n"
+        assert told == f"stopped; the same command {BEGINS_ANEW}\n"
     else:  # the interpreter of one that has not begun may say that it has lost its parent, before any line of ours
         assert "stopped" not in told

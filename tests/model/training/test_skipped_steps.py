@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -83,8 +84,12 @@ def test_means_are_those_of_the_steps_that_count(tmp_path: Path, monkeypatch: py
     assert row_of(tmp_path) == {"depth": 0.5, "gradient_norm": 4.0, "skipped": 0.33333, "psnr": 20.0}
 
 
-def test_a_row_of_skipped_steps_alone_has_no_means(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first, *others = trained(tmp_path, lambda loss, _: loss * math.nan, monkeypatch)
+def test_a_row_of_skipped_steps_alone_has_no_means_and_the_terminal_tells_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, loop.__name__):
+        first, *others = trained(tmp_path, lambda loss, _: loss * math.nan, monkeypatch)
+    assert "skipped 100.0% of the steps" in caplog.text
     assert all(same(first, other) for other in others)
     assert row_of(tmp_path) == {"skipped": 1.0}
 

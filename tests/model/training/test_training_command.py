@@ -15,7 +15,7 @@ import torch
 from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
-from gapmes.model.training import arguments, command, run_folder
+from gapmes.model.training import ablation, arguments, command, run_folder
 from gapmes.model.training.command import main
 from gapmes.model.training.recipe import Recipe
 from gapmes.model.training.workers import Worker
@@ -174,6 +174,36 @@ def test_scenes_are_drawn_ahead_by_as_many_processes_as_are_asked_for(
     monkeypatch.setattr(command, "run_workers", lambda count, threads, work, *rest: work(Worker(), *rest))
     assert command.main([str(tmp_path), "--quiet", *given]) == 0
     assert ran.call_args.kwargs["loaders"] == found
+
+
+def test_a_place_without_a_name_is_wrong_usage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of a shell variable without a value: it would be the working directory."""
+    monkeypatch.chdir(tmp_path)
+    for main_of in (command.main, ablation.main):
+        with pytest.raises(SystemExit) as ended:
+            main_of(["", "--steps", "0"])
+        assert ended.value.code == 2
+        assert (
+            "argument out: is empty, need the name of a folder; the working directory is ." in capsys.readouterr().err
+        )
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_an_interrupt_says_from_where_the_run_goes_on(
+    saved: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        if saved:
+            (tmp_path / run_folder.STATE).touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "run_workers", interrupted)
+    assert command.main([str(tmp_path), "--quiet"]) == 130
+    then = "goes on from the last state" if saved else "begins anew: it saves a state every 120 s, and had saved none"
+    assert capsys.readouterr().err == f"stopped; the same command {then}\n"
 
 
 def test_a_full_disk_is_refused_in_one_line(
