@@ -35,6 +35,7 @@ from .variant import Variant, load_variant
 from .verify import FAILED
 
 AS_TRAINED = Variant()
+ENDING = ".onnx"
 
 
 class VerificationBroken(Exception):
@@ -82,11 +83,14 @@ def export_checkpoint(
     files are written beside the target.
 
     Raises `ExportRejected` when a check fails: the file is then kept as `NAME.rejected.onnx` with its report, and `out`
-    is not changed. Raises `InputError`, before any work, where `out` or its report cannot be written or `out` is the
-    checkpoint; `CheckpointError` and `ValueError` for a wrong checkpoint or size; `OutOfMemory`; `VerificationBroken`
-    when there is no verdict. The last, like an interrupt, leaves no files.
+    is not changed. Raises `InputError`, before any work, where `out` or its report cannot be written, where `out` is
+    the checkpoint, and for another ending than .onnx; `CheckpointError` and `ValueError` for a wrong checkpoint or
+    size; `OutOfMemory`; `VerificationBroken` when there is no verdict. The last, like an interrupt, leaves no files.
     """
     _check_place(out, checkpoint)
+    if out.suffix != ENDING:
+        message = f"{out} ends in {out.suffix!r}, need {ENDING!r}, which tells networks from weights"
+        raise InputError(message, field="output", cure=f"name it {out.name}{ENDING}")
     if out.is_symlink():
         out = out.resolve()
         _check_place(out, checkpoint)

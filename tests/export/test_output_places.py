@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -138,6 +139,9 @@ def test_without_a_verdict_nothing_stays(
         (".", "is a folder, need a file"),
         ("taken/x.onnx", "taken is not a folder"),
         ("taken/deep/x.onnx", "taken is not a folder"),
+        ("net", "net ends in '', need '.onnx', which tells networks from weights (name it net.onnx)"),
+        ("other.safetensors", "name it other.safetensors.onnx"),
+        ("net.v2", "name it net.v2.onnx"),  # its report would be that of net.onnx
     ],
 )
 def test_a_place_that_cannot_be_written_is_refused_before_any_work(
@@ -146,7 +150,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_any_work(
     (tmp_path / "taken").touch()
     (tmp_path / "folder").mkdir()
     monkeypatch.setattr(pipeline, "load_variant", None)  # no work is done
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=re.escape(said)):
         export(checkpoint, tmp_path / place)
     result = CliRunner().invoke(app, ["-o", str(tmp_path / place)], env={"COLUMNS": "200"})
     assert result.exit_code == 1
