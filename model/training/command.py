@@ -24,6 +24,7 @@ from .run_folder import LOG, STATE, WEIGHTS, Refused
 from .workers import Worker, run_workers
 
 BEGINS_ANEW = f"begins anew: it saves a state every {SAVE_SECONDS:.0f} s, and had saved none"
+ABLATED = {"depth": "no depth stream", "experts": "no experts and no gate for them", "tasks": "no task gate"}
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--validate-every", type=kinds.whole_number(1), default=250, metavar="STEPS")
     parser.add_argument("--json", action="store_true", help="print the run's last figures to stdout as one JSON object")
     parser.add_argument("-q", "--quiet", action="store_true", help=QUIET_HELP)
-    for switch in ("without-depth", "without-experts", "without-tasks"):
-        parser.add_argument(f"--{switch}", action="store_true", help="ablation")
+    for name, lacking in ABLATED.items():
+        parser.add_argument(f"--without-{name}", action="store_true", help=f"ablation: {lacking}")
     for part in PARTS:
         text = f"{part.help} for a preset with frozen parts: a file, a folder or a hub name"
         parser.add_argument(f"--{part.name}-weights", metavar="SOURCE", help=text)
