@@ -2,6 +2,9 @@
 
 import sys
 
-from .command import main
+from ..extra import imports_of
+
+with imports_of("gapmes.model.training"):
+    from .command import main
 
 sys.exit(main())

@@ -1,4 +1,4 @@
-"""`gapmes-export` without its extra: one line names the packages to install."""
+"""`gapmes-export` and the training without their extra: one line names the packages to install."""
 
 from __future__ import annotations
 
@@ -9,14 +9,20 @@ import pytest
 
 from gapmes.export import entry
 
-WITHOUT_TORCH = "import sys; sys.modules['torch'] = None; from gapmes.export.entry import main; main()"
 
-
-def test_without_torch_it_says_what_to_install() -> None:
+@pytest.mark.parametrize(
+    ("command", "run"),
+    [
+        ("gapmes-export", "from gapmes.export.entry import main; main()"),
+        ("gapmes.model.training", "import runpy; runpy.run_module('gapmes.model.training', run_name='__main__')"),
+    ],
+)
+def test_without_torch_it_says_what_to_install(command: str, run: str) -> None:
     """In a separate process: unloading a package here would leave other tests with two copies of its modules."""
-    ended = subprocess.run([sys.executable, "-c", WITHOUT_TORCH], capture_output=True, text=True, check=False)
+    without = f"import sys; sys.modules['torch'] = None; {run}"
+    ended = subprocess.run([sys.executable, "-c", without], capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stdout) == (1, "")
-    assert ended.stderr == "refused: gapmes-export needs torch: pip install 'gapmes[export]'\n"
+    assert ended.stderr == f"refused: {command} needs torch: pip install 'gapmes[export]'\n"
 
 
 OUTDATED = """
