@@ -52,7 +52,9 @@ class ExportRejected(Exception):
             for case in report.cases
             for failure in case.failures
         ]
-        super().__init__(f"{len(self.failures)} checks failed, first: {self.failures[0]}")
+        checks = "check" if len(self.failures) == 1 else "checks"
+        cure = "; 8 bits may be too few for these weights: take --precision fp32" if report.precision == "int8" else ""
+        super().__init__(f"{len(self.failures)} {checks} failed, first: {self.failures[0]}{cure}")
 
 
 @dataclass(frozen=True)

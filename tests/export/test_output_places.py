@@ -95,6 +95,14 @@ def export(checkpoint: Path, out: Path) -> pipeline.Exported:
     return export_checkpoint(checkpoint, out, height=48, width=64)
 
 
+@pytest.mark.parametrize(("precision", "cured"), [("fp32", False), ("int8", True)])
+def test_a_rejection_counts_its_checks_and_names_the_cure_of_8_bits(precision: str, cured: bool) -> None:
+    for failures, said in ((["a: off"], "1 check failed, first: "), (["a: off", "b: off"], "2 checks failed, first: ")):
+        told = str(ExportRejected(Path(), Path(), replace(report_of(*failures), precision=precision)))
+        assert told.startswith(f"{said}random (as trained, 2 views): a: off")
+        assert told.endswith("too few for these weights: take --precision fp32") == cured
+
+
 def test_a_file_has_its_name_only_once_it_is_judged(
     checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
