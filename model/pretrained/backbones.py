@@ -53,7 +53,7 @@ def load_backbones(network: GaPMeS, sources: BackboneSources) -> dict[str, Fit]:
             raise CheckpointError(f"{field.name} weights: {error}") from error
     rows = {part: _row(report) for part, report in found.items()}
     theirs = sorted({f"{row['licence'] or 'not stated'} ({part})" for part, row in rows.items()})
-    network.provenance = {
+    network.provenance |= {
         RECORD: json.dumps(rows, sort_keys=True),
         "gapmes.licence": f"{WEIGHTS_LICENCE} for what was trained; frozen parts: {', '.join(theirs)}",
     }

@@ -14,10 +14,11 @@ from pathlib import Path
 
 import torch
 
-from ..checkpoint import load_checkpoint, read_config, save_checkpoint
+from ..checkpoint import load_checkpoint, read_config, read_metadata, save_checkpoint
 from ..network import GaPMeS
 from ..weights_file import CheckpointError, file_sha256, why_no_file
 from .differences import differences
+from .start import BEGUN, SEEDS, seeds_of, seeds_text
 
 MEAN_OF = "gapmes.mean_of"  # sha256 of every file that went in, in the checkpoint's metadata
 
@@ -76,10 +77,19 @@ def main(arguments: list[str] | None = None) -> int:
                 same = options.weights[digests.index(digest)]
                 parser.error(f"{options.weights[place]} holds the same weights as {same}: they would count twice")
         model = averaged(options.weights)
+        records = [read_metadata(path) for path in options.weights]
     except (CheckpointError, OSError) as error:
         parser.error(str(error))
+    begun = {record[BEGUN] for record in records if BEGUN in record} - {*digests}
+    if len(begun) > 1:
+        sys.stderr.write(
+            f"warning: the runs began from {len(begun)} different weights ({', '.join(sorted(begun))}); unless one run "
+            "went on from another, their mean is worse than each\n"
+        )
+    seeds = set[int]().union(*map(seeds_of, records))
+    extra = {MEAN_OF: ",".join(digests)} | ({SEEDS: seeds_text(seeds)} if seeds else {})
     try:
-        save_checkpoint(options.out, model, extra={MEAN_OF: ",".join(digests)})
+        save_checkpoint(options.out, model, extra=extra)
     except OSError as error:
         return _refused(options.out, error.strerror or str(error))
     sys.stdout.write(f"{options.out}: mean of {len(digests)} files\n")

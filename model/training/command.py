@@ -11,16 +11,17 @@ from pathlib import Path
 
 from gapmes.service.process.terminal import QUIET_HELP, ProgressBars
 
-from ..checkpoint import load_checkpoint
+from ..checkpoint import load_checkpoint, read_metadata
 from ..config import PRESETS, ModelConfig, preset
 from ..pretrained.backbones import BackboneSources
 from ..pretrained.sources import resolve
 from ..weights_file import CheckpointError
 from . import arguments as kinds
 from .log_rows import read_rows
-from .loop import SAVE_SECONDS, check_start, train
+from .loop import SAVE_SECONDS, train
 from .recipe import RECIPES, Recipe
 from .run_folder import LOG, STATE, WEIGHTS, Refused
+from .start import check_start, seeds_of
 from .workers import Worker, run_workers
 
 BEGINS_ANEW = f"begins anew: it saves a state every {SAVE_SECONDS:.0f} s, and had saved none"
@@ -111,6 +112,8 @@ def main(arguments: list[str] | None = None) -> int:
         if start is not None:
             check_start(start, config)
             load_checkpoint(start)  # before there is a folder: tensors that are none are wrong usage too
+            if recipe.seed in seeds_of(read_metadata(start)) and not options.quiet:
+                sys.stderr.write(f"{start} was trained with seed {recipe.seed}: another --seed draws other scenes\n")
     except CheckpointError as error:
         parser.error(str(error))
     try:

@@ -16,14 +16,12 @@ from torch import Tensor
 
 from gapmes.service.progress import Listener, Stage, silent
 
-from ..checkpoint import load_checkpoint, read_config
 from ..config import ModelConfig
 from ..network import GaPMeS
 from ..overflow import overflow
 from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
-from ..weights_file import CheckpointError, file_sha256
+from ..weights_file import file_sha256
 from .ahead import drawn_steps
-from .differences import differences
 from .precision import bfloat16_is_fast, use_bfloat16
 from .recipe import Recipe
 from .run_folder import (
@@ -37,6 +35,7 @@ from .run_folder import (
     save_state,
     save_weights,
 )
+from .start import started
 from .step import TensorBatch, training_loss
 from .step_scenes import StepScenes
 from .validation import validate, validation_batches
@@ -119,7 +118,7 @@ def _run(
     listener: Listener,
 ) -> GaPMeS:
     torch.manual_seed(recipe.seed)
-    model = GaPMeS(config) if initial is None else _started_from(initial, config)
+    model = started(config, recipe, initial)
     fits = {} if backbones is None else load_backbones(model, backbones)
     for part, report in fits.items():
         log.info("%s: %s: %s", part, report.path, "; ".join(report.summary()))
@@ -185,26 +184,11 @@ def _run(
     return average.eval()
 
 
-def check_start(path: Path, config: ModelConfig) -> None:
-    """Raises `CheckpointError` unless the file is a checkpoint of this configuration."""
-    found = read_config(path)
-    if found != config:
-        raise CheckpointError(
-            f"{path} has another configuration than this run: {differences(asdict(found), asdict(config))}; "
-            "give the preset and the switches that it was trained with"
-        )
-
-
 def _sums(record: str | None) -> str | None:
     """The sha256 of the weights of each frozen part, whatever their files are called."""
     if record is None:
         return None
     return json.dumps({part: row["sha256"] for part, row in json.loads(record).items()}, sort_keys=True)
-
-
-def _started_from(path: Path, config: ModelConfig) -> GaPMeS:
-    check_start(path, config)
-    return load_checkpoint(path)
 
 
 def _step(
