@@ -71,8 +71,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--validate-every", type=kinds.whole_number(1), default=250, metavar="STEPS")
     parser.add_argument("--json", action="store_true", help="print the run's last figures to stdout as one JSON object")
     parser.add_argument("-q", "--quiet", action="store_true", help=QUIET_HELP)
-    for name, lacking in ABLATED.items():
-        parser.add_argument(f"--without-{name}", action="store_true", help=f"ablation: {lacking}")
+    for name, what in ABLATED.items():
+        parser.add_argument(f"--without-{name}", action="store_true", help=f"ablation: {what}")
     for part in PARTS:
         text = f"{part.help} for a preset with frozen parts: a file, a folder or a hub name"
         parser.add_argument(f"--{part.name}-weights", metavar="SOURCE", help=text)
