@@ -90,7 +90,7 @@ def _json_object(obj: object) -> Mapping:
         message = "is the list of cameras that 3DGS training leaves beside its .ply, which lacks principal points"
         raise CameraError(message, field="cameras", cure="give the COLMAP model or transforms.json it was trained from")
     if not isinstance(obj, Mapping):
-        cure = 'give the list as "views" of an object: {"views": [...]}' if isinstance(obj, list) else None
+        cure = 'give the list as "views" of an object: {"views": [...]}' if obj and isinstance(obj, list) else None
         raise CameraError(f"is {json_kind(obj)}, need a JSON object", field="cameras", cure=cure)
     return obj
 

@@ -15,7 +15,7 @@ from ..network.backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
 from .given import Threads, output_option
-from .summary import check_line, fading_line, left_out_lines, selection_line
+from .summary import check_line, fading_line, left_out_lines, selection_line, warning_line
 
 
 def reconstruct(
@@ -133,7 +133,7 @@ def reconstruct(
         bars.say(line)
     warnings = [*found.warnings, *scene.document["warnings"]]
     for warning in warnings:
-        bars.say(f"warning: {warning['message']}")
+        bars.say(warning_line(warning))
     for note in encoded.notes:
         bars.say(f"warning: {output.name}: {note}")
     if as_json:

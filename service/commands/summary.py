@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+_NAMES_VIEWS = re.compile(r"\b(view|photographs) \d")
 
 
 def check_line(check: Mapping[str, Any]) -> str:
@@ -52,6 +55,13 @@ def selection_line(said: Mapping[str, Any]) -> str:
     missing = said.get("without_photograph")
     without = f"; {missing} have no photograph" if missing else ""
     return f"views {views} of {said['of']} in {said['cameras']} ({said['format']}): {reason}{without}"
+
+
+def warning_line(warning: Mapping[str, Any]) -> str:
+    """A warning with its view, unless its message names views by itself."""
+    index, message = warning.get("index"), warning["message"]
+    of_view = "" if index is None or _NAMES_VIEWS.search(message) else f"view {index}: "
+    return f"warning: {of_view}{message}"
 
 
 def left_out_lines(document: Mapping[str, Any]) -> list[str]:

@@ -71,7 +71,7 @@ def test_detail_is_as_asked_for(scene_dir: Path, standin_model: Path, capfd: pyt
     document = json.loads(out)
     assert document["detail"] == 2
     assert [(view["width"], view["height"]) for view in document["view_cameras"]] == [(128, 96)] * 2
-    assert "warning: the photograph has 64 px where a row of the scene" in err
+    assert "warning: view 0: the photograph has 64 px where a row of the scene" in err
     assert reconstruct(scene_dir, standin_model, "--views", "0,1", "--detail", 2, "--stride", 2) == 1
     assert "detail: is 2 beside stride 2" in capfd.readouterr().err
 

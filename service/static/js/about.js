@@ -1,7 +1,7 @@
 // The panel beside the view: downloads, inputs and renders, what was left out, the self-check, cameras and timings.
 
 import { bring } from "./api.js";
-import { inPageWords } from "./cures.js";
+import { warned } from "./cures.js";
 import { $, count, digits, discard, make, percent, tell } from "./dom.js";
 import { inputs } from "./inputs.js";
 import { plan } from "./plan.js";
@@ -25,7 +25,7 @@ function part(title, fill, open = false) {
 export function showAbout(target, scene) {
   discard(target);
   if (!scene) return;
-  for (const warning of scene.warnings ?? []) target.append(make("p", { class: "warning" }, make("strong", {}, "Note: "), inPageWords(warning.message)));
+  for (const warning of scene.warnings ?? []) target.append(make("p", { class: "warning" }, make("strong", {}, "Note: "), warned(warning)));
   target.append(files(scene));
   target.append(part(scene.links.inputs ? "Inputs beside their pictures" : "Views and their depth", (body) => inputs(body, scene), true));
   if (scene.left_out?.length) target.append(part("What was left out, and what it cost", (body) => leftOut(body, scene)));

@@ -26,8 +26,13 @@ const PHRASES = [ // replaced within a cure
 const OF_REQUESTS = /`|\b(GET|POST) \/|\/readyz|Bearer|\bcurl |--[a-z]|GAPMES_|\b(over HTTP|trust_poses|refine_poses|drop_invalid)\b/;
 const OF_CAMERAS = /^(cameras|views|frames)\b/;
 
-/** A cure, or a warning with one, in the page's words as far as it has some. */
-export const inPageWords = (text) => PHRASES.reduce((words, [theirs, ours]) => words.replace(theirs, ours), text);
+const inPageWords = (text) => PHRASES.reduce((words, [theirs, ours]) => words.replace(theirs, ours), text);
+
+/** A warning in the page's own words, with its view unless it names views by itself. */
+export function warned({ index, message }) {
+  const ofView = index == null || /\b(view|photographs) \d/.test(message) ? "" : `view ${index}: `;
+  return ofView + inPageWords(message);
+}
 
 /** The cure of a problem document in the page's own words; undefined where there is none. */
 export function cureOf({ code, field, cure }) {

@@ -1,6 +1,6 @@
 // The answer of POST /check as a sentence, cards, a top view and warnings.
 
-import { inPageWords } from "./cures.js";
+import { warned } from "./cures.js";
 import { colourOf, digits, make, swatch } from "./dom.js";
 import { plan } from "./plan.js";
 
@@ -13,7 +13,7 @@ export function understood({ images, near, far, depth_range_source: source, pair
     `${chosen}Cameras paired by ${by}. Depth from ${digits(near)} to ${digits(far)} (${SOURCES[source] ?? source}), in the cameras' units.`,
     make("ul", { class: "cards" }, ...images.map(card)),
     plan(images.map((image) => image.camera), near, far),
-    ...warnings.map((warning) => make("p", { class: "warning" }, make("strong", {}, "Note: "), inPageWords(warning.message))),
+    ...warnings.map((warning) => make("p", { class: "warning" }, make("strong", {}, "Note: "), warned(warning))),
   ];
 }
 

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
@@ -82,3 +83,24 @@ def test_an_answer_that_is_no_problem_document_is_told_by_its_status(tab: Tab, t
     page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
     page.wait_for_selector("#problem:has-text('the service answered 502')")
     assert "undefined" not in page.inner_text("#problem")
+
+
+def test_warnings_name_their_view_once(tab: Tab, tmp_path: Path) -> None:
+    page = tab.open()
+    given = [
+        {"code": "exif_orientation_ignored", "field": "images", "index": 1, "message": "EXIF is not applied"},
+        {"code": "little_overlap", "field": "cameras", "index": 0, "message": "view 0 shares little (set trust_poses)"},
+        {"code": "depth_range_wide", "field": "far", "message": "far is wide"},
+    ]
+
+    files = write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2))
+    parts = [("images", (path.name, path.read_bytes())) for path in files[:2]]
+    answer = httpx.post(f"{tab.address}/check", files=[*parts, ("cameras", (files[2].name, files[2].read_bytes()))])
+    page.route("**/check", lambda route: route.fulfill(json={**answer.json(), "warnings": given}))
+    page.set_input_files("#files", files)
+    page.wait_for_selector("#understood .warning >> nth=2")
+    assert page.locator("#understood .warning").all_inner_texts() == [
+        "Note: view 1: EXIF is not applied",
+        'Note: view 0 shares little (tick "Only warn if …" under Options)',
+        "Note: far is wide",
+    ]
