@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cameras.view_checks import Notice
-from .epipolar import best_change, epipolar_distances
+from .epipolar import TURN, UNSEEN_PX, ZOOM, best_change, epipolar_distances
 from .pair_matches import PairMatches
 
 # Median residual in px from which poses are doubted if a turn of one camera, with or without another focal length,
@@ -87,12 +87,12 @@ def _unit(pairs: PairMatches) -> float:
 def epipolar_residuals(pairs: PairMatches) -> list[EpipolarResidual]:
     """Per pair of nearest neighbours that match enough; distances are in px of the views."""
     residuals = []
-    for found in epipolar_distances(pairs):
+    for found in epipolar_distances(pairs, pairs.nearest()):
         slopes = found.slopes[:, 1]
-        turn, turned = best_change(found.px, slopes[:, :3])
-        change, zoomed = best_change(found.px, slopes)
+        turn, turned = best_change(found.px, slopes[:, TURN], UNSEEN_PX[TURN])
+        change, zoomed = best_change(found.px, slopes[:, : ZOOM + 1], UNSEEN_PX[: ZOOM + 1])
         px, turned_px, zoomed_px = (float(np.median(np.abs(rest))) for rest in (found.px, turned, zoomed))
         residuals.append(
-            EpipolarResidual(found.pair, px, turned_px, float(np.linalg.norm(turn)), zoomed_px, float(change[3]))
+            EpipolarResidual(found.pair, px, turned_px, float(np.linalg.norm(turn)), zoomed_px, float(change[ZOOM]))
         )
     return residuals

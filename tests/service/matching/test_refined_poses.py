@@ -1,6 +1,8 @@
-"""Cameras that are slightly wrong are turned to match the first; right ones stay, and what cannot be mended too."""
+"""Cameras that are slightly wrong are corrected to match the first; right ones stay, and what cannot be mended too."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +20,8 @@ from gapmes.service.photographs.fitting import FittedPhotos, fitted_photos
 from gapmes.service.photographs.images import Photo, decode_image, fit_view
 from gapmes.service.shipped import sample_folder
 
-DEGREES, FOCAL = 0.1, 0.002  # measured up to 0.05 degrees, and 0.001 of a focal length
+# Measured up to 0.08, 0.006 of a focal length (a shift ahead looks much alike), 0.006 of the baseline.
+DEGREES, FOCAL, SHIFT = 0.1, 0.01, 0.01
 UP = (1.0, 0.0, 0.0)  # cameras stand beside each other: this moves the picture across the lines
 
 
@@ -31,6 +34,12 @@ def plane() -> PairMatches:
 def degrees(one: Camera, other: Camera) -> float:
     """The angle between two orientations."""
     return float(np.degrees(np.arccos(np.clip((np.trace(one.rotation.T @ other.rotation) - 1) / 2, -1, 1))))
+
+
+def moved(camera: Camera, exact: PairMatches) -> float:
+    """How far a second camera stands from where it should, in distances of the two."""
+    first, second = (view.camera.center for view in exact.views)
+    return float(np.linalg.norm(camera.center - second) / np.linalg.norm(second - first))
 
 
 def refined(pairs: PairMatches) -> list[Camera]:
@@ -46,7 +55,7 @@ def test_a_turn_of_the_second_is_undone(made, axis) -> None:
     cameras = refined(turned(exact, 1, axis, 0.7))
     assert degrees(cameras[1], exact.views[1].camera) < DEGREES
     np.testing.assert_array_equal(cameras[0].world_from_cam, exact.views[0].camera.world_from_cam)
-    np.testing.assert_array_equal(cameras[1].center, exact.views[1].camera.center)
+    assert moved(cameras[1], exact) < SHIFT
 
 
 @pytest.mark.parametrize("made", [sample, plane])
@@ -57,6 +66,21 @@ def test_a_focal_length_of_the_second_is_undone(made, factor: float) -> None:
     assert cameras[1].fx == pytest.approx(exact.views[1].camera.fx, rel=FOCAL)
     assert cameras[1].fy / cameras[1].fx == pytest.approx(exact.views[1].camera.fy / exact.views[1].camera.fx)
     assert degrees(cameras[1], exact.views[1].camera) < DEGREES
+
+
+@pytest.mark.parametrize("made", [sample, plane])
+def test_a_shift_across_the_baseline_is_undone(made) -> None:
+    """Nothing tells of one along it: matches cannot tell sizes."""
+    exact = made()
+    first, second = (view.camera for view in exact.views)
+    baseline = second.center - first.center
+    shift = np.cross(baseline, second.rotation[:, 2])
+    pose = second.world_from_cam.copy()
+    pose[:3, 3] += 0.06 * np.linalg.norm(baseline) * shift / np.linalg.norm(shift)
+    views = [exact.views[0], replace(exact.views[1], camera=second.posed(pose))]
+    cameras = refined(PairMatches(views, exact.depths))
+    assert moved(cameras[1], exact) < 0.06 / 3
+    assert degrees(cameras[1], second) < 3 * DEGREES
 
 
 def test_a_turn_of_the_first_becomes_one_of_the_second() -> None:
@@ -94,9 +118,9 @@ def test_it_is_told_by_how_much() -> None:
     notice = found[1]
     assert notice["code"] == "poses_refined"
     assert notice["px"] > 10 * notice["left_px"] > 0
-    assert "view 7 by 0." in notice["message"]
-    assert "degrees with its focal length times 0.98" in notice["message"]
-    assert "that of view 4 is as given" in notice["message"]
+    assert "view 7 was turned by 0." in notice["message"]
+    assert " % of the longest baseline, its focal length is 0.98" in notice["message"]
+    assert "the camera of view 4 is as given" in notice["message"]
 
 
 def test_views_of_all_resolutions_get_the_cameras() -> None:

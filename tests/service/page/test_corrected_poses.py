@@ -44,5 +44,5 @@ def test_they_are_told_and_corrected(tab: Tab, tmp_path: Path) -> None:
             "poses_refined" if corrected else "poses_inexact"
         ]
     assert 'or tick "Correct poses …" under Options' in told[False]
-    assert "since cameras were turned, view 1 by 0." in told[True]
+    assert "since they were corrected: view 1 was turned by 0." in told[True]
     assert not any("refine_poses" in text for text in told.values())
