@@ -50,7 +50,8 @@ def _to_srgb(profile: bytes, mode: str) -> ImageCms.ImageCmsTransform | None:
             return None
         if space == _SPACES[mode]:
             target = "RGB" if mode == "CMYK" else mode
-            transform = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), mode, target)
+            intent = ImageCms.Intent.RELATIVE_COLORIMETRIC
+            transform = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), mode, target, intent)
             return None if target == mode and _keeps_colours(transform, mode) else transform
     except (ImageCms.PyCMSError, OSError, ValueError) as error:  # the last for letters that are not ASCII
         raise UnusableProfile(f"it cannot be read: {error}") from error

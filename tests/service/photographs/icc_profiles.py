@@ -64,14 +64,20 @@ def grey_profile() -> bytes:
 
 
 def cmyk_profile() -> bytes:
-    """Inks that all make greys: L* falls by 100 with black, by 20 with each of the others, down to 0."""
+    """Inks that all make greys: L* falls by 100 with black, by 20 with each of the others, down to 0; for perceptual
+    conversions half of that is left."""
     axis = np.stack(np.meshgrid(*[[0, 1]] * 4, indexing="ij"), axis=-1).reshape(16, 4)
     lightness = (100 - 20 * axis[:, :3].sum(axis=1) - 100 * axis[:, 3]).clip(0)
+    tables = {b"A2B0": _grey_table(lightness / 2), b"A2B1": _grey_table(lightness)}
+    return _assembled(b"prtr", b"CMYK", b"Lab ", {b"wtpt": _xyz(D50), **tables})
+
+
+def _grey_table(lightness: F64) -> bytes:
+    """L* (16,) at the corners of four inks."""
     corners = np.stack([np.rint(lightness * 2.55), np.full(16, 128), np.full(16, 128)], axis=1).astype(np.uint8)
     ramp = np.arange(256, dtype=np.uint8).tobytes()
     matrix = struct.pack(">9i", *np.eye(3, dtype=int).ravel() * 65536)
-    lut = struct.pack(">4sI4B", b"mft1", 0, 4, 3, 2, 0) + matrix + 4 * ramp + corners.tobytes() + 3 * ramp
-    return _assembled(b"prtr", b"CMYK", b"Lab ", {b"wtpt": _xyz(D50), b"A2B0": lut})
+    return struct.pack(">4sI4B", b"mft1", 0, 4, 3, 2, 0) + matrix + 4 * ramp + corners.tobytes() + 3 * ramp
 
 
 def _xyz(values: F64) -> bytes:
