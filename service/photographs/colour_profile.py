@@ -10,6 +10,7 @@ from PIL import Image, ImageCms
 
 _ALIKE = 1  # of 255: a profile that changes no colour by more is sRGB, as others write it
 _LATTICE = np.arange(0, 256, 15).astype(np.uint8)  # levels of each channel that are tried for it
+_KEPT = 2**20  # bytes of a profile up to which its conversion is kept for others; those of phones have some hundreds
 _SPACES = {"RGB": "RGB ", "RGBA": "RGB ", "CMYK": "CMYK"}  # of ICC, by mode of Pillow
 
 
@@ -28,7 +29,7 @@ def in_srgb(image: Image.Image, *, in_place: bool = False) -> tuple[Image.Image,
     if not isinstance(profile, bytes) or not profile:
         return image, None
     try:
-        transform = _to_srgb(profile, image.mode)
+        transform = (_to_srgb if len(profile) <= _KEPT else _to_srgb.__wrapped__)(profile, image.mode)
     except UnusableProfile as error:
         return image, str(error)
     if transform is None:

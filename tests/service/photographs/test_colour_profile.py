@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -110,6 +111,21 @@ def test_damaged_ones_are_refused_or_used_but_break_nothing() -> None:
             photo = Photo.from_image(image)
             if photo.profile_problem is not None:
                 np.testing.assert_array_equal(photo.rgb, PIXELS)
+
+
+def test_large_ones_are_used_and_not_kept_in_memory() -> None:
+    """Profiles come from strangers, and nothing but the body's limit bounds them."""
+    image, size = Image.fromarray(PIXELS), 4 * 2**20
+    tracemalloc.start()
+    try:
+        for last in range(3):
+            image.info["icc_profile"] = b"".join((DISPLAY_P3.profile(), bytes(size), bytes([last])))
+            found = Photo.from_image(image).rgb
+        image.info.clear()
+        assert tracemalloc.get_traced_memory()[0] < size  # 12 MB with all three
+    finally:
+        tracemalloc.stop()
+    assert np.abs(found - converted(PIXELS, DISPLAY_P3, SRGB)).max() < LEVELS
 
 
 def test_a_scene_sees_the_same_colours_in_either_profile() -> None:
