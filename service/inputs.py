@@ -67,6 +67,7 @@ def prepared_inputs(
     told: list[Notice] = []
     if refined is not None:
         given, told = given.with_cameras(refined[0]), [refined[1]]
+        found = narrowed(depths, given.seen, planes)
         pairs = PairMatches(given.seen, found)
     turned, exposure = equalised(given, pairs, numbers)
     warnings = [

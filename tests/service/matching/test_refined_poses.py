@@ -169,6 +169,22 @@ def test_a_scene_of_refined_poses_is_nearly_that_of_right_ones() -> None:
     assert mended > right - 0.5
 
 
+def test_the_depth_range_is_that_of_refined_poses() -> None:
+    """Where none is given: under wrong ones photographs match at other depths, the farthest a third farther here."""
+    scene = load_scene_folder(sample_folder())
+    images = [decode_image(scene.image_paths[i].read_bytes(), index=i) for i in (1, 3)]
+    first, second = (scene.file.views[i].camera for i in (1, 3))
+    service = Reconstructor(threads=1)
+
+    def depths(camera: Camera, **options: bool) -> tuple[float, float]:
+        document = service.reconstruct(images, [first, camera], fade=0, **options).document
+        return document["near"], document["far"]
+
+    right, wrong = depths(second), zoomed_camera(second, 1.05)
+    assert depths(wrong)[1] > 1.2 * right[1]
+    assert depths(wrong, refine_poses=True) == pytest.approx(right, rel=0.02)
+
+
 def test_with_right_poses_the_option_changes_nothing() -> None:
     scene = load_scene_folder(sample_folder())
     images = [decode_image(scene.image_paths[i].read_bytes(), index=i) for i in (1, 3)]
