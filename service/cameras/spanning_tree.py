@@ -1,8 +1,8 @@
-"""Which cameras are neighbours: the edges of the minimum spanning tree of their centres."""
+"""Which cameras are neighbours: the edges of the minimum spanning tree of their centres, and what edges join."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -29,3 +29,12 @@ def minimum_spanning_tree(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
             edges.append((i, j))
             part = [part[i] if one == part[j] else one for one in part]
     return sorted(edges)
+
+
+def first_joined(count: int, edges: Iterable[tuple[int, int]]) -> list[int]:
+    """Of each of so many cameras the lowest index that the edges join it with, its own where none does."""
+    first = list(range(count))
+    for i, j in edges:
+        low, high = sorted((first[i], first[j]))
+        first = [low if one == high else one for one in first]
+    return first

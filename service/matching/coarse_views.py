@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,8 +87,20 @@ def nearest_neighbours(cameras: Sequence[Camera]) -> list[int]:
 
     There always is one: of the two cameras that are farthest apart, one is at least half their distance away.
     """
+    return [int(index) for index in _distances(cameras).argmin(axis=1)]
+
+
+def pairs_by_distance(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
+    """All pairs (i, j), i < j, at such a distance, nearest first."""
+    distances = _distances(cameras)
+    pairs = [pair for pair in combinations(range(len(cameras)), 2) if np.isfinite(distances[pair])]
+    return sorted(pairs, key=lambda pair: float(distances[pair]))
+
+
+def _distances(cameras: Sequence[Camera]) -> F64:
+    """(V, V) between the cameras; infinite below MIN_BASELINE times the largest."""
     centers = np.stack([camera.center for camera in cameras])
     distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)
     distances[distances < MIN_BASELINE * distances.max()] = np.inf
     np.fill_diagonal(distances, np.inf)
-    return [int(index) for index in distances.argmin(axis=1)]
+    return np.asarray(distances)

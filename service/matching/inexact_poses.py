@@ -85,9 +85,9 @@ def _unit(pairs: PairMatches) -> float:
 
 
 def epipolar_residuals(pairs: PairMatches) -> list[EpipolarResidual]:
-    """Per pair of nearest neighbours that match enough; distances are in px of the views."""
+    """Per pair of `PairMatches.joined` that matches enough; distances are in px of the views."""
     residuals = []
-    for found in epipolar_distances(pairs, pairs.nearest()):
+    for found in epipolar_distances(pairs, pairs.joined()):
         slopes = found.slopes[:, 1]
         turn, turned = best_change(found.px, slopes[:, TURN], UNSEEN_PX[TURN])
         change, zoomed = best_change(found.px, slopes[:, : ZOOM + 1], UNSEEN_PX[: ZOOM + 1])

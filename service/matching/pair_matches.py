@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from ..cameras.camera import pixel_grid
 from ..cameras.depth_range import DepthRange
+from ..cameras.spanning_tree import first_joined
 from ..photographs.bilinear import bilinear
 from ..photographs.images import FittedView
-from .coarse_views import coarse_view, nearest_neighbours
+from .coarse_views import coarse_view, nearest_neighbours, pairs_by_distance
 from .depth_sweep import Matches, matches
 
 F64 = NDArray[np.float64]
@@ -50,3 +51,12 @@ class PairMatches:
         """The pairs (i, j), i < j, of which one view is the nearest neighbour of the other, each once."""
         near = nearest_neighbours([view.camera for view in self.views])
         return list(dict.fromkeys((min(view, other), max(view, other)) for view, other in enumerate(near)))
+
+    def joined(self) -> list[tuple[int, int]]:
+        """`nearest`, and of further pairs the nearest that join views which those leave apart."""
+        found = self.nearest()
+        for one, other in pairs_by_distance([view.camera for view in self.views]):
+            first = first_joined(len(self.views), found)
+            if first[one] != first[other]:
+                found.append((one, other))
+        return found

@@ -45,7 +45,7 @@ def refined_cameras(pairs: PairMatches, numbers: Sequence[int]) -> tuple[list[Ca
     turns, zooms, shifts = _differences(given, cameras, longest_baseline(pairs.views))
     worst = max(residual.px for residual in before)
     left = max(
-        (float(np.median(np.abs(pair.px))) for pair in epipolar_distances(refined, pairs.nearest())), default=np.inf
+        (float(np.median(np.abs(pair.px))) for pair in epipolar_distances(refined, pairs.joined())), default=np.inf
     )
     far = turns.max() > MOST_TURN or np.abs(zooms).max() > MOST_ZOOM or shifts.max() > MOST_SHIFT
     if far or left > LEFT * worst:

@@ -13,6 +13,7 @@ from wrong_cameras import turned, zoomed
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.depth_range import DepthRange
+from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.matching.coarse_views import pixel_grid
 from gapmes.service.matching.inexact_poses import EpipolarResidual, epipolar_residuals, inexact_poses
@@ -105,6 +106,23 @@ def test_of_three_views_the_worst_pair_is_named_first() -> None:
     assert "the same of" not in notice["message"]
     (notice,) = inexact_poses(turned(sample((1, 3, 5)), 1, (1, 0, 0), 0.6), (4, 7, 9))
     assert "; the same of views " in notice["message"]
+
+
+def test_halves_of_a_row_that_stand_askew_are_told() -> None:
+    """As after a tracker's slip: in a row of four, the last two are right among themselves, and nearest to each other,
+    as are the first two."""
+    exact = sample((0, 2, 5, 7))
+    assert exact.nearest() == [(0, 1), (2, 3)]
+    assert inexact_poses(exact, (0, 2, 5, 7)) == []
+    views, middle = list(exact.views), np.mean([view.camera.center for view in exact.views[2:]], axis=0)
+    turn = about_axis(np.array([1.0, 0.0, 0.0]), np.radians(0.7))
+    for which in (2, 3):
+        pose = views[which].camera.world_from_cam.copy()
+        pose[:3, :3], pose[:3, 3] = turn @ pose[:3, :3], middle + turn @ (pose[:3, 3] - middle)
+        views[which] = replace(views[which], camera=views[which].camera.posed(pose))
+    (notice,) = inexact_poses(PairMatches(views, exact.depths), (0, 2, 5, 7))
+    assert "what views 2 and 5 have in common" in notice["message"]
+    assert "the same of" not in notice["message"]
 
 
 def test_larger_pictures_may_be_off_by_more() -> None:
