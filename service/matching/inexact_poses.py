@@ -69,7 +69,7 @@ def inexact_poses(pairs: PairMatches, numbers: Sequence[int], *, tried: bool = F
         ]
         message += f"; the same of views {', '.join(others)}"
     cure = "are poses and intrinsics exact, and those of these very photographs? refine them, for example with COLMAP"
-    cure += ", as refine_poses could not" if tried else ", or set refine_poses"
+    cure += ", as refine_poses could not altogether" if tried else ", or set refine_poses"
     return [{"code": "poses_inexact", "field": "cameras", "message": f"{message} ({cure})", "px": round(worst.px, 3)}]
 
 

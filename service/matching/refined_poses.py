@@ -25,7 +25,8 @@ MOST_TURN, MOST_ZOOM, MOST_SHIFT = np.radians(3.0), np.log(1.1), 0.2
 
 def refined_cameras(pairs: PairMatches, numbers: Sequence[int]) -> tuple[list[Camera], Notice] | None:
     """The cameras of the views, all but the first turned, moved and with other focal lengths, and what is told of it;
-    None where none of them is `doubted`, or where that leaves more than LEFT of the worst pair's distance.
+    None where none of them is `doubted`, or where that leaves more than LEFT of the worst pair's distance. Of views
+    that no match joins to the first, the first stays as well.
 
     `numbers` are what the caller calls the views.
     """
@@ -44,11 +45,11 @@ def refined_cameras(pairs: PairMatches, numbers: Sequence[int]) -> tuple[list[Ca
     cameras = [view.camera for view in refined.views]
     turns, zooms, shifts = _differences(given, cameras, longest_baseline(pairs.views))
     worst = max(residual.px for residual in before)
-    left = max(
-        (float(np.median(np.abs(pair.px))) for pair in epipolar_distances(refined, pairs.joined())), default=np.inf
-    )
+    after = {pair.pair: float(np.median(np.abs(pair.px))) for pair in epipolar_distances(refined, pairs.joined())}
+    left = max(after.values(), default=np.inf)
     far = turns.max() > MOST_TURN or np.abs(zooms).max() > MOST_ZOOM or shifts.max() > MOST_SHIFT
-    if far or left > LEFT * worst:
+    lost = any(residual.pair not in after for residual in before)  # it matches no more
+    if far or lost or left > LEFT * worst:
         return None
     told = [
         f"view {number} was turned by {np.degrees(turn):.2g} degrees and moved by {100 * shift:.2g} % of the longest "
@@ -65,17 +66,30 @@ def refined_cameras(pairs: PairMatches, numbers: Sequence[int]) -> tuple[list[Ca
 
 
 def _changes(pairs: PairMatches) -> F64:
-    """(V, CHANGES) the changes of the cameras, none of the first, that explain the distances of all pairs best."""
+    """(V, CHANGES) the changes of the cameras that explain the distances of all pairs best; 0 of the first of views
+    that are joined."""
     views = len(pairs.views)
-    distances, slopes = [np.zeros(0)], [np.zeros((0, views, CHANGES))]
-    for found in epipolar_distances(pairs, combinations(range(views), 2)):
-        of_all = np.zeros((len(found.px), views, CHANGES))
-        of_all[:, found.pair] = found.slopes
-        distances.append(found.px)
-        slopes.append(of_all)
-    px, of_others = np.concatenate(distances), np.concatenate(slopes)[:, 1:]
-    change, _ = best_change(px, of_others.reshape(len(px), -1), np.tile(UNSEEN_PX, views - 1))
-    return np.concatenate([np.zeros((1, CHANGES)), change.reshape(views - 1, CHANGES)])
+    found = epipolar_distances(pairs, combinations(range(views), 2))
+    free = _not_first(views, [each.pair for each in found])
+    px = np.concatenate([np.zeros(0), *(each.px for each in found)])
+    slopes, row = np.zeros((len(px), views, CHANGES)), 0
+    for each in found:
+        slopes[row : row + len(each.px), each.pair] = each.slopes
+        row += len(each.px)
+    changes = np.zeros((views, CHANGES))
+    if free:
+        of_free = slopes[:, free].reshape(len(px), len(free) * CHANGES)
+        changes[free] = best_change(px, of_free, np.tile(UNSEEN_PX, len(free)))[0].reshape(-1, CHANGES)
+    return changes
+
+
+def _not_first(views: int, pairs: Sequence[tuple[int, int]]) -> list[int]:
+    """Of so many views those that pairs join, directly or not, to one before them."""
+    first = list(range(views))
+    for pair in pairs:
+        low, high = sorted(first[view] for view in pair)
+        first = [low if one == high else one for one in first]
+    return [view for view, lowest in enumerate(first) if view != lowest]
 
 
 def _changed(camera: Camera, change: F64, unit: float) -> Camera:

@@ -37,7 +37,8 @@ function files(scene) {
   const link = (path, name, text) => bring(make("a", { href: path, download: name }, text), (error) => tell($("view-problem"), error));
   const links = Object.entries(scene.links.files).map(([kind, path]) => link(path, `${scene.id}.${kind}`, `.${kind}`));
   links.push(link(scene.links.preview, `${scene.id}.webp`, "animation"), link(scene.links.sheet, `${scene.id}.png`, "contact sheet"));
-  const cameras = URL.createObjectURL(new Blob([JSON.stringify({ near: scene.near, far: scene.far, views: scene.cameras }, null, 1)], { type: "application/json" }));
+  const corrected = (scene.warnings ?? []).some(({ code }) => code === "poses_refined"); // others would miss the scene
+  const cameras = URL.createObjectURL(new Blob([JSON.stringify({ near: scene.near, far: scene.far, views: corrected ? scene.view_cameras : scene.cameras }, null, 1)], { type: "application/json" }));
   links.push(make("a", { href: cameras, download: "cameras.json" }, "cameras.json"), link(scene.links.self, `${scene.id}.json`, "scene document"));
   const list = make("p", { id: "downloads" }, "Download: ");
   links.forEach((one, index) => list.append(index ? " · " : "", one));

@@ -17,7 +17,7 @@ const PHRASES = [ // replaced within a cure
   [/^ask for it again$/, "reconstruct it again"],
   [/set trust_poses/, 'tick "Only warn if …" under Options'],
   [/set refine_poses/, 'tick "Correct poses …" under Options'],
-  [/, as refine_poses could not/, ", which could not be done here"],
+  [/, as refine_poses could not altogether/, ", which could not be done altogether here"],
   [/(\. Or|, or) raise GAPMES_\w+/, ""],
   [/^is the upload complete\?$/, "the file is damaged: copy it once more from where it comes from"],
   [/^leave it out, or name the file as its view .*/, "leave it out, or give it the name that the camera file has for it"],

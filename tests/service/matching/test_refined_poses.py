@@ -100,6 +100,17 @@ def test_of_three_views_the_one_that_is_wrong_is_turned() -> None:
         assert degrees(camera, view.camera) < DEGREES
 
 
+def test_views_that_nothing_joins_to_the_first_keep_their_first() -> None:
+    """Two blank views before two of the sample: of these the second is corrected, as if they were alone."""
+    exact = sample((0, 1, 3, 5))
+    blank = [replace(view, image=np.zeros_like(view.image)) for view in (exact.views[0], exact.views[3])]
+    views = [*blank, exact.views[1], exact.views[2]]
+    cameras = refined(turned(PairMatches(views, exact.depths), 3, UP, 0.7))
+    for camera, view in zip(cameras[:3], views, strict=False):
+        np.testing.assert_array_equal(camera.world_from_cam, view.camera.world_from_cam)
+    assert degrees(cameras[3], views[3].camera) < DEGREES
+
+
 @pytest.mark.parametrize("pairs", [sample, plane, lambda: sample((1, 3, 5))])
 def test_right_cameras_stay(pairs) -> None:
     pairs = pairs()
