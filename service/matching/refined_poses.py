@@ -61,8 +61,8 @@ def refined_cameras(pairs: PairMatches, numbers: Sequence[int]) -> tuple[list[Ca
         f"allow it, and stands {left:.2f} px beside it since they were corrected: {'; '.join(told)}; the camera of "
         f"view {numbers[0]} is as given"
     )
-    notice: Notice = {"code": "poses_refined", "field": "cameras", "px": round(worst, 3), "left_px": round(left, 3)}
-    return cameras, {**notice, "message": message}
+    of_px = {"px": round(worst, 3), "left_px": round(left, 3)}
+    return cameras, {"code": "poses_refined", "field": "cameras", "message": message, **of_px}
 
 
 def _changes(pairs: PairMatches) -> F64:
