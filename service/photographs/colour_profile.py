@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import io
-from functools import lru_cache
 
 import numpy as np
 from PIL import Image, ImageCms
 
 _ALIKE = 1  # of 255: a profile that changes no colour by more is sRGB, as others write it
 _LATTICE = np.arange(0, 256, 15).astype(np.uint8)  # levels of each channel that are tried for it
-_KEPT = 2**20  # bytes of a profile up to which its conversion is kept for others; those of phones have some hundreds
 _SPACES = {"RGB": "RGB ", "RGBA": "RGB ", "CMYK": "CMYK"}  # of ICC, by mode of Pillow
 
 
@@ -29,7 +27,7 @@ def in_srgb(image: Image.Image, *, in_place: bool = False) -> tuple[Image.Image,
     if not isinstance(profile, bytes) or not profile:
         return image, None
     try:
-        transform = (_to_srgb if len(profile) <= _KEPT else _to_srgb.__wrapped__)(profile, image.mode)
+        transform = _to_srgb(profile, image.mode)
     except UnusableProfile as error:
         return image, str(error)
     if transform is None:
@@ -38,12 +36,9 @@ def in_srgb(image: Image.Image, *, in_place: bool = False) -> tuple[Image.Image,
     return converted or image, None
 
 
-@lru_cache(maxsize=4)
 def _to_srgb(profile: bytes, mode: str) -> ImageCms.ImageCmsTransform | None:
-    """The relative colorimetric conversion from `profile`; None for that of sRGB and for those of grey levels.
-
-    Raises `UnusableProfile`.
-    """
+    """The relative colorimetric conversion from `profile`, made in 2 to 30 ms; None for that of sRGB and for those of
+    grey levels. Raises `UnusableProfile`."""
     try:
         source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         space = source.profile.xcolor_space
