@@ -10,7 +10,7 @@ from .cameras.depth_range import DepthRange
 from .cameras.view_checks import DEPTH_PLANES, Notice, range_notices
 from .matching.depth_sweep import coarse_notices, narrowed
 from .matching.exposures import equalised
-from .matching.inexact_poses import inexact_poses
+from .matching.inexact_poses import doubted, inexact_poses
 from .matching.missed_depths import missed_depths
 from .matching.pair_matches import PairMatches
 from .matching.photo_checks import check_photos
@@ -63,24 +63,21 @@ def prepared_inputs(
     planes = info.depth_planes or DEPTH_PLANES
     found = narrowed(depths, given.seen, planes)
     pairs = PairMatches(given.seen, found)
-    refined = refined_cameras(pairs, numbers) if refine_poses and not doubts else None
+    inexact = [] if doubts else doubted(pairs)
+    refined = refined_cameras(pairs, inexact, numbers) if refine_poses else None
     told: list[Notice] = []
     if refined is not None:
         given, told = given.with_cameras(refined[0]), [refined[1]]
         found = narrowed(depths, given.seen, planes)
         pairs = PairMatches(given.seen, found)
+        inexact = doubted(pairs)
+    told += inexact_poses(pairs, inexact, numbers, tried=refine_poses)
     turned, exposure = equalised(given, pairs, numbers)
     warnings = [
         *given.notices,
         *range_notices(found, planes),
         *coarse_notices(depths, found, given.seen, planes),
-        *(doubts or [*told, *_of_matches(pairs, numbers, refine_poses)]),
+        *(doubts or [*told, *([] if inexact else missed_depths(pairs)), *less_sharp(pairs, numbers)]),
         *exposure,
     ]
     return Inputs(turned_photos(turned, [-turn for turn in turns]), turned, turns, found, warnings)
-
-
-def _of_matches(pairs: PairMatches, numbers: Sequence[int], refined: bool) -> list[Notice]:
-    """The warnings of checks that presume photographs which match in the given range."""
-    inexact = inexact_poses(pairs, numbers, tried=refined)
-    return [*(inexact or missed_depths(pairs)), *less_sharp(pairs, numbers)]

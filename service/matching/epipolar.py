@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera, pixel_grid
+from ..cameras.depth_range import largest_baseline
 from ..photographs.bilinear import bilinear
 from ..photographs.images import FittedView
 from .coarse_views import block_px
@@ -30,6 +31,7 @@ REWEIGHTINGS = 12  # of the least squares
 FARTHEST_PX = 6.0  # largest shift from the coarse match, and largest disparity between its neighbours' depths
 GOOD_MATCH = 0.9  # correlation, once aligned
 CORNER = 0.05  # least ratio of the structure tensor's eigenvalues: a window with a mere edge slides along it
+NO_LINE_PX = 1e-6  # by which a point moves while its depth grows e-fold: mere rounding, of cameras in one place
 LIKE_NOISE_PX = 0.3  # scale of the robust weight: larger residuals weigh less
 TURN, ZOOM, SHIFT = slice(0, 3), 3, slice(4, 7)  # of the changes of a camera
 CHANGES = 7
@@ -77,9 +79,8 @@ def best_change(px: F64, slopes: F64, unseen: F64) -> tuple[F64, F64]:
 
 
 def longest_baseline(views: Sequence[FittedView]) -> float:
-    """The largest distance of two cameras."""
-    centers = np.array([view.camera.center for view in views])
-    return float(np.linalg.norm(centers[:, None] - centers[None], axis=-1).max())
+    """The unit of SHIFT: the largest distance of two cameras."""
+    return float(np.linalg.norm(largest_baseline([view.camera for view in views])))
 
 
 def _distances(
@@ -95,19 +96,27 @@ def _distances(
     there = there.reshape(window.shape)
     shift, good = _alignment(_sampled(pictures[index], window), pictures[match.other], there)
     good &= _inside(window, pictures[index]) & np.isfinite(there).all(axis=(1, 2))
-    points = view.camera.unproject(pixels, depth)
-    cam = (points - other.camera.center) @ other.camera.rotation
-    rays = (points - view.camera.center) @ other.camera.rotation  # along which a point moves with its depth
-    flow = _projection_jacobian(other, cam)
-    line = np.einsum("nij,nj->ni", flow, rays)
-    length = np.linalg.norm(line, axis=1)
-    good &= length > 0
-    normal = np.stack([-line[:, 1], line[:, 0]], axis=1) / np.where(length > 0, length, 1.0)[:, None]
+    normals, slopes = lines_across(view.camera, other.camera, pixels, depth, unit)
+    good &= normals.any(axis=1)
+    slopes = slopes if index == 0 else slopes[:, ::-1]
+    return (shift * normals).sum(axis=1)[good], slopes[good]
+
+
+def lines_across(view: Camera, other: Camera, pixels: F64, depth: F64, unit: float) -> tuple[F64, F64]:
+    """(N, 2) unit normals, in `other`, of the epipolar lines of `pixels` (N, 2) of `view`, 0 where there is no line;
+    and (N, 2, CHANGES) how fast what was matched moves along them from the point at z-depth `depth` (N,), by changes
+    of `view` and of `other`, as in `EpipolarDistances.slopes`."""
+    points = view.unproject(pixels, depth)
+    flow = _projection_jacobian(other, (points - other.center) @ other.rotation)
+    line = np.einsum("nij,nj->ni", flow, (points - view.center) @ other.rotation)  # a point moves with its depth
+    length = np.linalg.norm(line, axis=1, keepdims=True)
+    known = length > NO_LINE_PX
+    normals = np.where(known, np.stack([-line[:, 1], line[:, 0]], axis=1), 0.0) / np.where(known, length, 1.0)
     # A turn of a camera moves what it sees the other way, and what is seen from it along with it; of a longer focal
     # length, what it sees moves away from its axis, and what is seen from it towards the axis.
-    moved = [sign * _moved(points, camera, unit) for camera, sign in ((view.camera, 1.0), (other.camera, -1.0))]
-    slopes = [-np.einsum("ni,nij,naj->na", normal, flow, each @ other.camera.rotation) for each in moved]
-    return (shift * normal).sum(axis=1)[good], np.stack(slopes if index == 0 else slopes[::-1], axis=1)[good]
+    moved = [sign * _moved(points, camera, unit) for camera, sign in ((view, 1.0), (other, -1.0))]
+    slopes = [-np.einsum("ni,nij,naj->na", normals, flow, each @ other.rotation) for each in moved]
+    return normals, np.stack(slopes, axis=1)
 
 
 def _moved(points: F64, camera: Camera, unit: float) -> F64:
@@ -134,9 +143,9 @@ def _surfaces(match: Matches, view: FittedView, other: FittedView) -> tuple[F64,
     return inside[chosen], match.depth[1:-1, 1:-1][cells][chosen]
 
 
-def _projection_jacobian(view: FittedView, points: F64) -> F64:
+def _projection_jacobian(camera: Camera, points: F64) -> F64:
     """(N, 2, 3) Jacobian of the projection, px per unit, at `points` (N, 3) in the camera's axes."""
-    camera, (x, y, z) = view.camera, points.T
+    x, y, z = points.T
     flow = np.zeros((len(points), 2, 3))
     flow[:, 0, 0], flow[:, 1, 1] = camera.fx / z, camera.fy / z
     flow[:, 0, 2], flow[:, 1, 2] = -camera.fx * x / z**2, -camera.fy * y / z**2

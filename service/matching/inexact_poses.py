@@ -12,8 +12,8 @@ from .epipolar import TURN, UNSEEN_PX, ZOOM, best_change, epipolar_distances
 from .pair_matches import PairMatches
 
 # Median residual in px from which poses are doubted if a turn of one camera, with or without another focal length,
-# leaves less than half of it, and from which they are doubted anyway. Right pairs, 113 of six captures and 102 that
-# were generated, have up to 0.44 px, one 0.72, of which neither takes half where it is that much.
+# leaves less than half of it, and from which they are doubted anyway. Right pairs have up to 0.44 px (109 of six
+# captures) and 0.58 (116 that were generated), of which neither takes half.
 LEAST_PX, LEFT, MOST_PX = 0.5, 0.5, 1.2
 SIDE = 256  # px of the shorter side up to which that is so; from there on they grow with it
 
@@ -46,12 +46,14 @@ class EpipolarResidual:
         )
 
 
-def inexact_poses(pairs: PairMatches, numbers: Sequence[int], *, tried: bool = False) -> list[Notice]:
-    """The warning about the pair of neighbouring views with the largest residual beyond noise, if there is one.
+def inexact_poses(
+    pairs: PairMatches, found: Sequence[EpipolarResidual], numbers: Sequence[int], *, tried: bool = False
+) -> list[Notice]:
+    """The warning about the pair of neighbouring views with the largest residual of those `found` to be `doubted`, if
+    there is one.
 
     `numbers` are what the caller calls the views; `tried`: whether they are left after `refined_cameras`.
     """
-    found = doubted(pairs)
     if not found:
         return []
     height, width = pairs.views[0].image.shape[1:]

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera
-from ..cameras.rotations import about_axis
+from ..cameras.rotations import about_axis, rotation_angle
+from ..cameras.spanning_tree import first_joined
 from ..cameras.view_checks import Notice
 from .epipolar import CHANGES, SHIFT, TURN, UNSEEN_PX, ZOOM, best_change, epipolar_distances, longest_baseline
-from .inexact_poses import LEFT, doubted
+from .inexact_poses import LEFT, EpipolarResidual
 from .pair_matches import PairMatches
 
 F64 = NDArray[np.float64]
@@ -23,14 +24,13 @@ ROUNDS = 3  # of matching and least squares
 MOST_TURN, MOST_ZOOM, MOST_SHIFT = np.radians(3.0), np.log(1.1), 0.2
 
 
-def refined_cameras(pairs: PairMatches, numbers: Sequence[int]) -> tuple[list[Camera], Notice] | None:
+def refined_cameras(
+    pairs: PairMatches, before: Sequence[EpipolarResidual], numbers: Sequence[int]
+) -> tuple[list[Camera], Notice] | None:
     """The cameras of the views, all but the first turned, moved and with other focal lengths, and what is told of it;
-    None where none of them is `doubted`, or where that leaves more than LEFT of the worst pair's distance. Of views
-    that no match joins to the first, the first stays as well.
-
-    `numbers` are what the caller calls the views.
+    None without residuals `before` that are `doubted`, or where more than LEFT of the largest remains. Of views that no
+    match joins to the first, the first stays as well. `numbers` are what the caller calls the views.
     """
-    before = doubted(pairs)
     if not before:
         return None
     given = [view.camera for view in pairs.views]
@@ -70,7 +70,8 @@ def _changes(pairs: PairMatches) -> F64:
     that are joined."""
     views = len(pairs.views)
     found = epipolar_distances(pairs, combinations(range(views), 2))
-    free = _not_first(views, [each.pair for each in found])
+    first = first_joined(views, [each.pair for each in found])
+    free = [view for view, lowest in enumerate(first) if view != lowest]
     px = np.concatenate([np.zeros(0), *(each.px for each in found)])
     slopes, row = np.zeros((len(px), views, CHANGES)), 0
     for each in found:
@@ -81,15 +82,6 @@ def _changes(pairs: PairMatches) -> F64:
         of_free = slopes[:, free].reshape(len(px), len(free) * CHANGES)
         changes[free] = best_change(px, of_free, np.tile(UNSEEN_PX, len(free)))[0].reshape(-1, CHANGES)
     return changes
-
-
-def _not_first(views: int, pairs: Sequence[tuple[int, int]]) -> list[int]:
-    """Of so many views those that pairs join, directly or not, to one before them."""
-    first = list(range(views))
-    for pair in pairs:
-        low, high = sorted(first[view] for view in pair)
-        first = [low if one == high else one for one in first]
-    return [view for view, lowest in enumerate(first) if view != lowest]
 
 
 def _changed(camera: Camera, change: F64, unit: float) -> Camera:
@@ -106,7 +98,7 @@ def _differences(given: Sequence[Camera], found: Sequence[Camera], unit: float) 
     """Per camera the angle between its orientations in rad, the logarithm of the ratio of its focal lengths, and the
     distance of its positions in multiples of `unit`."""
     pairs = list(zip(given, found, strict=True))
-    cosines = np.array([(np.trace(one.rotation.T @ other.rotation) - 1) / 2 for one, other in pairs])
+    turns = np.array([rotation_angle(one.rotation.T @ other.rotation) for one, other in pairs])
     zooms = np.array([np.log(other.fx / one.fx) for one, other in pairs])
     shifts = np.array([np.linalg.norm(other.center - one.center) / unit for one, other in pairs])
-    return np.arccos(cosines.clip(-1, 1)), zooms, shifts
+    return turns, zooms, shifts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,9 @@ from wrong_cameras import turned, turned_camera, zoomed, zoomed_camera
 from gapmes.service import Reconstructor
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.depth_range import DepthRange
+from gapmes.service.cameras.rotations import rotation_angle
 from gapmes.service.captures.capture import load_scene_folder
+from gapmes.service.matching.inexact_poses import doubted
 from gapmes.service.matching.pair_matches import PairMatches
 from gapmes.service.matching.refined_poses import refined_cameras
 from gapmes.service.photographs.fitting import FittedPhotos, fitted_photos
@@ -33,7 +36,7 @@ def plane() -> PairMatches:
 
 def degrees(one: Camera, other: Camera) -> float:
     """The angle between two orientations."""
-    return float(np.degrees(np.arccos(np.clip((np.trace(one.rotation.T @ other.rotation) - 1) / 2, -1, 1))))
+    return float(np.degrees(rotation_angle(one.rotation.T @ other.rotation)))
 
 
 def moved(camera: Camera, exact: PairMatches) -> float:
@@ -42,8 +45,12 @@ def moved(camera: Camera, exact: PairMatches) -> float:
     return float(np.linalg.norm(camera.center - second) / np.linalg.norm(second - first))
 
 
+def corrected(pairs: PairMatches, numbers: Sequence[int] | None = None) -> tuple[list[Camera], dict] | None:
+    return refined_cameras(pairs, doubted(pairs), range(len(pairs.views)) if numbers is None else numbers)
+
+
 def refined(pairs: PairMatches) -> list[Camera]:
-    found = refined_cameras(pairs, range(len(pairs.views)))
+    found = corrected(pairs)
     assert found is not None
     return found[0]
 
@@ -90,7 +97,7 @@ def test_a_turn_of_the_first_becomes_one_of_the_second() -> None:
     cameras = refined(wrong)
     np.testing.assert_array_equal(cameras[0].world_from_cam, wrong.views[0].camera.world_from_cam)
     between = [camera.rotation.T @ other.rotation for camera, other in (cameras, [view.camera for view in exact.views])]
-    assert np.degrees(np.arccos((np.trace(between[0].T @ between[1]) - 1) / 2)) < 3 * DEGREES
+    assert np.degrees(rotation_angle(between[0].T @ between[1])) < 3 * DEGREES
 
 
 def test_of_three_views_the_one_that_is_wrong_is_turned() -> None:
@@ -114,17 +121,17 @@ def test_views_that_nothing_joins_to_the_first_keep_their_first() -> None:
 @pytest.mark.parametrize("pairs", [sample, plane, lambda: sample((1, 3, 5))])
 def test_right_cameras_stay(pairs) -> None:
     pairs = pairs()
-    assert refined_cameras(pairs, range(len(pairs.views))) is None
+    assert corrected(pairs) is None
 
 
 @pytest.mark.parametrize("error", [5.0, 20.0])
 def test_what_is_far_off_stays(error: float) -> None:
     """Either nothing matches any more, or the turn that would make it match is no refinement."""
-    assert refined_cameras(turned(sample(), 1, UP, error), (0, 1)) is None
+    assert corrected(turned(sample(), 1, UP, error), (0, 1)) is None
 
 
 def test_it_is_told_by_how_much() -> None:
-    found = refined_cameras(zoomed(turned(sample(), 1, UP, 0.7), 1, 1.02), (4, 7))
+    found = corrected(zoomed(turned(sample(), 1, UP, 0.7), 1, 1.02), (4, 7))
     assert found is not None
     notice = found[1]
     assert notice["code"] == "poses_refined"
