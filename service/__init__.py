@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .formats.ply import write_ply as write_ply
     from .formats.registry import read_gaussians as read_gaussians
     from .formats.registry import write_gaussians as write_gaussians
+    from .from_capture import reconstruct_capture as reconstruct_capture
     from .gaussians import Gaussians as Gaussians
     from .leaving_out.budget import Budget as Budget
     from .photographs.images import EncodedPhoto as EncodedPhoto
@@ -41,6 +42,7 @@ _HOME = {
     "inspect_ply": "formats.ply",
     "read_gaussians": "formats.registry",
     "read_ply": "formats.ply",
+    "reconstruct_capture": "from_capture",
     "render": "splat",
     "render_reference": "splat",
     "write_gaussians": "formats.registry",
@@ -61,6 +63,7 @@ __all__ = [
     "inspect_ply",
     "read_gaussians",
     "read_ply",
+    "reconstruct_capture",
     "render",
     "render_reference",
     "write_gaussians",

@@ -56,6 +56,9 @@ class Scene:
     inputs: tuple[NDArray[np.uint8], ...]  # those pictures, (H, W, 3) or, where a mask leaves pixels out, (H, W, 4)
     document: dict[str, Any]  # plain JSON values, see document.py
 
+    def __repr__(self) -> str:
+        return f"<Scene of {len(self.gaussians)} Gaussians from {len(self.cameras)} photographs>"
+
     @property
     def positions(self) -> Positions:
         """As what a .ply holds x, y, z of these Gaussians to the bit."""

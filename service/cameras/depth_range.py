@@ -84,15 +84,19 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
     return _checked(near, far)
 
 
+def checked_depth(value: object, name: str) -> float:
+    """The finite number above 0 that it is. Raises `DepthRangeError`, for the field `name`, for anything else."""
+    number = real_number(value)
+    if number is None or not math.isfinite(number) or number <= 0:
+        told = shown(value) if number is None else f"{number:g}"
+        cure = "depths are counted from the camera along its axis; leave near and far out to have them estimated"
+        raise DepthRangeError(f"{name} = {told}, need a finite depth above 0", field=name, cure=cure)
+    return number
+
+
 def _checked(near: float, far: float) -> DepthRange:
     """The given range. Raises `DepthRangeError`."""
-    for name, value in (("near", near), ("far", far)):
-        number = real_number(value)
-        if number is None or not math.isfinite(number) or number <= 0:
-            told = shown(value) if number is None else f"{number:g}"
-            cure = "depths are counted from the camera along its axis; leave near and far out to have them estimated"
-            raise DepthRangeError(f"{name} = {told}, need a finite depth above 0", field=name, cure=cure)
-    near, far = float(near), float(far)
+    near, far = checked_depth(near, "near"), checked_depth(far, "far")
     if not near < far:
         swapped = "are they swapped, or one of them the file's? then give both"
         cure = swapped if near > far else "the scene needs some depth"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from ..arguments import shown, whole_number
 from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from ..errors import InputError, ViewCountError, ViewError
 from ..plain_number import counted
@@ -23,7 +24,10 @@ class ViewSelection:
 
 
 def checked_selection(wanted: ViewSelection) -> ViewSelection:
-    """Returns `wanted`. Raises `ViewCountError` for a number outside 2..6, `InputError` for both kinds of selection."""
+    """Returns `wanted`. Raises `ViewCountError` for a number outside 2..6, `InputError` for what is no whole number and
+    for both kinds of selection."""
+    if wanted.context is not None and whole_number(wanted.context) is None:
+        raise InputError(f"is {shown(wanted.context)}, need a whole number", field="context")
     if wanted.context is not None and not MIN_VIEWS <= wanted.context <= MAX_VIEWS:
         cure = f"leave it out for {DEFAULT_CONTEXT} of a large capture"
         raise ViewCountError(

@@ -76,9 +76,8 @@ def reconstruct(
     from ..formats.encoded import Encoded
     from ..formats.ply import ply_bytes
     from ..formats.registry import format_of_path
+    from ..from_capture import reconstruct_chosen
     from ..leaving_out.budget import Budget, parse_max_error
-    from ..photographs.image_files import image_size
-    from ..photographs.images import EncodedPhoto
     from ..process.disk import named, replace_file
     from ..progress import Stages
     from ..reconstruct import Reconstructor
@@ -93,21 +92,13 @@ def reconstruct(
     checked_detail(detail, stride)
     wanted = checked_selection(ViewSelection(views, context, field="views"))
     found = open_capture(capture).choose(wanted, near, far)
-    near, far = found.file.depths(near, far)
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("load model"):
             reconstructor = Reconstructor(model, threads=threads, engine=chosen)
-        with stages.stage("read images", len(found.indices)) as step:
-            photos = []
-            for place, (index, view) in enumerate(zip(found.indices, found.file.views, strict=True)):
-                data = found.read(place)
-                image_size(data, index=index)  # checked here, so that the error has the index in the file
-                photos.append(EncodedPhoto(data, lens=view.lens))
-                step(len(photos))
-        scene = reconstructor.reconstruct(
-            photos,
-            found.file.cameras,
+        scene = reconstruct_chosen(
+            reconstructor,
+            found,
             near=near,
             far=far,
             trust_poses=trust_poses,
@@ -116,7 +107,6 @@ def reconstruct(
             leave_one_out=leave_one_out,
             fade=fade,
             detail=detail,
-            numbers=found.indices,
             listener=bars,
         )
         with stages.stage("write"), named(output):
@@ -126,13 +116,12 @@ def reconstruct(
                 encoded = target.write(scene.gaussians)
             replace_file(output, encoded.data)
     bars.say(f"{len(scene.gaussians)} Gaussians in {output}")
-    bars.say(selection_line(found.selection))
+    bars.say(selection_line(scene.document["selection"]))
     bars.say(check_line(scene.document["check"]))
     bars.say(fading_line(scene.document))
     for line in left_out_lines(scene.document):
         bars.say(line)
-    warnings = [*found.warnings, *scene.document["warnings"]]
-    for warning in warnings:
+    for warning in scene.document["warnings"]:
         bars.say(warning_line(warning))
     for note in encoded.notes:
         bars.say(f"warning: {output.name}: {note}")
@@ -142,7 +131,5 @@ def reconstruct(
             "format": target.extension,
             "notes": encoded.notes,
             "selected_views": list(found.indices),
-            "selection": found.selection,
         }
-        document = {**said, **scene.document, "warnings": warnings}
-        write_result(document)
+        write_result({**said, **scene.document})

@@ -1,0 +1,96 @@
+"""Captures in Python: the same scenes, documents and errors as those of the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from capture_scenes import arc, write_colmap
+from cli_runs import reconstruct
+
+from gapmes.service import GapmesError, Reconstructor, reconstruct_capture, write_ply
+from gapmes.service.errors import CaptureError, DepthRangeError, ImageError, InputError, ViewCountError, ViewError
+from gapmes.service.network.engine import Engine
+from gapmes.service.progress import Stage
+
+
+@pytest.fixture(scope="module")
+def colmap(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("project")
+    write_colmap(folder, arc(3))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def loaded(engine: Engine) -> Reconstructor:
+    return Reconstructor(engine)
+
+
+def test_the_scene_is_that_of_the_command_line(
+    colmap: Path, standin_model: Path, loaded: Reconstructor, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    heard: list[Stage] = []
+    scene = reconstruct_capture(colmap, views=[0, 2], trust_poses=True, reconstructor=loaded, listener=heard.append)
+    write_ply(tmp_path / "own.ply", scene.gaussians, positions=scene.positions)
+    assert reconstruct(colmap, standin_model, "--views", "0,2", "--trust-poses", "--json") == 0
+    theirs = json.loads(capfd.readouterr().out)
+    assert (tmp_path / "own.ply").read_bytes() == Path(theirs["file"]).read_bytes()
+    own = json.loads(json.dumps(scene.document))
+    about_the_file = {"file", "format", "notes", "selected_views"}
+    assert set(theirs) - set(own) == about_the_file
+    timed = {"timings", "pruning"}  # seconds are in both
+    assert {name: theirs[name] for name in set(own) - timed} == {name: own[name] for name in set(own) - timed}
+    assert own["selection"]["views"] == [0, 2]
+    assert {stage.name for stage in heard} > {"read images", "network"}
+    assert repr(scene) == f"<Scene of {len(scene.gaussians)} Gaussians from 2 photographs>"
+
+
+@pytest.mark.parametrize("views", ["0,2", [0, 2], (np.int64(0), "2"), ["view 0000.png", "left side/view 0002.png"]])
+def test_views_are_named_by_a_text_or_in_a_sequence(colmap: Path, loaded: Reconstructor, views: Any) -> None:
+    scene = reconstruct_capture(str(colmap), views=views, trust_poses=True, reconstructor=loaded, fade=0)
+    assert scene.document["selection"]["views"] == [0, 2]
+
+
+def test_what_the_capture_is_warned_about_is_in_the_document(tmp_path: Path, loaded: Reconstructor) -> None:
+    write_colmap(tmp_path, arc(3))
+    write_colmap(tmp_path, arc(2), "sparse/1")
+    scene = reconstruct_capture(tmp_path, context=2, trust_poses=True, reconstructor=loaded, fade=0)
+    assert scene.document["warnings"][0]["code"] == "several_models"
+    assert scene.document["selection"]["by"] == "score"
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "field"),
+    [
+        ({"views": 3}, InputError, "views"),
+        ({"views": [0]}, ViewCountError, "views"),
+        ({"views": [0, 7]}, ViewError, "views"),
+        ({"views": [0, 1], "context": 2}, InputError, "context"),
+        ({"context": "2"}, InputError, "context"),
+        ({"context": 7}, ViewCountError, "context"),
+        ({"near": "1", "far": 9}, DepthRangeError, "near"),
+        ({"context": 2, "near": 1, "far": float("nan")}, DepthRangeError, "far"),
+        ({"detail": 3}, InputError, "detail"),
+    ],
+)
+def test_wrong_arguments_are_named(
+    colmap: Path, loaded: Reconstructor, options: dict[str, Any], kind: type[GapmesError], field: str
+) -> None:
+    with pytest.raises(kind) as caught:
+        reconstruct_capture(colmap, reconstructor=loaded, **options)
+    assert caught.value.field == field
+
+
+def test_a_photograph_that_cannot_be_read_is_named_by_its_place_in_the_capture(
+    tmp_path: Path, loaded: Reconstructor
+) -> None:
+    write_colmap(tmp_path, arc(3))
+    (tmp_path / "images/left side/view 0002.png").write_bytes(b"GIF89a")
+    with pytest.raises(ImageError) as caught:
+        reconstruct_capture(tmp_path, views=[1, 2], reconstructor=loaded)
+    assert caught.value.index == 2
+    with pytest.raises(CaptureError, match="does not exist"):
+        reconstruct_capture(tmp_path / "elsewhere", reconstructor=loaded)
