@@ -7,20 +7,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from encoded_pictures import encoded
+from PIL import Image
 from plane_scene import PlaneScene
 from sample_matches import sample
 from wrong_cameras import turned, turned_camera, zoomed, zoomed_camera
 
 from gapmes.service import Reconstructor
-from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.camera import Camera, pixel_grid
+from gapmes.service.cameras.camera_fields import view_through
 from gapmes.service.cameras.depth_range import DepthRange
+from gapmes.service.cameras.distortion import Lens
 from gapmes.service.cameras.rotations import rotation_angle
 from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.matching.inexact_poses import doubted
 from gapmes.service.matching.pair_matches import PairMatches
 from gapmes.service.matching.refined_poses import refined_cameras
+from gapmes.service.photographs.bilinear import bilinear
 from gapmes.service.photographs.fitting import FittedPhotos, fitted_photos
-from gapmes.service.photographs.images import Photo, decode_image, fit_view
+from gapmes.service.photographs.images import EncodedPhoto, Photo, decode_image, fit_view
 from gapmes.service.shipped import sample_folder
 
 # Measured up to 0.08, 0.006 of a focal length (a shift ahead looks much alike), 0.006 of the baseline.
@@ -185,6 +190,32 @@ def test_a_scene_of_refined_poses_is_nearly_that_of_right_ones() -> None:
     assert degrees(camera, second) < DEGREES
     assert torn < right - 4
     assert mended > right - 0.5
+
+
+def test_cameras_of_bent_photographs_are_corrected() -> None:
+    """Taken through a lens, with a turn and a focal length that is 2 % off in one: as of straight photographs."""
+    scene = load_scene_folder(sample_folder())
+    lens = Lens(224, 224, 265.0, 265.0, 112.0, 112.0, k1=-0.12)
+    x, y = lens.undistorted(*((pixel_grid((224, 224)).reshape(224, 224, 2) - 112.0) / 265.0).transpose(2, 0, 1))
+    photos, cameras = [], []
+    for index in (1, 3):
+        given = scene.file.views[index].camera
+        assert (given.fx, given.cx, given.width) == (265.0, 128.0, 256)
+        straight = decode_image(scene.image_paths[index].read_bytes(), index=index)
+        seen = bilinear(straight.rgb.astype(np.float64), 265.0 * x + 127.5, 265.0 * y + 127.5)
+        found = view_through(None, lens, given.world_from_cam, field="x")
+        photos.append(encoded(Image.fromarray(seen.round().astype(np.uint8))))
+        cameras.append(found.camera)
+    wrong = replace(lens, fx=265.0 * 1.02, fy=265.0 * 1.02)
+    through = view_through(None, wrong, turned_camera(cameras[1], UP, 0.7).world_from_cam, field="x")
+    photos = [EncodedPhoto(photo, lens=one) for photo, one in zip(photos, (lens, wrong), strict=True)]
+    found = Reconstructor(threads=1).reconstruct(
+        photos, [cameras[0], through.camera], near=2.0, far=8.0, fade=0, refine_poses=True
+    )
+    assert [notice["code"] for notice in found.document["warnings"]] == ["undistorted", "undistorted", "poses_refined"]
+    assert degrees(found.view_cameras[1], cameras[1]) < DEGREES
+    shown = found.view_cameras[1]
+    assert shown.fx * through.camera.width / shown.width == pytest.approx(lens.fx, rel=FOCAL)
 
 
 def test_the_depth_range_is_that_of_refined_poses() -> None:
