@@ -23,7 +23,7 @@ def test_all_ties_take_the_lowest_indices(experts: int) -> None:
 
 
 @pytest.mark.case("R1")
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(st.integers(-3, 3), min_size=4, max_size=8), st.integers(1, 4))
 def test_top_k_is_a_stable_sort(values: list[int], k: int) -> None:
     expected = sorted(range(len(values)), key=lambda i: (-values[i], i))[:k]

@@ -66,7 +66,7 @@ def assert_plausible(camera: Camera) -> None:
 
 
 @pytest.mark.case("P5", "E14")
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(st.dictionaries(st.sampled_from([*GOOD]), anything, min_size=1, max_size=3))
 def test_a_camera_of_any_numbers_is_made_or_refused_by_name(changes):
     """Sizes that are not finite or above 1e15 have tests of their own."""
@@ -86,7 +86,7 @@ def test_a_size_that_is_no_finite_number_is_refused_by_name(name, value):
 
 
 @pytest.mark.case("P5")
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(
     st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3), st.one_of(finite, absurd)), min_size=1, max_size=16),
     st.sampled_from([3, 4]),
@@ -126,7 +126,7 @@ THEIRS = {
 
 
 @pytest.mark.case("P5")
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(
     st.dictionaries(st.sampled_from([*GOOD, "near", "far"]), foreign, max_size=3),
     st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3), foreign), max_size=3),
@@ -149,7 +149,7 @@ def test_a_camera_file_of_any_numbers_is_read_or_refused_by_name(numbers, cells)
 
 
 @pytest.mark.case("P5")
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(
     st.dictionaries(
         st.sampled_from([*(set(THEIRS) - {"frames"}), "camera_angle_x", "camera_angle_y", "k4", "k5", "p1"]),
@@ -200,7 +200,7 @@ place = st.one_of(st.floats(-1e6, 1e6), st.sampled_from([0.0, 5e-324, 1e-38, -1e
 
 
 @pytest.mark.case("P4", "E19")
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(
     st.lists(st.tuples(pixel, pixel, depth), min_size=1, max_size=5),
     st.tuples(place, place, place),
@@ -223,7 +223,7 @@ def test_unprojecting_any_pixels_gives_finite_points(rows, center, focal):
 
 
 @pytest.mark.case("P4")
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.lists(st.tuples(place, place, st.one_of(place, depth)), min_size=1, max_size=5))
 def test_projecting_any_points_gives_pixels_in_front_and_none_behind(rows):
     """Depths are 0, negative or at least 1e-38; below it see the next test."""
@@ -253,7 +253,7 @@ def pair(baseline: float) -> list[Camera]:
 
 
 @pytest.mark.case("P3", "P2")
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(
     st.one_of(st.sampled_from([0.0, 1e-150, 1e-38, 0.1, 1e38, 1e150]), st.floats(1e-100, 1e100)),
     st.one_of(st.none(), st.floats(-1.0, 1e300), st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 1e-38])),

@@ -240,7 +240,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return made
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_damaged_zips_are_read_or_refused(whole: dict[str, bytes], data: st.DataObject) -> None:
     """Bytes flipped anywhere, ends cut off: our errors or a scene, nothing else."""

@@ -121,7 +121,7 @@ def test_a_spz_is_the_scene_turned_by_half_a_turn_about_x(tmp_path: Path) -> Non
     assert np.abs(here @ upright.harmonics[0] - there @ turned.harmonics[0]).max() <= 1e-6
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(0, 2**31), st.integers(1, 40))
 def test_smallest_three_are_exact_before_they_are_rounded(seed: int, count: int) -> None:
     q = np.random.default_rng(seed).standard_normal((count, 4))

@@ -264,7 +264,7 @@ def test_what_is_named_a_splat_and_is_none_is_what_it_is() -> None:
             format_of_bytes(other)
 
 
-@settings(deadline=None, max_examples=250)
+@settings(max_examples=250)
 @given(st.data())
 def test_damaged_files_are_read_or_refused(data: st.DataObject) -> None:
     """Flip, cut or insert bytes anywhere: finite Gaussians or one of our refusals, nothing else."""

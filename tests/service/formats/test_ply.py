@@ -139,7 +139,7 @@ def test_the_page_says_at_which_ends_a_ply_holds_no_float32():
     assert after.scales[0] == pytest.approx(share * np.median(before.scales[1:]), rel=1e-4)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(0, 2**31), st.integers(1, 8), st.integers(0, 3))
 def test_a_second_round_trip_changes_nothing_that_matters(seed, count, degree):
     once = read_ply(ply_bytes(gaussians(count, seed, degree)))

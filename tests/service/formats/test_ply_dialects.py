@@ -184,7 +184,7 @@ def test_small_sizes_in_a_world_of_wide_distances_are_not_recognised() -> None:
     assert ["read as logarithms" in note for note in reading.notes()] == [True]
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(0, 2**31), st.integers(1, 3000), st.floats(-6, 6), st.floats(0.05, 4))
 def test_our_own_files_are_read_as_they_were_written(seed: int, count: int, middle: float, width: float) -> None:
     """Whatever the logits are like: the dialect that we write is the one that is read."""

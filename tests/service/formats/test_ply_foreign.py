@@ -232,7 +232,7 @@ def test_a_bad_line_of_text_is_named(old, new, message):
 
 
 @pytest.mark.case("I2")
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.data())
 def test_damaged_files_are_read_or_refused(data):
     """Flip, cut or insert bytes anywhere: a value or a PlyError, nothing else."""

@@ -49,7 +49,6 @@ def holds(operation: schemathesis.APIOperation) -> None:
 
     @settings(
         max_examples=25,
-        deadline=None,
         derandomize=True,
         database=None,
         phases=[Phase.explicit, Phase.generate],

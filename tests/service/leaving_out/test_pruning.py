@@ -42,7 +42,7 @@ def trained_scenes():
 
 
 @pytest.mark.case("S1", "S2")
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(
     seed=st.integers(0, 2**32),
     degree=st.integers(0, 3),

@@ -106,7 +106,7 @@ def test_truncated_files_are_415(kind):
             decode_image(data[:length], index=0)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.sampled_from(["PNG", "JPEG", "WEBP"]), st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), max_size=6)
 )

@@ -95,7 +95,7 @@ def test_batches_give_the_same_bits_for_both_stopping_rules(rule):
 
 
 @pytest.mark.case("E15", "S2")
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(seed=st.integers(0, 2**32))
 def test_the_test_of_a_block_leaves_out_nothing_that_a_pixel_would_show(seed):
     """Ellipses of sigma 0.55 to 1e5 px anywhere about a block; float64 at its 64 pixels says how far alpha reaches."""

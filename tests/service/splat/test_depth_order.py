@@ -12,7 +12,7 @@ few = st.sampled_from([0.0, 1.0, 2.0])
 
 
 @pytest.mark.case("E7")
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(few, few, few, st.booleans(), few), max_size=30), st.integers(0, 1000))
 def test_order_depends_on_content_alone(rows, seed):
     table = np.array(rows, float).reshape(-1, 5)
@@ -31,7 +31,7 @@ def test_order_depends_on_content_alone(rows, seed):
 
 
 @pytest.mark.case("E16")
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32), st.sampled_from([1e-30, 1e-3, 1.0, 1e6]), st.sampled_from([1e-12, 1e-9, 1e-6, 1.0]))
 def test_order_is_that_of_the_float64_depths_however_close(seed, unit, spread):
     """Depths that are equal in float32, in part or all of them, and from one to thousands."""

@@ -29,7 +29,7 @@ def test_threads_and_repeats_give_the_same_bits():
 
 
 @pytest.mark.case("E16")
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**31), degree=st.integers(0, 3))
 def test_a_permuted_input_gives_the_same_bits(seed, degree):
     gaussians = scene(60, seed, degree)

@@ -95,7 +95,7 @@ number = st.one_of(
 
 
 @pytest.mark.case("E4", "E12")
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(*[number] * 14), min_size=1, max_size=6), st.sampled_from([0.0, 1e-8, 0.01]))
 def test_any_finite_numbers_give_a_finite_image(rows, near):
     table = np.array(rows, np.float32)
