@@ -11,6 +11,7 @@ from ..errors import BaselineError, IntrinsicsError, OverlapError, ViewCountErro
 from ..plain_number import counted
 from .camera import Camera
 from .depth_range import MAX_RATIO, DepthRange, depth_range_of_reading, largest_baseline
+from .other_size import other_size
 from .overlap import best_partner_shares, inverse_depth_steps
 from .pose_readings import apart_when_inverted, other_readings, robot_readings, with_cures
 from .rotations import rotation_angle
@@ -39,7 +40,8 @@ def check_views(
     trust_poses: bool = False,
     numbers: Sequence[int] | None = None,
 ) -> list[Notice]:
-    """Refuse cameras from which no scene can be reconstructed; return warnings about little overlap.
+    """Refuse cameras from which no scene can be reconstructed; return warnings about little overlap, and about
+    intrinsics that look like those of pictures of another size.
 
     Raises `ViewCountError`, `IntrinsicsError`, `BaselineError` (the same pose twice, no parallax, or a distance beyond
     float32) or `OverlapError`, which names other interpretations of the poses under which the views overlap. Where the
@@ -51,7 +53,7 @@ def check_views(
     for number, camera in zip(numbers, cameras, strict=True):
         _check_principal_point(camera, number)
     _check_baselines(cameras, depths, numbers)
-    return _check_overlap(cameras, depths, trust_poses, numbers)
+    return other_size(cameras) + _check_overlap(cameras, depths, trust_poses, numbers)
 
 
 def range_notices(depths: DepthRange, planes: int = DEPTH_PLANES) -> list[Notice]:

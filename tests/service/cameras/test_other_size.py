@@ -1,0 +1,60 @@
+"""Intrinsics of pictures of another size are told by their principal points; those of real lenses and crops are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.depth_range import DepthRange
+from gapmes.service.cameras.other_size import LEAST, other_size
+from gapmes.service.cameras.view_checks import check_views
+from gapmes.service.errors import IntrinsicsError
+
+
+def cameras(*middles: tuple[float, float], size: tuple[int, int] = (640, 480)) -> list[Camera]:
+    """Side by side, with their principal points at these multiples of the middle."""
+    made = []
+    for index, (across, down) in enumerate(middles):
+        pose = np.eye(4)
+        pose[0, 3] = 0.1 * index
+        width, height = size
+        made.append(Camera.make(width, height, 600.0, 600.0, across * width / 2, down * height / 2, pose))
+    return made
+
+
+@pytest.mark.parametrize("factor", [0.25, 0.5, 2 / 3, 1.25, 1.5, 2.0, 3.9])
+def test_photographs_that_were_scaled_alone_are_told_with_the_size_before(factor: float) -> None:
+    right = cameras((1.02, 0.99), (1.0, 1.01))
+    scaled = [replace(one, **{name: factor * getattr(one, name) for name in ("fx", "fy", "cx", "cy")}) for one in right]
+    (notice,) = other_size(scaled)
+    assert notice["code"] == "intrinsics_of_another_size"
+    told = [int(word) for word in notice["message"].split("about ")[1].split(" px")[0].split(" x ")]
+    assert told == pytest.approx([640 * factor, 480 * factor], rel=0.02)
+    assert f"cx, cy = {scaled[0].cx:g}, {scaled[0].cy:g} px in a picture of 640 x 480 px" in notice["message"]
+    assert notice in check_views(scaled, DepthRange(2.0, 8.0, "given"))
+    assert other_size(right) == []
+
+
+@pytest.mark.parametrize(
+    "middles",
+    [
+        [(1.0, 1.0), (1.0, 1.0)],
+        [(1.1, 1.1), (0.9, 0.9)],
+        [(1.5, 1.0), (1.5, 1.0)],  # cut off at the right
+        [(2.0, 2.0), (0.0, 2.0)],  # the upper quarters of one photograph
+        [(2.0, 2.0), (1.0, 1.0)],
+        [(-0.5, -0.5), (-0.5, -0.5)],  # crops that do not have the middle
+        [(LEAST - 0.01,) * 2] * 3,
+    ],
+)
+def test_lenses_and_crops_are_not(middles: list[tuple[float, float]]) -> None:
+    assert other_size(cameras(*middles)) == []
+
+
+def test_a_size_that_is_far_too_large_is_refused_with_that_cure() -> None:
+    with pytest.raises(IntrinsicsError, match="lies far outside an image of 640 px") as caught:
+        cameras((4.1, 4.1))
+    assert "scale fx, fy, cx and cy" in str(caught.value.cure)
