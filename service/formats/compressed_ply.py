@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..errors import PlyError
 from ..gaussians import Gaussians
 from ..harmonics import C0
-from .encoded import INTO_THE_SCENE, Encoded, clamped_note, position_note, quantized
+from .encoded import INTO_THE_SCENE, Encoded, clamped_note, faint_note, position_note, quantized
 from .morton import morton_order
 from .ply_behind import behind
 from .ply_format import Element, Header, binary_rows, parse_header
@@ -123,6 +123,7 @@ def compressed_ply_bytes(gaussians: Gaussians) -> Encoded:
     tables = rows.tobytes() + levels.astype(np.uint8).tobytes()
     decoded = _between(bounds, AXES, place, _unpacked(rows["packed_position"].astype(np.int64)))
     notes = [
+        *faint_note(gaussians),
         *clamped_note(
             "scales", int((np.abs(logs) > LOG_LIMIT).sum()), logs.size, np.exp(-LOG_LIMIT), np.exp(LOG_LIMIT)
         ),

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from ..gaussians import Gaussians
 from .ply_write import POSITION_TOLERANCE
 
+OPACITY_LEVELS = 255
+FEW_FAINT = 0.01  # share of all Gaussians; the sample scene has 0.0004, and its pictures do not change
 INTO_THE_SCENE = "move the world's origin into the scene, or write .ply"  # the cure of positions that do not fit
 
 
@@ -49,6 +51,19 @@ def position_note(gaussians: Gaussians, moved: float) -> list[str]:
     if moved <= POSITION_TOLERANCE * size:
         return []
     return [f"positions move by up to {moved:.3g}, a typical Gaussian measures {size:.3g}"]
+
+
+def faint_note(gaussians: Gaussians) -> list[str]:
+    """A note if a hundredth of the Gaussians or more are drawn, but hardly any more with their opacity in 255 levels:
+    at 1/255 in a single point, below it nowhere. One of them is not seen, hundreds behind each other are."""
+    levels = gaussians.opacities.astype(np.float64) * OPACITY_LEVELS
+    lost = int(((levels > 1) & (np.rint(levels) <= 1)).sum())
+    if lost < FEW_FAINT * max(len(levels), 1):
+        return []
+    return [
+        f"{lost} of {len(levels)} opacities from 1/{OPACITY_LEVELS} to 1.5/{OPACITY_LEVELS} become 1/{OPACITY_LEVELS}, "
+        "with which a Gaussian is hardly drawn: the format holds no finer steps"
+    ]
 
 
 def bands_note(gaussians: Gaussians) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import FormatError
 from ..gaussians import Gaussians
 from ..harmonics import C0
-from .encoded import INTO_THE_SCENE, Encoded, bands_note, clamped_note, position_note, quantized
+from .encoded import INTO_THE_SCENE, Encoded, bands_note, clamped_note, faint_note, position_note, quantized
 from .ply_write import require_float32
 from .reading import Reading, check_count, gaussians_of
 
@@ -57,6 +57,7 @@ def splat_bytes(gaussians: Gaussians) -> Encoded:
     moved = float(np.abs(gaussians.means - rows["means"]).max(initial=0.0))
     notes = [
         *bands_note(gaussians),
+        *faint_note(gaussians),
         *clamped_note("colour values", outside, colours.size, 0, 1),
         *position_note(gaussians, moved),
     ]

@@ -20,7 +20,7 @@ from ..errors import FormatError
 from ..gaussians import Gaussians
 from ..harmonics import band_rotations
 from .dialect import Axes
-from .encoded import INTO_THE_SCENE, Encoded, clamped_note, position_note, quantized, typical_size
+from .encoded import INTO_THE_SCENE, Encoded, clamped_note, faint_note, position_note, quantized, typical_size
 from .reading import Reading, check_count, gaussians_of
 from .smallest_three import BOUND, join, split
 
@@ -112,6 +112,7 @@ def spz_bytes(gaussians: Gaussians) -> Encoded:
     colour_end = 0.5 / COLOUR_SHARE
     low, high = np.exp(SCALE_LOW), np.exp(SCALE_LOW + 255 / SCALE_LEVELS)
     notes = [
+        *faint_note(gaussians),
         *clamped_note("colour coefficients", colours_outside, colours.size, -colour_end, colour_end),
         *clamped_note("scales", scales_outside, scales.size, low, high),
         *clamped_note("higher harmonics", higher_outside, higher.size, -1, 127 / BAND_LEVELS),

@@ -202,6 +202,22 @@ def test_a_colour_far_outside_is_said_to_coarsen_those_of_its_chunk() -> None:
 
 
 @pytest.mark.parametrize("name", COARSE)
+@pytest.mark.parametrize(
+    ("opacity", "count", "noted"), [(1.4, 10, True), (1.4, 9, False), (0.9, 500, False), (1.6, 500, False)]
+)
+def test_faint_gaussians_that_become_dots_are_counted(name: str, opacity: float, count: int, noted: bool) -> None:
+    """From a hundredth of a scene on: hundreds behind each other are seen, by 0.05 of a colour with these opacities."""
+    source = moderate(1000, 0, 0)
+    opacities = np.full(1000, 0.5)
+    opacities[:count] = opacity / 255
+    source = replace(source, opacities=opacities.astype(np.float32))
+    notes = [note for note in FORMATS[name].write(source).notes if "opacities" in note]
+    assert [note.split(" opacities")[0] for note in notes] == ["10 of 1000"] * noted
+    kept = read_gaussians(FORMATS[name].write(source).data, format=name).opacities
+    assert (np.sort(kept)[:count] <= 1 / 255 + 1e-7).all() == (opacity < 1.5)
+
+
+@pytest.mark.parametrize("name", COARSE)
 def test_positions_far_from_the_origin_are_said_to_move(name: str) -> None:
     base = gaussians(200, 5, 0)
     moved = Gaussians.make(base.means + 1e6, base.scales, base.rotations_wxyz, base.opacities, base.harmonics)
