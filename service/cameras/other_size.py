@@ -9,8 +9,8 @@ import numpy as np
 
 from .camera import Camera
 
-# A real lens has its principal point within some per cent of the middle: of six captures all have it at 0.97 to 1.03 of
-# the middle, one of stereo pairs that were cropped at 0.84 across, but at 1.02 down.
+# A real lens has its principal point within some per cent of the middle: of six captures five have it at 1.00 to 1.04 of
+# the middle, one of cropped stereo pairs at 0.84 to 0.93 across, but at 1.02 down.
 LEAST = 1.2  # times the middle, or the inverse of it
 SAME = 1.05  # between the largest and the smallest of these factors, of both axes of all views
 
