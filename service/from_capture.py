@@ -9,8 +9,10 @@ from typing import Any
 
 from .arguments import listed
 from .cameras.depth_range import checked_depth
+from .cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from .captures.capture import ChosenViews, open_capture
 from .captures.select import ViewSelection, checked_selection
+from .errors import ViewCountError, ViewError
 from .photographs.image_files import image_size
 from .photographs.images import EncodedPhoto
 from .progress import Listener, Stages, silent
@@ -34,16 +36,31 @@ def reconstruct_capture(
     `views`: names or indices of the views to use, in a list or separated by commas; `context`: how many to choose
     instead, 2 to 6. Without either all views of up to six are used, else the best three.
     `near`, `far`: z-depths in the cameras' units, in place of the capture's own or the estimate.
-    `reconstructor`: one that is loaded already, or None for `Reconstructor()`. `options`: as for its `reconstruct`.
+    `reconstructor`: one that is loaded already, or None for `Reconstructor()`.
+    `options`: as for its `reconstruct`, but for `numbers`, which are the capture's.
 
     The scene's document has `selection`, which views these are and why, and the warnings about the capture too. Errors
     and warnings count views as the capture does. Raises `InputError` and `ModelError`.
     """
-    text = views if views is None or isinstance(views, str) else ",".join(map(str, listed(views, "views")))
-    wanted = checked_selection(ViewSelection(text, context, field="views"))
+    wanted = checked_selection(ViewSelection(_selection(views), context, field="views"))
     near, far = (end if end is None else checked_depth(end, name) for name, end in (("near", near), ("far", far)))
     found = open_capture(path).choose(wanted, near, far)
     return reconstruct_chosen(reconstructor or Reconstructor(), found, near=near, far=far, listener=listener, **options)
+
+
+def _selection(views: str | Iterable[int | str] | None) -> str | None:
+    """As a text. Raises `ViewCountError` for an empty list, and `ViewError` for a name that a text cannot hold."""
+    if views is None or isinstance(views, str):
+        return views
+    parts = [str(view) for view in listed(views, "views")]
+    if not parts:
+        raise ViewCountError(
+            f"0 views, need {MIN_VIEWS} to {MAX_VIEWS}", field="views", cure="leave it out for a choice"
+        )
+    for place, part in enumerate(parts):
+        if "," in part:
+            raise ViewError(f"{part[:100]!r} has a comma", field="views", index=place, cure="give the view's index")
+    return ",".join(parts)
 
 
 def reconstruct_chosen(

@@ -70,8 +70,8 @@ class Camera:
                     f"{name} = {value:g} px lies far outside an image of {size:g} px",
                     field=f"{field}.{name}",
                     index=index,
-                    cure="the principal point is in pixels from the upper left corner; if it is that of a picture of "
-                    "another size, scale fx, fy, cx and cy with it",
+                    cure="the principal point is in pixels from the upper left corner"
+                    + ("; if it is that of a larger picture, scale fx, fy, cx and cy" if value > 0 else ""),
                 )
         if not isinstance(world_from_cam, Pose):
             world_from_cam = checked_pose(world_from_cam, field=f"{field}.c2w", index=index)

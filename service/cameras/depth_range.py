@@ -184,12 +184,17 @@ def angle_between(one: F64, other: F64) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other))
 
 
-def largest_baseline(cameras: Sequence[Camera]) -> F64:
-    """(3,) the longest vector between two camera centres. Raises `BaselineError` where it is zero within rounding."""
+def longest_between(cameras: Sequence[Camera]) -> F64:
+    """(3,) the longest vector between two camera centres, 0 where all coincide."""
     centers = np.stack([camera.center for camera in cameras])
     vectors = (centers[:, None] - centers[None]).reshape(-1, 3)
-    longest = vectors[np.argmax(np.linalg.norm(vectors, axis=1))]
-    length, away = float(np.linalg.norm(longest)), float(np.abs(centers).max())
+    return np.asarray(vectors[np.argmax(np.linalg.norm(vectors, axis=1))])
+
+
+def largest_baseline(cameras: Sequence[Camera]) -> F64:
+    """As `longest_between`. Raises `BaselineError` where it is zero within rounding."""
+    longest = longest_between(cameras)
+    length, away = float(np.linalg.norm(longest)), max(float(np.abs(camera.center).max()) for camera in cameras)
     step = float(np.spacing(away))
     if length <= ENOUGH_STEPS * step:
         cure = "move the camera between the photographs"

@@ -9,10 +9,10 @@ import numpy as np
 
 from .camera import Camera
 
-# A real lens has its principal point within some per cent of the middle: of six captures five have it at 1.00 to 1.04 of
-# the middle, one of cropped stereo pairs at 0.84 to 0.93 across, but at 1.02 down.
+# A real lens has its principal point within some per cent of the middle: of six captures five have it at 1.00 to 1.04
+# of the middle, one of cropped stereo pairs at 0.84 to 0.93 across, but at 1.02 down.
 LEAST = 1.2  # times the middle, or the inverse of it
-SAME = 1.05  # between the largest and the smallest of these factors, of both axes of all views
+SAME = 1.1  # between the largest and the smallest of these factors, of both axes of all views
 
 
 def other_size(cameras: Sequence[Camera]) -> list[dict[str, Any]]:
@@ -25,10 +25,10 @@ def other_size(cameras: Sequence[Camera]) -> list[dict[str, Any]]:
         return []
     first = cameras[0]
     width, height = (round(factor * side) for side in (first.width, first.height))
+    corner = "that begin at the upper left corner" if factor > 1 else "that end at the lower right corner"
     message = (
         f"cx, cy = {first.cx:g}, {first.cy:g} px in a picture of {first.width} x {first.height} px, and the like in "
         f"every view: these look like the intrinsics of pictures of about {width} x {height} px (if so, multiply fx, "
-        "fy, cx and cy by the width of these pictures over the width of those; of crops that begin at the upper left "
-        "corner they are right)"
+        f"fy, cx and cy by the width of these pictures over the width of those; of crops {corner} they are right)"
     )
     return [{"code": "intrinsics_of_another_size", "field": "cameras.cx", "message": message}]

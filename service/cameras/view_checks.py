@@ -53,7 +53,13 @@ def check_views(
     for number, camera in zip(numbers, cameras, strict=True):
         _check_principal_point(camera, number)
     _check_baselines(cameras, depths, numbers)
-    return other_size(cameras) + _check_overlap(cameras, depths, trust_poses, numbers)
+    sizes = other_size(cameras)
+    try:
+        return sizes + _check_overlap(cameras, depths, trust_poses, numbers)
+    except OverlapError as error:
+        for notice in sizes:  # of a wrong focal length, which makes views share less, the poses are not to blame
+            error.cure = f"{notice['message']}; else: {error.cure}"
+        raise
 
 
 def range_notices(depths: DepthRange, planes: int = DEPTH_PLANES) -> list[Notice]:

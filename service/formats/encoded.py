@@ -56,13 +56,13 @@ def position_note(gaussians: Gaussians, moved: float) -> list[str]:
 def faint_note(gaussians: Gaussians) -> list[str]:
     """A note if a hundredth of the Gaussians or more are drawn, but hardly any more with their opacity in 255 levels:
     at 1/255 in a single point, below it nowhere. One of them is not seen, hundreds behind each other are."""
-    levels = gaussians.opacities.astype(np.float64) * OPACITY_LEVELS
-    lost = int(((levels > 1) & (np.rint(levels) <= 1)).sum())
-    if lost < FEW_FAINT * max(len(levels), 1):
+    opacities, least = gaussians.opacities, np.float32(1 / OPACITY_LEVELS)
+    lost = int(((opacities > least) & (np.rint(opacities.astype(np.float64) * OPACITY_LEVELS) <= 1)).sum())
+    if lost < FEW_FAINT * max(len(opacities), 1):
         return []
     return [
-        f"{lost} of {len(levels)} opacities from 1/{OPACITY_LEVELS} to 1.5/{OPACITY_LEVELS} become 1/{OPACITY_LEVELS}, "
-        "with which a Gaussian is hardly drawn: the format holds no finer steps"
+        f"{lost} of {len(opacities)} Gaussians have opacities between 1/{OPACITY_LEVELS} and 1.5/{OPACITY_LEVELS}, "
+        f"which become 1/{OPACITY_LEVELS}, with which they are hardly drawn: the format holds no finer steps"
     ]
 
 

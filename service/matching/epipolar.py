@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera, pixel_grid
-from ..cameras.depth_range import largest_baseline
+from ..cameras.depth_range import longest_between
 from ..photographs.bilinear import bilinear
 from ..photographs.images import FittedView
 from .coarse_views import block_px
@@ -80,7 +80,7 @@ def best_change(px: F64, slopes: F64, unseen: F64) -> tuple[F64, F64]:
 
 def longest_baseline(views: Sequence[FittedView]) -> float:
     """The unit of SHIFT: the largest distance of two cameras."""
-    return float(np.linalg.norm(largest_baseline([view.camera for view in views])))
+    return float(np.linalg.norm(longest_between([view.camera for view in views])))
 
 
 def _distances(
@@ -104,8 +104,8 @@ def _distances(
 
 def lines_across(view: Camera, other: Camera, pixels: F64, depth: F64, unit: float) -> tuple[F64, F64]:
     """(N, 2) unit normals, in `other`, of the epipolar lines of `pixels` (N, 2) of `view`, 0 where there is no line;
-    and (N, 2, CHANGES) how fast what was matched moves along them from the point at z-depth `depth` (N,), by changes
-    of `view` and of `other`, as in `EpipolarDistances.slopes`."""
+    and (N, 2, CHANGES) how fast what was matched moves along the normals from the point at z-depth `depth` (N,), by
+    changes of `view` and of `other`, as in `EpipolarDistances.slopes`."""
     points = view.unproject(pixels, depth)
     flow = _projection_jacobian(other, (points - other.center) @ other.rotation)
     line = np.einsum("nij,nj->ni", flow, (points - view.center) @ other.rotation)  # a point moves with its depth

@@ -37,8 +37,8 @@ def in_srgb(image: Image.Image, *, in_place: bool = False) -> tuple[Image.Image,
 
 
 def _to_srgb(profile: bytes, mode: str) -> ImageCms.ImageCmsTransform | None:
-    """The relative colorimetric conversion from `profile`, made in 2 to 30 ms; None for that of sRGB and for those of
-    grey levels. Raises `UnusableProfile`."""
+    """The relative colorimetric conversion from `profile`, made in 2 ms, of CMYK in 20 to 35 ms; None for that of sRGB
+    and for those of grey levels. Raises `UnusableProfile`."""
     try:
         source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         space = source.profile.xcolor_space

@@ -67,6 +67,8 @@ def test_what_the_capture_is_warned_about_is_in_the_document(tmp_path: Path, loa
     [
         ({"views": 3}, InputError, "views"),
         ({"views": [0]}, ViewCountError, "views"),
+        ({"views": []}, ViewCountError, "views"),
+        ({"views": ["0,1"]}, ViewError, "views"),
         ({"views": [0, 7]}, ViewError, "views"),
         ({"views": [0, 1], "context": 2}, InputError, "context"),
         ({"context": "2"}, InputError, "context"),

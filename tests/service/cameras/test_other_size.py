@@ -10,8 +10,9 @@ import pytest
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.depth_range import DepthRange
 from gapmes.service.cameras.other_size import LEAST, other_size
+from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.cameras.view_checks import check_views
-from gapmes.service.errors import IntrinsicsError
+from gapmes.service.errors import IntrinsicsError, OverlapError
 
 
 def cameras(*middles: tuple[float, float], size: tuple[int, int] = (640, 480)) -> list[Camera]:
@@ -27,14 +28,15 @@ def cameras(*middles: tuple[float, float], size: tuple[int, int] = (640, 480)) -
 
 @pytest.mark.parametrize("factor", [0.25, 0.5, 2 / 3, 1.25, 1.5, 2.0, 3.9])
 def test_photographs_that_were_scaled_alone_are_told_with_the_size_before(factor: float) -> None:
-    right = cameras((1.02, 0.99), (1.0, 1.01))
+    right = cameras((1.03, 0.97), (1.0, 1.01))
     scaled = [replace(one, **{name: factor * getattr(one, name) for name in ("fx", "fy", "cx", "cy")}) for one in right]
     (notice,) = other_size(scaled)
     assert notice["code"] == "intrinsics_of_another_size"
     told = [int(word) for word in notice["message"].split("about ")[1].split(" px")[0].split(" x ")]
-    assert told == pytest.approx([640 * factor, 480 * factor], rel=0.02)
+    assert told == pytest.approx([640 * factor, 480 * factor], rel=0.03)
     assert f"cx, cy = {scaled[0].cx:g}, {scaled[0].cy:g} px in a picture of 640 x 480 px" in notice["message"]
     assert notice in check_views(scaled, DepthRange(2.0, 8.0, "given"))
+    assert ("begin at the upper left" if factor > 1 else "end at the lower right") in notice["message"]
     assert other_size(right) == []
 
 
@@ -52,6 +54,22 @@ def test_photographs_that_were_scaled_alone_are_told_with_the_size_before(factor
 )
 def test_lenses_and_crops_are_not(middles: list[tuple[float, float]]) -> None:
     assert other_size(cameras(*middles)) == []
+
+
+def test_where_the_views_then_share_nothing_it_comes_before_the_poses() -> None:
+    """Of two cameras 35 degrees apart that are right with half of the focal length."""
+    first, second = cameras((1.0, 1.0), (1.0, 1.0))
+    pose = second.world_from_cam.copy()
+    pose[:3, :3] = about_axis(np.array([0.0, 1.0, 0.0]), np.radians(35.0))
+    pose[0, 3] = 0.5
+    right = [replace(one, fx=500.0, fy=500.0) for one in (first, second.posed(pose))]
+    assert other_size(right) == []
+    check_views(right, DepthRange(2.0, 8.0, "given"))
+    twice = [replace(one, fx=1000.0, fy=1000.0, cx=640.0, cy=480.0) for one in right]
+    with pytest.raises(OverlapError) as caught:
+        check_views(twice, DepthRange(2.0, 8.0, "given"))
+    assert str(caught.value.cure).startswith("cx, cy = 640, 480 px in a picture of 640 x 480 px")
+    assert "set trust_poses" in str(caught.value.cure)
 
 
 def test_a_size_that_is_far_too_large_is_refused_with_that_cure() -> None:

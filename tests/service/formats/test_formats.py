@@ -212,9 +212,10 @@ def test_faint_gaussians_that_become_dots_are_counted(name: str, opacity: float,
     opacities[:count] = opacity / 255
     source = replace(source, opacities=opacities.astype(np.float32))
     notes = [note for note in FORMATS[name].write(source).notes if "opacities" in note]
-    assert [note.split(" opacities")[0] for note in notes] == ["10 of 1000"] * noted
-    kept = read_gaussians(FORMATS[name].write(source).data, format=name).opacities
-    assert (np.sort(kept)[:count] <= 1 / 255 + 1e-7).all() == (opacity < 1.5)
+    assert [note.split(" have opacities")[0] for note in notes] == ["10 of 1000 Gaussians"] * noted
+    kept = read_gaussians(FORMATS[name].write(source).data, format=name)
+    assert (np.sort(kept.opacities)[:count] <= 1 / 255 + 1e-7).all() == (opacity < 1.5)
+    assert not any("opacities" in note for other in COARSE for note in FORMATS[other].write(kept).notes)
 
 
 @pytest.mark.parametrize("name", COARSE)

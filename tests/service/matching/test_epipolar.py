@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.rotations import about_axis
-from gapmes.service.matching.epipolar import CHANGES, SHIFT, TURN, ZOOM, lines_across
+from gapmes.service.matching.epipolar import CHANGES, SHIFT, TURN, ZOOM, lines_across, longest_baseline
 
 UNIT = 1.7
 STEP = 1e-5
@@ -66,6 +67,16 @@ def test_a_change_of_depth_is_not_across_the_line() -> None:
     near, far = (OTHER.project(VIEW.unproject(pixels, scale * depth))[0] for scale in (0.9, 1.5))
     assert np.abs(((far - near) * normals).sum(axis=1)).max() < 1e-10
     assert np.linalg.norm(normals, axis=1) == pytest.approx(np.ones(50), abs=1e-12)
+
+
+def test_the_unit_of_shifts_is_there_where_float64_hardly_holds_it() -> None:
+    """Such cameras may be given, with near and far: what is measured refuses none."""
+    pose = VIEW.world_from_cam.copy()
+    pose[:3, 3] += [1e13, 0.0, 0.0]
+    moved = pose.copy()
+    moved[0, 3] += 0.15
+    views = [SimpleNamespace(camera=VIEW.posed(each)) for each in (pose, moved)]
+    assert 0.1 < longest_baseline(views) < 0.2
 
 
 def test_both_cameras_in_one_place_have_no_lines() -> None:
