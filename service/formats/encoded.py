@@ -11,7 +11,7 @@ from ..gaussians import Gaussians
 from .ply_write import POSITION_TOLERANCE
 
 OPACITY_LEVELS = 255
-FEW_FAINT = 0.01  # share of all Gaussians; the sample scene has 0.0004, and its pictures do not change
+FEW_FAINT = 0.01  # share of all Gaussians; the sample scene has 0.0004, which move its pictures by 0.2 of 1/255 at most
 INTO_THE_SCENE = "move the world's origin into the scene, or write .ply"  # the cure of positions that do not fit
 
 
