@@ -10,11 +10,24 @@ from browser_tab import Tab
 from page_service import choose_two, made, until
 
 
-def looks_again_slowly(page: Any) -> list[Any]:
-    """Checks that are held back from now on."""
-    held: list[Any] = []
-    page.route("**/check", lambda route: held.append(route))
-    return held
+class Gate:
+    """Checks are held back from now on until it opens; one that the page gives up at once may never come here."""
+
+    def __init__(self, page: Any) -> None:
+        self.held: list[Any] = []
+        self._is_open = False
+        page.route("**/check", self._come)
+
+    def _come(self, route: Any) -> None:
+        if self._is_open:
+            route.continue_()
+        else:
+            self.held.append(route)
+
+    def open(self) -> None:
+        self._is_open = True
+        for route in self.held:
+            route.continue_()
 
 
 def with_options(tab: Tab, tmp_path: Path, *, seed: int) -> Any:
@@ -28,14 +41,13 @@ def with_options(tab: Tab, tmp_path: Path, *, seed: int) -> Any:
 def test_a_press_after_an_option_is_not_lost(tab: Tab, tmp_path: Path) -> None:
     """The field is left as the button goes down: nothing may move away from below the pointer."""
     page = with_options(tab, tmp_path, seed=200)
-    held = looks_again_slowly(page)
+    checks = Gate(page)
     page.fill("#near", "0.5")
     page.check("#trust_poses")
     assert page.is_checked("#trust_poses")
     assert page.locator(".cards li").count() == 2
     assert page.get_attribute("#understood", "aria-busy") == "true"
-    until(page, lambda: len(held) == 2)  # the first one was given up
-    held[1].continue_()
+    checks.open()
     page.wait_for_selector("#understood:not([aria-busy])")
     assert "Depth from 0.5" in page.inner_text("#understood")
 
@@ -45,14 +57,14 @@ def test_reconstruct_waits_for_the_check(tab: Tab, tmp_path: Path) -> None:
     page = with_options(tab, tmp_path, seed=202)
     sent: list[str] = []
     page.on("request", lambda request: request.url.endswith("/reconstruct") and sent.append(request.url))
-    held = looks_again_slowly(page)
+    checks = Gate(page)
     page.fill("#near", "0.5")
     page.press("#near", "Enter")
     page.click("#go")
-    until(page, lambda: held)
+    until(page, lambda: checks.held)
     assert sent == []
     before = page.url
-    held[0].continue_()
+    checks.open()
     document = httpx.get(f"{tab.address}/scenes/{made(page, before)}").json()
     assert document["near"] == 0.5
     assert len(sent) == 1
