@@ -43,7 +43,7 @@ def picture_agreement(
     camera = halfway_camera(case.inputs)
     truth = _drawn(reference, camera, near)
     whole, rest = (psnr(_drawn(result, camera, near), truth) for result in (values, smooth))
-    return PictureAgreement(whole, rest, float(jumped.sum() / max(1, untouched.sum())))
+    return PictureAgreement(whole, rest, int(jumped.sum()) / max(1, int(untouched.sum())))
 
 
 def _replaced(values: NDArray, reference: NDArray, rows: NDArray[np.bool_]) -> NDArray:

@@ -1,4 +1,4 @@
-"""Procedural colour patterns: each draws one (SIZE, SIZE, 3) float32 texture in [0, 1] from a random generator."""
+"""Procedural colour patterns: each draws one (SIZE, SIZE, 3) texture, nearly in [0, 1], from a random generator."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 SIZE = 256
 
-Image = NDArray[np.float32]
+Image = NDArray[np.floating]  # some patterns compute in float32, some in float64
 Rng = np.random.Generator
 
 _ROWS, _COLUMNS = (axis.astype(np.float32) / SIZE for axis in np.mgrid[0:SIZE, 0:SIZE])
@@ -162,7 +162,7 @@ PATTERNS: tuple[tuple[Callable[[Rng], Image], float], ...] = (
 FLAT = (wall, gradient)
 
 
-def draw(rng: Rng) -> tuple[Image, bool]:
+def draw(rng: Rng) -> tuple[NDArray[np.float32], bool]:
     """One texture by a random pattern, weathered by noise, and whether it is (nearly) flat."""
     functions, weights = zip(*PATTERNS, strict=True)
     pattern = functions[rng.choice(len(functions), p=np.array(weights) / sum(weights))]
