@@ -1,4 +1,4 @@
-"""Checks of what a Python program passes: numbers, also numpy's own, sequences, and values of a given type."""
+"""Checks of what a Python program passes: numbers, also numpy's own, sequences, paths, and values of a given type."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 import operator
 from collections.abc import Iterable
 from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
 from typing import Any, TypeVar
 
 from .errors import InputError
@@ -64,6 +66,13 @@ def of_type(value: object, kind: type[T], field: str, cure: str) -> T:
     if not isinstance(value, kind):
         raise InputError(f"is a {type(value).__name__}, need a {kind.__name__}", field=field, cure=cure)
     return value
+
+
+def file_path(value: object, field: str, cure: str) -> Path:
+    """The path that it is. Raises `InputError` for anything but text and paths."""
+    if not isinstance(value, str | PathLike):
+        raise InputError(f"is a {type(value).__name__}, need a path", field=field, cure=cure)
+    return Path(value)
 
 
 def whole_numbers(values: Iterable[object], field: str) -> list[int]:

@@ -7,12 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from .arguments import listed
+from .arguments import file_path, listed, of_type
 from .cameras.depth_range import checked_depth
 from .cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from .captures.capture import ChosenViews, open_capture
 from .captures.select import ViewSelection, checked_selection
 from .errors import ViewCountError, ViewError
+from .options import checked_options
 from .photographs.image_files import image_size
 from .photographs.images import EncodedPhoto
 from .progress import Listener, Stages, silent
@@ -42,10 +43,14 @@ def reconstruct_capture(
     The scene's document has `selection`, which views these are and why, and the warnings about the capture too. Errors
     and warnings count views as the capture does. Raises `InputError` and `ModelError`.
     """
+    place = file_path(path, "path", "give a folder, a .zip or a camera file")
+    made = checked_options(**options)._asdict()
+    if reconstructor is not None:
+        of_type(reconstructor, Reconstructor, "reconstructor", "give a Reconstructor, or leave it out")
     wanted = checked_selection(ViewSelection(_selection(views), context, field="views"))
     near, far = (end if end is None else checked_depth(end, name) for name, end in (("near", near), ("far", far)))
-    found = open_capture(path).choose(wanted, near, far)
-    return reconstruct_chosen(reconstructor or Reconstructor(), found, near=near, far=far, listener=listener, **options)
+    found = open_capture(place).choose(wanted, near, far)
+    return reconstruct_chosen(reconstructor or Reconstructor(), found, near=near, far=far, listener=listener, **made)
 
 
 def _selection(views: str | Iterable[int | str] | None) -> str | None:

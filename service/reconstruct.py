@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .arguments import listed, truth, whole_numbers
+from .arguments import listed, whole_numbers
 from .cameras.camera import Camera
 from .cameras.depth_range import DepthRange, depth_range
-from .cameras.leave_one_out import DEFAULT_OTHERS, checked_others, nearest_others, not_foretold
+from .cameras.leave_one_out import DEFAULT_OTHERS, nearest_others, not_foretold
 from .cameras.pose_notices import pose_notices
 from .cameras.view_checks import MIN_VIEWS, Notice, check_count, check_views
 from .cameras.world_frame import WorldFrame
@@ -23,15 +23,16 @@ from .formats.ply_write import Positions, stored_positions
 from .gaussians import Gaussians
 from .inputs import prepared_inputs
 from .kernels import is_warm, warm_up
-from .leaving_out.budget import Budget, checked_budget
+from .leaving_out.budget import Budget
 from .leaving_out.left_out import leave_out, table
 from .mending.after_network import MOVED, Unpruned, at_finer_depths, at_mended_depths, mended, placed
 from .mending.detail import finer
-from .mending.detail_level import DETAILS, checked_detail
-from .mending.fade_passes import DEFAULT_PASSES, checked_passes
+from .mending.detail_level import DETAILS
+from .mending.fade_passes import DEFAULT_PASSES
 from .mending.finer_grid import unsqueezed
 from .network.backends.choice import DEFAULT_ENGINE, EngineName
 from .network.engine import Arrays, Engine
+from .options import checked_options
 from .photographs.fitting import FittedPhotos, Picture
 from .photographs.images import FittedView, PackedView
 from .photographs.masks import patch_mask
@@ -136,11 +137,15 @@ class Reconstructor:
         stages = Stages(listener)
         engine = self.engine
         warnings: list[Notice] = []
-        budget = checked_budget(budget)
-        leave_one_out, fade = checked_others(leave_one_out), checked_passes(fade)
-        detail = checked_detail(detail, budget.stride)
-        trust_poses, whole = truth(trust_poses, "trust_poses"), truth(whole, "whole")
-        refine_poses = truth(refine_poses, "refine_poses")
+        trust_poses, refine_poses, budget, leave_one_out, fade, detail, whole = checked_options(
+            trust_poses=trust_poses,
+            refine_poses=refine_poses,
+            budget=budget,
+            leave_one_out=leave_one_out,
+            fade=fade,
+            detail=detail,
+            whole=whole,
+        )
         with stages.stage("cameras"):
             images, cameras = listed(images, "images"), listed(cameras, "cameras")
             numbers = range(len(images)) if numbers is None else whole_numbers(numbers, "numbers")

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from ..cameras.leave_one_out import DEFAULT_OTHERS, checked_others
+from ..cameras.leave_one_out import DEFAULT_OTHERS
 from ..leaving_out.budget import DEFAULT_CERTIFY
-from ..mending.detail_level import checked_detail
-from ..mending.fade_passes import DEFAULT_PASSES, checked_passes
+from ..mending.fade_passes import DEFAULT_PASSES
 from ..network.backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
+from ..options import checked_options
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
 from .given import Threads, output_option
@@ -85,30 +85,22 @@ def reconstruct(
 
     target = format_of_path(output, field="output")
     check_output_file(output, as_json=as_json)
-    checked_others(leave_one_out)
-    checked_passes(fade)
     chosen = checked_engine(engine)
-    budget = Budget(parse_max_error(max_error), certify, min_opacity=min_opacity, stride=stride)
-    checked_detail(detail, stride)
+    options = checked_options(
+        trust_poses=trust_poses,
+        refine_poses=refine_poses,
+        budget=Budget(parse_max_error(max_error), certify, min_opacity=min_opacity, stride=stride),
+        leave_one_out=leave_one_out,
+        fade=fade,
+        detail=detail,
+    )
     wanted = checked_selection(ViewSelection(views, context, field="views"))
     found = open_capture(capture).choose(wanted, near, far)
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("load model"):
             reconstructor = Reconstructor(model, threads=threads, engine=chosen)
-        scene = reconstruct_chosen(
-            reconstructor,
-            found,
-            near=near,
-            far=far,
-            trust_poses=trust_poses,
-            refine_poses=refine_poses,
-            budget=budget,
-            leave_one_out=leave_one_out,
-            fade=fade,
-            detail=detail,
-            listener=bars,
-        )
+        scene = reconstruct_chosen(reconstructor, found, near=near, far=far, listener=bars, **options._asdict())
         with stages.stage("write"), named(output):
             if target.extension == "ply":
                 encoded = Encoded(ply_bytes(scene.gaussians, positions=scene.positions))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from os import PathLike
 from pathlib import Path
 
-from ..arguments import of_type, shown
+from ..arguments import file_path, of_type, shown
 from ..errors import InputError
 from ..gaussians import GAUSSIANS_CURE, Gaussians
 from ..process.disk import replace_file
@@ -150,7 +150,8 @@ def write_gaussians(path: str | PathLike[str], gaussians: Gaussians, *, format: 
     """Write a file in the format of its extension, or in `format`, replacing it atomically; returns it with notes about
     what the format could not hold.
     """
-    chosen = format_of_path(path, field="path") if format is None else format_named(format)
+    file = file_path(path, "path", "name the file to write")
+    chosen = format_of_path(file, field="path") if format is None else format_named(format)
     encoded = chosen.write(of_type(gaussians, Gaussians, "gaussians", GAUSSIANS_CURE))
-    replace_file(Path(path), encoded.data)
+    replace_file(file, encoded.data)
     return encoded

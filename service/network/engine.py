@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arguments import shown, whole_number
+from ..arguments import file_path, shown, whole_number
 from ..errors import MORE_MEMORY, ModelError
 from ..process.threads import MAX_THREADS, available_threads
 from ..shipped import shipped_model
@@ -37,10 +37,11 @@ class Engine:
         `prepare` is a folder for the model as optimised by onnxruntime, whose weights all processes share; without it
         each process has its own. `engine` chooses runtime and precision. Raises `ModelError` for a file or weights
         that are missing or damaged, for one that is no gapmes model of this format, and for a graph whose input shapes
-        contradict its metadata.
+        contradict its metadata, and `InputError` for what is no path.
         """
         engine = checked_engine(engine)
-        file = model_file(shipped_model() if model is None else Path(model))
+        file = model_file(shipped_model() if model is None else file_path(model, "model", "give an ONNX file"))
+        folder = None if prepare is None else file_path(prepare, "prepare", "name a folder, or leave it out")
         count = available_threads() if threads is None else whole_number(threads)
         if count is None or not 1 <= count <= MAX_THREADS:
             need = f"need a whole number from 1 to {MAX_THREADS}"
@@ -49,7 +50,7 @@ class Engine:
         if file.weights is not None:
             file.weights.check()
         self.made_by = made_by(engine)
-        self._session = open_session(engine, file, self.threads, None if prepare is None else Path(prepare))
+        self._session = open_session(engine, file, self.threads, folder)
         self.info = file.info
         self.identity = identity(file.info.file_sha256, engine)
         self.outputs = _checked_signature(self._session, file.path, file.info)

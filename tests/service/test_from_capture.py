@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from capture_scenes import arc, write_colmap
 from cli_runs import reconstruct
 
-from gapmes.service import GapmesError, Reconstructor, reconstruct_capture, write_ply
+from gapmes.service import Budget, GapmesError, Reconstructor, from_capture, reconstruct_capture, write_ply
 from gapmes.service.errors import CaptureError, DepthRangeError, ImageError, InputError, ViewCountError, ViewError
 from gapmes.service.network.engine import Engine
 from gapmes.service.progress import Stage
@@ -84,6 +84,46 @@ def test_wrong_arguments_are_named(
     with pytest.raises(kind) as caught:
         reconstruct_capture(colmap, reconstructor=loaded, **options)
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize("path", [None, 5, b"project", ["project"]])
+def test_what_is_no_path_is_named(path: Any) -> None:
+    with pytest.raises(InputError) as caught:
+        reconstruct_capture(path)
+    assert (caught.value.field, caught.value.message) == ("path", f"is a {type(path).__name__}, need a path")
+    assert caught.value.cure == "give a folder, a .zip or a camera file"
+
+
+def test_a_reconstructor_is_one(colmap: Path) -> None:
+    with pytest.raises(InputError, match="reconstructor: is a str, need a Reconstructor"):
+        reconstruct_capture(colmap, reconstructor=cast(Any, "tiny.onnx"))
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"budget": 0.1}, "budget"),
+        ({"leave_one_out": 1}, "leave_one_out"),
+        ({"fade": 9}, "fade"),
+        ({"detail": 3}, "detail"),
+        ({"detail": 2, "budget": Budget(stride=2)}, "detail"),
+        ({"trust_poses": "no"}, "trust_poses"),
+        ({"refine_poses": 1}, "refine_poses"),
+        ({"whole": None}, "whole"),
+        ({"faed": 1}, None),
+        ({"numbers": [0, 1]}, None),  # are the capture's
+    ],
+)
+def test_wrong_options_are_refused_before_the_network_is_loaded(
+    colmap: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any], field: str | None
+) -> None:
+    loads: list[object] = []
+    monkeypatch.setattr(from_capture, "Reconstructor", loads.append)
+    with pytest.raises(TypeError if field is None else InputError) as caught:
+        reconstruct_capture(colmap, **options)
+    assert loads == []
+    assert getattr(caught.value, "field", None) == field
+    assert field is not None or next(iter(options)) in str(caught.value)
 
 
 def test_a_photograph_that_cannot_be_read_is_named_by_its_place_in_the_capture(

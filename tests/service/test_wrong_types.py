@@ -142,6 +142,18 @@ def test_a_ply_is_written_to_a_path_or_an_open_file(target: Any) -> None:
     assert _refusal(lambda: write_ply(target, ONE)).field == "target"
 
 
+@pytest.mark.parametrize("path", [None, 5, b"a.ply", ["a.ply"]])
+def test_files_are_named_by_paths(path: Any) -> None:
+    calls: dict[str, Callable[[], object]] = {
+        "path": lambda: write_gaussians(path, ONE),
+        "prepare": lambda: Reconstructor(threads=1, prepare=path or 0),  # None is no folder, as it is the shipped model
+        "model": lambda: Reconstructor(path or 0),
+    }
+    for field, call in calls.items():
+        error = _refusal(call)
+        assert (error.field, error.message.partition(", ")[2]) == (field, "need a path")
+
+
 def test_photographs_and_poses_that_give_no_array_are_refused() -> None:
     for wrong in ([[1], [1, 2]], Gradient()):
         error = _refusal(lambda wrong=wrong: Photo.from_array(wrong, index=3), ImageError)
