@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 from .cameras.camera import Camera
 from .cameras.depth_range import DepthRange
+from .cameras.other_size import told_first
 from .cameras.view_checks import DEPTH_PLANES, Notice, range_notices
+from .errors import ContradictionError
 from .matching.depth_sweep import coarse_notices, narrowed
 from .matching.exposures import equalised
 from .matching.inexact_poses import doubted, inexact_poses
@@ -59,7 +61,12 @@ def prepared_inputs(
     shapes = view_shapes(cameras, turns, info.shape) if whole else [info.shape] * len(cameras)
     fitted = fitted_photos(images, cameras, numbers, shapes, detail, finer=finer, done=done)
     given = turned_photos(fitted, turns)  # of one shape, which what follows needs
-    doubts = check_photos(given.seen, depths, trust_poses=trust_poses, numbers=numbers)
+    try:
+        doubts = check_photos(given.seen, depths, trust_poses=trust_poses, numbers=numbers)
+    except ContradictionError as error:
+        if error.field == "cameras":  # else two photographs are one
+            told_first(cameras, error)
+        raise
     planes = info.depth_planes or DEPTH_PLANES
     found = narrowed(depths, given.seen, planes)
     pairs = PairMatches(given.seen, found)

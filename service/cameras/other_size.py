@@ -1,4 +1,4 @@
-"""A warning about intrinsics that look like those of pictures of another size, as after scaling photographs alone."""
+"""Intrinsics that look like those of pictures of another size, as after scaling photographs alone: warning and cure."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import CameraError
 from .camera import Camera
 
 # A real lens has its principal point within some per cent of the middle: of six captures five have it at 1.00 to 1.04
@@ -32,3 +33,9 @@ def other_size(cameras: Sequence[Camera]) -> list[dict[str, Any]]:
         f"fy, cx and cy by the width of these pictures over the width of those; of crops {corner} they are right)"
     )
     return [{"code": "intrinsics_of_another_size", "field": "cameras.cx", "message": message}]
+
+
+def told_first(cameras: Sequence[Camera], error: CameraError) -> None:
+    """Put what `other_size` finds before the cure of a refusal that blames the poses: they may not be to blame."""
+    for notice in other_size(cameras):
+        error.cure = f"{notice['message']}; else: {error.cure}"

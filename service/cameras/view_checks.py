@@ -11,7 +11,7 @@ from ..errors import BaselineError, IntrinsicsError, OverlapError, ViewCountErro
 from ..plain_number import counted
 from .camera import Camera
 from .depth_range import MAX_RATIO, DepthRange, depth_range_of_reading, largest_baseline
-from .other_size import other_size
+from .other_size import other_size, told_first
 from .overlap import best_partner_shares, inverse_depth_steps
 from .pose_readings import apart_when_inverted, other_readings, robot_readings, with_cures
 from .rotations import rotation_angle
@@ -53,12 +53,10 @@ def check_views(
     for number, camera in zip(numbers, cameras, strict=True):
         _check_principal_point(camera, number)
     _check_baselines(cameras, depths, numbers)
-    sizes = other_size(cameras)
     try:
-        return sizes + _check_overlap(cameras, depths, trust_poses, numbers)
-    except OverlapError as error:
-        for notice in sizes:  # of a wrong focal length, which makes views share less, the poses are not to blame
-            error.cure = f"{notice['message']}; else: {error.cure}"
+        return other_size(cameras) + _check_overlap(cameras, depths, trust_poses, numbers)
+    except OverlapError as error:  # a wrong focal length makes views share less
+        told_first(cameras, error)
         raise
 
 

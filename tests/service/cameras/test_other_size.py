@@ -6,13 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plane_scene import PlaneScene
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.depth_range import DepthRange
 from gapmes.service.cameras.other_size import LEAST, other_size
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.cameras.view_checks import check_views
-from gapmes.service.errors import IntrinsicsError, OverlapError
+from gapmes.service.errors import ContradictionError, IntrinsicsError, OverlapError
+from gapmes.service.network.engine import Engine
+from gapmes.service.reconstruct import Reconstructor
 
 
 def cameras(*middles: tuple[float, float], size: tuple[int, int] = (640, 480)) -> list[Camera]:
@@ -70,6 +73,23 @@ def test_where_the_views_then_share_nothing_it_comes_before_the_poses() -> None:
         check_views(twice, DepthRange(2.0, 8.0, "given"))
     assert str(caught.value.cure).startswith("cx, cy = 640, 480 px in a picture of 640 x 480 px")
     assert "set trust_poses" in str(caught.value.cure)
+
+
+def test_where_the_photographs_contradict_the_poses_it_comes_first_too(engine: Engine) -> None:
+    """Upper left parts of two photographs, each with the other's pose; of one photograph twice it says nothing."""
+    scene = PlaneScene.make(np.random.default_rng(5), count=2, turn=0)
+    width, height = (5 * side // 8 for side in (scene.cameras[0].width, scene.cameras[0].height))
+    images = [image[:height, :width] for image in scene.images]
+    parts = [replace(camera, width=width, height=height) for camera in scene.cameras]
+    reconstructor = Reconstructor(engine)
+    with pytest.raises(ContradictionError) as caught:
+        reconstructor.reconstruct(images, parts[::-1], near=scene.near, far=scene.far)
+    hint, _, cure = str(caught.value.cure).partition("; else: ")
+    assert hint == other_size(parts[::-1])[0]["message"]
+    assert cure.startswith("these look like the cameras of the other photograph")
+    with pytest.raises(ContradictionError) as caught:
+        reconstructor.reconstruct([images[0]] * 2, parts, near=scene.near, far=scene.far)
+    assert str(caught.value.cure).startswith("was one of them sent twice?")
 
 
 def test_a_size_that_is_far_too_large_is_refused_with_that_cure() -> None:
