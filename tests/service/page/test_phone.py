@@ -38,6 +38,23 @@ def test_a_phone_in_the_dark(phone: Tab, scene: str, tmp_path: Path) -> None:
     assert min(int(part) for part in re.findall(r"\d+", background)[:3]) > 180  # light letters
 
 
+@pytest.mark.parametrize("width", [320, PHONE["width"], 900])  # 900: two columns, the narrower of which has the fields
+def test_what_an_empty_field_says_can_be_read_whole(browser: Any, address: str, width: int) -> None:
+    tab = Tab(browser, address, viewport={**PHONE, "width": width})
+    page = tab.open()
+    page.click("summary:has-text('Options')")
+    code = """fields => fields.map(field => {
+      const style = getComputedStyle(field), text = document.createElement("canvas").getContext("2d");
+      text.font = style.font;
+      const room = field.clientWidth - parseFloat(style.paddingLeft) - parseFloat(style.paddingRight);
+      return [field.id, text.measureText(field.placeholder).width <= room];
+    })"""
+    found = dict(page.locator("input[placeholder]:visible").evaluate_all(code))
+    assert {name for name, whole in found.items() if not whole} == set()
+    assert {"near", "far"} <= set(found)
+    tab.done()
+
+
 def test_a_phone_has_a_short_way_to_a_new_scene(phone: Tab, scene: str) -> None:
     page = opened(phone, scene)
     before = page.url
