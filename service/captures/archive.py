@@ -24,6 +24,7 @@ _ARCHIVES = (".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".7z", ".rar", ".zst"
 _END, _END64, _LOCATOR64 = b"PK\x05\x06", b"PK\x06\x06", b"PK\x06\x07"  # APPNOTE 4.3.14 to 4.3.16
 _LONGEST_END = 22 + 65_535  # end of central directory with its comment
 _ANEW, _ALONE = "zip the photographs and cameras anew", "zip the photographs and cameras alone"  # cures
+_IS_UTF8 = 0x800  # APPNOTE 4.4.4, bit 11
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # Exceptions of `zipfile` for damaged archives, of which BadZipFile is only one.
 _DAMAGED = (
@@ -94,7 +95,7 @@ class ZipFiles:
             raise CaptureError(message, field="capture", cure=_ALONE)
 
     def _add(self, info: zipfile.ZipInfo) -> None:
-        name = info.filename.replace("\\", "/")  # written by some Windows archivers, against the format
+        name = _name(info).replace("\\", "/")  # written by some Windows archivers, against the format
         parts = name.rstrip("/").split("/")
         if not name or name.startswith("/") or ":" in parts[0] or {"", ".", ".."} & set(parts):
             message = f"has a file at {name!r}: paths must stay inside the zip"
@@ -140,6 +141,15 @@ class _Counted(io.RawIOBase):
     def close(self) -> None:
         self._stream.close()
         super().close()
+
+
+def _name(info: zipfile.ZipInfo) -> str:
+    """As its archiver meant it: macOS, and Linux without a locale, write UTF-8 without the flag that says so, which
+    `zipfile` takes for code page 437."""
+    try:
+        return info.filename if info.flag_bits & _IS_UTF8 else info.filename.encode("cp437").decode("utf-8")
+    except UnicodeError:
+        return info.filename
 
 
 def _refusal(info: zipfile.ZipInfo) -> str | None:

@@ -101,6 +101,20 @@ def test_letters_may_be_composed_or_not(tmp_path: Path, forms: tuple[str, str], 
     assert named_views(there[1], named, field="views") == [1]
 
 
+@pytest.mark.parametrize(("encoding", "name"), [("utf-8", "ü ☕.png"), ("cp437", "Möbel2.png")])
+def test_names_in_a_zip_that_does_not_tell_their_encoding(tmp_path: Path, encoding: str, name: str) -> None:
+    """UTF-8 as macOS writes it, and an old code page."""
+    instead, other = b"XXXXXX.png", "plain.png"
+    write_photographs(tmp_path, [instead.decode(), other])
+    views = [camera_document(camera, image) for camera, image in zip(arc(2), (name, other), strict=True)]
+    (tmp_path / "cameras.json").write_text(json.dumps({"views": views}))
+    path = tmp_path / "capture.zip"
+    path.write_bytes(zipped(tmp_path).replace(instead, name.encode(encoding)))  # as long, so that nothing else moves
+    chosen = open_capture(path).choose(ViewSelection())
+    assert chosen.paths == (name, other)
+    assert chosen.read(0) == photograph(0)
+
+
 @pytest.mark.parametrize(
     ("typed", "index"),
     [
