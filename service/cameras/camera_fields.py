@@ -70,7 +70,8 @@ def number_of(entry: Mapping, name: str, *, field: str, index: int | None = None
     value = entry[name]
     number = real_number(value)
     if number is None:
-        raise CameraError(f"{name} = {value!r} is not a number", field=f"{field}.{name}", index=index)
+        cure = "write it without quotation marks" if isinstance(value, str) else None
+        raise CameraError(f"{name} = {value!r} is not a number", field=f"{field}.{name}", index=index, cure=cure)
     if not math.isfinite(number):
         raise CameraError(f"{name} = {number}, need a finite number", field=f"{field}.{name}", index=index)
     return number

@@ -74,14 +74,21 @@ def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int |
     _refuse_lens(entry, field, index)
     missing = [name for name in _NUMBERS if name not in entry]
     if missing:
-        raise CameraError(
-            f"{', '.join(missing)} missing", field=field, index=index, cure="sizes and focal lengths in px"
-        )
+        cure = f"sizes and focal lengths in px{_in_a_matrix(entry)}"
+        raise CameraError(f"{', '.join(missing)} missing", field=field, index=index, cure=cure)
     width, height, fx, fy, cx, cy = (number_of(entry, name, field=field, index=index) for name in _NUMBERS)
     name = _matrix_name(entry, pose, field, index)
     world_from_cam = opencv_pose(entry[name], axes=axes, pose=pose, field=f"{field}.{name}", index=index)
     camera = Camera.make(width, height, fx, fy, cx, cy, world_from_cam, index=index, field=field)
     return NamedView(image_name(entry, "image", field=field, index=index), camera)
+
+
+def _in_a_matrix(entry: Mapping) -> str:
+    """Where the intrinsics of this view are, if it has them as a matrix K."""
+    for name, value in entry.items():
+        if isinstance(value, list) and len(value) == 3 and value[2] == [0, 0, 1]:
+            return f"; of a matrix {name[:20]} fx, fy, cx, cy are [0][0], [1][1], [0][2], [1][2]"
+    return ""
 
 
 def _json_object(obj: object) -> Mapping:

@@ -55,7 +55,8 @@ def parse_transforms(obj: Mapping, *, size_of: SizeOf | None, indices: Sequence[
         cx = number_of(values, "cx", field="frames", index=index) if "cx" in values else width / 2
         cy = number_of(values, "cy", field="frames", index=index) if "cy" in values else height / 2
         if "transform_matrix" not in frame:
-            raise CameraError("transform_matrix is missing", field="frames.transform_matrix", index=index)
+            cure = "give each frame its 4x4 camera-to-world matrix in OpenGL axes under this name"
+            raise CameraError("transform_matrix is missing", field="frames.transform_matrix", index=index, cure=cure)
         pose = opencv_pose(
             frame["transform_matrix"], axes="opengl", pose="c2w", field="frames.transform_matrix", index=index
         )
@@ -117,7 +118,8 @@ def _focal(values: Mapping, axis: str, size: int, index: int) -> float:
         return number_of(values, f"fl_{axis}", field="frames", index=index)
     name = f"camera_angle_{axis}"
     if name not in values:
-        raise CameraError(f"neither fl_{axis} nor {name} is given", field=f"frames.fl_{axis}", index=index)
+        cure = f"give fl_{axis}, the focal length in px, at the top of the file or in the frame"
+        raise CameraError(f"neither fl_{axis} nor {name} is given", field=f"frames.fl_{axis}", index=index, cure=cure)
     angle = number_of(values, name, field="frames", index=index)
     if not NARROWEST <= angle <= WIDEST:
         raise IntrinsicsError(

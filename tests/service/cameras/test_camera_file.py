@@ -123,6 +123,18 @@ def test_malformed_files_are_refused_with_their_index(path, value, error, match,
     assert caught.value.index == index
 
 
+def test_cures_of_other_ways_to_write_intrinsics():
+    with pytest.raises(CameraError) as caught:
+        parse_camera_file(broken(("views", 0, "fx"), "500"))
+    assert caught.value.cure == "write it without quotation marks"
+    file = our_file()
+    fx, fy, cx, cy = (file["views"][1].pop(name) for name in ("fx", "fy", "cx", "cy"))
+    file["views"][1]["K"] = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+    with pytest.raises(CameraError, match="fx, fy, cx, cy missing") as caught:
+        parse_camera_file(file)
+    assert caught.value.cure.endswith("of a matrix K fx, fy, cx, cy are [0][0], [1][1], [0][2], [1][2]")
+
+
 def test_normalised_focal_lengths_are_recognised():
     with pytest.raises(IntrinsicsError) as caught:
         parse_camera_file(broken(("views", 0, "fx"), 0.78))

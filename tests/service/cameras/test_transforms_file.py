@@ -135,16 +135,17 @@ def test_fisheye_is_refused(top):
 
 
 @pytest.mark.parametrize(
-    ("path", "match"),
+    ("path", "match", "cure"),
     [
-        (("w",), "w and h are missing"),
-        (("fl_x",), "neither fl_x nor camera_angle_x"),
-        (("frames", 0, "transform_matrix"), "transform_matrix is missing"),
+        (("w",), "w and h are missing", "add the image size"),
+        (("fl_x",), "neither fl_x nor camera_angle_x", "give fl_x, the focal length in px"),
+        (("frames", 0, "transform_matrix"), "transform_matrix is missing", "camera-to-world matrix in OpenGL axes"),
     ],
 )
-def test_incomplete_transforms_are_refused(path, match):
-    with pytest.raises(CameraError, match=match):
+def test_incomplete_transforms_are_refused(path, match, cure):
+    with pytest.raises(CameraError, match=match) as caught:
         parse_camera_file(broken(path, None, transforms()))
+    assert cure in caught.value.cure
 
 
 def test_a_field_of_view_in_degrees_is_refused():
