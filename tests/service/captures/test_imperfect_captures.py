@@ -164,6 +164,26 @@ def test_a_zip_with_the_slashes_of_windows(tmp_path: Path) -> None:
     assert found.read(1) == photograph(1)
 
 
+@pytest.mark.parametrize(
+    ("data", "words", "cure"),
+    [
+        (
+            photograph(0),
+            r"a is no camera file, it begins with b'\\x89PNG",
+            "give a folder, a .zip, or one of cameras.json",
+        ),
+        (b"ply\nformat ascii", "a is no camera file, it begins with b'ply.nform'", "or a RealEstate10K .txt"),
+        (b'\xef\xbb\xbf {"views": [', "a is not readable JSON", "is it the camera file, and complete?"),
+        (b"", "a is not readable JSON", "is it the camera file, and complete?"),
+    ],
+)
+def test_another_kind_of_file_is_told_from_a_damaged_one(tmp_path: Path, data: bytes, words: str, cure: str) -> None:
+    (tmp_path / "a").write_bytes(data)
+    with pytest.raises(CameraError, match=words) as caught:
+        open_capture(tmp_path / "a")
+    assert cure in str(caught.value.cure)
+
+
 def test_two_spellings_of_one_path_are_one_file_twice() -> None:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
