@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import InputError
-from ..network.backends.choice import DEFAULT_ENGINE, ENGINES
+from ..network.backends.choice import DEFAULT_ENGINE, ENGINES, checked_engine
 from ..process.peers import FOLDER
 from ..process.terminal import ProgressBars
 from ..process.threads import MAX_THREADS
@@ -85,8 +85,9 @@ def serve(
 
     if parent is not None:
         end_with_parent(parent)
+    checked = checked_engine(engine) if engine else None
     options = given(
-        host=host, port=port, model=model, models=models, engine=engine, store=store, threads=threads, workers=workers,
+        host=host, port=port, model=model, models=models, engine=checked, store=store, threads=threads, workers=workers,
         quiet=quiet or None,
     )  # fmt: skip
     settings = checked_settings(**options)

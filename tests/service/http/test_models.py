@@ -262,7 +262,12 @@ def test_another_engine_is_another_scene(several: TestClient, settings: Settings
         (["--model", str(sample_folder() / "cameras.json")], {}, "cameras.json cannot be loaded, it is no ONNX file"),
         (["--model", "nothing.onnx"], {}, "nothing.onnx cannot be read"),
         ([], {"GAPMES_MODEL_BYTES": "1000"}, "GAPMES_MODEL_BYTES: the model 'default' has"),
-        (["--engine", "tpu"], {}, "GAPMES_ENGINE: Input should be 'onnxruntime', 'openvino-fp32' or 'openvino-bf16'"),
+        (
+            [],
+            {"GAPMES_ENGINE": "tpu"},
+            "GAPMES_ENGINE: Input should be 'onnxruntime', 'openvino-fp32' or 'openvino-bf16'",
+        ),
+        (["--engine", "tpu"], {}, "engine: 'tpu' is no engine (one of onnxruntime, openvino-fp32, openvino-bf16)"),
     ],
 )
 def test_the_server_does_not_start_with_what_cannot_work(
