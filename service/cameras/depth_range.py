@@ -30,6 +30,7 @@ MAX_MISS = 0.1  # of the depth: axes that pass each other farther off than this 
 MIN_SHARE = 0.1  # of a view; what fewer than this share sees in two views cannot be matched
 MAX_DEPTH = 1e32  # caller's units, and at least its inverse: float32 scales of what lies there keep all their digits
 MAX_RATIO = 1e30  # near is the network's unit, and it reckons in float32
+MIN_EXCESS = 1e-6  # of far over near, as a share of near: with less than half a float32 step they are one number to it
 ENOUGH_STEPS = 100.0  # of float64 at the cameras' largest coordinate: a shorter baseline has less than two digits
 FAR_OFF = 1e6  # units from the origin: coinciding cameras farther off may have lost their baseline to rounding
 _SCAN = 24  # depths at which the overlap is evaluated
@@ -101,6 +102,9 @@ def _checked(near: float, far: float) -> DepthRange:
         swapped = "are they swapped, or one of them the file's? then give both"
         cure = swapped if near > far else "the scene needs some depth"
         raise DepthRangeError(f"near = {near:g}, far = {far:g}, need near < far", field="near", cure=cure)
+    if far / near - 1 < MIN_EXCESS:
+        message = f"near = {near:.12g}, far = {far:.12g}, need far to exceed near by {MIN_EXCESS:g} of it at least"
+        raise DepthRangeError(message, field="near", cure="the scene needs some depth")
     for name, value in (("near", near), ("far", far)):
         if not 1 / MAX_DEPTH <= value <= MAX_DEPTH:
             message = f"{name} = {value:g}, need {1 / MAX_DEPTH:g} to {MAX_DEPTH:g}"
