@@ -44,7 +44,8 @@ class Gaussians:
     def make(
         cls, means: object, scales: object, rotations_wxyz: object, opacities: object, harmonics: object
     ) -> Gaussians:
-        """Check and build; quaternions are normalised, an all-zero one becomes the identity.
+        """Check and build; quaternions are normalised, also those that are too short for float32, and an all-zero one
+        becomes the identity.
 
         Raises `GaussiansError` that names the field, the first offending index and how many there are.
         """
@@ -63,10 +64,17 @@ class Gaussians:
         if len(shape) != 3 or shape[0] != count or shape[1] not in (1, 4, 9, 16) or shape[2] != 3:
             raise GaussiansError(f"shape is {shape}, need ({count}, 1|4|9|16, 3)", field="harmonics")
         for name, value in given.items():
-            _require(name, np.isfinite(value), value, "a finite number")
+            need = "a finite number" if value.dtype == np.float64 else "a finite number within float32"
+            _require(name, np.isfinite(value), value, need)
         _require("scales", given["scales"] >= 0, given["scales"], "at least 0")
         _require("opacities", (given["opacities"] >= 0) & (given["opacities"] <= 1), given["opacities"], "in [0, 1]")
-        given["rotations_wxyz"] = normalized_quaternions(given["rotations_wxyz"])
+        wxyz = given["rotations_wxyz"]
+        short = np.abs(wxyz).max(axis=1, initial=0.0) < np.finfo(np.float32).tiny
+        if short.any():  # float32 holds few of their digits, or none
+            wide = np.asarray(rotations_wxyz, np.float64)
+            largest = np.abs(wide).max(axis=1, keepdims=True)
+            wxyz = np.where(short[:, None], wide / np.where(largest > 0, largest, 1.0), wxyz)
+        given["rotations_wxyz"] = normalized_quaternions(wxyz)
         return cls(**given)
 
     def __len__(self) -> int:
@@ -106,7 +114,7 @@ def without_zero_bands(gaussians: Gaussians) -> Gaussians:
     return replace(gaussians, harmonics=np.ascontiguousarray(gaussians.harmonics[:, : (degree + 1) ** 2]))
 
 
-def normalized_quaternions(wxyz: F32) -> F32:
+def normalized_quaternions(wxyz: F32 | F64) -> F32:
     """(N, 4) unit quaternions; dividing by the largest component first is right from 1e-44 to 1e38. Zero: identity."""
     q = wxyz.astype(np.float64)
     largest = np.abs(q).max(axis=1, keepdims=True, initial=0.0)

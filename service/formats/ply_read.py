@@ -80,7 +80,7 @@ def inspect_ply(
     if endless:
         remarks.append(f"{endless} of {int(keep.sum())} opacities are infinite logits and were taken as 0 or 1")
     gaussians = _gaussians(columns, rest, taken)
-    zero = ~np.stack([columns[name] for name in ROTATION_NAMES], axis=1).astype(np.float32).any(axis=1)
+    zero = ~np.stack([columns[name] for name in ROTATION_NAMES], axis=1).any(axis=1)
     return Reading(gaussians, rows, invalid, int(zero.sum()), tuple(remarks))
 
 
@@ -114,7 +114,7 @@ def _gaussians(columns: dict[str, F64], rest: int, taken: Taken) -> Gaussians:
         logit = np.clip(opacities, -700.0, 700.0)  # beyond it exp overflows, and the value is 0 or 1
         opacities = 1.0 / (1.0 + np.exp(-logit))
     scales = np.stack([columns[name] for name in SCALE_NAMES], axis=1)
-    rotations = np.stack([columns[name] for name in ROTATION_NAMES], axis=1).astype(np.float32)
+    rotations = np.stack([columns[name] for name in ROTATION_NAMES], axis=1)
     return Gaussians.make(
         means=np.stack([columns[axis] for axis in "xyz"], axis=1),
         scales=np.exp(scales) if taken.scales == "log" else scales,

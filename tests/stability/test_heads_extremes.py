@@ -53,6 +53,25 @@ def test_quaternions_of_any_length_are_the_same_rotation(length: float) -> None:
 
 
 @pytest.mark.case("A1")
+@pytest.mark.parametrize("length", [1e-320, 1e-310, 1e-200, 1e-100, 1e-46, 1e-45, 1e-42, 1e-38, 1.0, 1e38])
+def test_quaternions_in_float64_keep_their_direction_whatever_float32_makes_of_them(length: float) -> None:
+    """Cast to float32 first, one of 1e-200 was all zeros, and so the identity; one of 1e-42 had three digits."""
+    rng = np.random.default_rng(1)
+    wide = length * rng.choice([-1.0, 1.0], (40, 4)) * np.exp(rng.uniform(-3, 0, (40, 4)))
+    wide[0] = 0.0
+    wide[1:5] = length * np.eye(4)
+    count = len(wide)
+    others = np.zeros((count, 3)), np.ones((count, 3)), np.ones(count), np.zeros((count, 1, 3))
+    made = Gaussians.make(*others[:2], wide, *others[2:]).rotations_wxyz
+    assert made[0].tolist() == [1, 0, 0, 0]
+    exact = np.stack([exact_rotation(row) for row in wide[1:]])
+    assert np.abs(quaternion_to_matrix(torch.from_numpy(made[1:]).double()).numpy() - exact).max() < 2e-6
+    kept = wide.copy()
+    Gaussians.make(*others[:2], kept, *others[2:])
+    assert np.array_equal(kept, wide)  # what was given is not written to
+
+
+@pytest.mark.case("A1")
 def test_a_quaternion_of_zeros_is_the_identity_without_a_word() -> None:
     """It is a legal value that is not counted; one that is not finite is refused by its field, index and count."""
     rows = np.float32([[1, 0, 0, 0], [0, 0, 0, 0], [-0.0, 0, -0.0, 0], [0, 1, 0, 0]])

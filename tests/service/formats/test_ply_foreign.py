@@ -108,6 +108,14 @@ def test_unnormalised_and_zero_rotations():
     assert inspect_ply(binary_file(TABLE)).notes() == []
 
 
+@pytest.mark.case("A1", "I2")
+def test_rotations_in_double_that_are_too_short_for_float32_are_no_zeros():
+    table = changed(**{f"rot_{k}": TABLE[f"rot_{k}"].astype(np.float64) * 1e-200 for k in range(4)})
+    reading = inspect_ply(binary_file(table))
+    assert reading.zero_rotations == 0
+    assert np.abs(reading.gaussians.rotations_wxyz - EXPECTED.rotations_wxyz).max() < 2e-7
+
+
 @pytest.mark.case("I2")
 @pytest.mark.parametrize("missing", ["x", "z", "f_dc_2", "opacity", "scale_2", "rot_3"])
 def test_a_missing_property_is_named(missing):
