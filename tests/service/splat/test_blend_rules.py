@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from splat_cases import bits, camera, compare, scene
+from splat_cases import bits, camera, compare, dots, scene
 
 from gapmes.service.errors import InputError
 from gapmes.service.gaussians import Gaussians
@@ -47,6 +47,17 @@ def test_knobs_change_the_image_by_no_more_than_their_bounds():
         exclusive = render(gaussians, view, definition=Definition(stop=stop, inclusive_stop=False))
         assert np.abs(exclusive.rgb - exact.rgb).max() <= stop / (1 - 0.99) * top + 1e-6
     assert not np.array_equal(exclusive.rgb, inclusive.rgb)
+
+
+@pytest.mark.case("E6")
+def test_a_pixel_whose_light_is_the_stop_itself_is_finished():
+    layers = dots([[0, 0, 1.0], [0, 0, 1.1]], [0.3, 0.5], (1, 1, 1))
+    view = camera(1, 1, 1.0)
+    left = np.float32(1) - render(layers, view, outputs=("peaks",)).peaks[0]  # as the splatter rounds it
+    first = bits(render(layers[:1], view, definition=Definition(stop=float(left))))
+    assert bits(render(layers, view, definition=Definition(stop=float(left)))) == first
+    below = float(np.nextafter(left, np.float32(0)))
+    assert bits(render(layers, view, definition=Definition(stop=below))) != first
 
 
 @pytest.mark.case("S2")
@@ -127,6 +138,10 @@ def test_the_test_of_a_block_leaves_out_nothing_that_a_pixel_would_show(seed):
     assert (reach[shown] >= -REACH_SLACK).all()
     # and it is not generous: between pixel centres the ellipse may come closer than at any of them, but not by much
     assert (reach[best < -40] < 0).all()
+    # the same ones, each so opaque that its best pixel lies on the cut: what is left is rounding, a tenth of the slack
+    fields[5] = np.where(shown, 8.0 - best, 8.0)
+    measure_reach(fields.ravel(), count, x0, y0, reach)
+    assert (reach[shown] >= -REACH_SLACK / 10).all()
 
 
 @pytest.mark.parametrize("count", [1, 5 * BLOCK, 5 * BLOCK + 1])

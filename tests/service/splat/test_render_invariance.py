@@ -55,6 +55,26 @@ def test_coplanar_gaussians_in_any_order_give_the_same_bits(count):
     assert bits(render(duplicated[rng.permutation(len(duplicated))], camera())) == first
 
 
+@pytest.mark.case("E7")
+@pytest.mark.parametrize("field", ["scales", "rotations_wxyz", "opacities", "harmonics"])
+def test_twins_that_differ_in_one_field_alone_are_ordered_by_it(field):
+    """A hundred pairs in a place each, equal but for that field, in its last number where it has several."""
+    rng = np.random.default_rng(2)
+    means = np.concatenate([rng.uniform(-1, 1, (100, 2)), np.full((100, 1), 2.0)], axis=1)
+    wall = Gaussians.make(
+        means, [[0.1, 0.05, 0.02]] * 100, rng.standard_normal((100, 4)), [0.6] * 100, rng.uniform(-1, 1, (100, 4, 3))
+    )
+    values = getattr(wall, field).copy()
+    last = values if values.ndim == 1 else values[..., -1] if values.ndim == 2 else values[:, -1, -1]
+    last += rng.choice([-0.3, 0.3], 100).astype(np.float32)
+    other = moved(wall, **{field: values})
+    both = Gaussians(*(np.concatenate([getattr(wall, f), getattr(other, f)]) for f in Gaussians.__dataclass_fields__))
+    first = bits(render(both, camera()))
+    assert first != bits(render(wall, camera()))
+    for _ in range(5):
+        assert bits(render(both[rng.permutation(200)], camera())) == first
+
+
 def projected(gaussians, view):
     return project(prepared(gaussians, 1), view, Definition(), 0, 1, Workspace.of(len(gaussians)))
 

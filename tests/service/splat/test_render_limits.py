@@ -57,8 +57,14 @@ def test_the_near_plane_is_strict(near):
 
 @pytest.mark.case("E4")
 def test_gaussians_that_reach_behind_the_near_plane_are_counted():
-    means = [[0, 0, 0.5], [0, 0, 5.0]]
-    assert render(dots(means, [0.5, 0.5], (1, 1, 1), 0.3), camera()).stats["crossing_near"] == 1
+    """Three standard deviations along the camera's axis, here of a needle that is turned towards it by 60 degrees."""
+    near, size, turn = 0.01, 0.3, np.pi / 3
+    reach = 3 * size * np.sin(turn)
+    means = [[0, 0, near + share * reach] for share in (0.5, 0.999, 1.001, 2.0)]
+    needles = Gaussians.make(
+        means, [[size, 0, 0]] * 4, [[np.cos(turn / 2), 0, -np.sin(turn / 2), 0]] * 4, [0.5] * 4, np.zeros((4, 1, 3))
+    )
+    assert render(needles, camera(), near=near).stats["crossing_near"] == 2
 
 
 @pytest.mark.case("E12")
