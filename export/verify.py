@@ -27,6 +27,7 @@ from gapmes.model.weights_file import file_sha256
 from gapmes.service.errors import ModelError
 from gapmes.service.network.contract import INPUTS, REQUIRED_OUTPUTS
 from gapmes.service.network.model_file import ModelFile, model_file
+from gapmes.service.process.machine import processor
 from gapmes.service.process.with_parent import end_with_parent
 
 from .cases import Case, verification_cases
@@ -233,8 +234,10 @@ def _what_it_must_be(file: ModelFile, checkpoint: Path) -> tuple[Tolerance, Netw
 
 
 def versions() -> dict[str, str]:
-    """Versions of the packages that results depend on."""
+    """What results depend on: versions of packages, and the processor with its instruction sets."""
+    name, flags = processor()
     return {
+        "processor": ", ".join([name, *flags]),
         "torch": torch.__version__,
         "onnx": onnx.__version__,
         "onnxruntime": onnxruntime.__version__,

@@ -21,6 +21,7 @@ from gapmes.export.samples import random_scene
 from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.weights_file import file_sha256
 from gapmes.service.network.contract import INPUTS
+from gapmes.service.process.machine import processor
 from gapmes.service.shipped import shipped_model
 
 
@@ -120,6 +121,8 @@ def test_int8_keeps_gates_in_float32_and_passes(prebuilt: onnx.ModelProto, check
     for gate in ("expert_gate", "task_gate"):
         assert any(name.startswith(f"network.mixture.gates.{gate}.weight") for name in float32)
     assert len(out.read_bytes()) < 0.85 * len(prebuilt.SerializeToString())
+    name, flags = processor()
+    assert result.report.versions["processor"] == ", ".join([name, *flags])  # instruction sets round differently
     flips = sum(case.routes.flipped for case in result.report.cases if case.routes)
     patches = sum(case.routes.patches for case in result.report.cases if case.routes)
     assert flips <= 0.02 * patches
