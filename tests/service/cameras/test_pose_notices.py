@@ -1,12 +1,15 @@
 """Notices about poses that were projected to rotations, or that were float32 before they arrived."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.camera_file import parse_camera_file
 from gapmes.service.cameras.float32 import half_step, largest_shift
-from gapmes.service.cameras.pose import rigid_inverse
+from gapmes.service.cameras.pose import Given, rigid_inverse
 from gapmes.service.cameras.pose_notices import pose_notices
 from gapmes.service.cameras.rotations import about_axis
 
@@ -105,6 +108,25 @@ def test_the_precision_of_float32_positions_bounds_what_rounding_did(offset):
     notices = pose_notices(cameras, near=1.0)
     assert [notice["code"] for notice in notices] == (["float32_positions"] if offset > 1e3 else [])
     assert pose_notices([camera(pose(center=center)) for center in exact[:3]], near=1.0) == []
+
+
+@pytest.mark.case("P5", "E19")
+@pytest.mark.parametrize(("px", "told"), [(0.099, False), (0.101, True)])
+def test_what_moves_points_by_a_tenth_of_a_pixel_is_told(px, told):
+    """Both the rounding of positions and what projecting a rotation does to them."""
+    cameras = [camera(pose(center=center)) for center in ((1000.5, 2.0, 3.0), (1001.5, 2.0, 3.0))]
+    near = math.sqrt(3) * cameras[0].given.step * FOCAL / px
+    assert [notice["code"] for notice in pose_notices(cameras, near)] == ["float32_positions"] * told
+    moved = replace(cameras[0], given=Given(drift=1e-9, shift=0.01))
+    notices = pose_notices([moved, cameras[1]], near=0.01 * FOCAL / px)
+    assert [notice["code"] for notice in notices] == ["pose_projected"] * told
+
+
+@pytest.mark.case("P5")
+@pytest.mark.parametrize(("px", "told"), [(0.0099, False), (0.0101, True)])
+def test_what_turns_a_view_by_a_hundredth_of_a_pixel_is_told(px, told):
+    turned = replace(camera(pose()), given=Given(drift=2 * px / FOCAL))
+    assert [notice["code"] for notice in pose_notices([turned], near=1.0)] == ["pose_projected"] * told
 
 
 @pytest.mark.case("E19")

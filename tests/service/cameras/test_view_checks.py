@@ -65,7 +65,7 @@ def test_pure_rotation_has_no_parallax():
 
 @pytest.mark.case("P2")
 @pytest.mark.parametrize(
-    ("baseline", "passes"), [(1e-6, False), (1e-4, False), (1e-3, False), (0.011, False), (0.014, True)]
+    ("baseline", "passes"), [(1e-6, False), (1e-4, False), (1e-3, False), (0.01249, False), (0.01251, True)]
 )
 def test_the_parallax_threshold_is_a_quarter_of_a_pixel_at_near(baseline, passes):
     """f b / near = 60 * 0.0125 / 3 = 0.25 px."""
@@ -194,6 +194,7 @@ def test_a_wide_depth_range_is_a_warning_with_its_steps():
     (notice,) = range_notices(given(near=0.01, far=1e4), 128)
     assert "128 planes, by depth: 0.01: 0.39 %, 0.1: 3.8 %" in notice["message"]
     assert range_notices(given(near=1.0, far=1000.0)) == []
+    assert len(range_notices(given(near=1.0, far=1001.0))) == 1
 
 
 @pytest.mark.case("E18")

@@ -178,6 +178,40 @@ def test_numbers_that_are_not_finite_are_named(engine):
     assert caught.value.field == "harmonics"
 
 
+def with_one(engine, monkeypatch, name, value):
+    """The first number of the second entry of an output is `value`."""
+    real = engine._session.run
+
+    def run(names, feed):
+        outputs = dict(zip(names, real(names, feed), strict=True))
+        outputs[name] = outputs[name].copy()
+        outputs[name][(1, *[0] * (outputs[name].ndim - 1))] = value
+        return list(outputs.values())
+
+    monkeypatch.setattr(engine._session, "run", run)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", [name for name in OUTPUTS if name != "expert_index"])
+def test_one_number_that_is_not_finite_is_refused_in_every_output(engine, monkeypatch, name, value):
+    with_one(engine, monkeypatch, name, value)
+    with pytest.raises(ModelError, match=r"1 of \d+ numbers are not finite, first at \[1(, 0)*\]") as caught:
+        engine.run(**inputs())
+    assert caught.value.field == name
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "need"),
+    [("scales", -1e-30, "at least 0"), ("opacities", -1e-30, "in [0, 1]"), ("opacities", 1.0000001, "in [0, 1]")],
+)
+def test_sizes_and_opacities_out_of_range_are_refused(engine, monkeypatch, name, value, need):
+    with_one(engine, monkeypatch, name, value)
+    with pytest.raises(ModelError) as caught:
+        engine.run(**inputs())
+    assert caught.value.field == name
+    assert f"numbers are not {need}, first at [1" in str(caught.value)
+
+
 @pytest.mark.parametrize("value", [0.0, -1.0])
 def test_depths_that_no_camera_sees_are_refused(engine, monkeypatch, value):
     """Everything after the network divides by them."""

@@ -1,0 +1,58 @@
+"""Parts of the bound of leaving out that random scenes hardly need: the early stop, and the edges of footprints."""
+
+import numpy as np
+import pytest
+
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.gaussians import Gaussians
+from gapmes.service.leaving_out.pruning import largest_change, prune, reaches, removal_bound
+from gapmes.service.splat import Definition, render, render_reference
+
+SH_C0 = 0.28209479177387814
+PIXEL = Camera.make(1, 1, 1.0, 1.0, 0.5, 0.5, np.eye(4))
+
+
+def behind_each_other(opacities: list[float], greys: list[float]) -> Gaussians:
+    """Round ones in the middle of the pixel."""
+    count = len(opacities)
+    constants = np.repeat((np.array(greys) - 0.5)[:, None, None] / SH_C0, 3, axis=2)
+    turned = np.tile([1.0, 0, 0, 0], (count, 1))
+    return Gaussians.make(
+        np.outer(np.linspace(1, 2, count), [0, 0, 1]), np.full((count, 3), 0.01), turned, opacities, constants
+    )
+
+
+@pytest.mark.case("S1")
+@pytest.mark.parametrize("stop", [1e-3, 0.05])
+def test_what_the_stop_hides_is_in_the_bound(stop: float) -> None:
+    """With a faint black layer the pixel just ends before a white one, without it it just does not: that shows what is
+    stop times as bright, whatever the faint layer weighs."""
+    faint, rule = 0.004, Definition(stop=stop, alpha_max=1.0)
+    dark = 1 - stop / (1 - faint / 2)
+    scene, gone = behind_each_other([faint, dark, 1.0], [0.0, 0.0, 1.0]), np.array([True, False, False])
+    before, after = (render(some, PIXEL, definition=rule) for some in (scene, scene[~gone]))
+    change = largest_change([after], [before])
+    assert stop < change < 1.01 * stop
+    mass = float(render(scene, PIXEL, outputs=("removed",), subset=gone, definition=rule).removed.max())
+    assert change <= removal_bound(scene, gone, [PIXEL], definition=rule) < mass + 1.01 * stop
+    found = prune(scene, [PIXEL], 10 * (mass + stop), may_go=gone, worth=0, pictures=1, definition=rule)
+    assert found.dropped == 1
+    assert found.actual == change <= found.bound
+
+
+@pytest.mark.parametrize("focal", [12.0, 400.0])
+@pytest.mark.parametrize("seed", range(40))
+def test_the_outermost_pixels_that_a_ball_marks_count_as_reached(focal: float, seed: int) -> None:
+    """Through a long lens its outline is as wide as the bounding square; through a wide one the affine projection
+    stretches it away from the middle of the picture."""
+    rng = np.random.default_rng(seed)
+    camera = Camera.make(40, 40, focal, focal, 20, 20, np.eye(4))
+    at = (rng.uniform(2, 38, 2) - 20) / focal
+    size = rng.uniform(1.0, 4.0) / focal
+    ball = Gaussians.make([[*at, 1.0]], [[size] * 3], [[1.0, 0, 0, 0]], [0.9], np.zeros((1, 1, 3)))
+    rule = Definition()
+    marked = np.argwhere(render_reference(ball, camera, definition=rule).alpha > 0)
+    for row, column in {*(tuple(marked[end(marked[:, axis])]) for axis in (0, 1) for end in (np.argmin, np.argmax))}:
+        pixel = np.zeros((40, 40), bool)
+        pixel[row, column] = True
+        assert reaches(ball, camera, pixel, rule).all()
