@@ -150,6 +150,16 @@ def test_a_uniform_object_on_a_mask_has_no_texture():
     assert checked(cloud(), views)["textureless_share"] == 1.0
 
 
+@pytest.mark.case("P8")
+@pytest.mark.parametrize(("levels", "flat"), [(1.99, 1.0), (2.01, 0.0)])
+def test_texture_begins_at_a_standard_deviation_of_two_levels(levels, flat):
+    """A checkerboard of single pixels deviates by its amplitude, by 0.02 % less in windows of 25 and 24 of them."""
+    grey = 0.5 + levels / 255 * (np.indices((48, 48)).sum(axis=0) % 2 * 2 - 1)
+    image = (grey * np.ones((3, 1, 1))).astype(np.float32)
+    views = [FittedView(image, None, camera(x), 1.0) for x in (0.0, 0.3)]
+    assert checked(cloud(), views)["textureless_share"] == flat
+
+
 def test_rays_that_cross_a_picture_quickly_are_found():
     """A long step to the side, turned inwards: each ray is in the other picture for a small part of its depths."""
     views = [FittedView(np.zeros((3, 48, 48), np.float32), None, view, 1.0) for view in (camera(), camera(1.0, -0.3))]

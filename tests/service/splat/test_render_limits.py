@@ -93,6 +93,28 @@ def test_a_bad_number_is_refused_at_the_border_and_harmless_behind_it(field, val
         assert_finite(render(Gaussians(**arrays), camera()))
 
 
+@pytest.mark.case("E12")
+@pytest.mark.parametrize(
+    ("field", "value", "need"),
+    [
+        ("scales", -1e-45, "at least 0"),
+        ("opacities", -1e-45, r"in \[0, 1\]"),
+        ("opacities", 1.0000001, r"in \[0, 1\]"),
+        ("scales", 1e39, "a finite number within float32"),
+        ("harmonics", -1e300, "a finite number within float32"),
+    ],
+)
+def test_a_number_out_of_range_is_refused_at_the_border(field, value, need):
+    arrays = {name: getattr(scene(50, 2), name).astype(float) for name in Gaussians.__dataclass_fields__}
+    for row in (31, 40):
+        arrays[field].reshape(50, -1)[row, -1] = value
+    with pytest.raises(
+        GaussiansError, match=f"2 of 50 rows are outside the range, first at index 31: .*need {need}"
+    ) as refusal:
+        Gaussians.make(**arrays)
+    assert (refusal.value.field, refusal.value.index, refusal.value.extra["count"]) == (field, 31, 2)
+
+
 number = st.one_of(
     st.floats(-(2.0**126), 2.0**126, width=32),
     st.floats(-3, 3, width=32),
