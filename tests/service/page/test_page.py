@@ -188,23 +188,6 @@ def test_a_scene_is_deleted_once_that_is_confirmed(tab: Any, tmp_path: Path) -> 
     assert page.locator(f"li[data-id='{scene}']").count() == 0
 
 
-def test_a_key_is_asked_for_and_goes_with_everything(browser: Any, standin_model: Path, tmp_path: Path) -> None:
-    settings = Settings(model=standin_model, store=tmp_path / "scenes", threads=1, api_key="open sesame")
-    with serving(settings) as address:
-        tab = Tab(browser, address)
-        page = tab.open()
-        page.fill("#key", "open sesame")
-        page.click("#key-form button")
-        before = page.url
-        page.click("#sample")
-        made(page, before)
-        page.wait_for_selector(".inputs img[src^='blob:'] >> nth=3")
-        with page.expect_download() as download:
-            page.click("#downloads a:has-text('.ply')")
-        assert Path(download.value.path()).read_bytes()[:4] == b"ply\n"
-        tab.done()
-
-
 def test_the_network_can_be_chosen(browser: Any, standin_model: Path, tmp_path: Path) -> None:
     other = write_standin(tmp_path / "other.onnx", METADATA | {"preset": "second"})
     models = f"other={other}"

@@ -177,40 +177,6 @@ def test_more_than_can_be_sent_one_by_one(tab: Any, tmp_path: Path) -> None:
     assert page.is_disabled("#go")
 
 
-def test_a_wrong_key_is_told_and_asked_for_again(browser: Any, standin_model: Path, tmp_path: Path) -> None:
-    settings = Settings(model=standin_model, store=tmp_path / "scenes", threads=1, api_key="open sesame")
-    with serving(settings) as address:
-        tab = Tab(browser, address)
-        page = tab.open()
-        for key in ("wrong", "open sesame"):
-            page.wait_for_selector("#view-problem:has-text('needs a key')")
-            assert "Bearer" not in page.inner_text("#view-problem")  # which is for those who write requests
-            page.wait_for_selector("#key:focus")
-            assert ("does not take this one" in page.inner_text("#key-problem")) == (key == "open sesame")
-            page.fill("#key", key)
-            page.press("#key", "Enter")
-        page.wait_for_selector("#view-problem:empty", state="attached")
-        assert page.is_hidden("#key-form")
-        assert page.evaluate("document.activeElement.id") == "stage"
-        tab.done()
-
-
-def test_a_key_that_no_header_can_hold_is_not_taken(browser: Any, standin_model: Path, tmp_path: Path) -> None:
-    settings = Settings(model=standin_model, store=tmp_path / "scenes", threads=1, api_key="open sesame")
-    with serving(settings) as address:
-        tab = Tab(browser, address)
-        page = tab.open()
-        page.fill("#key", "“open sesame”")
-        page.click("#key-form button")
-        page.wait_for_selector("#key-problem:has-text('character 1 of 13 is not printable ASCII')")
-        assert page.is_visible("#key")
-        page.fill("#key", "open sesame")
-        page.click("#key-form button")
-        page.wait_for_selector("#view-problem:empty", state="attached")
-        assert page.is_hidden("#key-form")
-        tab.done()
-
-
 @pytest.mark.parametrize("cut", [True, False])
 def test_an_answer_that_breaks_off_is_told_and_the_page_goes_on(tab: Any, *, cut: bool) -> None:
     """By a line that breaks within it, or a proxy that answers with a page of its own."""
