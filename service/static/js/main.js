@@ -10,6 +10,7 @@ import { first, markChosen, prepareShelf, refreshShelf, remove } from "./shelf.j
 import { prepareStage, showScene } from "./stage.js";
 
 let scene = null;
+let coming = null; // the id of the scene that is opened, on show, or not there
 let offered = null; // the id of a scene that is ready while another one is on show
 let turn = 0; // number of the latest opening; late answers to earlier ones are ignored
 
@@ -21,11 +22,13 @@ const failed = (error, place) => {
 /** Show a scene; its `address`, with the job that runs, becomes a step to come back from, takes the place of the last one, or (null) is not told. Throws `Refused`. */
 async function open(id, { address = "push" } = {}) {
   const mine = (turn += 1);
+  coming = id;
   let found = null;
   try {
     found = await askJson(`/scenes/${checkedId(id, "Scene")}`);
   } catch (error) {
     if (mine !== turn) return;
+    if (error.status !== 404) coming = scene?.id ?? null;
     throw error;
   }
   if (mine !== turn) return;
@@ -64,9 +67,10 @@ function offer(id) {
 
 async function removed(id) {
   if (id === offered) offer(null);
-  if (scene?.id !== id) return;
+  if (![coming, scene?.id].includes(id)) return;
   if (first()) return open(first(), { address: "replace" }).catch(failed);
-  scene = null;
+  turn += 1; // nor is any to come
+  scene = coming = null;
   instead(addressOf(null, following()));
   if (document.activeElement === $("remove")) $("files").focus(); // the button goes
   return show();

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 from browser_tab import PHONE, Tab
-from page_service import choose, cloud, stored_cloud
+from page_service import choose, cloud, stored_cloud, until
 
 from gapmes.service.formats.registry import FORMATS
 
@@ -124,6 +125,34 @@ def test_deleting_all_that_is_listed_brings_the_next(tab: Tab) -> None:
             assert rows.count() == left
     page.wait_for_selector("#scenes li")
     page.wait_for_url(f"**/?scene={rows.nth(0).get_attribute('data-id')}")
+
+
+@pytest.mark.parametrize("elsewhere", [True, False])
+def test_the_next_scene_may_go_before_it_is_shown(tab: Tab, *, elsewhere: bool) -> None:
+    """It was to take the place of the one that was deleted."""
+    stored(tab.address, 3)
+    page = tab.open()
+    page.on("dialog", lambda dialog: dialog.accept())
+    ids = page.locator("#scenes li").evaluate_all("all => all.map(row => row.dataset.id)")
+    held: list[Any] = []
+    page.route(
+        f"**/scenes/{ids[1]}",
+        lambda route: held.append(route) if route.request.method == "GET" else route.continue_(),
+    )
+    page.click(f"li[data-id='{ids[0]}'] .quiet")
+    until(page, lambda: held)
+    if elsewhere:
+        assert httpx.delete(f"{tab.address}/scenes/{ids[1]}").status_code == 204
+        held[0].continue_()
+        page.wait_for_selector(f"#view-problem:has-text('{ids[1]}')")
+    page.click(f"li[data-id='{ids[1]}'] .quiet")
+    page.wait_for_selector(f"li[data-id='{ids[1]}']", state="detached")
+    page.wait_for_url(f"**/?scene={ids[2]}")
+    page.wait_for_selector(f"li.chosen[data-id='{ids[2]}']")
+    if not elsewhere:
+        held[0].continue_()
+    page.wait_for_selector("#picture[src^='blob:']")
+    assert page.inner_text("#view-problem") == ""
 
 
 def test_on_a_phone_a_scene_that_is_chosen_comes_into_view(browser: Any, address: str) -> None:
