@@ -63,15 +63,17 @@ def broken_answers() -> Iterator[str]:
     """An address at which every answer is cut off."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
 
-        def answer() -> None:
-            with suppress(OSError):  # it is closed at the end
-                while True:
-                    connection, _ = listening.accept()
-                    with connection:
-                        connection.recv(2**16)
-                        connection.sendall(b'HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n{"scenes": [')
+        def answer(connection: socket.socket) -> None:
+            with connection, suppress(OSError):
+                connection.recv(2**16)
+                connection.sendall(b'HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n{"scenes": [')
 
-        threading.Thread(target=answer, daemon=True).start()
+        def listen() -> None:
+            with suppress(OSError):  # it is closed at the end
+                while True:  # a browser may open connections in advance, and be silent on them
+                    threading.Thread(target=answer, args=listening.accept()[:1], daemon=True).start()
+
+        threading.Thread(target=listen, daemon=True).start()
         yield f"http://127.0.0.1:{listening.getsockname()[1]}/"
         listening.shutdown(socket.SHUT_RDWR)
 
@@ -116,6 +118,12 @@ def stored_cloud(address: str, seed: int) -> str:
     )
     assert answer.status_code in (200, 201), answer.text
     return answer.json()["id"]
+
+
+def cancelled(page: Any, press: Callable[[], None]) -> None:
+    """What is pressed cancels the job, and the service knows: a job that may go on before could be done by then."""
+    with page.expect_response(lambda answer: answer.request.method == "DELETE" and "/jobs/" in answer.url):
+        press()
 
 
 def pixels_of(page: Any, selector: str) -> NDArray[np.uint8]:

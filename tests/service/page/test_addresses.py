@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 from browser_tab import Tab
-from page_service import choose_two, made, serving, stored_cloud
+from page_service import cancelled, choose_two, made, serving, stored_cloud
 
 from gapmes.service.settings import Settings
 
@@ -70,7 +70,7 @@ def test_beside_a_job_the_newest_scene_is_shown(tab: Tab, tmp_path: Path, held_n
     page.wait_for_selector("#stage-name:has-text('network')")
     shows(page, newest)
     assert "/?job=" in page.url
-    page.click("#cancel")
+    cancelled(page, lambda: page.click("#cancel"))
     held_network.set()
     page.wait_for_selector("#problem:has-text('cancelled')")
     shows(page, newest)

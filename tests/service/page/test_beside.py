@@ -83,6 +83,7 @@ def test_how_much_of_a_photograph_is_used_is_told(tab: Tab, scene: str) -> None:
     document["crop"] = [{"kept_share": 1.0, "turned_degrees": 0}, {"kept_share": 0.56, "turned_degrees": 0}]
     tab.page.route(f"**/scenes/{scene}", lambda route: route.fulfill(json=document))
     page = opened(tab, scene)
+    page.wait_for_selector(".inputs tr:last-child figcaption")
     told = page.locator(".inputs td:first-child figcaption").all_inner_texts()
     assert told == ["input 0", "input 1, its middle 56 %"]
 

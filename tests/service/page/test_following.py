@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 from browser_tab import Tab
 from http_requests import photograph, post
-from page_service import choose_two, made, until
+from page_service import cancelled, choose_two, made, until
 
 BUSY = {"title": "Service busy", "status": 503, "code": "service_busy", "detail": "2 requests are following jobs"}
 
@@ -28,16 +28,16 @@ def test_a_job_in_the_queue_says_how_many_scenes_are_before_it(
         for seed in (210, 212, 214):
             answer = post(client, [photograph(seed), photograph(seed + 1)], prefer="respond-async")
             assert answer.status_code == 202
-            others.append(answer.json()["links"]["self"])
-        choose_two(page, tmp_path, seed=200)
-        before = page.url
-        page.click("#go")
-        page.wait_for_selector("#stage-name:text-is('waiting in the queue, 3 scenes before yours')")
-        for left in ("2 scenes", "1 scene"):
-            assert client.delete(others.pop()).json()["state"] == "cancelled"
-            page.wait_for_selector(f"#stage-name:text-is('waiting in the queue, {left} before yours')")
-        held_network.set()
-        made(page, before)
+            others.append(tab.address + answer.json()["links"]["self"])
+    choose_two(page, tmp_path, seed=200)
+    before = page.url
+    page.click("#go")
+    page.wait_for_selector("#stage-name:text-is('waiting in the queue, 3 scenes before yours')")
+    for left in ("2 scenes", "1 scene"):
+        assert httpx.delete(others.pop(), timeout=120).json()["state"] == "cancelled"
+        page.wait_for_selector(f"#stage-name:text-is('waiting in the queue, {left} before yours')")
+    held_network.set()
+    made(page, before)
 
 
 def test_without_a_stream_the_job_itself_is_asked(tab: Tab, tmp_path: Path, held_network: threading.Event) -> None:
@@ -84,13 +84,14 @@ def test_a_cancelled_job_is_ending_until_it_has_ended(tab: Tab, tmp_path: Path, 
     page.click("#go")
     page.wait_for_selector("#stage-name:has-text('network')")
     page.focus("#cancel")
-    page.keyboard.press("Enter")
+    cancelled(page, lambda: page.keyboard.press("Enter"))
     page.wait_for_selector("#stage-name:has-text('cancelling after this stage')")
     assert page.get_attribute("#cancel", "aria-disabled") == "true"
     held_network.set()
     page.wait_for_selector("#problem:has-text('cancelled')")
     assert page.is_hidden("#cancel")
     assert page.evaluate("document.activeElement.id") == "go"
+    held_network.clear()  # a job that ends has no such button any more
     page.click("#go")
     page.wait_for_selector("#cancel[aria-disabled=false]")
 

@@ -9,7 +9,7 @@ import httpx
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import opened, stored_cloud, write_scene
+from page_service import opened, stored_cloud, until, write_scene
 
 from gapmes.service.http.page import STATIC
 
@@ -17,6 +17,7 @@ FRAME = """<!doctype html><script>
 const scene = new URLSearchParams(location.search).get("scene");
 const say = (message) => parent.postMessage({ ...message, scene }, location.origin);
 </script>"""
+HOUR_S = 3600
 PATIENCE_MS = 30_000
 NEARLY_MS = 25_000
 HANDED = "[...document.getElementById('files').files].map(file => file.name)"
@@ -31,7 +32,8 @@ def in_frame(page: Any, scene: str, tell: str) -> None:
 
 
 def begun(page: Any, scene: str) -> None:
-    """WebGL is chosen, and its frame is there."""
+    """WebGL is chosen, and its frame is there. From now on time passes for the page when the test says so."""
+    page.clock.pause_at(HOUR_S)
     with page.expect_event("framenavigated", lambda frame: f"/viewer?scene={scene}" in frame.url) as there:
         page.click("#mode-webgl")
     there.value.wait_for_load_state()
@@ -39,7 +41,8 @@ def begun(page: Any, scene: str) -> None:
 
 @pytest.fixture
 def own_frame(tab: Tab) -> Any:
-    """The page whose frame says what the test makes it say."""
+    """The page whose frame says what the test makes it say, and whose clock is the test's."""
+    tab.page.clock.install(time=0)
     tab.page.route("**/viewer*", lambda route: route.fulfill(body=FRAME, content_type="text/html"))
     return tab.page
 
@@ -47,7 +50,6 @@ def own_frame(tab: Tab) -> Any:
 def test_a_file_that_comes_is_waited_for(tab: Tab, own_frame: Any) -> None:
     """Each piece of it begins the wait anew, and the share that has come is shown; without a sign the service draws."""
     scene = stored_cloud(tab.address, 40)
-    own_frame.clock.install()
     page = opened(tab, scene)
     begun(page, scene)
     for came in (0, 23_000_000, 46_000_000):
@@ -76,6 +78,7 @@ def test_what_the_last_scenes_frame_says_late_is_passed_over(tab: Tab, own_frame
     assert page.get_attribute("#frame", "data-drawn") == ""
     assert page.inner_text("#mode-note") == ""
     assert page.is_hidden("#frame")
+    until(page, lambda: held)
     held[0].abort()
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import choose_two, cloud, made, pixels_of, rendered, serving, write_scene
+from page_service import cancelled, choose_two, cloud, made, pixels_of, rendered, serving, stored_cloud, write_scene
 from standin_model import METADATA, write_standin
 
 from gapmes.service.formats.registry import FORMATS
@@ -123,6 +123,7 @@ def test_photographs_with_a_zipped_model_of_their_cameras(tab: Any, tmp_path: Pa
 
 def test_back_leads_out_of_a_scene_and_starting_over_starts_nothing(tab: Any, tmp_path: Path) -> None:
     """Steps of the history are scenes, not jobs. "Try the sample", once cancelled, does not send what comes later."""
+    stored_cloud(tab.address, 98)  # to be shown first
     page = tab.open()
     first = page.url
     sent: list[str] = []
@@ -156,7 +157,7 @@ def test_reload_in_the_middle_of_a_job(tab: Any, tmp_path: Path, held_network: t
     assert page.is_disabled("#sample")
     page.reload()
     page.wait_for_selector("#stage-name:has-text('network')")
-    assert page.locator("#stages li").count() >= 2  # cameras and images are told again
+    page.wait_for_selector("#stages li >> nth=1")  # cameras and images are told again
     held_network.set()
     made(page, before)
     assert page.is_hidden("#progress")
@@ -167,7 +168,7 @@ def test_a_job_can_be_cancelled(tab: Any, tmp_path: Path, held_network: threadin
     choose_two(page, tmp_path, seed=40)
     page.click("#go")
     page.wait_for_selector("#stage-name:has-text('network')")
-    page.click("#cancel")
+    cancelled(page, lambda: page.click("#cancel"))
     held_network.set()
     page.wait_for_selector("#problem:has-text('cancelled')")
 

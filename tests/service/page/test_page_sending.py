@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import choose_two, cloud, made, stored_cloud, until, write_scene
+from page_service import cancelled, choose_two, cloud, made, stored_cloud, until, write_scene
 
 from gapmes.service.formats.registry import FORMATS
 
@@ -28,12 +28,12 @@ def test_sending_is_shown_and_can_be_given_up(tab: Tab, tmp_path: Path, way: str
     choose_two(page, tmp_path, seed=150)
     before = page.url
     held_back(page, "**/reconstruct")
-    page.click("#go")
+    with page.expect_request("**/reconstruct") as begun:
+        page.click("#go")
     page.wait_for_selector("#stage-name:has-text('Sending 3 files')")
     assert page.is_visible("#bar")
-    with page.expect_event("requestfailed") as ended:
+    with page.expect_event("requestfailed", lambda request: request == begun.value):
         page.click(f"#{way}")
-    assert ended.value.url.endswith("/reconstruct")
     page.wait_for_selector("#progress", state="hidden")
     assert page.is_hidden("#cancel")
     assert page.inner_text("#problem") == ""
@@ -54,9 +54,10 @@ def test_loading_is_shown_and_can_be_given_up(tab: Tab, tmp_path: Path, way: str
     page = tab.open()
     before = page.url
     held_back(page, "**/scenes")
-    page.set_input_files("#files", path)
+    with page.expect_request("**/scenes") as begun:
+        page.set_input_files("#files", path)
     page.wait_for_selector("#stage-name:has-text('Loading cloud.splat')")
-    with page.expect_event("requestfailed"):
+    with page.expect_event("requestfailed", lambda request: request == begun.value):
         page.click(f"#{way}")
     page.wait_for_selector("#progress", state="hidden")
     assert page.inner_text("#problem") == ""
@@ -72,9 +73,9 @@ def test_loading_is_shown_and_can_be_given_up(tab: Tab, tmp_path: Path, way: str
 def test_a_check_ends_with_what_is_chosen(tab: Tab, tmp_path: Path) -> None:
     page = tab.open()
     held_back(page, "**/check")
-    with page.expect_request("**/check"):
+    with page.expect_request("**/check") as begun:
         page.set_input_files("#files", write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2)))
-    with page.expect_event("requestfailed"):
+    with page.expect_event("requestfailed", lambda request: request == begun.value):
         page.click("#clear")
     assert page.inner_text("#understood") == ""
     assert page.inner_text("#problem") == ""
@@ -124,10 +125,11 @@ def test_a_job_that_begins_while_another_scene_is_chosen_stands_beside_it(
     page.wait_for_selector("#stage-name:has-text('Sending')")
     page.click(f"li[data-id='{other}'] button >> nth=0")
     page.wait_for_url(f"**/?scene={other}")
+    until(page, lambda: waiting)
     waiting[0].continue_()
     page.wait_for_url(lambda url: f"/?scene={other}&job=" in url)
     page.wait_for_selector("#stage-name:has-text('network')")
-    page.click("#cancel")
+    cancelled(page, lambda: page.click("#cancel"))
     held_network.set()
     page.wait_for_selector("#problem:has-text('cancelled')")
     page.wait_for_url(f"**/?scene={other}")
@@ -173,7 +175,7 @@ def test_the_focus_goes_with_the_work(tab: Tab, tmp_path: Path, held_network: th
     page.keyboard.press("Enter")
     page.wait_for_selector("#stage-name:has-text('network')")
     assert page.evaluate(FOCUS) == "cancel"
-    page.keyboard.press("Enter")
+    cancelled(page, lambda: page.keyboard.press("Enter"))
     held_network.set()
     page.wait_for_selector("#problem:has-text('cancelled')")
     assert page.evaluate(FOCUS) == "go"
@@ -196,8 +198,8 @@ def test_a_check_that_is_under_way_is_not_given_up_for_another(tab: Tab) -> None
     with page.expect_request("**/check"):
         page.click("#sample")
     until(page, lambda: lists and checks)
-    before = page.url
     lists[0].continue_()
     page.wait_for_selector("#main[aria-busy=false]")
+    before = page.url
     checks[0].continue_()
     made(page, before)

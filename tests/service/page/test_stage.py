@@ -12,7 +12,7 @@ import httpx
 import numpy as np
 import pytest
 from browser_tab import Tab, launched
-from page_service import decoded, opened, pixels_of, rendered, serving, settled, until
+from page_service import decoded, made, opened, pixels_of, rendered, serving, settled, until
 
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.http.page import STATIC
@@ -119,9 +119,9 @@ def test_webgl_shows_the_same_scene(browser: Any, viewer: None, tmp_path: Path) 
     with serving(Settings(store=tmp_path / "scenes", threads=1)) as address:
         tab = Tab(browser, address)
         page = tab.open()
+        before = page.url
         page.click("#sample")
-        page.wait_for_url("**/?scene=*")
-        scene = page.url.rpartition("=")[2]
+        scene = made(page, before)
         page.click("#mode-webgl")
         page.wait_for_selector("#frame[data-drawn=yes]", state="attached")
         height, width, _ = decoded(page.locator("#stage").screenshot()).shape
@@ -179,6 +179,7 @@ def test_where_a_picture_is_still_to_come_there_are_words(tab: Tab, scene: str) 
     page.route(re.compile(r"/render\?|/inputs/"), lambda route: None)  # no picture at all arrives
     tab.open(f"/?scene={scene}")
     page.wait_for_selector("#drawing:visible")
+    page.wait_for_selector(".inputs img >> nth=1", state="attached")
     pictures = page.locator(".inputs img")
     shown = pictures.evaluate_all("all => all.map(one => [one.hasAttribute('src'), getComputedStyle(one).visibility])")
     assert len(shown) >= 2
