@@ -9,7 +9,6 @@ import pty
 import re
 import select
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,6 +19,7 @@ import httpx
 import pytest
 import typer
 from click.core import Command, Context
+from served_process import own_port
 
 from gapmes.service.cli import app
 from gapmes.service.shipped import sample_folder
@@ -177,15 +177,13 @@ def on_a_terminal(*arguments: object, until: str | Callable[[], bool], ending: i
 
 
 def test_starting_the_service_shows_bars_on_a_terminal_and_none_when_quiet(tmp_path: Path) -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        port = taken.getsockname()[1]
-    serve = ("serve", "--port", port, "--store", tmp_path)
-    shown = on_a_terminal(*serve, until="Uvicorn running on", ending=signal.SIGKILL)
-    shown += on_a_terminal(*serve, until="kernels", ending=signal.SIGKILL)
-    assert re.search(r"import +[━╸╺ ]+ *[01]/1", shown), shown
-    assert re.search(r"\d{4}-\d\d-\d\dT[\d:]+Z info +Uvicorn running on", shown), shown
-    quiet = on_a_terminal(*serve, "-q", until=lambda: ready(port), ending=signal.SIGTERM)
+    with own_port() as port:
+        serve = ("serve", "--port", port, "--store", tmp_path)
+        shown = on_a_terminal(*serve, until="Uvicorn running on", ending=signal.SIGKILL)
+        shown += on_a_terminal(*serve, until="kernels", ending=signal.SIGKILL)
+        assert re.search(r"import +[━╸╺ ]+ *[01]/1", shown), shown
+        assert re.search(r"\d{4}-\d\d-\d\dT[\d:]+Z info +Uvicorn running on", shown), shown
+        quiet = on_a_terminal(*serve, "-q", until=lambda: ready(port), ending=signal.SIGTERM)
     assert quiet == ""
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,6 +19,7 @@ import pytest
 from cli_runs import assert_refusal, run
 from living import alive, wait_for
 from PIL import Image
+from served_process import own_port
 from standin_model import write_standin
 
 from gapmes.service import read_ply
@@ -53,20 +53,23 @@ def test_demo_leaves_its_files_and_stops_its_service(tmp_path: Path, environment
 
 def test_keep_leaves_the_service_on_the_port_of_the_settings(tmp_path: Path, environment: dict[str, str]) -> None:
     """On a machine with a proxy and a key in its environment, neither of which is the demonstration's."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    machine = {"HTTP_PROXY": "http://127.0.0.1:9", "http_proxy": "http://127.0.0.1:9", "NO_PROXY": "", "no_proxy": ""}
-    given = environment | {"KEEP": "1", "GAPMES_PORT": str(port), "GAPMES_API_KEY": "secret"} | machine
-    done = subprocess.run([*COMMAND, "-o", tmp_path, "--json"], env=given, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
-    assert result["address"] == f"http://127.0.0.1:{port}"
-    try:
-        scenes = httpx.get(result["address"] + "/scenes").json()["scenes"]
-        assert [scene["id"] for scene in scenes] == [result["scene"]]
-    finally:
-        os.kill(result["pid"], signal.SIGTERM)
+    with own_port() as port:
+        machine = {
+            "HTTP_PROXY": "http://127.0.0.1:9",
+            "http_proxy": "http://127.0.0.1:9",
+            "NO_PROXY": "",
+            "no_proxy": "",
+        }
+        given = environment | {"KEEP": "1", "GAPMES_PORT": str(port), "GAPMES_API_KEY": "secret"} | machine
+        done = subprocess.run([*COMMAND, "-o", tmp_path, "--json"], env=given, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        result = json.loads(done.stdout)
+        assert result["address"] == f"http://127.0.0.1:{port}"
+        try:
+            scenes = httpx.get(result["address"] + "/scenes").json()["scenes"]
+            assert [scene["id"] for scene in scenes] == [result["scene"]]
+        finally:
+            os.kill(result["pid"], signal.SIGTERM)
 
 
 @contextmanager

@@ -16,33 +16,40 @@ import httpx
 
 
 @contextmanager
+def own_port() -> Iterator[int]:
+    """A port for a service to listen on, which meanwhile is given to no other process that asks for a free one."""
+    with socket.socket() as bound:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server does, which may bind it too then
+        bound.bind(("127.0.0.1", 0))
+        yield bound.getsockname()[1]
+
+
+@contextmanager
 def serving(
     store: Path, model: Path, log: Path, *more: str, shell: str = "", **environment: str
 ) -> Iterator[tuple[httpx.Client, Any]]:
     """`shell`: redirections of the streams, such as `>&-`."""
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        port = taken.getsockname()[1]
-    gapmes = [sys.executable, "-m", "gapmes.service.cli", "serve", "--port", str(port), "--threads", "1", *more]
-    command = ["sh", "-c", f'exec "$0" "$@" {shell}', *gapmes]
-    with log.open("wb") as output:
-        process = subprocess.Popen(
-            [*command, "--store", str(store), "--model", str(model)],
-            stdout=output,
-            stderr=output,
-            env=os.environ | environment,
-        )
-    try:
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=120) as client:
-            until(lambda: answers(client), 300)
-            yield client, process
-    finally:
-        process.terminate()  # with its workers, and what they share
+    with own_port() as port:
+        gapmes = [sys.executable, "-m", "gapmes.service.cli", "serve", "--port", str(port), "--threads", "1", *more]
+        command = ["sh", "-c", f'exec "$0" "$@" {shell}', *gapmes]
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                [*command, "--store", str(store), "--model", str(model)],
+                stdout=output,
+                stderr=output,
+                env=os.environ | environment,
+            )
         try:
-            process.wait(120)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+            with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=120) as client:
+                until(lambda: answers(client), 300)
+                yield client, process
+        finally:
+            process.terminate()  # with its workers, and what they share
+            try:
+                process.wait(120)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
 
 def answers(client: httpx.Client) -> bool:

@@ -33,13 +33,11 @@ RECONSTRUCTION_MS = 180_000  # patience, not a limit: three photographs take 15 
 @contextmanager
 def serving(settings: Settings) -> Iterator[str]:
     """The address of the service, once it is ready."""
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        port = taken.getsockname()[1]
-    server = uvicorn.Server(uvicorn.Config(create_app(settings), port=port, log_level="warning"))
-    thread = threading.Thread(target=server.run, daemon=True)
+    listening = socket.create_server(("127.0.0.1", 0))
+    server = uvicorn.Server(uvicorn.Config(create_app(settings), log_level="warning"))
+    thread = threading.Thread(target=server.run, args=[[listening]], daemon=True)
     thread.start()
-    address = f"http://127.0.0.1:{port}"
+    address = f"http://127.0.0.1:{listening.getsockname()[1]}"
     try:
         deadline = time.monotonic() + 300  # the kernels may have to be compiled first
         while not _ready(address):
