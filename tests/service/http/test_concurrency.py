@@ -30,7 +30,7 @@ def test_films_that_pause_leave_a_thread_for_the_one_whose_turn_it_is() -> None:
     done: list[int] = []
 
     async def all_at_once() -> None:
-        queue = WorkQueue("pictures", 1, 200, 10.0, "drawing")
+        queue = WorkQueue("pictures", 1, 200, 600.0, "drawing")
 
         async def one() -> None:
             done.append(await queue.run_in_steps(_film, _stays))

@@ -98,14 +98,18 @@ def rest(connection: socket.socket) -> bytes:
 
 @pytest.mark.parametrize("begin", [b"", b"GET /heal", b"GET / HTTP/1.1\r\nHost: gapmes\r\n"])
 def test_a_connection_without_a_whole_head_ends(
-    monkeypatch: pytest.MonkeyPatch, address: tuple[str, int], begin: bytes
+    monkeypatch: pytest.MonkeyPatch, app: App, address: tuple[str, int], begin: bytes
 ) -> None:
     """At the first request, and behind one that was answered."""
-    monkeypatch.setattr(module, "HEAD_S", 0.3)
     for before in (False, True):
+        monkeypatch.setattr(module, "HEAD_S", 120.0 if before else 0.3)
         with connected(address) as connection:
             if before:
-                assert asked(connection) == b"HTTP/1.1 "
+                connection.sendall(GET % b"/wait")
+                assert app.begun.wait(120)
+                monkeypatch.setattr(module, "HEAD_S", 0.3)  # from the end of the answer on
+                app.go_on.set()
+                assert connection.recv(9) == b"HTTP/1.1 "
             connection.sendall(begin)
             assert rest(connection)[-2:] == (b"ok" if before else b"")
 

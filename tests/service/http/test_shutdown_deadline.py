@@ -74,10 +74,12 @@ async def _receive() -> dict[str, Any]:
 @pytest.mark.parametrize("begun", [False, True])
 def test_an_answer_that_has_begun_is_no_other_one(*, begun: bool) -> None:
     sent: list[dict[str, Any]] = []
+    inside = anyio.Event()
 
     async def waits(_: Any, receive: Any, send: Any) -> None:
         if begun:
             await send({"type": "http.response.start", "status": 200, "headers": []})
+        inside.set()
         await receive()
 
     async def send(message: dict[str, Any]) -> None:
@@ -87,7 +89,7 @@ def test_an_answer_that_has_begun_is_no_other_one(*, begun: bool) -> None:
         shutdown_deadline = ShutdownDeadline()
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(AnsweredInTime(waits, shutdown_deadline, 1.0), {"type": "http"}, _receive, send)
-            await anyio.sleep(0.01)
+            await inside.wait()
             shutdown_deadline.end()
 
     anyio.run(run)
