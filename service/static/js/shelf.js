@@ -7,6 +7,7 @@ const PAGE = 12;
 const MOST = 1000; // largest page of the service
 let next = null;
 let turn = 0; // number of the latest list; late pages of earlier ones are ignored
+let asking = 0; // lists on their way, which may hold scenes that are deleted meanwhile
 let chosen = null;
 let act = {};
 
@@ -56,7 +57,14 @@ export async function refreshShelf() {
   return first();
 }
 
-const list = (limit, after) => askJson(`/scenes?${new URLSearchParams({ limit: String(limit), ...(after ? { after } : {}) })}`);
+async function list(limit, after) {
+  asking += 1;
+  try {
+    return await askJson(`/scenes?${new URLSearchParams({ limit: String(limit), ...(after ? { after } : {}) })}`);
+  } finally {
+    asking -= 1;
+  }
+}
 
 /** Append the next page, and focus its first scene. */
 async function older() {
@@ -87,11 +95,11 @@ function drop(row) {
   if (held) (rows()[Math.min(place, rows().length - 1)]?.querySelector(held.matches(".quiet") ? ".quiet" : "button") ?? $("files")).focus();
 }
 
-/** Remove the row of a deleted scene; if the list is empty then, load the next page. */
+/** Remove the row of a deleted scene; if the list is empty then, or being read, read it anew. */
 async function gone(id) {
   const row = rowOf(id);
   if (row) drop(row);
-  if (!first() && next !== null) await refreshShelf();
+  if (asking || (!first() && next !== null)) await refreshShelf();
 }
 
 async function choose(id) {

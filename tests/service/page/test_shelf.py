@@ -81,6 +81,31 @@ def test_the_list_is_read_again_when_its_tab_is_looked_at(tab: Tab) -> None:
     assert page.locator("#scenes li").first.get_attribute("data-id") == come
 
 
+def test_a_scene_that_is_deleted_while_the_list_is_read_stays_away(tab: Tab) -> None:
+    stored(tab.address, 2)
+    page = tab.open()
+    page.on("dialog", lambda dialog: dialog.accept())
+    gone = page.locator("#scenes li").nth(1).get_attribute("data-id")
+    held: list[Any] = []
+
+    def late(route: Any) -> None:
+        if held:
+            route.continue_()
+        else:
+            held.extend((route, route.fetch()))
+
+    page.route("**/scenes?*", late)
+    page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+    until(page, lambda: len(held) == 2)
+    page.click(f"li[data-id='{gone}'] .quiet")
+    page.wait_for_selector(f"li[data-id='{gone}']", state="detached")
+    route, answer = held
+    with page.expect_event("requestfinished", lambda request: request == route.request):
+        route.fulfill(response=answer)
+    page.evaluate("() => fetch('/healthz').then(answer => answer.text())")  # what came before it has been read
+    assert page.locator(f"li[data-id='{gone}']").count() == 0
+
+
 def test_the_scene_on_show_is_told(tab: Tab) -> None:
     page = whole_list(tab)
     for place in (0, 13):
