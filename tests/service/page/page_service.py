@@ -51,7 +51,7 @@ def serving(settings: Settings) -> Iterator[str]:
 
 def _ready(address: str) -> bool:
     try:
-        return httpx.get(f"{address}/readyz").status_code == 200
+        return httpx.get(f"{address}/readyz", timeout=120).status_code == 200
     except httpx.TransportError:
         return False
 
@@ -122,6 +122,23 @@ def cancelled(page: Any, press: Callable[[], None]) -> None:
     """What is pressed cancels the job, and the service knows: a job that may go on before could be done by then."""
     with page.expect_response(lambda answer: answer.request.method == "DELETE" and "/jobs/" in answer.url):
         press()
+
+
+def document_of(address: str, scene: str) -> Any:
+    """The scene document."""
+    answer = httpx.get(f"{address}/scenes/{scene}", timeout=120)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def patient(page: Any) -> None:
+    """The page waits for its frame for as long as a busy machine needs. How long it does else, a clock tells."""
+    page.add_init_script(
+        f"""{{
+          const wait = window.setTimeout;
+          window.setTimeout = (act, ms, ...more) => wait(act, ms === 30000 ? {PATIENCE_MS} : ms, ...more);
+        }}"""
+    )
 
 
 def pixels_of(page: Any, selector: str) -> NDArray[np.uint8]:

@@ -44,7 +44,7 @@ def test_what_is_no_id_never_becomes_a_path(tab: Tab, kind: str, text: str) -> N
     assert page.is_hidden("#cancel")
     assert "job=" not in page.url
     assert not [path for path in asked if path.startswith("/jobs/")]
-    assert httpx.get(f"{tab.address}/scenes/{newest}").status_code == 200
+    assert httpx.get(f"{tab.address}/scenes/{newest}", timeout=120).status_code == 200
 
 
 @pytest.mark.parametrize("path", ["/", f"/?job={GONE}", f"/?scene={GONE}"])

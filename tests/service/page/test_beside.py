@@ -11,7 +11,7 @@ import httpx
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object
-from page_service import cloud, opened, settled, until
+from page_service import cloud, document_of, opened, settled, until
 
 from gapmes.service.formats.registry import FORMATS
 
@@ -64,7 +64,7 @@ def test_numbers_of_a_plan_can_be_read(tab: Tab, many: str, scene: str) -> None:
     page.wait_for_selector(".plan text >> nth=1")
     colour = "e => getComputedStyle(e).fill"
     assert page.locator(".plan text").first.evaluate(colour) == page.evaluate("getComputedStyle(document.body).color")
-    document = httpx.get(f"{tab.address}/scenes/{scene}").json()
+    document = document_of(tab.address, scene)
     view = document["view_cameras"][0]
     document["view_cameras"] = [view, view, view]
     page.route(f"**/scenes/{scene}", lambda route: route.fulfill(json=document))
@@ -79,7 +79,7 @@ def test_numbers_of_a_plan_can_be_read(tab: Tab, many: str, scene: str) -> None:
 
 def test_how_much_of_a_photograph_is_used_is_told(tab: Tab, scene: str) -> None:
     """Below it, where the network saw its middle only."""
-    document = httpx.get(f"{tab.address}/scenes/{scene}").json()
+    document = document_of(tab.address, scene)
     document["crop"] = [{"kept_share": 1.0, "turned_degrees": 0}, {"kept_share": 0.56, "turned_degrees": 0}]
     tab.page.route(f"**/scenes/{scene}", lambda route: route.fulfill(json=document))
     page = opened(tab, scene)

@@ -7,7 +7,7 @@ from pathlib import Path
 import httpx
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import choose, choose_two, made, write_scene
+from page_service import choose, choose_two, document_of, made, write_scene
 
 NAMES = "[...document.getElementById('files').files].map(file => file.name)"
 
@@ -34,7 +34,7 @@ def test_what_the_budget_saved_is_told(tab: Tab, tmp_path: Path) -> None:
     before = page.url
     page.click("#go")
     scene = made(page, before)
-    document = httpx.get(f"{tab.address}/scenes/{scene}").json()
+    document = document_of(tab.address, scene)
     page.route(f"**/scenes/{scene}", lambda route: route.fulfill(json=document))
     for saved, told in ((0, "The budget left out no Gaussian"), (430_032, "The file is 430,032 bytes smaller")):
         document["pruning"] |= {"bytes_saved": saved}
@@ -45,7 +45,7 @@ def test_what_the_budget_saved_is_told(tab: Tab, tmp_path: Path) -> None:
 
 def test_a_sharper_scene_is_offered_where_the_service_makes_one(tab: Tab) -> None:
     page = tab.open()
-    answer = httpx.get(f"{tab.address}/models").json()
+    answer = httpx.get(f"{tab.address}/models", timeout=120).json()
     assert answer["max_detail"] == 2
     page.click("summary:has-text('Options')")
     page.wait_for_selector("#detail")
@@ -66,6 +66,6 @@ def test_a_sharper_scene_is_made_when_asked_for(tab: Tab, tmp_path: Path) -> Non
     page.check("#detail")
     before = page.url
     page.click("#go")
-    document = httpx.get(f"{tab.address}/scenes/{made(page, before)}").json()
+    document = document_of(tab.address, made(page, before))
     assert document["detail"] == 2
     assert document["view_cameras"][0]["width"] == 2 * document["model"]["width"]

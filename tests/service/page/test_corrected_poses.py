@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import httpx
 from browser_tab import Tab
-from page_service import made, write_scene
+from page_service import document_of, made, write_scene
 from sample_photographs import FAR, NEAR, sample_cameras
 from wrong_cameras import turned_camera
 
@@ -39,7 +38,7 @@ def test_they_are_told_and_corrected(tab: Tab, tmp_path: Path) -> None:
         scene = made(page, before)
         page.wait_for_selector("#about .warning")
         told[corrected] = page.inner_text("#about")
-        document = httpx.get(f"{tab.address}/scenes/{scene}").json()
+        document = document_of(tab.address, scene)
         assert [warning["code"] for warning in document["warnings"]] == [
             "poses_refined" if corrected else "poses_inexact"
         ]

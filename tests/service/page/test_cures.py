@@ -95,7 +95,9 @@ def test_warnings_name_their_view_once(tab: Tab, tmp_path: Path) -> None:
 
     files = write_scene(tmp_path, [photograph(0), photograph(1)], camera_object(2))
     parts = [("images", (path.name, path.read_bytes())) for path in files[:2]]
-    answer = httpx.post(f"{tab.address}/check", files=[*parts, ("cameras", (files[2].name, files[2].read_bytes()))])
+    answer = httpx.post(
+        f"{tab.address}/check", files=[*parts, ("cameras", (files[2].name, files[2].read_bytes()))], timeout=120
+    )
     page.route("**/check", lambda route: route.fulfill(json={**answer.json(), "warnings": given}))
     page.set_input_files("#files", files)
     page.wait_for_selector("#understood .warning >> nth=2")

@@ -9,7 +9,7 @@ import httpx
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import opened, stored_cloud, until, write_scene
+from page_service import opened, patient, stored_cloud, until, write_scene
 
 from gapmes.service.http.page import STATIC
 
@@ -104,11 +104,12 @@ def test_the_viewer_tells_how_much_has_come(tab: Tab) -> None:
     if not (STATIC / "viewer" / "index.js").is_file():
         pytest.skip("the WebGL viewer is not there: the package was installed without npm")
     scene = stored_cloud(tab.address, 44)
+    patient(tab.page)
     page = opened(tab, scene)
     page.evaluate("() => { window.signs = []; addEventListener('message', ({ data }) => signs.push(data)); }")
     page.click("#mode-webgl")
     page.wait_for_selector("#frame[data-drawn=yes]", state="attached")
     signs = page.evaluate("signs.filter(({ viewer }) => viewer === 'came')")
-    whole = len(httpx.get(f"{tab.address}/scenes/{scene}/viewer.ply").content)
+    whole = len(httpx.get(f"{tab.address}/scenes/{scene}/viewer.ply", timeout=120).content)
     assert signs[-1] == {"viewer": "came", "came": whole, "all": whole, "scene": scene}
     assert page.is_hidden("#coming")

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import httpx
 from browser_tab import Tab
-from page_service import choose_two, made, until
+from page_service import choose_two, document_of, made, until
 
 
 class Gate:
@@ -65,7 +64,7 @@ def test_reconstruct_waits_for_the_check(tab: Tab, tmp_path: Path) -> None:
     assert sent == []
     before = page.url
     checks.open()
-    document = httpx.get(f"{tab.address}/scenes/{made(page, before)}").json()
+    document = document_of(tab.address, made(page, before))
     assert document["near"] == 0.5
     assert len(sent) == 1
 

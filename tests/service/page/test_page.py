@@ -13,7 +13,18 @@ import numpy as np
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import cancelled, choose_two, cloud, made, pixels_of, rendered, serving, stored_cloud, write_scene
+from page_service import (
+    cancelled,
+    choose_two,
+    cloud,
+    document_of,
+    made,
+    pixels_of,
+    rendered,
+    serving,
+    stored_cloud,
+    write_scene,
+)
 from standin_model import METADATA, write_standin
 
 from gapmes.service.formats.registry import FORMATS
@@ -28,7 +39,7 @@ def test_sample_end_to_end_with_the_shipped_network(browser: Any, tmp_path: Path
         before = page.url
         page.click("#sample")
         scene = made(page, before)
-        document = httpx.get(f"{address}/scenes/{scene}").json()
+        document = document_of(address, scene)
         assert document["check"]["input_views"][0]["psnr"] > 25
         page.wait_for_selector(".inputs canvas >> nth=3")
         shown = pixels_of(page, "#picture")
@@ -64,7 +75,7 @@ def test_own_photographs(tab: Any, tmp_path: Path) -> None:
         before = page.url
         page.click("#go")
         scene = made(page, before)
-        document = httpx.get(f"{tab.address}/scenes/{scene}").json()
+        document = document_of(tab.address, scene)
         assert len(document["view_cameras"]) == 3
         page.click("#clear")
     shelf = page.locator("#scenes li")
@@ -103,7 +114,7 @@ def test_a_zip_of_a_capture(tab: Any, tmp_path: Path) -> None:
     before = page.url
     page.click("#go")
     scene = made(page, before)
-    assert len(httpx.get(f"{tab.address}/scenes/{scene}").json()["view_cameras"]) == 3
+    assert len(document_of(tab.address, scene)["view_cameras"]) == 3
 
 
 def test_photographs_with_a_zipped_model_of_their_cameras(tab: Any, tmp_path: Path) -> None:
@@ -181,11 +192,11 @@ def test_a_scene_is_deleted_once_that_is_confirmed(tab: Any, tmp_path: Path) -> 
     scene = made(page, before)
     page.once("dialog", lambda dialog: dialog.dismiss())
     page.click("#remove")
-    assert httpx.get(f"{tab.address}/scenes/{scene}").status_code == 200
+    assert httpx.get(f"{tab.address}/scenes/{scene}", timeout=120).status_code == 200
     page.once("dialog", lambda dialog: dialog.accept())
     page.click("#remove")
     page.wait_for_url(lambda url: scene not in url)
-    assert httpx.get(f"{tab.address}/scenes/{scene}").status_code == 404
+    assert httpx.get(f"{tab.address}/scenes/{scene}", timeout=120).status_code == 404
     assert page.locator(f"li[data-id='{scene}']").count() == 0
 
 
@@ -201,5 +212,5 @@ def test_the_network_can_be_chosen(browser: Any, standin_model: Path, tmp_path: 
         before = page.url
         page.click("#sample")
         scene = made(page, before)
-        assert httpx.get(f"{address}/scenes/{scene}").json()["model"]["preset"] == "second"
+        assert document_of(address, scene)["model"]["preset"] == "second"
         tab.done()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import choose, choose_two, cloud, made, write_scene
+from page_service import choose, choose_two, cloud, document_of, made, write_scene
 
 from gapmes.service.formats.registry import FORMATS
 
@@ -117,7 +117,7 @@ def test_rows_that_cannot_be_read_are_left_out_when_asked_for(tab: Tab, tmp_path
     assert page.inner_text("#go") == "Load"
     page.click("#drop_invalid")  # `check` would look again, when the scene may be there and the box empty
     scene = made(page, before)
-    assert httpx.get(f"{tab.address}/scenes/{scene}").json()["gaussians"]["count"] == 499
+    assert document_of(tab.address, scene)["gaussians"]["count"] == 499
     assert page.is_hidden("#chosen")
     assert not page.is_checked("#drop_invalid")
 
@@ -154,7 +154,7 @@ def test_of_a_zip_of_many_it_is_asked_how_many_are_used(tab: Tab, tmp_path: Path
     before = page.url
     page.click("#go")
     scene = made(page, before)
-    assert len(httpx.get(f"{tab.address}/scenes/{scene}").json()["view_cameras"]) == 4
+    assert len(document_of(tab.address, scene)["view_cameras"]) == 4
 
 
 def test_what_is_set_is_told_and_ends_with_the_try(tab: Tab, tmp_path: Path) -> None:
@@ -173,7 +173,7 @@ def test_what_is_set_is_told_and_ends_with_the_try(tab: Tab, tmp_path: Path) -> 
     page.fill("#far", "20")
     before = page.url
     page.click("#sample")
-    document = httpx.get(f"{tab.address}/scenes/{made(page, before)}").json()
+    document = document_of(tab.address, made(page, before))
     assert document["near"] != 0.5
     assert page.input_value("#far") == ""
 

@@ -6,11 +6,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 from browser_tab import Tab
 from http_requests import camera_object, photograph
-from page_service import broken_answers, choose, choose_two, made, serving, stored_cloud, write_scene
+from page_service import broken_answers, choose, choose_two, document_of, made, serving, stored_cloud, write_scene
 
 from gapmes.service.settings import Settings
 
@@ -153,7 +152,7 @@ def test_sixty_photographs_at_once(tab: Any, tmp_path: Path) -> None:
     before = page.url
     page.click("#go")
     scene = made(page, before)
-    assert len(httpx.get(f"{tab.address}/scenes/{scene}").json()["view_cameras"]) == 3
+    assert len(document_of(tab.address, scene)["view_cameras"]) == 3
 
 
 def test_a_refused_file_of_gaussians_leaves_the_way_free(tab: Any, tmp_path: Path) -> None:

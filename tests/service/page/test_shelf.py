@@ -23,7 +23,7 @@ SEEN = """() => new Promise(done => new IntersectionObserver((entries) => {
 
 def stored(address: str, need: int) -> None:
     """At least so many scenes are in the store."""
-    for _ in range(len(httpx.get(f"{address}/scenes").json()["scenes"]), need):
+    for _ in range(len(httpx.get(f"{address}/scenes", timeout=120).json()["scenes"]), need):
         stored_cloud(address, next(SEEDS))
 
 
@@ -70,7 +70,7 @@ def test_the_list_is_read_again_when_its_tab_is_looked_at(tab: Tab) -> None:
     stored(tab.address, 2)
     page = tab.open()
     gone = page.locator("#scenes li").nth(1).get_attribute("data-id")
-    assert httpx.delete(f"{tab.address}/scenes/{gone}").status_code == 204
+    assert httpx.delete(f"{tab.address}/scenes/{gone}", timeout=120).status_code == 204
     come = stored_cloud(tab.address, next(SEEDS))
     page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
     page.wait_for_selector(f"#scenes li:first-child[data-id='{come}']")
@@ -125,7 +125,7 @@ def test_a_scene_that_was_deleted_elsewhere_leaves_the_list(tab: Tab) -> None:
     page = whole_list(tab)
     row = page.locator("#scenes li").nth(13)
     gone = row.get_attribute("data-id")
-    assert httpx.delete(f"{tab.address}/scenes/{gone}").status_code == 204
+    assert httpx.delete(f"{tab.address}/scenes/{gone}", timeout=120).status_code == 204
     row.locator("button").first.click()
     page.wait_for_selector(f"li[data-id='{gone}']", state="detached")
     problem = page.locator("#shelf-problem")
@@ -167,7 +167,7 @@ def test_the_next_scene_may_go_before_it_is_shown(tab: Tab, *, elsewhere: bool) 
     page.click(f"li[data-id='{ids[0]}'] .quiet")
     until(page, lambda: held)
     if elsewhere:
-        assert httpx.delete(f"{tab.address}/scenes/{ids[1]}").status_code == 204
+        assert httpx.delete(f"{tab.address}/scenes/{ids[1]}", timeout=120).status_code == 204
         held[0].continue_()
         page.wait_for_selector(f"#view-problem:has-text('{ids[1]}')")
     page.click(f"li[data-id='{ids[1]}'] .quiet")

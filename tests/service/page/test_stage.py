@@ -8,11 +8,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
 from browser_tab import Tab, launched
-from page_service import decoded, made, opened, pixels_of, rendered, serving, settled, until
+from page_service import decoded, document_of, made, opened, patient, pixels_of, rendered, serving, settled, until
 
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.http.page import STATIC
@@ -26,7 +25,7 @@ NEED_DB = 25.0  # measured 28.4: at 2.9 times the size that the Gaussians were m
 def turned_view(address: str, scene: str, azimuth: float, elevation: float) -> str:
     """The camera of view 0 moved on its sphere about the pivot, as JSON: by quaternions, not as the page does it."""
 
-    document = httpx.get(f"{address}/scenes/{scene}").json()
+    document = document_of(address, scene)
     views = SceneViews.of_document(document)
     camera = views.cameras[0]
     pivot = camera.center + views.pivot_depth * camera.rotation[:, 2]
@@ -118,6 +117,7 @@ def test_webgl_shows_the_same_scene(browser: Any, viewer: None, tmp_path: Path) 
     """Both views of the sample scene at the same camera; they cut and sort splats by rules of their own."""
     with serving(Settings(store=tmp_path / "scenes", threads=1)) as address:
         tab = Tab(browser, address)
+        patient(tab.page)
         page = tab.open()
         before = page.url
         page.click("#sample")
