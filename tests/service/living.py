@@ -18,8 +18,11 @@ def alive(pid: int) -> bool:
 
 def _finished(pid: int) -> bool:
     """Ended but not reaped: orphans stay so if nobody reaps them."""
-    stat = Path(f"/proc/{pid}/stat")
-    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] == "Z"
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):  # reaped meanwhile, unless the system has no such files
+        return Path("/proc/self/stat").exists()
+    return stat.rpartition(")")[2].split()[0] == "Z"
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 120) -> None:

@@ -156,6 +156,7 @@ def test_a_running_job_that_takes_too_long_fails(place: Place) -> None:
 @pytest.mark.parametrize("slots", [1, 2])
 def test_so_many_run_at_once_in_the_order_of_arrival(place: Place, slots: int) -> None:
     running, most, order, lock = 0, 0, [], threading.Lock()
+    together = threading.Event()
 
     def compute(_: Work, scene_id: str, __: object) -> None:
         nonlocal running, most
@@ -163,7 +164,10 @@ def test_so_many_run_at_once_in_the_order_of_arrival(place: Place, slots: int) -
             order.append(scene_id)
             running += 1
             most = max(most, running)
-        time.sleep(0.03)
+            if running == slots:
+                together.set()
+        assert together.wait(120)
+        time.sleep(0.03)  # so that one more would be met
         with lock:
             running -= 1
 

@@ -158,7 +158,7 @@ def test_files_that_got_no_answer_can_be_checked_again(tab: Tab, tmp_path: Path,
     page.wait_for_selector("#go:text('Check again'):not([disabled])")
     page.unroute("**/check")
     page.press("#go", "Enter")
-    page.wait_for_selector("#go:text('Reconstruct'):focus")
+    page.wait_for_selector("#go:text('Reconstruct'):not([disabled]):focus")
     assert page.inner_text("#problem") == ""
     page.set_input_files("#files", write_scene(tmp_path, [photograph(0)], {})[1:])
     page.wait_for_selector("#problem strong")

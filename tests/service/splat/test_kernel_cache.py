@@ -151,7 +151,7 @@ def test_kernels_decorated_at_once_leave_the_folder_of_others_alone(monkeypatch)
     monkeypatch.setattr(numba, "njit", njit)
     threads = [threading.Thread(target=decorate, args=(function,)) for function in functions]
     threads[0].start()
-    assert begun[0].wait(5)
+    assert begun[0].wait(120)
     threads[1].start()
     for thread in threads:
         thread.join()
