@@ -60,7 +60,7 @@ def held_network(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     go, run = threading.Event(), Reconstructor.run_network
 
     def held(self: Reconstructor, *arguments: Any) -> Any:
-        assert go.wait(120)
+        assert go.wait(600)
         return run(self, *arguments)
 
     monkeypatch.setattr(Reconstructor, "run_network", held)
