@@ -42,7 +42,7 @@ from .settings import Settings
 
 # What scripts of other origins may read of an answer, where they may call at all.
 EXPOSED = ["ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID"]
-EXPOSED += ["Accept-Ranges", "Content-Disposition", "Content-Range", "Preference-Applied"]
+EXPOSED += ["Accept-Ranges", "Content-Disposition", "Content-Range", "Preference-Applied", "Repr-Digest"]
 EXPOSED += [f"X-Gapmes-{name}" for name in ("Scene", "Stats", "Notes", "Problem")]
 EXPOSED += [f"X-Gapmes-Depth-{name}" for name in ("Min", "Max", "Scale", "Offset")]
 

@@ -14,6 +14,7 @@ ANSWERED = {
     "ETag": "names what is sent, for `If-None-Match`",
     "Location": "where the scene or the job is",
     "Preference-Applied": "`respond-async`",
+    "Repr-Digest": "the SHA-256 of the whole file in base64, `sha-256=:...:` (RFC 9530)",
     "Retry-After": "with 503: seconds",
     "Server-Timing": "stages of the work with their milliseconds",
     "WWW-Authenticate": "with 401: that the service needs a key",
@@ -39,8 +40,8 @@ _DEPTH = [name for name in ANSWERED if name.startswith("X-Gapmes-Depth")]
 # Response headers of single routes, beside those that follow from their statuses.
 OF_ROUTE = {
     "/render": ["X-Gapmes-Scene", "X-Gapmes-Stats", *_DEPTH],
-    "/scenes/{scene_id}.{extension}": ["Content-Disposition", "X-Gapmes-Notes"],
-    "/reconstruct": ["Content-Disposition"],
+    "/scenes/{scene_id}.{extension}": ["Content-Disposition", "Repr-Digest", "X-Gapmes-Notes"],
+    "/reconstruct": ["Content-Disposition", "Repr-Digest"],
     "/jobs/{job_id}/events": ["X-Accel-Buffering"],
 }
 FILES = "/scenes/{scene_id}.{extension}"  # has no Server-Timing

@@ -24,6 +24,7 @@ from ..revision import DRAWING_REVISION
 from ..scenes.scene_files import unknown
 from ..scenes.store import SceneStore
 from . import problems
+from .digests import REPR_DIGEST
 from .responses import PLY, head_alone
 from .spilled import SpilledResponse
 
@@ -61,6 +62,7 @@ class Made:
 
     file: IO[bytes]
     notes: tuple[str, ...]
+    digest: str  # the value of `Repr-Digest`
 
 
 def converted_file(name: str, etag: str, made: Made | None) -> Response:
@@ -72,19 +74,20 @@ def converted_file(name: str, etag: str, made: Made | None) -> Response:
         "Content-Disposition": f'attachment; filename="{name}"',
     }
     if made is not None:
-        return SpilledResponse(made.file, MEDIA_TYPE, {**headers, "X-Gapmes-Notes": json.dumps(made.notes)})
+        headers |= {REPR_DIGEST: made.digest, "X-Gapmes-Notes": json.dumps(made.notes)}
+        return SpilledResponse(made.file, MEDIA_TYPE, headers)
     return head_alone(MEDIA_TYPE, headers)
 
 
 class SceneFile(FileResponse):
     """A scene's .ply, which is kept from eviction until the last byte is sent."""
 
-    def __init__(self, store: SceneStore, scene_id: str, etag: str, size: int) -> None:
+    def __init__(self, store: SceneStore, scene_id: str, etag: str, size: int, digest: str) -> None:
         super().__init__(
             store.root / scene_id / "scene.ply",
             media_type=PLY,
             filename=f"{scene_id}.ply",
-            headers={"ETag": etag, "Cache-Control": ASKED_AGAIN},
+            headers={"ETag": etag, "Cache-Control": ASKED_AGAIN, REPR_DIGEST: digest},
         )
         self._store, self._scene_id, self._size = store, scene_id, size
 

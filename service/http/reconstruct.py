@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import AsyncExitStack, ExitStack, suppress
 from functools import partial
+from typing import IO
 
 import anyio.to_thread
 from fastapi import APIRouter, Request, Response
@@ -12,6 +13,7 @@ from ..errors import FormatError, SceneNotFound
 from ..scenes.store import SceneStore
 from . import problems
 from .bundle import zip_bundle
+from .digests import REPR_DIGEST, repr_digest
 from .form import FORM
 from .jobs import accepted_job, wanted_async, why_not
 from .limits import RELEASE
@@ -87,6 +89,12 @@ def _there(store: SceneStore, scene_id: str, held: ExitStack) -> bool:
     return False
 
 
+def _ply(runtime: Runtime, scene_id: str) -> tuple[IO[bytes], str]:
+    """The scene's .ply to be sent, and the value of `Repr-Digest`. To be called on a worker thread."""
+    data = runtime.store.ply(scene_id)
+    return spilled(data, runtime.store.root), repr_digest(data)
+
+
 async def _answer(
     request: Request, runtime: Runtime, scene_id: str, form: str, summary: RequestSummary, status: int
 ) -> Response:
@@ -100,7 +108,7 @@ async def _answer(
         return json_response(document, status, headers)
     if form == PLY:
         name = f"{scene_id}.ply"
-        body = await anyio.to_thread.run_sync(lambda: spilled(runtime.store.ply(scene_id), runtime.store.root))
+        body, headers[REPR_DIGEST] = await anyio.to_thread.run_sync(_ply, runtime, scene_id)
     else:
         name = f"{scene_id}.zip"
         body = await zip_bundle(runtime, document, summary.views, request.is_disconnected)

@@ -15,6 +15,7 @@ from ..cameras.view_checks import MAX_VIEWS
 from ..errors import FormatUnknown, InputError
 from ..formats.registry import FORMATS, MEDIA_TYPE, NAMES
 from ..scenes.scene_files import is_id
+from .digests import repr_digest, repr_digest_of
 from .files import ASKED_AGAIN, Made, SceneFile, converted_file, etag_of, etag_of_converted, matches, not_modified
 from .parameters import Parameters, whole
 from .responses import json_response
@@ -79,11 +80,12 @@ async def scene_file(
         if matches(request, etag):
             return not_modified({"ETag": etag, "Cache-Control": ASKED_AGAIN})
         if extension == "ply":
-            return SceneFile(runtime.store, scene_id, etag, size)
+            digest = await anyio.to_thread.run_sync(_digest, runtime, scene_id, etag)
+            return SceneFile(runtime.store, scene_id, etag, size, digest)
 
         def convert() -> Made:
             encoded = FORMATS[extension].write(runtime.store.gaussians(scene_id))
-            return Made(spilled(encoded.data, runtime.store.root), encoded.notes)
+            return Made(spilled(encoded.data, runtime.store.root), encoded.notes, repr_digest(encoded.data))
 
         made = None if request.method == "HEAD" else await runtime.files.run(convert, request.is_disconnected)
         return converted_file(f"{scene_id}.{extension}", etag, made)
@@ -122,6 +124,12 @@ def _stored(runtime: Runtime, scene_id: str, held: ExitStack) -> tuple[str, int]
     held.enter_context(runtime.store.keeping(scene_id))
     with runtime.store.reading(scene_id) as path:
         return etag_of(path), path.stat().st_size
+
+
+def _digest(runtime: Runtime, scene_id: str, etag: str) -> str:
+    """The value of `Repr-Digest` for the .ply. To be called on a worker thread."""
+    with runtime.store.reading(scene_id) as path:
+        return repr_digest_of(path, etag)
 
 
 def with_links(document: Mapping[str, Any], views: Sequence[str] = ()) -> dict[str, Any]:
