@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gapmes.model.routing import Gates, gumbel_noise, hybrid_weights, top_k_lowest_first
+from gapmes.model.routing import Gates, decisiveness, gumbel_noise, hybrid_weights, top_k_lowest_first
 
 
 def gates(experts: int = 6, k: int = 2, tau: float = 0.8) -> Gates:
@@ -64,6 +64,24 @@ def test_huge_logits_give_finite_weights(scale: float) -> None:
     routing = g(torch.zeros(2, 48))
     assert routing.expert_index.tolist() == [[1, 4], [1, 4]]
     assert torch.isfinite(routing.expert_weight).all()
+
+
+@pytest.mark.case("R2")
+@pytest.mark.parametrize(
+    ("row", "deciding", "margin"),
+    [
+        ([4.0, 3.0, 2.5, 0.0], 1, 0.25),  # whether the first is first
+        ([4.0, 3.0, 2.5, 0.0], 2, 0.125),  # and whether the second is chosen
+        ([0.0, 2.5, 4.0, 3.5], 2, 0.125),
+        ([-4.0, -5.0, -8.0, -8.0], 2, 0.125),
+        ([-4.0, -5.0, -8.0, -8.0], 3, 0.0),
+        ([5.0, 5.0, 0.0, 0.0], 1, 0.0),
+        ([0.0, 0.0, 0.0, 0.0], 2, 0.0),
+        ([7.0], 1, 2.0),
+    ],
+)
+def test_the_margin_is_the_least_gap_that_decides(row: list[float], deciding: int, margin: float) -> None:
+    assert decisiveness(torch.tensor([row]), deciding).tolist() == [margin]
 
 
 @pytest.mark.case("R5")
