@@ -86,8 +86,9 @@ def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int |
 def _in_a_matrix(entry: Mapping) -> str:
     """Where the intrinsics of this view are, if it has them as a matrix K."""
     for name, value in entry.items():
-        if isinstance(value, list) and len(value) == 3 and value[2] == [0, 0, 1]:
-            return f"; of a matrix {name[:20]} fx, fy, cx, cy are [0][0], [1][1], [0][2], [1][2]"
+        match value:
+            case [[int() | float() as fx, *_], _, [0, 0, 1]] if fx > 1:  # else a rotation, or not in px
+                return f"; of a matrix {str(name)[:20]} fx, fy, cx, cy are [0][0], [1][1], [0][2], [1][2]"
     return ""
 
 

@@ -33,6 +33,15 @@ def test_a_range_of_one_depth_is_refused(near: float, excess: float) -> None:
 
 
 @pytest.mark.case("P3")
+@pytest.mark.parametrize(
+    ("near", "far"), [(0.1, 0.1000001), (1, 1.000001), (3, 3.000003), (7.5, 7.5000075), (1e3, 1000.001)]
+)
+def test_exactly_the_least_excess_is_enough(near: float, far: float) -> None:
+    """As people write it; most of these are a little less in float64."""
+    assert depth_range(pair(), near, far).far == far
+
+
+@pytest.mark.case("P3")
 @pytest.mark.parametrize("near", [1e-30, 0.3, 1.0, 7.7e5, 1e30])
 def test_the_narrowest_range_has_two_ends_in_float32(near: float) -> None:
     depths = depth_range(pair(), near, near * (1 + 1.01e-6))

@@ -129,7 +129,7 @@ def test_cures_of_other_ways_to_write_intrinsics():
     assert caught.value.cure == "write it without quotation marks"
     file = our_file()
     fx, fy, cx, cy = (file["views"][1].pop(name) for name in ("fx", "fy", "cx", "cy"))
-    file["views"][1]["K"] = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+    file["views"][1] |= {"R": np.eye(3).tolist(), "K": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]}  # a rotation is no K
     with pytest.raises(CameraError, match="fx, fy, cx, cy missing") as caught:
         parse_camera_file(file)
     assert caught.value.cure.endswith("of a matrix K fx, fy, cx, cy are [0][0], [1][1], [0][2], [1][2]")
