@@ -142,9 +142,9 @@ export async function remove(id, place) {
     await ask(`/scenes/${encodeURIComponent(id)}`, { method: "DELETE" }).catch((error) => {
       if (error.status !== 404) throw error; // else somebody was faster
     });
-    await gone(id);
   } catch (error) {
     return act.failed(error, place);
   }
+  await gone(id).catch((error) => act.failed(error, problem));
   act.removed(id);
 }

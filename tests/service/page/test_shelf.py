@@ -106,6 +106,24 @@ def test_a_scene_that_is_deleted_while_the_list_is_read_stays_away(tab: Tab) -> 
     assert page.locator(f"li[data-id='{gone}']").count() == 0
 
 
+def test_a_scene_is_deleted_also_where_the_list_cannot_be_read(tab: Tab) -> None:
+    """It leaves the stage, and the list's problem is told."""
+    stored(tab.address, 2)
+    page = tab.open()
+    page.on("dialog", lambda dialog: dialog.accept())
+    gone, following = (page.locator("#scenes li").nth(place).get_attribute("data-id") for place in (0, 1))
+    held: list[Any] = []
+    page.route("**/scenes?*", lambda route: route.abort() if held else held.append(route))
+    page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+    until(page, lambda: held)
+    page.click("#remove")
+    page.wait_for_url(f"**/?scene={following}")
+    page.wait_for_selector(f"li.chosen[data-id='{following}']")
+    assert "does not answer" in page.inner_text("#shelf-problem")
+    assert page.locator(f"li[data-id='{gone}']").count() == 0
+    held[0].abort()
+
+
 def test_the_scene_on_show_is_told(tab: Tab) -> None:
     page = whole_list(tab)
     for place in (0, 13):
