@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from fastapi.testclient import TestClient
-from http_requests import post
+from http_requests import photograph, post
 
 from gapmes.service.app import EXPOSED
 from gapmes.service.http.digests import REPR_DIGEST, repr_digest, repr_digest_of
@@ -37,8 +37,25 @@ def test_the_ply_whole_in_part_and_its_head(client: TestClient) -> None:
 
 @pytest.mark.parametrize("extension", ["compressed.ply", "splat", "spz"])
 def test_a_converted_file(client: TestClient, extension: str) -> None:
-    answer = client.get(post(client).json()["links"]["files"][extension])
+    link = post(client).json()["links"]["files"][extension]
+    answer = client.get(link)
     assert answer.headers[REPR_DIGEST] == sha256(answer.content)
+    assert REPR_DIGEST not in client.head(link).headers  # none is made
+
+
+def test_what_the_viewer_reads_has_none(client: TestClient) -> None:
+    answer = client.get(f"{post(client).json()['links']['self']}/viewer.ply")
+    assert answer.content.startswith(b"ply")
+    assert REPR_DIGEST not in answer.headers
+
+
+def test_a_scene_that_is_made_again_has_the_same(client: TestClient) -> None:
+    digests = set()
+    for _ in range(2):
+        links = post(client, [photograph(300), photograph(301)]).json()["links"]
+        digests.add(client.get(links["ply"]).headers[REPR_DIGEST])
+        assert client.delete(links["self"]).status_code == 204
+    assert len(digests) == 1
 
 
 def test_the_answer_to_photographs(client: TestClient) -> None:
