@@ -101,7 +101,7 @@ def _checked(near: float, far: float) -> DepthRange:
     if not near < far:
         swapped = "are they swapped, or one of them the file's? then give both"
         cure = swapped if near > far else "the scene needs some depth"
-        raise DepthRangeError(f"near = {near:g}, far = {far:g}, need near < far", field="near", cure=cure)
+        raise DepthRangeError(f"near = {near:.12g}, far = {far:.12g}, need near < far", field="near", cure=cure)
     if far < near * (1 + MIN_EXCESS):  # which the shortest decimals of exactly as much pass
         message = f"near = {near:.12g}, far = {far:.12g}, need far to exceed near by {MIN_EXCESS:g} of it at least"
         raise DepthRangeError(message, field="near", cure="the scene needs some depth")
