@@ -6,7 +6,7 @@ import math
 import operator
 from collections.abc import Iterable
 from numbers import Integral, Real
-from os import PathLike
+from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -70,9 +70,10 @@ def of_type(value: object, kind: type[T], field: str, cure: str) -> T:
 
 def file_path(value: object, field: str, cure: str) -> Path:
     """The path that it is. Raises `InputError` for anything but text and paths."""
-    if not isinstance(value, str | PathLike):
+    path = fspath(value) if isinstance(value, PathLike) else value
+    if not isinstance(path, str):  # paths of bytes are none of `pathlib`
         raise InputError(f"is a {type(value).__name__}, need a path", field=field, cure=cure)
-    return Path(value)
+    return Path(path)
 
 
 def whole_numbers(values: Iterable[object], field: str) -> list[int]:

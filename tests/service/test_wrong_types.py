@@ -142,7 +142,14 @@ def test_a_ply_is_written_to_a_path_or_an_open_file(target: Any) -> None:
     assert _refusal(lambda: write_ply(target, ONE)).field == "target"
 
 
-@pytest.mark.parametrize("path", [None, 5, b"a.ply", ["a.ply"]])
+class PathOfBytes:
+    """As `os.scandir` gives for a folder named in bytes."""
+
+    def __fspath__(self) -> bytes:
+        return b"a.ply"
+
+
+@pytest.mark.parametrize("path", [None, 5, b"a.ply", ["a.ply"], PathOfBytes()])
 def test_files_are_named_by_paths(path: Any) -> None:
     calls: dict[str, Callable[[], object]] = {
         "path": lambda: write_gaussians(path, ONE),
