@@ -33,6 +33,12 @@ def test_a_range_of_one_depth_is_refused(near: float, excess: float) -> None:
 
 
 @pytest.mark.case("P3")
+def test_ends_that_are_swapped_are_told_apart() -> None:
+    with pytest.raises(DepthRangeError, match=r"near = 1\.0000002, far = 1\.0000001, need near < far"):
+        depth_range(pair(), 1.0000002, 1.0000001)
+
+
+@pytest.mark.case("P3")
 @pytest.mark.parametrize(
     ("near", "far"), [(0.1, 0.1000001), (1, 1.000001), (3, 3.000003), (7.5, 7.5000075), (1e3, 1000.001)]
 )
