@@ -29,7 +29,7 @@ def doctor(
     from ..progress import Stages
     from ..settings import checked_settings
 
-    checked = None if engine is None else checked_engine(engine)
+    checked = checked_engine(engine) if engine else None
     settings = checked_settings(**given(model=model, engine=checked, store=store, threads=threads))
     examination = Doctor(settings)
     findings = []

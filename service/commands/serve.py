@@ -85,7 +85,7 @@ def serve(
 
     if parent is not None:
         end_with_parent(parent)
-    checked = None if engine is None else checked_engine(engine)
+    checked = checked_engine(engine) if engine else None
     options = given(
         host=host, port=port, model=model, models=models, engine=checked, store=store, threads=threads, workers=workers,
         quiet=quiet or None,

@@ -268,7 +268,6 @@ def test_another_engine_is_another_scene(several: TestClient, settings: Settings
             "GAPMES_ENGINE: Input should be 'onnxruntime', 'openvino-fp32' or 'openvino-bf16'",
         ),
         (["--engine", "tpu"], {}, "engine: 'tpu' is no engine (one of onnxruntime, openvino-fp32, openvino-bf16)"),
-        (["--engine", "", "--model", "nothing.onnx"], {}, "engine: '' is no engine"),
     ],
 )
 def test_the_server_does_not_start_with_what_cannot_work(
