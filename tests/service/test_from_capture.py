@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from pathlib import Path
 from typing import Any, cast
@@ -14,6 +15,7 @@ from cli_runs import reconstruct
 from gapmes.service import Budget, GapmesError, Reconstructor, from_capture, reconstruct_capture, write_ply
 from gapmes.service.errors import CaptureError, DepthRangeError, ImageError, InputError, ViewCountError, ViewError
 from gapmes.service.network.engine import Engine
+from gapmes.service.options import checked_options
 from gapmes.service.progress import Stage
 
 
@@ -124,6 +126,11 @@ def test_wrong_options_are_refused_before_the_network_is_loaded(
     assert loads == []
     assert getattr(caught.value, "field", None) == field
     assert field is not None or next(iter(options)) in str(caught.value)
+
+
+def test_the_defaults_are_those_of_the_reconstructor() -> None:
+    own, its = (inspect.signature(each).parameters for each in (checked_options, Reconstructor.reconstruct))
+    assert {name: one.default for name, one in own.items()} == {name: its[name].default for name in own}
 
 
 def test_a_photograph_that_cannot_be_read_is_named_by_its_place_in_the_capture(
