@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -99,16 +100,16 @@ def splatter_rounding(gaussians: Gaussians, camera: Camera, near: float) -> Roun
     return _rounding(np.abs(render(there, window, definition=rule).rgb - true.rgb))
 
 
-def alpha_cut_bound(gaussians: Gaussians, camera: Camera, near: float, exact: float, cut: float) -> Bound:
-    """What leaving out layers fainter than `cut` changes at most, in the middle of a square picture that leaves out
-    those below `exact`: the range of colours times the weight of the layers between both and both early stops, as in
-    `pruning.py`; beside it the largest change there. All in float64."""
+def cut_bound(gaussians: Gaussians, camera: Camera, exact: Definition, cut: Definition) -> Bound:
+    """What the larger `alpha_min` or smaller `cut_radius` of `cut` changes at most, in the middle of a square picture,
+    beside `exact`, which is otherwise the same: the range of colours times the weight of the layers that only `exact`
+    has and both early stops, as in `pruning.py`; beside it the largest change there. All in float64."""
     window = _middle(camera, CUT_WINDOW)
     # splats beyond the picture's edge keep the shape that they have in the whole picture
-    margin = ((1 + Definition().fov_margin) * camera.width - CUT_WINDOW) / CUT_WINDOW
-    exactly, coarsely = (Definition(near=near, alpha_min=least, fov_margin=margin) for least in (exact, cut))
+    margin = ((1 + exact.fov_margin) * camera.width - CUT_WINDOW) / CUT_WINDOW
+    exactly, coarsely = (replace(rule, fov_margin=margin) for rule in (exact, cut))
     there = gaussians[reaches(gaussians, window, np.ones((CUT_WINDOW, CUT_WINDOW), bool), exactly)]
-    whole = render_reference(there, window, definition=exactly, faint=cut)
+    whole = render_reference(there, window, definition=exactly, faint=cut.alpha_min, beyond=cut.cut_radius)
     changed = np.abs(whole.rgb - render_reference(there, window, definition=coarsely).rgb)
     most = colour_range(there) * (float(whole.removed.max()) + 2 * exactly.stop)
     return Bound(bound=most, actual=float(changed.max()))

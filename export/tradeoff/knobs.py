@@ -25,7 +25,7 @@ class PictureSetting:
 
     knob: str
     value: str
-    how: str
+    how: str  # its option, empty for a default that no option sets
     effort: Effort
     default: bool = False
 
@@ -66,6 +66,11 @@ PICTURE_SETTINGS = (
         PictureSetting("early stop", f"{stop:g}", f"--stop {stop:g}", Effort(stop=stop), stop == STOP)
         for stop in (0.0, 1e-4, 1e-2, 0.1)
     ),
+    *(
+        PictureSetting("cut radius", f"{radius:g} sigma", f"--cut-radius {radius:g}", Effort(cut_radius=radius))
+        for radius in (1.5, 2.0, 2.5, 3.0)
+    ),
+    PictureSetting("cut radius", "none", "", Effort(), default=True),
     *(PictureSetting("samples", f"{n} x {n}", f"--samples {n}", Effort(samples=n), n == 1) for n in (1, 2, 4)),
     *(
         PictureSetting(BANDS, f"degree {degree}", f"--sh-degree {degree}", Effort(sh_degree=degree), degree == 3)
@@ -75,6 +80,7 @@ PICTURE_SETTINGS = (
 EXACT = {
     "alpha cut": Effort(alpha_min=1e-6),
     "early stop": Effort(stop=0.0),
+    "cut radius": Effort(),
     "samples": Effort(samples=4),
     BANDS: Effort(),
 }

@@ -26,7 +26,7 @@ from gapmes.service.viewpoints.scene_views import NEAR_PLANE_SHARE
 from ..evaluation.labels import given_twice, shortest_names
 from . import files, knobs
 from .child import Timed, timed
-from .errors import alpha_cut_bound, drawn, model_error, network_rounding, setting_error, splatter_rounding
+from .errors import cut_bound, drawn, model_error, network_rounding, setting_error, splatter_rounding
 from .files import ModelFile
 from .machine import this_machine
 from .page import write
@@ -187,14 +187,15 @@ class _Measure:
         error = setting_error(shots[:1], shots[1:])
         if setting.knob == knobs.BANDS:
             bound = Bound(bound=_bands_bound(gaussians, setting.effort.sh_degree or 0), actual=error.largest)
-        if setting.knob == "alpha cut":
-            exact = knobs.EXACT[setting.knob].alpha_min
-            bound = alpha_cut_bound(gaussians, self.camera, self.near(0), exact, setting.effort.alpha_min)
+        if setting.knob in ("alpha cut", "cut radius"):
+            efforts = (knobs.EXACT[setting.knob], setting.effort)
+            exact, cut = (replace(effort.definition(), near=self.near(0)) for effort in efforts)
+            bound = cut_bound(gaussians, self.camera, exact, cut)
         if setting.knob == "early stop":
             bound = Bound(bound=setting.effort.stop * colour_range(gaussians), actual=error.largest)
         seconds = self._picture_seconds(lambda: draw(gaussians, self.camera, "rgb", setting.effort, near=self.near(0)))
         return _row(
-            "picture", setting.knob, setting.value, f"gapmes render {setting.how}", setting.default,
+            "picture", setting.knob, setting.value, f"gapmes render {setting.how}".strip(), setting.default,
             Timing(seconds=seconds, stages={"picture": seconds}, repeats=PICTURE_REPEATS), setting=error, bound=bound,
         )  # fmt: skip
 

@@ -39,8 +39,8 @@ class ModelError(_Strict):
 
 
 class Bound(_Strict):
-    """Proved (scenes: for the certified views; the alpha cut: for the middle of the picture), beside the largest change
-    found (scenes: in the inputs; the alpha cut: in the same pixels)."""
+    """Proved (scenes: for the certified views; alpha cut and cut radius: for the middle of the picture), beside the
+    largest change found (scenes: in the inputs; both cuts: in the same pixels)."""
 
     bound: float
     actual: float

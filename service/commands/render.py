@@ -56,6 +56,10 @@ def render(
     background: Annotated[str, typer.Option(help="rrggbb in hex, black, white or grey")] = "black",
     alpha_min: Annotated[float, typer.Option(help="do not draw layers below this opacity")] = ALPHA_MIN,
     stop: Annotated[float, typer.Option(help="stop at a pixel once its transmittance falls to this")] = STOP,
+    cut_radius: Annotated[
+        float | None,
+        typer.Option(help="do not draw a Gaussian beyond so many standard deviations [default: no limit]"),
+    ] = None,
     sh_degree: Annotated[
         int | None, typer.Option(min=0, max=3, help="highest band of harmonics [default: all]")
     ] = None,
@@ -95,7 +99,7 @@ def render(
         write_sheet,
     )
 
-    effort = Effort(alpha_min, stop, sh_degree, samples)
+    effort = Effort(alpha_min, stop, sh_degree, samples, cut_radius)
     capture = capture_of_option(cameras, "cameras")
     file = capture.cameras(range(len(capture.table.names)))
     again = path == "inputs"  # such a path may pass a view several times; pictures of it would be equal

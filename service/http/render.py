@@ -59,6 +59,12 @@ class RenderQuery(Parameters):
         description="layers below this opacity are not drawn",
     )
     stop: float = Field(STOP, ge=0, le=LIMITS["stop"][1], description="what lies behind so little light is not drawn")
+    cut_radius: float | None = Field(
+        None,
+        ge=LIMITS["cut_radius"][0],
+        le=LIMITS["cut_radius"][1],
+        description="standard deviations beyond which a Gaussian is not drawn; default: as far as alpha_min reaches",
+    )
     sh_degree: int = Field(3, ge=0, le=3, description="highest band of harmonics")
     samples: int = Field(1, ge=1, le=MAX_SAMPLES, description="per side of a pixel")
     background: str = Field(
@@ -104,7 +110,7 @@ class _Asked:
 async def _drawn(
     request: Request, runtime: Runtime, query: RenderQuery, asked: _Asked, cache: Mapping[str, str]
 ) -> Response:
-    effort = Effort(query.alpha_min, query.stop, query.sh_degree, query.samples)
+    effort = Effort(query.alpha_min, query.stop, query.sh_degree, query.samples, query.cut_radius)
 
     def work() -> tuple[Picture, dict[str, Any], float]:
         drawn = draw(runtime, asked.scene_id, asked.camera, asked.views, query.channel, effort, asked.background)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import factorial, pi, sqrt
+from math import factorial, inf, pi, sqrt
 
 import numpy as np
 from numpy.polynomial import Legendre
@@ -51,11 +51,13 @@ def render_reference(
     compatibility: str | None = None,
     subset: NDArray[np.bool_] | None = None,
     faint: float = 0.0,
+    beyond: float = inf,
 ) -> Render:
     """The exact image of `render` with all outputs, in float64; O(N H W).
 
-    `removed` sums the weights of the Gaussians in the mask `subset` (N,) and of all layers with alpha below `faint`.
-    The other arguments are those of `render`. Raises `InputError`.
+    `removed` sums the weights of the Gaussians in the mask `subset` (N,) and of all layers with alpha below `faint` or
+    farther than `beyond` standard deviations from their Gaussian's centre. The other arguments are those of `render`.
+    Raises `InputError`.
     """
     check_types(gaussians, camera)
     rule, degree = checked_definition(definition, near, compatibility), checked_degree(sh_degree, gaussians)
@@ -94,7 +96,7 @@ def render_reference(
         colour += weight[..., None] * np.maximum(0.5 + basis @ gaussians.harmonics[i, : len(basis)], 0.0)
         median[added & (light > 0.5) & (light - weight <= 0.5)] = z[i]
         peaks[i], pairs = weight.max(initial=0.0), pairs + int(added.sum())
-        removed += weight * (chosen[i] | (alpha < faint))
+        removed += weight * (chosen[i] | (alpha < faint) | (distance2 > beyond * beyond))
         depth, mass, light = depth + weight * z[i], mass + weight, light - weight
     depth = np.divide(depth, mass, out=np.zeros_like(depth), where=mass > 0)
     colour += light[..., None] * behind

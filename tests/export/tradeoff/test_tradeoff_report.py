@@ -82,7 +82,7 @@ def test_the_four_errors_stand_apart(quick: tuple[Report, Path]) -> None:
         assert row.timing.seconds > 0
         if row.bound is not None:
             assert row.bound.actual <= row.bound.bound + 1e-6
-        bounded = row.knob in ("alpha cut", "early stop") or "harmonics" in row.knob
+        bounded = row.knob in ("alpha cut", "early stop", "cut radius") or "harmonics" in row.knob
         assert row.group != "picture" or (row.bound is not None) == bounded
     never, default = rows["fading", "0"], rows["fading", "4"]
     assert default.default
@@ -95,6 +95,8 @@ def test_the_four_errors_stand_apart(quick: tuple[Report, Path]) -> None:
     assert strided.megabytes is not None
     assert strided.megabytes < 1
     assert rows["early stop", "0"].setting.largest == 0
+    assert rows["cut radius", "none"].setting.largest == 0
+    assert rows["cut radius", "none"].how == "gapmes render"
 
 
 def test_changes_have_closed_forms() -> None:
@@ -145,7 +147,12 @@ def test_every_knob_is_an_option_of_a_command() -> None:
             given[name] = parse(value)
         assert Budget(**given) == setting.budget
     of_picture = {"--alpha-min": "alpha_min", "--stop": "stop", "--sh-degree": "sh_degree", "--samples": "samples"}
+    of_picture["--cut-radius"] = "cut_radius"
     for picture in knobs.PICTURE_SETTINGS:
+        if not picture.how:
+            assert picture.effort == Effort()
+            assert picture.default
+            continue
         option, value = shlex.split(picture.how)
         assert option in help_of["render"]
         found, plain = asdict(picture.effort), asdict(Effort())
@@ -156,7 +163,7 @@ def test_every_knob_is_an_option_of_a_command() -> None:
         assert option in help_of["export"]
     assert sum(setting.default for setting in knobs.SCENE_SETTINGS) == 1
     defaults = [setting.knob for setting in knobs.PICTURE_SETTINGS if setting.default]
-    assert defaults == ["alpha cut", "early stop", "samples", knobs.BANDS]
+    assert defaults == ["alpha cut", "early stop", "cut radius", "samples", knobs.BANDS]
 
 
 def test_the_machine_is_named() -> None:

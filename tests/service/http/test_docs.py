@@ -79,9 +79,9 @@ def test_bounds_of_pictures_are_documented() -> None:
     (widest,) = [bound.le for bound in RenderQuery.model_fields["width"].metadata if hasattr(bound, "le")]
     assert f"at most {widest:,} px" in TEXT
     knobs = (ROOT / "docs" / "splatting.md").read_text(encoding="utf-8")
-    for name in ("alpha_min", "stop"):
+    for name, row in (("alpha_min", "alpha_min"), ("stop", "alpha_min"), ("cut_radius", "cut_radius")):
         low, high = (f"{bound:g}".replace("e-0", "e-") for bound in LIMITS[name])
-        assert f"{low} to {high}" in next(line for line in TEXT.splitlines() if line.startswith("| `alpha_min`"))
+        assert f"{low} to {high}" in next(line for line in TEXT.splitlines() if line.startswith(f"| `{row}`"))
         assert f"`{name}` from {low} to {high}" in knobs
 
 

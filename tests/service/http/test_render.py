@@ -48,6 +48,14 @@ def test_view_and_camera_are_the_same_picture(client: TestClient, scene: dict[st
     assert client.get("/render?view=0.5").content != client.get("/render?view=0").content
 
 
+def test_a_radius_cuts_splats(client: TestClient, scene: dict[str, Any]) -> None:
+    whole, same, cut = (client.get("/render" + query) for query in ("", "?cut_radius=6", "?cut_radius=1.5"))
+    assert (picture(same) == picture(whole)).all()
+    assert (picture(cut) != picture(whole)).any()
+    assert len({answer.headers["etag"] for answer in (whole, same, cut)}) == 3
+    assert_problem(client.get("/render?cut_radius=0.5"), 422, "parameter_invalid", "cut_radius")
+
+
 def test_camera_in_other_axes(client: TestClient, scene: dict[str, Any]) -> None:
     camera = dict(scene["view_cameras"][1])
     pose = np.array(camera.pop("c2w")) @ np.diag([1.0, -1.0, -1.0, 1.0])

@@ -285,6 +285,16 @@ def test_why_nothing_is_drawn(folder: Path, capfd: pytest.CaptureFixture[str]) -
     assert told.endswith("fainter than alpha_min; lower --alpha-min)")
 
 
+def test_a_radius_cuts_the_pictures_splats(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for name, options in (("whole", ()), ("same", ("--cut-radius", 6)), ("cut", ("--cut-radius", 1.5))):
+        assert render(folder, name, "--views", "0", *options) == 0
+    whole, same, cut = ((folder / name / "view_0.png").read_bytes() for name in ("whole", "same", "cut"))
+    assert whole == same != cut
+    capfd.readouterr()
+    assert render(folder, "none", "--cut-radius", 0.5) == 1
+    assert "cut_radius: is 0.5, need 1 to 6" in capfd.readouterr().err
+
+
 def test_other_models_of_the_cameras_are_told(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write_colmap(folder / "project", arc(2))
     write_colmap(folder / "project", arc(3), "sparse/1")
