@@ -50,6 +50,7 @@ def reconstruct_capture(
     wanted = checked_selection(ViewSelection(_selection(views), context, field="views"))
     near, far = (end if end is None else checked_depth(end, name) for name, end in (("near", near), ("far", far)))
     found = open_capture(place).choose(wanted, near, far)
+    near, far = found.checked_depths(near, far)
     return reconstruct_chosen(reconstructor or Reconstructor(), found, near=near, far=far, listener=listener, **made)
 
 
@@ -72,13 +73,13 @@ def reconstruct_chosen(
     reconstructor: Reconstructor,
     found: ChosenViews,
     *,
-    near: float | None = None,
-    far: float | None = None,
+    near: float | None,
+    far: float | None,
     listener: Listener = silent,
     **options: Any,
 ) -> Scene:
-    """As `reconstruct_capture`, of views that are chosen already. `listener` hears the stage read images, too."""
-    near, far = found.file.depths(near, far)
+    """As `reconstruct_capture`, of views that are chosen already, with near and far as `found.checked_depths` has them.
+    `listener` hears the stage read images, too."""
     stages = Stages(listener)
     with stages.stage("read images", len(found.indices)) as step:
         photos = []

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ..cameras.camera_fields import CameraFile
+from ..cameras.depth_range import depth_range
 from ..cameras.distortion import MAX_SHIFT_PX
-from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS, Notice
+from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS, Notice, check_count
 from ..errors import CaptureError, ImageError, IntrinsicsError
 from ..photographs.image_files import MAX_PIXELS
 from .archive import SIGNATURES, ZipFiles
@@ -43,6 +44,17 @@ class ChosenViews:
     def read(self, place: int) -> bytes:
         """The encoded photograph of a chosen view."""
         return self.photographs.read(self.paths[place])
+
+    def checked_depths(self, near: float | None, far: float | None) -> tuple[float | None, float | None]:
+        """Near and far: each as it is given here, else the file's.
+
+        Raises `ViewCountError`, `DepthRangeError` and `BaselineError`, as a reconstruction would: photographs and
+        network need not be read for that.
+        """
+        check_count(len(self.indices))
+        near, far = self.file.depths(near, far)
+        depth_range(self.file.cameras, near, far)
+        return near, far
 
 
 class Capture:

@@ -279,3 +279,12 @@ def test_a_refusal_names_the_view_as_the_capture_counts_it(
     assert reconstruct(scene_dir, standin_model, "--views", "1,3", "--json") == 1
     error = assert_refusal(capfd, "error: view 3: images: the photograph is 48 x 64 px")
     assert error["index"] == 3
+
+
+def test_swapped_depths_are_refused_before_the_network_is_loaded(
+    scene_dir: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert reconstruct(scene_dir, standin_model, "--near", 8, "--far", 2) == 1
+    error = capfd.readouterr().err
+    assert "near = 8, far = 2, need near < far (are they swapped" in error
+    assert "load model" not in error

@@ -13,7 +13,15 @@ from capture_scenes import arc, write_colmap
 from cli_runs import reconstruct
 
 from gapmes.service import Budget, GapmesError, Reconstructor, from_capture, reconstruct_capture, write_ply
-from gapmes.service.errors import CaptureError, DepthRangeError, ImageError, InputError, ViewCountError, ViewError
+from gapmes.service.errors import (
+    BaselineError,
+    CaptureError,
+    DepthRangeError,
+    ImageError,
+    InputError,
+    ViewCountError,
+    ViewError,
+)
 from gapmes.service.network.engine import Engine
 from gapmes.service.options import checked_options
 from gapmes.service.progress import Stage
@@ -114,6 +122,8 @@ def test_a_reconstructor_is_one(colmap: Path) -> None:
         ({"whole": None}, "whole"),
         ({"faed": 1}, None),
         ({"numbers": [0, 1]}, None),  # are the capture's
+        ({"near": 5.0, "far": 2.0}, "near"),
+        ({"near": 2.0}, "far"),  # which the capture lacks
     ],
 )
 def test_wrong_options_are_refused_before_the_network_is_loaded(
@@ -126,6 +136,20 @@ def test_wrong_options_are_refused_before_the_network_is_loaded(
     assert loads == []
     assert getattr(caught.value, "field", None) == field
     assert field is not None or next(iter(options)) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("views", "error"), [(1, ViewCountError), (2, BaselineError)], ids=["one view", "all at one place"]
+)
+def test_captures_without_parallax_are_refused_before_the_network_is_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, views: int, error: type[InputError]
+) -> None:
+    write_colmap(tmp_path, [arc(1)[0]] * views)
+    loads: list[object] = []
+    monkeypatch.setattr(from_capture, "Reconstructor", loads.append)
+    with pytest.raises(error):
+        reconstruct_capture(tmp_path)
+    assert loads == []
 
 
 def test_the_defaults_are_those_of_the_reconstructor() -> None:
