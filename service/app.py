@@ -47,6 +47,16 @@ EXPOSED += [f"X-Gapmes-{name}" for name in ("Scene", "Stats", "Notes", "Problem"
 EXPOSED += [f"X-Gapmes-Depth-{name}" for name in ("Min", "Max", "Scale", "Offset")]
 
 
+# In the order in which they are shown.
+TAGS = [
+    {"name": "reconstruction", "description": "Scenes from photographs"},
+    {"name": "views", "description": "Pictures and films of a scene"},
+    {"name": "scenes", "description": "Stored scenes and their files"},
+    {"name": "jobs", "description": "Reconstructions that are waiting or running"},
+    {"name": "operations", "description": "State of the service"},
+]
+
+
 def create_app(
     settings: Settings | None = None,
     bars: AbstractContextManager[Listener] | None = None,
@@ -70,7 +80,7 @@ def create_app(
         description="Posed photographs in, 3D Gaussians and novel views out.",
         version=version("gapmes"),
         lifespan=lifespan,
-        docs_url=None,  # the stock pages load scripts from other hosts; /openapi.json has the same content
+        docs_url=None,  # the stock pages load scripts from other hosts: `page.py` has one that does not
         redoc_url=None,
         redirect_slashes=False,  # to an address that the request's Host would choose
         responses=problems.RESPONSES,
@@ -103,7 +113,9 @@ def create_app(
 def _schema(app: FastAPI, *, locked: bool) -> dict[str, Any]:
     """The open API, with the one form that all errors have, and the key that a `locked` service asks for."""
     if app.openapi_schema is None:
-        schema = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+        schema = get_openapi(
+            title=app.title, version=app.version, description=app.description, tags=TAGS, routes=app.routes
+        )
         describe(schema["paths"])
         problem = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
         schema.setdefault("components", {}).setdefault("schemas", {})["Problem"] = problem

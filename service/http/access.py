@@ -11,7 +11,7 @@ from ..errors import Unauthorized
 from ..problem_document import of_error
 from . import problems
 
-OPEN = ("/healthz", "/readyz", "/", "/viewer")  # and the files of the page, which hold no data
+OPEN = ("/healthz", "/readyz", "/", "/viewer", "/docs")  # and the files of the page, which hold no data
 OPEN_BELOW = "/static/"
 SCHEME = "bearer "
 # Security schemes of the OpenAPI document.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from .responses import takes_gzip
 router = APIRouter(include_in_schema=False)
 
 STATIC = Path(__file__).parents[1] / "static"
+SWAGGER = ("swagger-ui-bundle.js", "swagger-ui.css")  # of the package fastapi-offline
 VIEWER = "viewer/index.js"  # exists if npm was available when the package was built
 MEDIA_TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -39,6 +41,11 @@ VIEWER_POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval' blob:; worker-src 'self' blob:; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
     "connect-src 'self' data: blob:; form-action 'none'; base-uri 'none'; frame-ancestors 'self'"
+)
+# Swagger UI sets styles of elements, and embeds icons in its style.
+DOCS_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+    "connect-src 'self'; form-action 'none'; base-uri 'none'; frame-ancestors 'none'"
 )
 HEADERS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "same-origin", "Cache-Control": "no-cache"}
 
@@ -63,6 +70,13 @@ def viewer(request: Request) -> Response:
     if VIEWER not in _files():
         raise HTTPException(404)
     return _answer(request, "viewer.html", VIEWER_POLICY)
+
+
+@router.head("/docs")
+@router.get("/docs")
+def docs(request: Request) -> Response:
+    """Swagger UI over /openapi.json, as FastAPI's own page is, which loads its scripts from another host."""
+    return _answer(request, "docs.html", DOCS_POLICY)
 
 
 @router.head("/static/{name:path}")
@@ -96,7 +110,8 @@ def _files() -> dict[str, Path]:
         for path in root.rglob("*"):
             if path.suffix in MEDIA_TYPES and path.is_file():
                 found[prefix + path.relative_to(root).as_posix()] = path
-    return found
+    swagger = Path(str(files("fastapi_offline"))) / "static"
+    return found | {f"docs/{name}": swagger / name for name in SWAGGER}
 
 
 @cache

@@ -166,13 +166,13 @@ def _budget(form: FormData, views: tuple[str, ...]) -> Budget:
 async def _inputs(
     form: FormData, settings: Settings, wanted: ViewSelection, near: float | None, far: float | None
 ) -> Inputs:
-    capture = _single(form, "capture")
+    capture = _single(form, "capture") or None  # an empty field counts as missing
     if capture is None:
         images = await _images(form, wanted)
         document = await _cameras(form, settings.max_camera_bytes)
         return await anyio.to_thread.run_sync(lambda: posted(document, images, wanted, settings, near, far))
     for name in ("images", "cameras"):
-        if form.getlist(name):
+        if any(part != "" for part in form.getlist(name)):
             raise InputError(f"is given beside {name}", field="capture", cure="it holds photographs and cameras")
     if not isinstance(capture, UploadFile):
         raise no_file(capture, "capture", "curl -F capture=@capture.zip")

@@ -56,10 +56,16 @@ async function silence(body) {
   return { title: "Unreachable", detail: "the service does not answer", cure: "wait a moment and try again; if that does not help, tell whoever runs the service" };
 }
 
+/** Headers with the key, if there is one. */
+export function keyed(headers) {
+  const key = sessionStorage.getItem(KEY);
+  return key ? { ...headers, "X-API-Key": key } : headers;
+}
+
 /** A successful response. Throws `Refused` for any other. */
 export async function ask(path, { method = "GET", headers = {}, body, signal } = {}) {
   const key = sessionStorage.getItem(KEY);
-  const sent = { method, body, signal, headers: key ? { ...headers, "X-API-Key": key } : headers };
+  const sent = { method, body, signal, headers: keyed(headers) };
   let response;
   try {
     response = await fetch(path, sent);

@@ -223,6 +223,16 @@ def test_a_capture_as_a_text_field(client: TestClient) -> None:
     assert_problem(answer, 422, "invalid_input", "capture")
 
 
+def test_empty_fields_of_the_other_kind_of_form_count_as_missing(client: TestClient, tmp_path: Path) -> None:
+    """Tools that fill in a form from the OpenAPI document send all of its fields."""
+    write_colmap(tmp_path, arc(3))
+    assert post_capture(client, zipped(tmp_path), images="", cameras="").status_code in (200, 201)
+    parts = [("images", (f"{seed}.png", noise(seed), "image/png")) for seed in (70, 71)]
+    cameras = ("cameras", (None, json.dumps(camera_object(2))))
+    answer = client.post("/reconstruct", files=[*parts, cameras, ("capture", (None, ""))])
+    assert answer.status_code in (200, 201), answer.text
+
+
 def test_a_zip_without_a_model_as_cameras(client: TestClient, tmp_path: Path) -> None:
     (tmp_path / "a.md").write_text("x")
     answer = post_parts(client, zipped(tmp_path), ["0|a.png", "1|b.png"])

@@ -39,7 +39,7 @@ def test_the_head_of_everything_is_that_of_the_whole(client: TestClient) -> None
     of_the_scene = [links["self"], *links["inputs"], *links["files"].values()]
     drawn = [*links["views"], links["preview"], links["sheet"], f"{links['self']}/viewer.ply"]
     paths = [*of_the_scene, *drawn, f"{links['self']}/viewer.json", *job["links"].values(), "/metrics", "/models"]
-    paths += ["/", "/healthz", "/openapi.json", "/static/js/main.js"]
+    paths += ["/", "/healthz", "/openapi.json", "/docs", "/static/docs/swagger-ui.css", "/static/js/main.js"]
     for path in paths:
         whole, head = client.get(path), client.head(path)
         assert (head.status_code, head.content) == (200, b""), path

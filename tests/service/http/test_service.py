@@ -123,6 +123,16 @@ def test_the_frame_of_the_viewer_lies_in_this_page_alone(client: TestClient) -> 
     assert not re.search(r"<script[^>]*>[^<]", answer.text)
 
 
+def test_the_documentation_runs_no_script_but_those_of_the_package(client: TestClient) -> None:
+    answer = client.get("/docs")
+    policy = dict(part.strip().split(" ", 1) for part in answer.headers["content-security-policy"].split(";"))
+    assert (policy["default-src"], policy["script-src"], policy["connect-src"]) == ("'none'", "'self'", "'self'")
+    assert policy["frame-ancestors"] == "'none'"
+    assert not re.search(r"<script[^>]*>[^<]", answer.text)
+    for path in re.findall(r'(?:src|href)="(/static/[^"]*)"', answer.text):
+        assert client.get(path).status_code == 200, path
+
+
 def test_static_files_are_packed_and_kept(client: TestClient) -> None:
     path = "/static/js/stage.js"
     packed, plain = (client.get(path, headers={"Accept-Encoding": kind}) for kind in ("gzip", "identity"))
@@ -143,7 +153,7 @@ def test_no_other_file_is_served(client: TestClient, name: str) -> None:
     ("method", "path", "status", "code"),
     [
         ("GET", "/nowhere", 404, "route_not_found"),
-        ("GET", "/docs", 404, "route_not_found"),
+        ("GET", "/docs/", 404, "route_not_found"),
         ("GET", "/reconstruct", 405, "method_not_allowed"),
         ("POST", "/render", 405, "method_not_allowed"),
         ("PUT", "/scenes", 405, "method_not_allowed"),
@@ -219,6 +229,8 @@ def test_a_full_queue_refuses_with_retry_after(settings: Settings, tmp_path: Pat
 def test_openapi_lists_the_routes(client: TestClient) -> None:
     document = client.get("/openapi.json").json()
     assert {"/reconstruct", "/render", "/scenes", "/healthz", "/readyz"} <= set(document["paths"])
+    used = {tag for methods in document["paths"].values() for one in methods.values() for tag in one["tags"]}
+    assert used == {tag["name"] for tag in document["tags"]}
     schema = document["paths"]["/reconstruct"]["post"]["requestBody"]["content"]["multipart/form-data"]["schema"]
     assert [set(way["required"]) for way in schema["anyOf"]] == [{"images", "cameras"}, {"capture"}]
 
