@@ -13,7 +13,7 @@ from .cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from .captures.capture import ChosenViews, open_capture
 from .captures.select import ViewSelection, checked_selection
 from .errors import ViewCountError, ViewError
-from .options import checked_options
+from .options import Options, checked_options
 from .photographs.image_files import image_size
 from .photographs.images import EncodedPhoto
 from .progress import Listener, Stages, silent
@@ -44,6 +44,9 @@ def reconstruct_capture(
     and warnings count views as the capture does. Raises `InputError` and `ModelError`.
     """
     place = file_path(path, "path", "give a folder, a .zip or a camera file")
+    for name in options:
+        if name not in Options._fields:
+            raise TypeError(f"reconstruct_capture() got an unexpected keyword argument {name!r}")
     made = checked_options(**options)._asdict()
     if reconstructor is not None:
         of_type(reconstructor, Reconstructor, "reconstructor", "give a Reconstructor, or leave it out")
