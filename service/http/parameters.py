@@ -1,5 +1,5 @@
-"""Strict query parameters: repeated ones are refused by every route, unknown ones and numbers with underscores by those
-that declare theirs as a model, and so is any word for a flag but true and false."""
+"""Strict query parameters: too many and repeated ones are refused by every route, unknown ones and numbers with
+underscores by those that declare theirs as a model, and so is any word for a flag but true and false."""
 
 from __future__ import annotations
 
@@ -11,12 +11,20 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
+from ..errors import InputError
+
+MOST = 64  # parameters of a request, several times those of any route: each is compared with all others, and answered
+
 
 async def given_once(request: Request) -> None:
-    """Raises `RequestValidationError` for parameters that are given more than once, of which one would win silently.
+    """Raises `InputError` for more than `MOST` parameters, and `RequestValidationError` for those that are given more
+    than once, of which one would win silently.
 
     A coroutine, since the framework would run a function on a worker thread."""
     values = request.query_params
+    if (given := len(values.multi_items())) > MOST:
+        cure = "send those that the route has: GET /openapi.json lists them"
+        raise InputError(f"{given} parameters, need at most {MOST}", field="query", cure=cure)
     counts = Counter(name for name, _ in values.multi_items())
     told = "{} times, need it once"
     errors = [
