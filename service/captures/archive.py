@@ -13,9 +13,11 @@ from typing import BinaryIO, cast
 
 from ..errors import CaptureError
 from .files import is_clutter
+from .names import LONGEST
 
 MAX_MEMBERS = 20_000  # enough for 2,000 photographs at several sizes; each takes about a kilobyte of memory
 MAX_DIRECTORY = 8 * 2**20  # bytes of the central directory, which is read as a whole
+MAX_FOLDERS = 32  # above a file: each is an entry with its whole path
 MAX_MEMBER_BYTES = 512 * 2**20  # of an unpacked file; a COLMAP model of 2,000 photographs is smaller
 MAX_UNPACKED_BYTES = 4 * 2**30  # of all files that are read
 
@@ -99,6 +101,10 @@ class ZipFiles:
         parts = name.rstrip("/").split("/")
         if not name or name.startswith("/") or ":" in parts[0] or {"", ".", ".."} & set(parts):
             message = f"has a file at {name!r}: paths must stay inside the zip"
+            raise CaptureError(message, field="capture", cure=_ALONE)
+        if len(name) > LONGEST or len(parts) > MAX_FOLDERS + 1:
+            message = f"has a file at {name[:50]!r}..., {len(name)} characters in {len(parts) - 1} folders, "
+            message += f"need at most {LONGEST} in {MAX_FOLDERS}"
             raise CaptureError(message, field="capture", cure=_ALONE)
         if any(is_clutter(part) for part in parts):
             return

@@ -11,11 +11,17 @@ from functools import lru_cache
 from .files import joined
 
 MOST_PARTS = 4  # of a path, from its end, by which a photograph is searched
+LONGEST = 1024  # characters of a path; systems allow about 255 for each part of it
+
+
+def key(name: str) -> str:
+    """Normal form of a path: NFC, as macOS decomposes letters, slashes for the backslashes of Windows, lower case. One
+    longer than LONGEST is not composed, which takes time with the square of its length, and not remembered."""
+    return _known(name) if len(name) <= LONGEST else joined(name).lower()
 
 
 @lru_cache(maxsize=8192)
-def key(name: str) -> str:
-    """Normal form of a path: NFC, as macOS decomposes letters, slashes for the backslashes of Windows, lower case."""
+def _known(name: str) -> str:
     return unicodedata.normalize("NFC", joined(name)).lower()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import struct
 import zipfile
 import zlib
@@ -124,6 +125,25 @@ def test_a_text_of_too_many_lines() -> None:
     line = realestate10k_text(arc(1)).splitlines()[1]
     with pytest.raises(CameraError, match="lists 20001 views, need 1 to 20000"):
         table_of_bytes("\n".join([line] * 20_001).encode(), "clip.txt")
+
+
+def test_names_that_no_file_has() -> None:
+    """They are compared with those of the photographs, each with each, after steps that take time with the square of
+    a name's length: minutes for one of a megabyte, in which no other thread runs."""
+    for length, listed in ((1024, True), (1025, False)):
+        views = [{"image": "a.png"}, {"image": "x" * length}]
+        for data in (
+            json.dumps({"views": views}),
+            json.dumps({"frames": [{"file_path": view["image"]} for view in views]}),
+            "".join(realestate10k_text(arc(2)).splitlines(keepends=True)[:2]) + "x" * length + " 0" * 18,
+        ):
+            if listed:
+                assert len(table_of_bytes(data.encode(), "cameras.json").names[1] or "") == length
+                continue
+            words = f"cameras.json has a name of {length} characters, 'x{{50}}'..., need at most 1024"
+            with pytest.raises(CameraError, match=words) as refusal:
+                table_of_bytes(data.encode(), "cameras.json")
+            assert refusal.value.index == 1
 
 
 def test_a_photograph_that_unpacks_to_too_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,6 +46,26 @@ def test_paths_that_leave_the_zip(name: str) -> None:
         opened(archive_of((name, b"x")))
 
 
+@pytest.mark.parametrize("name", ["a/" * 33 + "x", "a/" * 33, "é" * 1025, "a/" * 30_000 + "x"])
+def test_paths_that_are_too_long_or_too_deep(name: str) -> None:
+    """Each folder of a path is an entry with its whole path: those of one file in a zip of 60 kB took 900 MB."""
+    length, folders = len(name), name.rstrip("/").count("/")
+    words = f"{length} characters in {folders} folders, need at most 1024 in 32"
+    data = archive_of((name, b"x"))
+    if folders == 32:
+        assert opened(data).folders("") == ["a"]
+        return
+    with peak_below(1_000_000), pytest.raises(CaptureError, match=words) as refusal:
+        opened(data)
+    assert len(refusal.value.message) < 300
+
+
+def test_a_path_as_long_and_as_deep_as_any_is_read() -> None:
+    name = "a/" * 31 + "b" * 960 + "/" + "x"
+    assert len(name) == 1024
+    assert opened(archive_of((name, b"x"))).has(name)
+
+
 @pytest.mark.parametrize("name", ["more.zip", "a/MORE.ZIP", "x.tar.gz", "x.7z"])
 def test_archives_in_archives(name: str) -> None:
     with pytest.raises(CaptureError, match="is another archive"):

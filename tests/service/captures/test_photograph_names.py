@@ -10,6 +10,7 @@ import pytest
 from capture_scenes import arc, photograph, write_photographs, zipped
 
 from gapmes.service.cameras.camera_file import camera_document
+from gapmes.service.captures import names
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.files import FolderFiles
 from gapmes.service.captures.names import MOST_PARTS, Endings, places_of, same_file, same_path
@@ -53,6 +54,15 @@ def test_a_photograph_belongs_to_one_view(tmp_path: Path) -> None:
         capture.choose(ViewSelection())
     assert (caught.value.field, caught.value.index) == ("views.image", 2)
     assert capture.choose(ViewSelection(select="0,1")).paths == ("images/a.png", "images/b.png")
+
+
+def test_long_names_are_neither_composed_nor_remembered() -> None:
+    """Composing takes time with the square of the letters; what is remembered stays in memory."""
+    long, short = ("E\u0301" * count for count in (513, 512))
+    before = names._known.cache_info().currsize
+    assert names.key(f"a\\{long}") == f"a/{long.lower()}"
+    assert names._known.cache_info().currsize == before
+    assert names.key(short) == "\u00e9" * 512
 
 
 @pytest.mark.parametrize("name", ["imag\0es/0.png", "0\0.png", "imag\ud800es/0.png", "x" * 300 + "/y.png"])
