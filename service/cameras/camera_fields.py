@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arguments import real_number
+from ..arguments import real_number, shown
 from ..errors import CameraError, IntrinsicsError
 from .camera import Camera
 from .distortion import MAX_SHIFT_PX, Lens, pinhole_window
@@ -71,7 +71,7 @@ def number_of(entry: Mapping, name: str, *, field: str, index: int | None = None
     number = real_number(value)
     if number is None:
         cure = "write it without quotation marks" if isinstance(value, str) else None
-        raise CameraError(f"{name} = {value!r} is not a number", field=f"{field}.{name}", index=index, cure=cure)
+        raise CameraError(f"{name} = {shown(value)} is not a number", field=f"{field}.{name}", index=index, cure=cure)
     if not math.isfinite(number):
         raise CameraError(f"{name} = {number}, need a finite number", field=f"{field}.{name}", index=index)
     return number
@@ -86,7 +86,7 @@ def image_name(entry: Mapping, name: str, *, field: str, index: int | None) -> s
     """The string under `name`, None where it is absent or null. Raises `CameraError`."""
     value = entry.get(name)
     if value is not None and not isinstance(value, str):
-        raise CameraError(f"{name} = {value!r} is not a file name", field=f"{field}.{name}", index=index)
+        raise CameraError(f"{name} = {shown(value)} is not a file name", field=f"{field}.{name}", index=index)
     return value
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from ..arguments import shown
 from ..errors import CameraError, IntrinsicsError
 from .camera import Camera
 from .camera_fields import CameraFile as CameraFile
@@ -125,7 +126,7 @@ def _parse_views(obj: Mapping, indices: Sequence[int] | None) -> CameraFile:
             meant = meant_key(name)
             if meant is not None and value is not None:
                 raise CameraError(
-                    f"{name} = {value!r} stands in a view", field=f"views.{name}", index=index,
+                    f"{name} = {shown(value)} stands in a view", field=f"views.{name}", index=index,
                     cure=f'say "{meant}" once, beside "views": it holds for all of them',
                 )  # fmt: skip
     views = (parse_view(entries[index], axes=axes, pose=pose, field="views", index=index) for index in chosen)
@@ -165,5 +166,5 @@ def _matrix_name(entry: Mapping, pose: str, field: str, index: int | None) -> st
 def _choice(obj: Mapping, name: str, choices: tuple[str, str], field: str) -> str:
     value = obj.get(name, choices[0])
     if value not in choices:
-        raise CameraError(f"{name} = {value!r}, need one of {', '.join(choices)}", field=f"{field}.{name}")
+        raise CameraError(f"{name} = {shown(value)}, need one of {', '.join(choices)}", field=f"{field}.{name}")
     return value

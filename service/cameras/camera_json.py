@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from ..arguments import shown
 from ..errors import CameraError
 from .camera import Camera
 from .camera_fields import json_kind
@@ -21,7 +22,7 @@ def camera_from_json(obj: object) -> Camera:
     for name, value in obj.items():
         if meant_key(name) in ("near", "far") and value is not None:
             raise CameraError(
-                f"{name} = {value!r} stands in a camera", field=f"camera.{name}",
+                f"{name} = {shown(value)} stands in a camera", field=f"camera.{name}",
                 cure="leave it out: a picture begins at a tenth of its scene's near",
             )  # fmt: skip
     refuse_misspelt(obj, field="camera")

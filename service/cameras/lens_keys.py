@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from itertools import islice
 from typing import Any
 
 from ..errors import IntrinsicsError
@@ -31,6 +32,7 @@ OTHER_NAMES = (
 )
 NOTHING = 1e-6  # of a coefficient: at the corner of a picture of 90 degrees it moves a point by a thousandth of a px
 NO_SKEW = 0.01  # px
+MOST_VALUES, LONGEST_TEXT = 100, 2000  # of one key; a lens has about 16 numbers
 UNDISTORT = "undistort the photographs first"
 
 
@@ -73,13 +75,30 @@ def _refuse(message: str, field: str, index: int | None, cure: str = UNDISTORT) 
     raise IntrinsicsError(message, field=field, index=index, cure=cure)
 
 
+def too_long(value: object) -> bool:
+    """Whether it has more values, in lists at any depth, or more letters than a lens can need."""
+    waiting, count = [value], 0
+    while waiting:
+        one = waiting.pop()
+        count += 1
+        if count > MOST_VALUES or (isinstance(one, str) and len(one) > LONGEST_TEXT):
+            return True
+        if isinstance(one, list | tuple | Mapping):
+            waiting += islice(one.values() if isinstance(one, Mapping) else one, MOST_VALUES)
+    return False
+
+
 def _distorts(value: Any, nothing: float = NOTHING) -> bool:
-    """Whether `value` is, or contains, a number, also as text, of a magnitude above `nothing`."""
+    """Whether `value` is, or contains, a number, also as text, of a magnitude above `nothing`, or is `too_long`."""
+    return too_long(value) or _holds(value, nothing)
+
+
+def _holds(value: Any, nothing: float) -> bool:
     if isinstance(value, str):
         value = [_number(word) for word in re.split(r"[\s,;\[\]()]+", value)]
     if isinstance(value, list | tuple | Mapping):
         listed = value.values() if isinstance(value, Mapping) else value
-        return any(_distorts(one, nothing) for one in listed)
+        return any(_holds(one, nothing) for one in listed)
     return isinstance(value, int | float) and not abs(value) <= nothing
 
 

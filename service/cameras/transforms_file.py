@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..arguments import shown
 from ..errors import CameraError, IntrinsicsError
 from .camera import LEAST_FOCAL, MOST_FOCAL, checked_side
 from .camera_fields import (
@@ -19,7 +20,7 @@ from .camera_fields import (
     view_through,
 )
 from .distortion import Lens
-from .lens_keys import COEFFICIENTS, OTHER_NAMES, refuse_other_names, require_pinhole_model
+from .lens_keys import COEFFICIENTS, OTHER_NAMES, refuse_other_names, require_pinhole_model, too_long
 
 NARROWEST, WIDEST = (2 * math.atan(0.5 / focal) for focal in (MOST_FOCAL, LEAST_FOCAL))  # radians
 _LENGTHS, _ANGLES = ("fl_x", "fl_y"), ("camera_angle_x", "camera_angle_y")
@@ -42,6 +43,10 @@ def parse_transforms(obj: Mapping, *, size_of: SizeOf | None, indices: Sequence[
     views = []
     frames = list_of(obj, "frames")
     common = {name: value for name, value in obj.items() if name in _OF_A_FRAME}
+    for name, value in common.items():
+        if too_long(value):  # it is looked at again for every frame
+            message = f"{name} = {shown(value)}... is longer than the numbers of a lens"
+            raise CameraError(message, field=f"cameras.{name}", cure="is it the right key? leave it out")
     for index in range(len(frames)) if indices is None else indices:
         frame = frames[index]
         values = {**_of_the_top(common, frame), **frame}

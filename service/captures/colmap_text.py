@@ -12,6 +12,7 @@ from .table import MAX_LISTED
 _Entry = TypeVar("_Entry")
 
 _LONGEST_LINE = 2**20  # bytes of a parsed line; lines of points may be longer
+_MOST_LINES = 4 * MAX_LISTED  # parsed or passed over: two for each image, and comments
 _MARK = "\ufeff"  # byte order mark, written by some editors
 _LONGEST_IMAGE = 2**13  # bytes of the line of an image; a longer line holds points
 _PARAMS = {name: count for name, count in MODELS.values()}
@@ -103,6 +104,11 @@ def _lines(stream: BinaryIO, source: str, *, every_second: bool = False) -> Iter
     number, data = 0, b""
     while data := data or stream.readline(_LONGEST_LINE):
         number += 1
+        if number > _MOST_LINES:
+            message = f"{source} has more than {_MOST_LINES} lines"
+            raise CameraError(
+                message, field="cameras", cure="is it a file of COLMAP? leave out empty lines and comments"
+            )
         if len(data) == _LONGEST_LINE and not data.endswith(b"\n"):
             message = f"{source}, line {number} has more than {_LONGEST_LINE} bytes"
             raise CameraError(message, field="cameras", cure="is it a file of COLMAP?")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from camera_documents import broken, pose, transforms
 
-from gapmes.service.cameras.camera_file import parse_camera_file
+from gapmes.service.cameras.camera_file import camera_document, parse_camera_file
 from gapmes.service.cameras.distortion import Lens
 from gapmes.service.errors import CameraError, IntrinsicsError
 
@@ -160,3 +160,22 @@ def test_another_convention_is_refused_and_not_passed_over(key, other, fixed):
         parse_camera_file(transforms() | {key: other})
     assert caught.value.field == key
     assert len(parse_camera_file(transforms() | {key: fixed}).cameras) == len(transforms()["frames"])
+
+
+@pytest.mark.parametrize("name", ["distortion", "camera_model", "is_fisheye", "k1", "fl_x"])
+@pytest.mark.parametrize("value", ["0 " * 1001, [0.0] * 101, [[0.0] * 51] * 2, {"a": {"b": [0.0] * 100}}])
+def test_what_is_said_for_all_frames_is_short(name: str, value: object):
+    """It is read again for each of thousands of frames: a megabyte of zeros took seconds for each."""
+    with pytest.raises(
+        CameraError, match=rf"^cameras\.{name}: {name} = .* longer than the numbers of a lens"
+    ) as refusal:
+        parse_camera_file(transforms(3) | {name: value})
+    assert len(str(refusal.value)) < 200
+
+
+def test_as_many_zeros_as_a_lens_has_say_nothing():
+    file = transforms(2)
+    expected = [camera_document(camera) for camera in parse_camera_file(file).cameras]
+    for value in ([0.0] * 16, [[0.0] * 8] * 2, " ".join(["0.00000000000000000000"] * 16)):
+        found = parse_camera_file(file | {"distortion": value}).cameras
+        assert [camera_document(camera) for camera in found] == expected

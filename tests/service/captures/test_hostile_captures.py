@@ -84,6 +84,17 @@ def test_points_are_passed_over_without_being_held(tmp_path: Path) -> None:
     assert len(table.names) == 2
 
 
+@pytest.mark.parametrize("line", [b"#\n", b"\n"])
+@pytest.mark.parametrize("name", ["cameras.txt", "images.txt", "rigs.txt", "frames.txt"])
+def test_a_text_of_comments_and_empty_lines_is_not_read_to_its_end(name: str, line: bytes) -> None:
+    """A gigabyte of them comes in a zip of one megabyte, and took minutes."""
+    whole = {"cameras.txt": b"", "images.txt": b"", "rigs.txt": b"", "frames.txt": b""}
+    with pytest.raises(CameraError, match=f"^cameras: {name} has more than 80000 lines"):
+        recognised(opened(archive_of(*(whole | {name: line * 80_001}).items())))
+    with pytest.raises(CameraError, match=r"images\.txt lists 0 views"):
+        recognised(opened(archive_of(*(whole | {name: line * 80_000}).items())))
+
+
 def npy(header: str) -> bytes:
     text = header.encode("latin1") + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
