@@ -13,8 +13,9 @@ from typing import Any, Literal
 REQUEST_ID: contextvars.ContextVar[str | None] = contextvars.ContextVar("request_id", default=None)
 OVER_LIMIT = "the limit"  # prefix of messages about a limit that is reached
 NO_FILES = "socket.accept() out of system resource"  # prefix of the event loop's message, once per attempt
-SELDOM_S = 10.0  # between two lines with the same of these prefixes
-_STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "color_message", "request_id"}
+SELDOM_S = 10.0  # between two lines with the same of these prefixes, or `_ORIGIN`
+_ORIGIN = "origin"  # attribute of a record: what is told seldom, whatever its words
+_STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "color_message", "request_id", _ORIGIN}
 
 
 def configure(form: Literal["text", "json"], *, quiet: bool = False) -> None:
@@ -36,9 +37,13 @@ def configure(form: Literal["text", "json"], *, quiet: bool = False) -> None:
     warnings.showwarning = _of_a_library
 
 
-def _of_a_library(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    """A warning of Python's, such as Pillow's about a photograph with damaged EXIF: an event like others."""
-    logging.getLogger("gapmes").info("%s: %s", category.__name__, " ".join(str(message).split()))
+def _of_a_library(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any, **__: Any
+) -> None:
+    """A warning of Python's, such as Pillow's about a photograph with damaged EXIF: an event like others. One
+    photograph can cause tens of thousands from one line of code."""
+    text, origin = " ".join(str(message).split()), {_ORIGIN: f"{filename}:{lineno}"}
+    logging.getLogger("gapmes").info("%s: %s", category.__name__, text, extra=origin)
 
 
 class _Stderr(logging.StreamHandler):
@@ -64,7 +69,8 @@ class _RateLimited(logging.Filter):
 
     def filter(self, record: logging.LogRecord) -> bool:
         message = record.getMessage()
-        begin = next((begin for begin in (OVER_LIMIT, NO_FILES) if message.startswith(begin)), None)
+        begun = next((begin for begin in (OVER_LIMIT, NO_FILES) if message.startswith(begin)), None)
+        begin = getattr(record, _ORIGIN, begun)
         if begin is None:
             return True
         if record.created - self._said.get(begin, -SELDOM_S) < SELDOM_S:

@@ -5,23 +5,42 @@ from __future__ import annotations
 import json
 import logging
 import warnings
+from collections.abc import Iterator
 
 import pytest
 
 from gapmes.service.process.logs import configure
 
 
-def test_a_warning_of_a_library_is_a_line_of_the_log(capsys: pytest.CaptureFixture[str]) -> None:
-    """Pillow warns of damaged EXIF: whoever sends such a photograph would break a log that is read as JSON."""
+@pytest.fixture
+def logged() -> Iterator[None]:
+    """All warnings are events of the log, in JSON."""
     root = logging.getLogger()
     before = root.handlers[:], root.level
     try:
         with warnings.catch_warnings():
             configure("json")
             warnings.simplefilter("always")
-            warnings.warn("Corrupt EXIF data.\nExpecting to read 12 bytes. ", stacklevel=1)
+            yield
     finally:
         root.handlers[:], root.level = before
+
+
+@pytest.mark.usefixtures("logged")
+def test_a_warning_of_a_library_is_a_line_of_the_log(capsys: pytest.CaptureFixture[str]) -> None:
+    """Pillow warns of damaged EXIF: whoever sends such a photograph would break a log that is read as JSON."""
+    warnings.warn("Corrupt EXIF data.\nExpecting to read 12 bytes. ", stacklevel=1)
     (line,) = capsys.readouterr().err.splitlines()
     told = json.loads(line)
     assert (told["level"], told["message"]) == ("info", "UserWarning: Corrupt EXIF data. Expecting to read 12 bytes.")
+    assert set(told) == {"time", "level", "logger", "message"}
+
+
+@pytest.mark.usefixtures("logged")
+def test_a_photograph_cannot_fill_the_log(capsys: pytest.CaptureFixture[str]) -> None:
+    """EXIF of 250 kB warns of 20,000 entries, each in words of its own."""
+    for tag in range(20):
+        warnings.warn(f"Skipping tag {tag}", stacklevel=1)
+    warnings.warn("another", stacklevel=1)
+    lines = capsys.readouterr().err.splitlines()
+    assert [json.loads(line)["message"] for line in lines] == ["UserWarning: Skipping tag 0", "UserWarning: another"]
