@@ -17,9 +17,11 @@ FORMATS = ("JPEG", "PNG", "WEBP")
 MAX_PIXELS = 64_000_000  # 192 MB once decoded; the largest phone photographs have 50 to 60 million
 MAX_SCANS = 100  # of one JPEG; encoders write about ten, and each costs a pass over all coefficients
 MAX_SEGMENTS = 10_000  # of one JPEG; a photograph has some dozens, and each costs an iteration of the header's parser
+CHUNK_BYTES = 256  # of one PNG for each chunk beyond MAX_SEGMENTS; encoders put 8 KiB or more into one with pixels
 DAMAGED = (OSError, SyntaxError, ValueError, EOFError, struct.error)  # what Pillow's decoders raise on damaged files
 
 _LONG_TEXT = "MAX_TEXT_"  # in Pillow's errors about a PNG's chunks of text, of which the colour profile is one
+_PNG = b"\x89PNG\r\n\x1a\n"
 _START_OF_SCAN, _END_OF_IMAGE, _START_OF_IMAGE = 0xDA, 0xD9, 0xD8
 # ITU-T T.81, B.1.1.2: inside a scan 0xFF stands before 0 (stuffed) or a restart marker; 1 (TEM) has no parameters.
 _MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
@@ -34,10 +36,16 @@ _quiet = threading.Lock()  # the filters of `warnings` belong to the whole proce
 def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Image.Image:
     """Open an image lazily: its header is read and its size checked, no pixel is decoded.
 
-    Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (a JPEG of too many parts).
+    Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (a JPEG or PNG of too many
+    parts).
     """
     if data[:2] == b"\xff\xd8":
-        _check_jpeg(data, index)
+        scans, segments = jpeg_parts(data)
+        _check_parts(scans, MAX_SCANS, "JPEG", "scans", index)
+        _check_parts(segments, MAX_SEGMENTS, "JPEG", "segments", index)
+    elif data.startswith(_PNG):
+        most = MAX_SEGMENTS + len(data) // CHUNK_BYTES
+        _check_parts(png_chunks(data, most), most, "PNG", "chunks", index)
     try:
         with _quiet, warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the bound below is the tighter one
@@ -98,16 +106,23 @@ def check_total(
         )
 
 
-def _check_jpeg(data: bytes, index: int) -> None:
-    scans, segments = jpeg_parts(data)
-    for count, most, what in ((scans, MAX_SCANS, "scans"), (segments, MAX_SEGMENTS, "segments")):
-        if count > most:
-            raise ImageError(
-                f"is a JPEG of {count} {what} or more, the limit is {most}",
-                field="images",
-                index=index,
-                cure="save it anew; no encoder writes so many",
-            )
+def _check_parts(count: int, most: int, kind: str, what: str, index: int) -> None:
+    if count > most:
+        raise ImageError(
+            f"is a {kind} of {count} {what} or more, the limit is {most}",
+            field="images",
+            index=index,
+            cure="save it anew; no encoder writes so many",
+        )
+
+
+def png_chunks(data: bytes, most: int) -> int:
+    """Number of chunks of a PNG; counting stops just above `most`."""
+    count, place = 0, len(_PNG)
+    while count <= most and place < len(data):
+        count += 1
+        place += 12 + int.from_bytes(data[place : place + 4], "big")  # length, name and checksum beside the content
+    return count
 
 
 def jpeg_parts(data: bytes) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 import io
 import warnings
+import zlib
 
 import numpy as np
 import pytest
@@ -50,6 +51,35 @@ def test_a_jpeg_of_countless_empty_segments_is_refused_before_it_is_parsed(behin
     with pytest.raises(ImageError, match="segments or more, the limit is 10000"):
         open_image(padded, index=1)
     assert max(jpeg_parts(data)) < 20
+
+
+def test_a_png_of_countless_empty_chunks_is_refused_before_it_is_parsed():
+    """Each costs the decoder's parser an iteration, and those of private kinds stay in memory."""
+    data = encoded("PNG")
+    empty = bytes(4) + b"abCd" + zlib.crc32(b"abCd").to_bytes(4, "big")
+    most = MAX_SEGMENTS + (len(data) + len(empty) * 11_000) // 256
+    assert most < 11_000
+    with pytest.raises(ImageError, match=f"is a PNG of {most + 1} chunks or more, the limit is {most}") as caught:
+        open_image(data[:33] + empty * 11_000 + data[33:], index=1)
+    assert (caught.value.status, caught.value.index) == (422, 1)
+    some = data[:33] + empty * 9_000 + data[33:]
+    np.testing.assert_array_equal(decode_image(some, index=0).rgb, decode_image(data, index=0).rgb)
+
+
+def test_pixels_may_come_in_as_many_chunks_as_encoders_write():
+    """Of 512 bytes each, a sixteenth of what they do."""
+    data = encoded("PNG", 1600, 1600)
+    begin, end = data.index(b"IDAT") - 4, data.rindex(b"IEND") - 4
+    pixels, place = b"", begin
+    while place < end:
+        length = int.from_bytes(data[place : place + 4], "big")
+        pixels += data[place + 8 : place + 8 + length]
+        place += 12 + length
+    pieces = [b"IDAT" + pixels[place : place + 512] for place in range(0, len(pixels), 512)]
+    assert len(pieces) > MAX_SEGMENTS
+    chunks = [(len(one) - 4).to_bytes(4, "big") + one + zlib.crc32(one).to_bytes(4, "big") for one in pieces]
+    fine = data[:begin] + b"".join(chunks) + data[end:]
+    np.testing.assert_array_equal(decode_image(fine, index=0).rgb, decode_image(data, index=0).rgb)
 
 
 def test_what_only_looks_like_a_scan_does_not_count():
