@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import stat
 import tempfile
 import time
 from collections.abc import Iterator
@@ -18,7 +20,7 @@ YOUNG_S = 60.0  # a folder may exist for so long before it is locked
 @contextmanager
 def own_folder(prefix: str, parent: Path | None = None) -> Iterator[Path]:
     """A new folder with this prefix, in `parent` or the system's folder for temporary files, deleted after the block.
-    Those with this prefix that no living process uses are deleted before."""
+    Those of this user with this prefix that no living process uses are deleted before."""
     parent = parent or Path(tempfile.gettempdir())
     for left in parent.glob(f"{prefix}*"):
         _drop_if_left(left)
@@ -42,5 +44,7 @@ def drop_unused(folder: Path) -> None:
 
 def _drop_if_left(folder: Path) -> None:
     with suppress(OSError):  # deleted meanwhile
-        if time.time() - folder.stat().st_mtime > YOUNG_S:
+        status = folder.lstat()
+        own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid()  # in another's, .lock may lead anywhere
+        if own and time.time() - status.st_mtime > YOUNG_S:
             drop_unused(folder)

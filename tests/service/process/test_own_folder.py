@@ -59,3 +59,25 @@ def test_what_is_in_use_stays(tmp_path: Path, left: Path) -> None:
         with in_use(left), own_folder("gapmes-x-", tmp_path):
             assert first.exists()
             assert left.exists()
+
+
+def test_what_another_user_has_put_there_is_not_touched(
+    tmp_path: Path, left: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Everybody may write into /tmp, and a lock there might be a link to where a file would then be made."""
+    (left / ".lock").unlink()
+    (left / ".lock").symlink_to(tmp_path / "made")
+    aged(left)
+    monkeypatch.setattr(os, "geteuid", lambda: left.stat().st_uid + 1)
+    with own_folder("gapmes-x-", tmp_path):
+        assert not (tmp_path / "made").exists()
+    assert (left / "half").is_file()
+
+
+def test_nothing_is_made_where_a_link_leads(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    aged(elsewhere)
+    (tmp_path / "gapmes-x-link").symlink_to(elsewhere)
+    with own_folder("gapmes-x-", tmp_path):
+        assert not list(elsewhere.iterdir())
