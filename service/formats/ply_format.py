@@ -187,18 +187,26 @@ def _skip_binary(data: bytes, offset: int, element: Element, byte_order: str) ->
     if not element.lists:
         row_bytes = row_type(element, byte_order).itemsize
         return offset + _whole_rows(data, offset, element, row_bytes) * row_bytes
+    lists, between = [], 0  # bytes of the numbers before each list, which are passed over at once
+    for prop in element.properties:
+        size = np.dtype(prop.kind).itemsize
+        if prop.length_kind is None:
+            between += size
+        else:
+            lists.append((between, np.dtype(byte_order + prop.length_kind), size, prop.name))
+            between = 0
     for index in range(element.count):
-        for prop in element.properties:
-            size = np.dtype(prop.kind).itemsize
-            if prop.length_kind:
-                length_type = np.dtype(byte_order + prop.length_kind)
-                _require_bytes(data, offset, length_type.itemsize, element, index)
-                length = int(np.frombuffer(data, length_type, count=1, offset=offset)[0])
-                if length < 0:
-                    raise PlyError(f"a list has length {length}", field=f"{element.name}.{prop.name}", index=index)
-                offset, size = offset + length_type.itemsize, size * length
-            _require_bytes(data, offset, size, element, index)
-            offset += size
+        for before, length_type, size, name in lists:
+            _require_bytes(data, offset, before + length_type.itemsize, element, index)
+            offset += before
+            length = int(np.frombuffer(data, length_type, count=1, offset=offset)[0])
+            if length < 0:
+                raise PlyError(f"a list has length {length}", field=f"{element.name}.{name}", index=index)
+            offset += length_type.itemsize
+            _require_bytes(data, offset, size * length, element, index)
+            offset += size * length
+        _require_bytes(data, offset, between, element, index)
+        offset += between
     return offset
 
 
