@@ -15,6 +15,7 @@ from typing import Any
 import anyio
 import pytest
 
+from gapmes.service.errors import ServiceBusy
 from gapmes.service.http import spilled as module
 from gapmes.service.http.spilled import CHUNK, SpilledResponse, spilled
 
@@ -62,3 +63,44 @@ def test_where_the_disk_is_full_it_is_sent_from_memory(tmp_path: Path, monkeypat
 
     monkeypatch.setattr(module, "TemporaryFile", full)
     assert b"".join(sent(SpilledResponse(spilled(DATA, tmp_path), "application/octet-stream", {}))) == DATA
+
+
+@pytest.fixture
+def room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For two answers of DATA and a half."""
+    monkeypatch.setattr(module, "MOST", 5 * len(DATA) // 2)
+    monkeypatch.setattr(module, "_held", module._Held())
+
+
+@pytest.mark.usefixtures("room")
+def test_answers_that_nobody_goes_on_reading_have_a_limit_together(tmp_path: Path) -> None:
+    """A client that reads slowly keeps one for days: some dozens filled the disk with copies of one scene."""
+    first, second = spilled(DATA, tmp_path), spilled(DATA, tmp_path)
+    words = f"{2 * len(DATA)} bytes of other answers are not read yet, with this one's {len(DATA)} the limit"
+    with pytest.raises(ServiceBusy, match=words):
+        spilled(DATA, tmp_path)
+    assert len(b"".join(sent(SpilledResponse(first, "application/octet-stream", {})))) == len(DATA)
+    del first
+    third = spilled(DATA, tmp_path)
+    del second, third
+    assert module._held.bytes == 0
+
+
+@pytest.mark.usefixtures("room")
+def test_one_that_is_alone_may_be_larger(tmp_path: Path) -> None:
+    file = spilled(3 * DATA, tmp_path)
+    with pytest.raises(ServiceBusy):
+        spilled(b"x", tmp_path)
+    del file
+    assert spilled(b"x", tmp_path).read() == b"x"
+
+
+@pytest.mark.usefixtures("room")
+def test_what_cannot_be_written_is_not_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(**_: object) -> object:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "TemporaryFile", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        spilled(DATA, tmp_path)
+    assert module._held.bytes == 0
