@@ -13,6 +13,7 @@ from tempfile import TemporaryFile
 from typing import IO
 
 from fastapi.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from ..errors import ServiceBusy
 
@@ -20,43 +21,24 @@ CHUNK = 256 * 2**10  # bytes of an answer that are in memory at a time
 MOST = 4 * 2**30  # bytes of all answers of a process, eight of the largest scenes; one that is alone may have more
 
 
-class _Held:
-    """How many bytes the files have that are not sent yet."""
-
-    def __init__(self) -> None:
-        self.bytes = 0
-        self._lock = threading.Lock()
-
-    def take(self, size: int) -> None:
-        """Raises `ServiceBusy` where that is too much beside the others."""
-        with self._lock:
-            if self.bytes and self.bytes + size > MOST:
-                raise ServiceBusy(
-                    f"{self.bytes} bytes of other answers are not read yet, with this one's {size} the limit of {MOST} "
-                    "would be passed",
-                    cure="retry later",
-                )
-            self.bytes += size
-
-    def give(self, size: int) -> None:
-        with self._lock:
-            self.bytes -= size
-
-
-_held = _Held()
+_unsent: weakref.WeakKeyDictionary[IO[bytes], int] = weakref.WeakKeyDictionary()  # files that are open, and their bytes
+_counting = threading.Lock()
 
 
 def spilled(data: bytes, folder: Path) -> IO[bytes]:
     """The bytes in an unnamed temporary file in `folder`, or in memory if the disk is full. Raises `ServiceBusy` where
-    the files of others that are not sent yet leave no room."""
-    held = _held
-    held.take(len(data))
-    try:
-        file = _written(data, folder)
-    except BaseException:
-        held.give(len(data))
-        raise
-    weakref.finalize(file, held.give, len(data)).atexit = False  # sent, or its client has left
+    the files of other answers leave no room until they are closed."""
+    with _counting:
+        others = sum(size for file, size in _unsent.items() if not file.closed)
+    if others and others + len(data) > MOST:
+        raise ServiceBusy(
+            f"{others} bytes of other answers are not read yet, with this one's {len(data)} the limit of {MOST} would "
+            "be passed",
+            cure="retry later",
+        )
+    file = _written(data, folder)
+    with _counting:
+        _unsent[file] = len(data)
     return file
 
 
@@ -84,6 +66,13 @@ class SpilledResponse(StreamingResponse):
         file.seek(0)
         headers = {**headers, "Content-Length": str(size)}
         super().__init__(_pieces(file), status_code, headers, media_type)
+        self._file = file
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._file.close()  # where the client has left, the next collection of garbage would
 
 
 def _pieces(file: IO[bytes]) -> Iterator[bytes]:
