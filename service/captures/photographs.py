@@ -31,6 +31,7 @@ class Photographs:
         self._places = list(dict.fromkeys(places))
         self._listed: dict[str, dict[str, list[str]]] = {}
         self._below: dict[str, dict[str, list[str]]] = {}
+        self._sizes: dict[str, tuple[int, int]] = {}
 
     def find(self, name: str | None, index: int) -> str:
         """Path of a photograph: by its name, also with a missing suffix or in another case, else by a unique end of its
@@ -71,7 +72,13 @@ class Photographs:
         return read_bounded(self._files, path, MAX_PHOTOGRAPH_BYTES)
 
     def size_of(self, path: str, index: int) -> tuple[int, int]:
-        """(width, height) in px, from the start of the file if that suffices. Raises `ImageError`."""
+        """(width, height) in px, read once for each path. Raises `ImageError`."""
+        if path not in self._sizes:
+            self._sizes[path] = self._read_size(path, index)
+        return self._sizes[path]
+
+    def _read_size(self, path: str, index: int) -> tuple[int, int]:
+        """From the start of the file if that suffices."""
         with self._files.open(path) as stream:
             head = stream.read(_HEADER)
         try:

@@ -17,7 +17,9 @@ FORMATS = ("JPEG", "PNG", "WEBP")
 MAX_PIXELS = 64_000_000  # 192 MB once decoded; the largest phone photographs have 50 to 60 million
 MAX_SCANS = 100  # of one JPEG; encoders write about ten, and each costs a pass over all coefficients
 MAX_SEGMENTS = 10_000  # of one JPEG; a photograph has some dozens, and each costs an iteration of the header's parser
-CHUNK_BYTES = 256  # of one PNG for each chunk beyond MAX_SEGMENTS; encoders put 8 KiB or more into one with pixels
+# Segments of a JPEG and chunks of a PNG that a file of any size may have, and bytes of it for each further one; most
+# encoders put 8 KiB or more of a PNG's pixels into one chunk.
+FEW_PARTS, PART_BYTES = 500, 256
 DAMAGED = (OSError, SyntaxError, ValueError, EOFError, struct.error)  # what Pillow's decoders raise on damaged files
 
 _LONG_TEXT = "MAX_TEXT_"  # in Pillow's errors about a PNG's chunks of text, of which the colour profile is one
@@ -39,12 +41,12 @@ def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Imag
     Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (a JPEG or PNG of too many
     parts).
     """
+    most = FEW_PARTS + len(data) // PART_BYTES
     if data[:2] == b"\xff\xd8":
         scans, segments = jpeg_parts(data)
         _check_parts(scans, MAX_SCANS, "JPEG", "scans", index)
-        _check_parts(segments, MAX_SEGMENTS, "JPEG", "segments", index)
+        _check_parts(segments, min(most, MAX_SEGMENTS), "JPEG", "segments", index)
     elif data.startswith(_PNG):
-        most = MAX_SEGMENTS + len(data) // CHUNK_BYTES
         _check_parts(png_chunks(data, most), most, "PNG", "chunks", index)
     try:
         with _quiet, warnings.catch_warnings():
@@ -109,7 +111,7 @@ def check_total(
 def _check_parts(count: int, most: int, kind: str, what: str, index: int) -> None:
     if count > most:
         raise ImageError(
-            f"is a {kind} of {count} {what} or more, the limit is {most}",
+            f"is a {kind} of {min(count, most + 1)} {what} or more, the limit is {most}",
             field="images",
             index=index,
             cure="save it anew; no encoder writes so many",

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from capture_scenes import arc, llff_rows, realestate10k_text, write_cameras_json, write_colmap, zipped
+from capture_scenes import arc, llff_rows, photograph, realestate10k_text, write_cameras_json, write_colmap, zipped
 from hostile import archive_of, opened, peak_below
 
 from gapmes.service.captures.capture import Capture, open_capture
@@ -155,6 +155,18 @@ def test_names_that_no_file_has() -> None:
             with pytest.raises(CameraError, match=words) as refusal:
                 table_of_bytes(data.encode(), "cameras.json")
             assert refusal.value.index == 1
+
+
+def test_the_size_of_one_photograph_of_many_views_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thousands of views may name one file, whose header may be long."""
+    (tmp_path / "a.png").write_bytes(photograph(0))
+    frames = [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}] * 5
+    (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 60, "frames": frames}))
+    opened_paths, files = [], FolderFiles(tmp_path)
+    open_file = files.open
+    monkeypatch.setattr(files, "open", lambda path: (opened_paths.append(path), open_file(path))[1])
+    assert len(Capture.of(files).cameras(range(5)).cameras) == 5
+    assert opened_paths.count("a.png") == 1
 
 
 def test_a_photograph_that_unpacks_to_too_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

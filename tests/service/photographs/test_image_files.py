@@ -1,6 +1,7 @@
 """The cost of a file before it is decoded: scans of a JPEG, pixels of several photographs together."""
 
 import io
+import re
 import warnings
 import zlib
 
@@ -9,7 +10,14 @@ import pytest
 from PIL import Image
 
 from gapmes.service.errors import ImageError, ImageTooLarge, ImageUnreadable
-from gapmes.service.photographs.image_files import MAX_SEGMENTS, check_total, image_size, jpeg_parts, open_image
+from gapmes.service.photographs.image_files import (
+    FEW_PARTS,
+    MAX_SEGMENTS,
+    check_total,
+    image_size,
+    jpeg_parts,
+    open_image,
+)
 from gapmes.service.photographs.images import decode_image
 
 START_OF_SCAN, END_OF_IMAGE = b"\xff\xda", b"\xff\xd9"
@@ -47,22 +55,36 @@ def test_a_jpeg_of_hundreds_of_scans_is_refused_with_both_numbers():
 def test_a_jpeg_of_countless_empty_segments_is_refused_before_it_is_parsed(behind):
     """Before the first scan they keep the header's parser busy, behind it the count itself."""
     data = encoded()
-    padded = data[:behind] + b"\xff\xe0\x00\x02" * (MAX_SEGMENTS + 1) + data[behind:]
-    with pytest.raises(ImageError, match="segments or more, the limit is 10000"):
-        open_image(padded, index=1)
+    for count, most in ((700, FEW_PARTS + (len(data) + 4 * 700) // 256), (MAX_SEGMENTS + 1, 700)):
+        padded = data[:behind] + b"\xff\xe0\x00\x02" * count + data[behind:]
+        with pytest.raises(ImageError, match=r"JPEG of (\d+) segments or more, the limit is (\d+)") as caught:
+            open_image(padded, index=1)
+        told, limit = (int(word) for word in re.findall(r"\d+", caught.value.message))
+        assert told == limit + 1 <= most + 1
     assert max(jpeg_parts(data)) < 20
+
+
+def test_a_large_jpeg_has_no_more_segments_than_any_may_have():
+    """Those of a film of depths that a telephone appends are of 64 KiB each."""
+    data = encoded()
+    room = b"\xff\xe0\xff\xff" + bytes(65533)
+    many = data[:2] + room * 50 + b"\xff\xe0\x00\x02" * MAX_SEGMENTS + data[2:]
+    with pytest.raises(ImageError, match=f"JPEG of {MAX_SEGMENTS + 1} segments or more, the limit is {MAX_SEGMENTS}"):
+        open_image(many, index=1)
+    some = data[:2] + (room + b"\xff\xe0\x00\x02" * 200) * 40 + data[2:]
+    assert image_size(some, index=0) == (64, 48)
 
 
 def test_a_png_of_countless_empty_chunks_is_refused_before_it_is_parsed():
     """Each costs the decoder's parser an iteration, and those of private kinds stay in memory."""
     data = encoded("PNG")
     empty = bytes(4) + b"abCd" + zlib.crc32(b"abCd").to_bytes(4, "big")
-    most = MAX_SEGMENTS + (len(data) + len(empty) * 11_000) // 256
-    assert most < 11_000
+    most = FEW_PARTS + (len(data) + len(empty) * 600) // 256
+    assert most < 600
     with pytest.raises(ImageError, match=f"is a PNG of {most + 1} chunks or more, the limit is {most}") as caught:
-        open_image(data[:33] + empty * 11_000 + data[33:], index=1)
+        open_image(data[:33] + empty * 600 + data[33:], index=1)
     assert (caught.value.status, caught.value.index) == (422, 1)
-    some = data[:33] + empty * 9_000 + data[33:]
+    some = data[:33] + empty * 450 + data[33:]
     np.testing.assert_array_equal(decode_image(some, index=0).rgb, decode_image(data, index=0).rgb)
 
 
@@ -76,7 +98,7 @@ def test_pixels_may_come_in_as_many_chunks_as_encoders_write():
         pixels += data[place + 8 : place + 8 + length]
         place += 12 + length
     pieces = [b"IDAT" + pixels[place : place + 512] for place in range(0, len(pixels), 512)]
-    assert len(pieces) > MAX_SEGMENTS
+    assert len(pieces) > 20 * FEW_PARTS
     chunks = [(len(one) - 4).to_bytes(4, "big") + one + zlib.crc32(one).to_bytes(4, "big") for one in pieces]
     fine = data[:begin] + b"".join(chunks) + data[end:]
     np.testing.assert_array_equal(decode_image(fine, index=0).rgb, decode_image(data, index=0).rgb)
