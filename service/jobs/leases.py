@@ -11,7 +11,7 @@ import uuid
 from collections.abc import Iterable
 from pathlib import Path
 
-from ..process.disk import made_again
+from ..process.disk import made_again, private_folder
 
 
 class Lease:
@@ -26,7 +26,8 @@ class Lease:
         self.gone(path.name for path in folder.iterdir() if not path.name.startswith("."))
 
     def _announced(self) -> int:
-        self._folder.mkdir(parents=True, exist_ok=True)
+        private_folder(self._folder.parent)  # the store
+        private_folder(self._folder)
         unseen = self._folder / f".{self.name}"  # renamed once it is locked, so that no other process deletes it
         handle = os.open(unseen, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         fcntl.flock(handle, fcntl.LOCK_EX)

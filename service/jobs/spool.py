@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..process.disk import full_is_refused, made_again
+from ..process.disk import full_is_refused, made_again, private_folder
 from .work import Work
 
 _DOCUMENT = "work.json"
@@ -25,13 +25,17 @@ class Spool:
     disk, so a power cut may lose it."""
 
     def __init__(self, root: Path) -> None:
-        root.mkdir(parents=True, exist_ok=True)
         self._root = root
+        self._make()
 
     def _ensure_there(self) -> None:
         """Make the folder again where somebody has deleted it. Raises `ServiceBusy` if that fails."""
         with made_again(self._root):
-            self._root.mkdir(parents=True, exist_ok=True)
+            self._make()
+
+    def _make(self) -> None:
+        private_folder(self._root.parent)  # the store
+        private_folder(self._root)
 
     def put(self, job_id: str, work: Work, request_id: str | None = None) -> None:
         """Write a job's inputs and the id of its request. Raises `StorageFull`, and `ServiceBusy` if the folder

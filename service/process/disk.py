@@ -27,6 +27,12 @@ def write_file(path: Path, data: bytes) -> None:
         os.fsync(file.fileno())
 
 
+def private_folder(path: Path) -> None:
+    """Make a folder of the store where it is missing, for this user alone: it is to hold photographs. One that exists
+    keeps its mode."""
+    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` for the block to write. At its end that file replaces `path`; if the block fails,

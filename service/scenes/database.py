@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import GapmesError, ServiceBusy, StorageFull
-from ..process.disk import made_again
+from ..process.disk import made_again, private_folder
 from ..process.file_lock import exclusive
 
 BUSY_S = 30.0  # that a write waits for the lock of another; the service's own writes take milliseconds
@@ -132,7 +132,7 @@ class Database:
     def _make_anew(self) -> None:
         """Make the file where it is missing or empty, unless another thread or process does meanwhile."""
         with made_again(self._path.parent):
-            self._path.parent.mkdir(parents=True, exist_ok=True)
+            private_folder(self._path.parent)
             with self._alone():
                 if _identity(self._path) is None:
                     for end in ("-wal", "-shm"):  # of the deleted file

@@ -15,6 +15,7 @@ from ..errors import FormatError, GapmesError, SceneNotFound, StorageFull
 from ..formats.dialect import STANDARD
 from ..formats.ply import inspect_ply
 from ..gaussians import Gaussians
+from ..process.disk import private_folder
 from ..process.file_lock import exclusive, exclusive_if_free, shared
 from . import scene_ids
 from .database import Database
@@ -57,7 +58,7 @@ class SceneStore:
         self._files = SceneFiles(self.root)
         self._cache = GaussiansCache(cache_bytes)
         try:
-            self.root.mkdir(parents=True, exist_ok=True)
+            private_folder(self.root)
             self.database = Database(self.root / _INDEX)
             check_own_files(self.root)
             self._index = SceneIndex(self.database)
