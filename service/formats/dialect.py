@@ -76,7 +76,7 @@ class Taken:
 
 
 def taken_as(columns: Mapping[str, F64], dialect: Dialect) -> Taken:
-    """Resolve "auto" by the columns of a file, all (N,)."""
+    """Resolve "auto" by the columns of a file, all (N,), without rows that no dialect can read."""
     remarks: list[str] = []
     opacity = dialect.opacity if dialect.opacity != "auto" else _opacity(columns, remarks)
     scales = dialect.scales if dialect.scales != "auto" else _scales(columns, remarks)
@@ -114,13 +114,12 @@ def _opacity(columns: Mapping[str, F64], remarks: list[str]) -> OpacityForm:
 def _scales(columns: Mapping[str, F64], remarks: list[str]) -> ScaleForm:
     """Linear if all are positive, small and concentrated near 0, and as logarithms would far exceed distances."""
     values = np.stack([columns[name] for name in SCALE_NAMES])
-    if not values.size or not (values >= 0).all() or not np.isfinite(values).all():
+    if not values.size or not (values >= 0).all():
         return "log"
     low, high = np.percentile(values, (1, 99))
     crowd = float((values < high / 10).mean())
     spacing = _spacing(columns)
-    small = 0 < high <= SMALL and low < high / 5
-    if values.shape[1] >= FEWEST and small and crowd >= LOW_TENTH and OVERLAP * spacing < 1:
+    if values.shape[1] >= FEWEST and high <= SMALL and crowd >= LOW_TENTH and OVERLAP * spacing < 1:
         remarks.append(
             f"scales were taken as they are, not as logarithms: all are positive, 99 % up to {high:.3g}, {crowd:.0%} "
             f"within a tenth of that; as logarithms each would measure a unit or more, {1 / spacing:.0f} times the "
@@ -148,9 +147,6 @@ def _rotation(columns: Mapping[str, F64], remarks: list[str]) -> RotationOrder:
 def _spacing(columns: Mapping[str, F64]) -> float:
     """Typical distance of neighbours on a surface: median distance from the median over sqrt(N); never 0."""
     means = np.stack([columns[axis] for axis in "xyz"], axis=1)
-    means = means[np.isfinite(means).all(axis=1)]
-    if not len(means):
-        return np.inf
     distance = np.linalg.norm(means - np.median(means, axis=0), axis=1)
     return max(float(np.median(distance)) / np.sqrt(len(means)), np.finfo(np.float64).tiny)
 
