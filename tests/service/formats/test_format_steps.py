@@ -57,6 +57,7 @@ def test_every_number_is_within_what_the_page_says_and_reaches_it(name: str, cou
     """Also at both ends of the ranges that the page names."""
     before, after = there_and_back(whole_range(name, count, 3, degree), name)
     assert len(after) == count
+    assert not any("are outside" in note for note in FORMATS[name].write(before).notes)
     if count == 0:
         return
     logs, position, size = np.log(before.scales.astype(float)), np.array(steps("position", name)), 0.0
@@ -86,6 +87,13 @@ def test_every_number_is_within_what_the_page_says_and_reaches_it(name: str, cou
     assert max(shares.values()) <= 1, shares
     tight = {"opacity", "colour", *(() if name == "splat" else ("size", "higher harmonics"))}
     assert all(shares[field] > 0.9 for field in tight.intersection(shares)) or count < 256, shares
+
+
+@pytest.mark.parametrize(("largest", "typical"), [([0.3, 0, 0.5, 0.9], 0.5), ([0, 0], 0), ([], 0)])
+def test_a_typical_size_is_the_median_of_the_largest_that_are_not_zero(largest: list[float], typical: float) -> None:
+    source = moderate(len(largest), 0, 0)
+    source.scales[:] = np.array(largest, np.float32)[:, None] * [0, 1, 0.5]
+    assert typical_size(source) == np.float32(typical)
 
 
 def test_the_page_has_the_ranges_of_the_formats_and_the_bounds_of_rotations() -> None:

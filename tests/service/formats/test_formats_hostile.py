@@ -45,6 +45,12 @@ def test_a_splat_row_that_is_no_gaussian_is_named_or_dropped(column: int, value:
     assert reading.notes()[0].startswith("1 of 40 Gaussians dropped")
 
 
+def test_a_size_of_zero_is_one() -> None:
+    rows = np.frombuffer(bytearray(SPLAT), np.uint8).reshape(40, 32).copy()
+    rows[7, 12:24] = 0
+    assert read_gaussians(rows.tobytes(), format="splat").scales[7].tolist() == [0, 0, 0]
+
+
 def test_a_zero_rotation_is_no_rotation() -> None:
     rows = np.frombuffer(bytearray(SPLAT), np.uint8).reshape(40, 32).copy()
     rows[3, 28:] = 128
@@ -135,6 +141,13 @@ def test_a_compressed_ply_of_another_layout_is_refused(old: bytes, new: bytes, f
     with pytest.raises(PlyError, match=message) as refusal:
         read_gaussians(COMPRESSED.replace(old, new))
     assert refusal.value.field == field
+
+
+def test_a_usual_ply_with_chunks_of_its_own_is_no_compressed_one() -> None:
+    data = FORMATS["ply"].write(moderate(3, 0, 0)).data
+    reading, found = inspect_gaussians(data.replace(b"end_header", b"element chunk 1\nproperty float a\nend_header"))
+    assert (found.extension, reading.notes()) == ("ply", ["elements ignored: chunk"])
+    assert_same(reading.gaussians, read_gaussians(data))
 
 
 @pytest.mark.parametrize("cut", [1, 3000, 7000])

@@ -176,6 +176,24 @@ def test_positions_far_from_the_origin_are_stored_as_double(offset, word):
     assert np.quantile(difference, 0.99) < (2e-3 if offset == 1e3 else 1e-5)
 
 
+@pytest.mark.parametrize(
+    ("size", "extent", "word"),
+    [
+        (1.0, 1000.0, b"float"),
+        (0.999, 1000.0, b"double"),  # although this is little beside the extent
+        (0.0, 1.01, b"float"),  # where all sizes are zero, a ten thousandth of the extent takes the place of an eighth
+        (0.0, 0.99, b"double"),
+    ],
+)
+def test_positions_are_stored_as_double_from_an_eighth_of_the_typical_size_on(size, extent, word):
+    """Of the median without zeros. Lengths are in eighths of a size, of which float32 rounds one away beside 1."""
+    step, base = 2.0**-25, gaussians(3, 5, 0)
+    means = np.array([[1 + step, 0, 0], [1, 0, 0], [1, np.float32(1e4 * step * extent), 0]])
+    scales = np.array([[0, 0, 0], [0, 0, 0], [8 * step * size, 0, 0]])
+    data = ply_bytes(Gaussians.make(means, scales, base.rotations_wxyz, base.opacities, base.harmonics))
+    assert b"property " + word + b" x\n" in data
+
+
 def test_the_position_type_can_be_chosen():
     before = shifted(20, 1e6)
     assert b"property float x\n" in ply_bytes(before, positions="float32")

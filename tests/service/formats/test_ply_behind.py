@@ -20,15 +20,19 @@ def test_rows_behind_the_declared_ones_are_said() -> None:
     lines = "\n".join(" ".join(["0"] * (len(names) - 4) + ["1", "0", "0", "0"]) for _ in range(5))
     text = f"ply\nformat ascii 1.0\nelement vertex 3\n{header}end_header\n{lines}\n\n\x1a"
     assert any("of 5 rows 2 lie behind" in note for note in inspect_ply(text.encode()).notes())
+    nothing = text.replace("element vertex", "element nothing 9\nelement vertex")  # of no properties, and of no lines
+    assert any("of 5 rows 2 lie behind" in note for note in inspect_ply(nothing.encode()).notes())
     packed = FORMATS["compressed.ply"].write(scene(10)).data
-    assert any("of 12 rows 2 lie behind" in note for note in inspect_gaussians(packed + bytes(2 * 16))[0].notes())
+    for more in (1, 2):
+        notes = inspect_gaussians(packed + bytes(more * 16))[0].notes()
+        assert any(f"of {10 + more} rows {more} lie behind" in note for note in notes)
     faces = b"element face 0\nproperty list uchar int vertex_indices\nend_header"
     short = data.replace(b"element vertex 1000", b"element vertex 900").replace(b"end_header", faces)
     assert any("of 1000 rows 100 lie" in note for note in inspect_ply(short).notes())
 
 
 def test_what_is_no_row_behind_the_rows_is_nothing() -> None:
-    """Line ends, zeros, a last element that is short and that nobody reads, and a line of a million blanks."""
+    """Line ends, zeros, lists, a last element that is short and that nobody reads, and a line of a million blanks."""
     data = ply_bytes(scene(100))
     extra = data.replace(b"end_header", b"element extra 999999999999\nproperty float a\nend_header")
     faces = data.replace(b"end_header", b"element face 9\nproperty list uchar int vertex_indices\nend_header")
@@ -36,5 +40,5 @@ def test_what_is_no_row_behind_the_rows_is_nothing() -> None:
     header = "".join(f"property float {name}\n" for name in names)
     line = " ".join(["0"] * (len(names) - 4) + ["1", "0", "0", "0"])
     blank = f"ply\nformat ascii 1.0\nelement vertex 1\n{header}end_header\n{line}\n{' ' * 1_000_000}\n".encode()
-    for file in (data + b"\n", data + bytes(3), extra, faces, blank):
+    for file in (data + b"\n", data + bytes(3), extra, faces, faces + 9 * (b"\3" + bytes(12)), blank):
         assert not any("lie behind" in note for note in inspect_ply(file).notes())

@@ -137,7 +137,8 @@ def test_no_right_logit_is_taken_for_an_opacity(case: str) -> None:
     assert_same(reading.gaussians, inspect_ply(data, dialect=STANDARD).gaussians)
     assert np.abs(reading.gaussians.opacities - 1 / (1 + np.exp(-values.astype(float)))).max() <= 1e-7
     doubtful = (values >= 0).all() and (values <= 1).all()
-    assert [("read as logits" in note, "--opacity linear" in note) for note in reading.notes()] == (
+    read_as = "read as logits, from {:.3g} to {:.3g}".format(*1 / (1 + np.exp([-values.min(), -values.max()])))
+    assert [(read_as in note, "--opacity linear" in note) for note in reading.notes()] == (
         [(True, True)] if doubtful else []
     )
 

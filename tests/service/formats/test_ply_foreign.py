@@ -208,6 +208,7 @@ HEADER = OURS.split(b"end_header\n")[0]
         (b"ply\nformat binary_middle_endian 1.0\nend_header\n", "line 2 is not understood"),
         (b"ply\nformat ascii 1.0\nelement vertex -1\nend_header\n", "line 3 is not understood"),
         (b"ply\nformat ascii 1.0\nelement vertex " + b"9" * 5000 + b"\nend_header\n", "line 3 is not understood"),
+        (b"ply\nformat ascii 1.0\nelement vertex 1 of 2\nend_header\n", "line 3 is not understood"),
         (b"ply\nformat ascii 1.0\nproperty float x\nend_header\n", "line 3 is not understood"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty half x\nend_header\n", "line 4 is no known property"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list float int x\nend_header\n", "line 4 is no known"),

@@ -53,10 +53,35 @@ def test_a_form_that_most_rows_speak_against_is_to_be_left_out(kind, form):
     with pytest.raises(PlyError) as caught:
         inspect_ply(binary_file(table), dialect=Dialect("linear", "linear"))
     assert (caught.value.index, caught.value.cure) == (3, DROP_CURE)
+    for count, cure in ((COUNT // 2, f"these are no {form} numbers"), (COUNT // 2 - 1, DROP_CURE)):
+        table[name][:count] = -1.0
+        with pytest.raises(PlyError) as caught:
+            inspect_ply(binary_file(table), dialect=Dialect("linear", "linear"))
+        assert caught.value.cure.startswith(cure)
+        table[name][:] = 0.5
     table[name][:] = np.nan  # speaks for no other form
     with pytest.raises(PlyError) as caught:
         inspect_ply(binary_file(table), dialect=Dialect("linear", "linear"))
     assert caught.value.cure == DROP_CURE
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "fits"),
+    [
+        ("opacity", 0.0, True),
+        ("opacity", 1.0, True),
+        ("opacity", -1e-45, False),
+        ("opacity", 1 + 2.0**-23, False),
+        ("scale_1", 0.0, True),
+        ("scale_1", -1e-45, False),
+        ("scale_1", np.finfo(np.float32).max, True),
+    ],
+)
+def test_numbers_as_they_are_end_at_0_and_1(name, value, fits):
+    table = TABLE | {key: np.full(COUNT, 0.5, np.float32) for key in ("opacity", "scale_0", "scale_1", "scale_2")}
+    table[name][3] = value
+    reading = inspect_ply(binary_file(table), dialect=Dialect("linear", "linear"), drop_invalid=True)
+    assert reading.invalid == ({} if fits else {name: 1})
 
 
 @pytest.mark.case("E12")
