@@ -34,7 +34,7 @@ class Choice:
 
 
 def chosen_views(cameras: Sequence[Camera], count: int, near: float | None, far: float | None) -> Choice:
-    """Choose `count` of the cameras, or all if there are not more; deterministic.
+    """Choose `count` of two cameras or more, or all if there are not more; deterministic.
 
     With o_ij the share of view i that view j sees at the depth of view i, mean of both directions, and a_ij the angle
     between the two cameras as seen from there, a pair has the quality q_ij = o_ij min(1, a_ij / 5 deg, 25 deg / a_ij),
@@ -124,7 +124,7 @@ def _angles(cameras: Sequence[Camera], depths: F64) -> F64:
 
 def _best_pair(quality: F64, covered: F64) -> list[int]:
     """Indices of the pair with the highest score; ties go to the earliest."""
-    best, pair = -1.0, [0, min(1, len(quality) - 1)]
+    best, pair = -1.0, [0, 1]
     for i in range(len(quality) - 1):
         scores = quality[i, i + 1 :] * np.maximum(covered[i], covered[i + 1 :]).mean(axis=1)
         j = int(np.argmax(scores))

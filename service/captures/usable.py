@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from ..cameras.camera_fields import CameraFile
-from ..cameras.view_checks import MIN_VIEWS, Notice
+from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS, Notice, check_count
 from ..errors import IntrinsicsError, PoseError
 
 Cameras = Callable[[Sequence[int]], CameraFile]  # of these views
@@ -13,7 +13,8 @@ Cameras = Callable[[Sequence[int]], CameraFile]  # of these views
 
 def usable_views(indices: Sequence[int], cameras: Cameras) -> tuple[list[int], CameraFile, tuple[Notice, ...]]:
     """Indices of views with an undistortable lens and a valid pose, their cameras, and a warning about the others.
-    Raises the first view's error if fewer than two are left."""
+    Raises `ViewCountError` for a single view, and the first view's error if fewer than two are left."""
+    check_count(min(len(indices), MAX_VIEWS))
     try:
         return list(indices), cameras(indices), ()
     except (IntrinsicsError, PoseError):

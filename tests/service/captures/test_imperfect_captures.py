@@ -11,7 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from capture_scenes import arc, names, photograph, write_cameras_json, write_colmap, write_transforms, zipped
+from capture_scenes import (
+    arc,
+    names,
+    photograph,
+    write_cameras_json,
+    write_colmap,
+    write_photographs,
+    write_transforms,
+    zipped,
+)
 
 from gapmes.service.cameras.camera_fields import CameraFile
 from gapmes.service.captures.archive import ZipFiles
@@ -19,7 +28,7 @@ from gapmes.service.captures.capture import open_capture, read_camera_file
 from gapmes.service.captures.colmap_text import read_images
 from gapmes.service.captures.select import ViewSelection
 from gapmes.service.captures.usable import usable_views
-from gapmes.service.errors import CameraError, CaptureError, IntrinsicsError, PoseError
+from gapmes.service.errors import CameraError, CaptureError, IntrinsicsError, PoseError, ViewCountError
 
 
 def written_as_text(root: Path, count: int) -> Path:
@@ -137,6 +146,35 @@ def test_where_no_two_views_can_be_used_the_first_reason_is_told(tmp_path: Path)
     assert caught.value.index == 0
 
 
+def test_of_a_single_view_none_are_chosen(tmp_path: Path) -> None:
+    write_cameras_json(tmp_path, arc(1))
+    with pytest.raises(ViewCountError, match="1 view, need 2 to 6") as caught:
+        open_capture(tmp_path).choose(ViewSelection(context=2))
+    assert caught.value.field == "cameras"
+
+
+@pytest.mark.parametrize(
+    ("count", "there", "by", "chosen"),
+    [(6, 6, "all", 6), (7, 7, "score", 3), (9, 6, "photographs", 6), (9, 7, "score", 3)],
+)
+def test_up_to_six_views_are_used_and_of_more_three(
+    tmp_path: Path, count: int, there: int, by: str, chosen: int
+) -> None:
+    write_cameras_json(tmp_path, arc(count))
+    for name in names(count)[there:]:
+        (tmp_path / "images" / name).unlink()
+    found = open_capture(tmp_path).choose(ViewSelection())
+    assert (found.selection["by"], len(found.indices), max(found.indices) < there) == (by, chosen, True)
+
+
+def test_photographs_beside_the_camera_file_come_before_those_of_the_capture(tmp_path: Path) -> None:
+    write_colmap(tmp_path, arc(2))
+    write_photographs(tmp_path / "sparse/0", names(2)[::-1])
+    found = open_capture(tmp_path).choose(ViewSelection())
+    assert found.paths == tuple(f"sparse/0/{name}" for name in names(2))
+    assert found.read(0) == photograph(1)
+
+
 @pytest.mark.parametrize("folder", ["sparse/1", "sparse/12", "colmap/sparse/2"])
 def test_a_model_without_its_first_is_found(tmp_path: Path, folder: str) -> None:
     write_colmap(tmp_path, arc(3), folder)
@@ -193,6 +231,18 @@ def test_two_spellings_of_one_path_are_one_file_twice() -> None:
         ZipFiles(buffer)
 
 
+def test_what_is_wrong_with_all_views_together_is_said() -> None:
+    """Each alone is well."""
+
+    def cameras(indices: Sequence[int]) -> CameraFile:
+        if len(indices) > 1:
+            raise PoseError("is one too many", field="views.c2w")
+        return CameraFile(())
+
+    with pytest.raises(PoseError, match="is one too many"):
+        usable_views(range(3), cameras)
+
+
 def test_few_bad_views_of_many_cost_few_readings() -> None:
     """A reading of one view looks at the whole list of a file."""
     asked = []
@@ -208,3 +258,6 @@ def test_few_bad_views_of_many_cost_few_readings() -> None:
     assert (warning["code"], warning["index"]) == ("views_refused", 70)
     assert "2 of 2000 views have no camera that can be used, the first is 70: " in warning["message"]
     assert len(asked) < 60
+    assert usable_views([7, 70, 80], cameras)[0] == [7, 80]
+    with pytest.raises(PoseError, match="is none"):
+        usable_views([70, 80], cameras)
