@@ -35,7 +35,7 @@ def is_of_colmap(name: str) -> bool:
 
 def folders_below_project(folder: PurePath) -> int:
     """Depth of a model's folder in its project: 1 for sparse, 2 for sparse/1, one more below colmap; else 0."""
-    names = [name for name in folder.parts[::-1] if name != folder.anchor]
+    names = list(folder.parts[::-1])
     place = names.index("sparse") if "sparse" in names[:2] else -1
     return place + 1 + (names[place + 1 : place + 2] == ["colmap"]) if place >= 0 else 0
 

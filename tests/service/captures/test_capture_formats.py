@@ -229,6 +229,20 @@ def test_what_is_beside_a_capture_does_not_matter(tmp_path: Path) -> None:
     assert open_capture(tmp_path).choose(ViewSelection()).indices == (0, 1, 2)
 
 
+@pytest.mark.parametrize("text", [" ".join(["word"] * 19), "7 8 9"])
+def test_a_folder_without_cameras_is_no_capture_and_any_text_no_clip(tmp_path: Path, text: str) -> None:
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes.txt").write_text(text)
+    with pytest.raises(CaptureError, match=r"holds no cameras, only notes/, notes\.txt"):
+        open_capture(tmp_path)
+    (tmp_path / "scan").mkdir()
+    write_realestate10k(tmp_path / "scan", arc(2))
+    clip = tmp_path / "scan" / "clip.txt"
+    clip.write_text("\n \n" + clip.read_text().replace("\n", "\n\n"))
+    found = open_capture(tmp_path).choose(ViewSelection())
+    assert found.paths == ("scan/images/1000000.png", "scan/images/1033366.png")
+
+
 @pytest.mark.parametrize(
     ("place", "value", "error", "words"),
     [
@@ -236,8 +250,10 @@ def test_what_is_beside_a_capture_does_not_matter(tmp_path: Path) -> None:
         (14, -80.0, IntrinsicsError, "fx = -80"),
         (0, np.nan, CameraError, "NaN"),
         (15, -1.0, CameraError, "need 0 < near < far"),
+        (15, 0.0, CameraError, "need 0 < near < far"),
         (16, np.inf, CameraError, "need 0 < near < far"),
         (16, 1.0, CameraError, "need 0 < near < far"),
+        (16, 1.9, CameraError, "bounds are 1.9 and 1.9"),
     ],
 )
 def test_rows_that_are_no_camera(tmp_path: Path, place: int, value: float, error: type, words: str) -> None:

@@ -142,6 +142,14 @@ def test_of_thousands_some_hundred_are_compared() -> None:
     assert max(choice.places) < 2000
 
 
+def test_of_many_the_first_and_the_last_are_compared() -> None:
+    """They alone see the same; all others look away from them and from each other."""
+    cameras = around([0.0, *(180.0 + 0.01 * index for index in range(498)), 12.0])
+    for index, camera in enumerate(cameras[1:-1]):
+        camera.world_from_cam[1, 3] = 1000.0 * (index + 1)
+    assert chosen_views(cameras, 2, 2.0, 6.0).places == (0, 499)
+
+
 def test_depths_are_where_axes_meet() -> None:
     """Exactly around a point; four baselines where all look the same way; the others' where one looks elsewhere."""
     np.testing.assert_allclose(scene_depths(around([0.0, 15.0, 40.0], 7.0)), 7.0)
@@ -202,6 +210,7 @@ def test_views_that_are_none(text: str, words: str) -> None:
     with pytest.raises(ViewError, match=words) as caught:
         named_views(text, NAMES, field="select")
     assert caught.value.field == "select"
+    assert text != "9" or caught.value.cure == "0 to 4"
 
 
 def test_a_single_view_is_too_few_for_a_reconstruction_alone() -> None:
@@ -215,7 +224,15 @@ def test_a_single_view_is_too_few_for_a_reconstruction_alone() -> None:
 
 
 def test_selections_that_cannot_be() -> None:
-    assert checked_selection(ViewSelection("0,1")) == ViewSelection("0,1")
+    for wanted in (
+        ViewSelection("0,1"),
+        ViewSelection("0,1,2,3,4,5"),
+        ViewSelection(context=2),
+        ViewSelection(context=6),
+    ):
+        assert checked_selection(wanted) is wanted
+    with pytest.raises(ViewCountError, match="7 views, need 2 to 6"):
+        checked_selection(ViewSelection("0,1,2,3,4,5,6"))
     for count, said in ((0, "0 views"), (1, "1 view"), (7, "7 views")):
         with pytest.raises(ViewCountError, match=f"{said}, need 2 to 6"):
             checked_selection(ViewSelection(context=count))

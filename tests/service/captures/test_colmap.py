@@ -197,6 +197,7 @@ def test_the_pinhole_keeps_focal_lengths_and_axis(tmp_path: Path) -> None:
         ("images.txt", ("5 left", "x left"), CameraError, r"images\.txt, line \d+: invalid literal"),
         ("rigs.txt", ("CAMERA", "SONAR"), CameraError, "sensor 'SONAR'"),
         ("rigs.txt", ("5 1 CAMERA", "5 9999999 CAMERA"), CameraError, "a count of 9999999"),
+        ("rigs.txt", ("\n5 1 CAMERA", "\n6 1 CAMERA"), CameraError, r"frame \d+ is of rig 5, which is missing"),
         ("frames.txt", (" 1 CAMERA", " 2 CAMERA"), CameraError, "has too few columns"),
     ],
 )

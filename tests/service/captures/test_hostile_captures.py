@@ -109,11 +109,17 @@ def npy(header: str) -> bytes:
         ),
         (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (0, 17)}"), "lists 0 views"),
         (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (2, 15)}") + bytes(240), r"shape \(2, 15\), need"),
+        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (17,)}") + bytes(136), r"shape \(17,\), need"),
+        (
+            npy("{'descr': '<f8', 'fortran_order': False, 'shape': (2, 17, 1)}") + bytes(272),
+            r"shape \(2, 17, 1\), need",
+        ),
         (npy("{'descr': '|O', 'fortran_order': False, 'shape': (2, 17)}") + bytes(272), "holds object of shape"),
         (npy("{'descr': '<c16', 'fortran_order': False, 'shape': (1, 17)}") + bytes(272), "holds complex128"),
         (npy("__import__('os').system('true')"), "is not a readable .npy file"),
         (npy("{'descr': '<f8'"), "is not a readable .npy file"),
-        (b"\x93NUMPY\x09\x00" + bytes(30), "is not a readable .npy file"),
+        (b"\x93NUMPY\x09\x00" + bytes(30), r"is not a readable .npy file: .*version.*\(9, 0\)"),
+        (b"\x93NUMPY\x03\x00" + bytes(30), r"is not a readable .npy file: its version is \(3, 0\)"),
         (b"\x93NUMPY", "is not a readable .npy file"),
     ],
 )
@@ -123,17 +129,25 @@ def test_arrays_that_are_none(data: bytes, words: str) -> None:
 
 
 def test_arrays_in_other_orders_and_precisions() -> None:
-    rows = llff_rows(arc(3))
-    for array in (rows, np.asfortranarray(rows), rows.astype(">f8"), rows.astype(np.float32)):
+    rows, second = llff_rows(arc(3)), (2, 0)  # a version for longer headers
+    arrays = [rows, np.asfortranarray(rows), rows.astype(">f8"), rows.astype(np.float32)]
+    for array, version in [*((array, (1, 0)) for array in arrays), (rows, second)]:
         stream = io.BytesIO()
-        np.save(stream, array)
+        np.lib.format.write_array(stream, array, version)
         cameras = table_of_bytes(stream.getvalue(), "x.npy").parse(range(3), None).cameras
         for one, two in zip(arc(3), cameras, strict=True):
             np.testing.assert_allclose(one.world_from_cam, two.world_from_cam, atol=1e-6)
 
 
+def test_an_array_of_a_single_row_is_a_camera() -> None:
+    stream = io.BytesIO()
+    np.save(stream, llff_rows(arc(1)) / [*[1] * 15, 4, 1])
+    assert table_of_bytes(stream.getvalue(), "x.npy").parse([0], None).near == 0.5
+
+
 def test_a_text_of_too_many_lines() -> None:
     line = realestate10k_text(arc(1)).splitlines()[1]
+    assert len(table_of_bytes("\n".join([line] * 20_000).encode(), "clip.txt").names) == 20_000
     with pytest.raises(CameraError, match="lists 20001 views, need 1 to 20000"):
         table_of_bytes("\n".join([line] * 20_001).encode(), "clip.txt")
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from gapmes.service.captures import archive
 from gapmes.service.captures.archive import ZipFiles
 from gapmes.service.captures.capture import Capture, open_capture
-from gapmes.service.captures.files import read_bounded
+from gapmes.service.captures.files import FolderFiles, read_bounded
 from gapmes.service.captures.select import ViewSelection
 from gapmes.service.errors import CaptureError, GapmesError
 
@@ -231,8 +231,22 @@ def test_all_that_is_unpacked_counts_together() -> None:
 
 @pytest.mark.parametrize("data", [b"", b"PK\x03\x04", b"PK\x05\x06" + bytes(10), b"PK\x03\x04" + bytes(500)])
 def test_what_is_no_zip(data: bytes) -> None:
-    with pytest.raises(CaptureError, match="is not a readable zip"):
+    with pytest.raises(CaptureError, match="is not a readable zip: it has no list of files at its end; is it complete"):
         opened(data)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_what_file_managers_add_is_not_listed(tmp_path: Path, packed: bool) -> None:
+    added = ("__MACOSX/images/a.png", ".git/images/a.png", "images/.DS_Store", "images/Thumbs.db", "images/.x/a.png")
+    for name in (*added, "images/a.png", "images/b/c.png"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+    names = [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()]
+    files = opened(archive_of(*((name, b"x") for name in names))) if packed else FolderFiles(tmp_path)
+    assert (files.folders(""), files.files("")) == (["images"], [])
+    assert (files.folders("images"), files.files("images")) == (["b"], ["a.png"])
+    if packed:  # nothing else is unpacked
+        assert [name for name in added if files.has(name)] == []
 
 
 def test_an_empty_zip_has_no_cameras() -> None:

@@ -145,10 +145,15 @@ def test_folders_that_are_typed_count(typed: str, index: int | None) -> None:
         named_views(typed, names, field="views")
 
 
-@pytest.mark.parametrize("folder", ["images_4", "input"])
-def test_a_view_may_be_named_by_the_path_that_was_told(tmp_path: Path, folder: str) -> None:
+def test_photographs_that_differ_in_case_alone_are_told_apart(tmp_path: Path) -> None:
+    there = ["images/a.png", "images/A.png"]
+    assert open_capture(capture_of(tmp_path, ["a.png", "A.png"], there)).choose(ViewSelection()).paths == tuple(there)
+
+
+@pytest.mark.parametrize(("folder", "suffix"), [("images_4", ".png"), ("input", ".png"), ("input", "")])
+def test_a_view_may_be_named_by_the_path_that_was_told(tmp_path: Path, folder: str, suffix: str) -> None:
     """Where the photographs lie elsewhere than the cameras say, the answer has their paths."""
-    named = [f"images/{index:03d}.png" for index in range(3)]
+    named = [f"images/{index:03d}{suffix}" for index in range(3)]
     there = [f"{folder}/{index:03d}.png" for index in range(3)]
     capture = open_capture(capture_of(tmp_path, named, there))
     told = capture.choose(ViewSelection(select="0,2")).selection["images"]
@@ -190,6 +195,7 @@ def test_endings_are_counted_of_different_names() -> None:
         ),  # browsers leave folders out
         ("images/0.png", ["0.png", "right/images/0.png"], [0, 1]),
         ("right/images/0.png", ["left/images/0.png", "right/0.png"], [0]),
+        ("a/b/c/0.png", ["x/b/c/0.png", "y/z/c/0.png"], [0]),
         ("rgb/0.png", ["images/0.png", "images/1.png"], [0]),
         ("0.png", ["0", "1"], [0]),
         ("0.png", ["0", "0.png"], [1]),

@@ -63,11 +63,12 @@ def test_a_model_that_does_not_say_its_number_of_images_stays_the_first(tmp_path
     assert open_capture(tmp_path).choose(ViewSelection()).selection["cameras"] == "sparse/0/images.txt"
 
 
-def test_many_models_are_counted(tmp_path: Path) -> None:
-    write_models(tmp_path, {"sparse": 2} | {f"colmap/sparse/{index}": 2 for index in range(7)})
+@pytest.mark.parametrize(("others", "more"), [(7, ", 2 more"), (5, "")])
+def test_many_models_are_counted(tmp_path: Path, others: int, more: str) -> None:
+    write_models(tmp_path, {"sparse": 2} | {f"colmap/sparse/{index}": 2 for index in range(others)})
     (notice,) = open_capture(tmp_path).table.warnings
-    assert "8 COLMAP models are there: sparse (2 images) is read" in notice["message"]
-    assert "colmap/sparse/4 (2 images), 2 more (for" in notice["message"]
+    assert f"{others + 1} COLMAP models are there: sparse (2 images) is read" in notice["message"]
+    assert f"colmap/sparse/4 (2 images){more} (for" in notice["message"]
 
 
 @pytest.mark.parametrize("data", [b"", b"\1\0\0", b"\xff" * 8])

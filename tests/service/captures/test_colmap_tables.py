@@ -1,0 +1,85 @@
+"""The tables of a COLMAP model: how many rows they may have, whose pose an image has, and where its project is."""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import PurePosixPath
+
+import numpy as np
+import pytest
+
+from gapmes.service.cameras.rotations import about_axis
+from gapmes.service.captures import colmap_binary, colmap_text
+from gapmes.service.captures.colmap import folders_below_project
+from gapmes.service.captures.colmap_model import IDENTITY, ColmapFrame, ColmapImage, ColmapModel
+from gapmes.service.captures.table import MAX_LISTED
+from gapmes.service.errors import CameraError
+
+HALF = MAX_LISTED // 2
+RIG = struct.pack("<II", 7, HALF) + struct.pack("<iI", 0, 1) + struct.pack("<iIB", 0, 2, 0) * (HALF - 1)
+FRAME = struct.pack("<II7dI", 5, 7, *[0.0] * 7, HALF) + struct.pack("<iIQ", 0, 1, 3) * HALF
+
+
+@pytest.mark.parametrize(
+    ("read", "row", "what"),
+    [(colmap_binary.read_rigs, RIG, "sensors"), (colmap_binary.read_frames, FRAME, "images of frames")],
+)
+def test_rigs_and_frames_are_limited_together(read, row: bytes, what: str) -> None:
+    """Two are as long as one may be."""
+    assert read(io.BytesIO(struct.pack("<Q", 2) + row * 2), "a.bin")
+    with pytest.raises(CameraError, match=f"a.bin says that it has {3 * HALF} {what}, the limit is {MAX_LISTED}"):
+        read(io.BytesIO(struct.pack("<Q", 3) + row * 3), "a.bin")
+
+
+def test_frames_in_text_are_limited_together() -> None:
+    """A frame of no images is one."""
+    lines = [f"{place} 7 1 0 0 0 0 0 0 {count}" + " CAMERA 1 3" * count for place, count in enumerate((HALF, HALF, 0))]
+    assert len(colmap_text.read_frames(io.BytesIO("\n".join(lines).encode()), "a.txt")) == 3
+    lines.append("3 7 1 0 0 0 0 0 0 1 CAMERA 1 3")
+    with pytest.raises(CameraError, match=f"a.txt, line 4: a count of 1, {2 * HALF + 1} with those before it"):
+        colmap_text.read_frames(io.BytesIO("\n".join(lines).encode()), "a.txt")
+
+
+def test_images_in_text_are_limited() -> None:
+    lines = [f"{number} 1 0 0 0 0 0 0 1 {number}.png\n\n" for number in range(MAX_LISTED + 1)]
+    assert len(colmap_text.read_images(io.BytesIO("".join(lines[:-1]).encode()), "a.txt")) == MAX_LISTED
+    with pytest.raises(CameraError, match=f"a.txt lists more than {MAX_LISTED} entries"):
+        colmap_text.read_images(io.BytesIO("".join(lines).encode()), "a.txt")
+
+
+def test_a_quaternion_of_any_length_is_a_rotation() -> None:
+    """(2, 0, 2, 0) turns by 90 degrees about y."""
+    model = ColmapModel(images={3: ColmapImage("a.png", 1, (2.0, 0.0, 2.0, 0.0, 1.0, 2.0, 3.0))})
+    pose = model.pose(3)
+    np.testing.assert_allclose(pose[:3, :3], about_axis(np.array([0.0, 1.0, 0.0]), np.pi / 2), atol=1e-15)
+    assert pose[:3, 3].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_what_another_kind_of_sensor_took_is_no_image() -> None:
+    """Numbers of images and of measurements of an IMU are independent of each other."""
+    there, elsewhere = ((*IDENTITY[:4], *place) for place in ((1.0, 2.0, 3.0), (7.0, 8.0, 9.0)))
+    rig = {(0, 1): IDENTITY, (1, 1): IDENTITY}
+    frames = {4: ColmapFrame(6, there, (((0, 1), 3),)), 5: ColmapFrame(6, elsewhere, (((1, 1), 3),))}
+    model = ColmapModel(images={3: ColmapImage("a.png", 1, IDENTITY)}, rigs={6: rig}, frames=frames)
+    assert model.pose(3)[:3, 3].tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("folder", "above"),
+    [
+        ("sparse", 1),
+        ("a/sparse", 1),
+        ("/sparse", 1),
+        ("a/sparse/1", 2),
+        ("colmap/sparse", 2),
+        ("a/colmap/sparse/0", 3),
+        ("colmap/a/sparse", 1),
+        ("a/sparse/1/b", 0),
+        ("a/b", 0),
+        ("/", 0),
+        (".", 0),
+    ],
+)
+def test_the_project_of_a_model_is_above_sparse(folder: str, above: int) -> None:
+    assert folders_below_project(PurePosixPath(folder)) == above
