@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.camera_json import camera_from_json
 from gapmes.service.errors import CameraError, IntrinsicsError, PoseError
 
 GIVEN = {"width": 512, "height": 384, "fx": 500.0, "fy": 510.0, "cx": 256.0, "cy": 192.0, "world_from_cam": np.eye(4)}
@@ -37,6 +38,15 @@ def test_sides_that_are_no_whole_numbers_are_refused(value: float) -> None:
     with pytest.raises(CameraError, match="need whole numbers from 1 to") as caught:
         Camera.make(**{**GIVEN, "width": value}, index=1)
     assert (caught.value.field, caught.value.index) == ("camera.width", 1)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"), [([1.0], "a list"), ("x", "a text"), (None, "null"), (True, "true or false")]
+)
+def test_a_camera_of_json_is_an_object(value: object, kind: str) -> None:
+    with pytest.raises(CameraError, match=f"is {kind}, need an object") as caught:
+        camera_from_json(value)
+    assert caught.value.field == "camera"
 
 
 @pytest.mark.parametrize("pose", [np.eye(4, dtype=complex), [[1j, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]])
