@@ -108,15 +108,19 @@ def test_the_precision_of_float32_positions_bounds_what_rounding_did(offset):
     notices = pose_notices(cameras, near=1.0)
     assert [notice["code"] for notice in notices] == (["float32_positions"] if offset > 1e3 else [])
     assert pose_notices([camera(pose(center=center)) for center in exact[:3]], near=1.0) == []
+    assert pose_notices([*cameras[:2], camera(pose(center=exact[2]))], near=1.0) == []  # one that was not rounded
 
 
 @pytest.mark.case("P5", "E19")
 @pytest.mark.parametrize(("px", "told"), [(0.099, False), (0.101, True)])
 def test_what_moves_points_by_a_tenth_of_a_pixel_is_told(px, told):
-    """Both the rounding of positions and what projecting a rotation does to them."""
+    """Both the rounding of positions and what projecting a rotation does to them, with the longer focal length."""
     cameras = [camera(pose(center=center)) for center in ((1000.5, 2.0, 3.0), (1001.5, 2.0, 3.0))]
+    cameras = [replace(one, fx=FOCAL / 2) for one in cameras]
     near = math.sqrt(3) * cameras[0].given.step * FOCAL / px
-    assert [notice["code"] for notice in pose_notices(cameras, near)] == ["float32_positions"] * told
+    notices = pose_notices(cameras, near)
+    assert [notice["code"] for notice in notices] == ["float32_positions"] * told
+    assert all("up to 1001.5 units from the origin" in notice["message"] for notice in notices)
     moved = replace(cameras[0], given=Given(drift=1e-9, shift=0.01))
     notices = pose_notices([moved, cameras[1]], near=0.01 * FOCAL / px)
     assert [notice["code"] for notice in notices] == ["pose_projected"] * told
