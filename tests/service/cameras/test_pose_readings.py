@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from sample_photographs import sample_cameras, sample_pixels, sample_views
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.camera_file import parse_camera_file
 from gapmes.service.cameras.depth_range import DepthRange, depth_range
-from gapmes.service.cameras.pose_readings import other_readings, robot_readings
+from gapmes.service.cameras.pose_readings import other_orders, other_readings, robot_readings
 from gapmes.service.errors import ContradictionError
 from gapmes.service.matching.photo_checks import check_photos
 from gapmes.service.photographs.images import Photo, fit_view
@@ -140,3 +141,17 @@ def test_pictures_that_are_not_square_are_not_turned_by_90_degrees():
     stored = [fit_view(Photo(p, orientation=6), c, 192, 256) for p, c in zip(pixels, cameras, strict=True)]
     notices = check_photos(stored, depth_range(cameras), trust_poses=True)
     assert all("EXIF" not in notice["message"] for notice in notices)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 6])
+def test_other_orders_are_every_swap_and_of_three_every_order(count):
+    cameras, numbers = [sample_cameras((1,))[0] for _ in range(count)], range(10, 10 + count)
+    found = {}
+    for reading in other_orders(cameras, numbers):
+        order = tuple(next(own for own in range(count) if cameras[own] is one) for one in reading.cameras)
+        found[order] = reading.cure
+    moved = {order: sum(k != own for k, own in enumerate(order)) for order in permutations(range(count))}
+    assert set(found) == {order for order in moved if moved[order] == 2 or (count == 3 and moved[order])}
+    for order, cure in found.items() if count > 2 else ():
+        said = {(k, own) for k in range(count) for own in range(count) if f"{10 + k} fits that of {10 + own}" in cure}
+        assert said == {(k, own) for k, own in enumerate(order) if k != own}

@@ -10,7 +10,7 @@ import pytest
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.rotations import about_axis
-from gapmes.service.cameras.spanning_tree import minimum_spanning_tree
+from gapmes.service.cameras.spanning_tree import first_joined, minimum_spanning_tree
 
 
 def at(*centers: Sequence[float]) -> list[Camera]:
@@ -71,3 +71,12 @@ def test_of_equal_ways_those_along_the_order_are_taken_in_any_world(seed: int) -
 def test_cameras_in_one_place_are_joined_too() -> None:
     assert minimum_spanning_tree(at([1, 2, 3], [1, 2, 3])) == [(0, 1)]
     assert minimum_spanning_tree(at([1, 2, 3])) == []
+
+
+@pytest.mark.parametrize(
+    ("edges", "first"),
+    [([], [0, 1, 2, 3, 4]), ([(3, 4), (1, 3)], [0, 1, 2, 1, 1]), ([(2, 4), (1, 3), (3, 4), (0, 1)], [0] * 5)],
+)
+def test_what_edges_join_goes_by_its_lowest_index(edges: list[tuple[int, int]], first: list[int]) -> None:
+    for order in permutations(edges):
+        assert first_joined(5, order) == first

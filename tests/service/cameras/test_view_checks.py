@@ -108,6 +108,20 @@ def test_a_normalised_principal_point_is_recognised():
     assert "look normalised; in pixels they are 32, 24" in caught.value.cure
 
 
+@pytest.mark.parametrize(
+    ("width", "cx", "cy", "refused"),
+    [(64, 1.0, 1.0, True), (64, 1.01, 1.0, False), (64, 1.0, 1.01, False), (64, 0.0, 0.5, False), (8, 0.5, 0.5, False)],
+)
+def test_a_principal_point_counts_as_normalised_up_to_1(width, cx, cy, refused):
+    """Not that of a crop at the corner itself, nor in a picture where a pixel is an eighth."""
+    cameras = [Camera.make(width, 48, width, 60, cx, cy, camera.world_from_cam) for camera in ring((0, 0.05))]
+    if not refused:
+        assert check_views(cameras, given(), trust_poses=True) is not None
+        return
+    with pytest.raises(IntrinsicsError, match="these look normalised"):
+        check_views(cameras, given())
+
+
 def test_opengl_axes_are_recognised():
     cameras = [camera.posed(camera.world_from_cam @ FLIP) for camera in ring((-0.55, 0.55))]
     for depths in (given(), depth_range(cameras)):
@@ -190,6 +204,7 @@ def test_little_overlap_is_a_warning():
 def test_a_wide_depth_range_is_a_warning_with_its_steps():
     notices = range_notices(given(near=0.01, far=1e4))
     assert [notice["code"] for notice in notices] == ["depth_range_wide"]
+    assert "far / near = 1e+06: depth steps are coarse beyond 0.1;" in notices[0]["message"]
     assert "64 planes, by depth: 0.01: 0.79 %, 0.1: 7.4 %" in notices[0]["message"]  # z h / (1 + z h), h = 100 / 126
     (notice,) = range_notices(given(near=0.01, far=1e4), 128)
     assert "128 planes, by depth: 0.01: 0.39 %, 0.1: 3.8 %" in notice["message"]
