@@ -175,12 +175,13 @@ def test_views_that_never_meet_are_refused_without_a_false_hint():
     assert "look like" not in caught.value.cure
 
 
-def test_what_overlaps_outside_an_estimated_range_is_a_warning():
-    cameras = ring((-0.2, 0.2))
-    shared_at_six = DepthRange(0.5, 0.8, "estimated")  # a bad estimate: the views cross beyond it
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_what_overlaps_outside_an_estimated_range_is_a_warning(unit):
+    cameras = ring((-0.2, 0.2), distance=6.0 * unit)
+    shared_at_six = DepthRange(0.5 * unit, 0.8 * unit, "estimated")  # a bad estimate: the views cross beyond it
     assert [notice["code"] for notice in check_views(cameras, shared_at_six)] == ["little_overlap"]
-    with pytest.raises(OverlapError, match=r"at any depth from 0\.5 to 0\.8"):
-        check_views(cameras, DepthRange(0.5, 0.8, "given"))
+    with pytest.raises(OverlapError, match=f"at any depth from {0.5 * unit:g} to {0.8 * unit:g}"):
+        check_views(cameras, DepthRange(0.5 * unit, 0.8 * unit, "given"))
 
 
 def test_trusted_poses_are_not_refused_for_their_overlap():

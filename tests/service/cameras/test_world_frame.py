@@ -17,7 +17,9 @@ def test_at_depths_moves_along_the_rays() -> None:
     rng = np.random.default_rng(0)
     scene = PlaneScene.make(rng).moved(about_axis(np.array([0.0, 0.6, 0.8]), 1.1), np.array([900.0, -40.0, 7.0]), 30.0)
     cameras, shape = scene.cameras, (scene.cameras[0].height, scene.cameras[0].width)
-    frame = WorldFrame.of(cameras, DepthRange(scene.near, scene.far, "given"))
+    depths = DepthRange(scene.near, scene.far, "given")
+    frame = WorldFrame.of(cameras, depths)
+    np.testing.assert_allclose(frame.near_far(depths), [1.0, scene.far / scene.near], rtol=1e-6)
     depth = rng.uniform(1, 4, (len(cameras), *shape)).astype(np.float32)
     poses, pixels = frame.poses(cameras).astype(np.float64), pixel_grid(shape)
     rays = [camera.rays(pixels) @ frame.rotation for camera in cameras]
@@ -32,6 +34,7 @@ def test_at_depths_moves_along_the_rays() -> None:
     before = frame.depths(outputs)
     assert np.abs(before / (scene.near * depth.astype(np.float64)) - 1).max() < 1e-12
     wanted = np.where(rng.random(depth.shape) < 0.5, before, before * rng.uniform(0.6, 1.5, depth.shape))
+    wanted[:, 0] = 2 * before[:, 0]
     moved = frame.at_depths(outputs, cameras, wanted)
     assert np.abs(frame.depths(moved) / wanted - 1).max() < 1e-6  # float32
     stays = np.concatenate([(wanted == before).ravel(), np.ones(EXTRA, bool)])
