@@ -226,6 +226,13 @@ def test_a_turntable_goes_as_far_as_it_is_told_to_both_sides_and_an_orbit_round(
     np.testing.assert_allclose(behind.rotation[:, 2], -middle.rotation[:, 2], atol=1e-9)
 
 
+@pytest.mark.parametrize("swing", [1e-3, 0.5, 180.0])
+def test_a_swing_may_be_as_small_as_any_and_half_a_turn(swing):
+    cameras = arc(10)
+    shot, middle = camera_path("turntable", cameras, pivot_depth=PIVOT, swing=swing)(0.25), mean_camera(cameras)
+    assert math.degrees(rotation_angle(middle.rotation.T @ shot.rotation)) == pytest.approx(swing)
+
+
 @pytest.mark.parametrize("degrees", [12.0, 30.0])
 def test_the_swing_is_what_the_inputs_span(degrees):
     """Seen from the pivot. The mean of the centres lies inside the arc, so that the pivot does behind its middle."""
