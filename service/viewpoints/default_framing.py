@@ -58,4 +58,4 @@ def _quantile(values: F64, weights: F64, share: float) -> float:
     """The weighted quantile: the smallest value at which the cumulative weight reaches `share`."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
-    return float(values[order[min(np.searchsorted(total, share * total[-1]), len(order) - 1)]])
+    return float(values[order[np.searchsorted(total, share * total[-1])]])

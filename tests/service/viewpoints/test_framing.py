@@ -66,7 +66,9 @@ def test_squares_and_the_longest_side() -> None:
         whole = camera(width, height)
         assert (square(whole).width, square(whole).height, square(whole).fx) == (64, 64, whole.fx)
         assert within(whole, 96) is within(whole, 97) is whole
-        assert (within(whole, 48).width, within(whole, 48).height) == (width // 2, height // 2)
+        for side in (72, 48):  # above and below the shorter one
+            expected = (width * side // 96, height * side // 96)
+            assert (within(whole, side).width, within(whole, side).height) == expected
 
 
 @pytest.mark.parametrize("text", ["640x480", " 640X480\n", "640×480"])

@@ -73,5 +73,20 @@ def test_cameras_without_a_common_up_direction_have_a_frame() -> None:
     poses[1][:3, :3] = np.diag([-1.0, -1.0, 1.0])
     poses[1][0, 3] = 1.0
     frame = LevelFrame.of([Camera.make(64, 48, 60.0, 60.0, 32.0, 24.0, pose) for pose in poses], 2.0)
-    assert np.isfinite(frame.rotation).all()
+    assert np.allclose(frame.rotation[:, 2], [0, 0, 1], atol=1e-12)
     assert np.linalg.det(frame.rotation) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_cameras_of_any_directions_have_a_frame_that_is_level(seed: int) -> None:
+    """Their mean axis is then not at right angles to their mean up direction."""
+    rng, poses = np.random.default_rng(seed), [np.eye(4) for _ in range(4)]
+    for pose in poses:
+        turn = rng.normal(size=3)
+        pose[:3, :3] = about_axis(turn / np.linalg.norm(turn), rng.uniform(0, 1))
+    views = [Camera.make(64, 48, 60.0, 60.0, 32.0, 24.0, pose) for pose in poses]
+    frame = LevelFrame.of(views, 2.0)
+    assert np.allclose(frame.rotation.T @ frame.rotation, np.eye(3), atol=1e-12)
+    assert np.linalg.det(frame.rotation) == pytest.approx(1)
+    assert np.allclose(frame.rotation[:, 1], -vertical(views), atol=1e-12)
+    assert abs(mean_camera(views).rotation[:, 2] @ vertical(views)) > 1e-3
