@@ -269,7 +269,7 @@ def test_rows_that_are_no_camera(tmp_path: Path, place: int, value: float, error
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda words: words[:-1], "18 columns|lists|columns"),
+        (lambda words: words[:-1], "the line has 18 columns, need 19"),
         (lambda words: [*words[:5], "0.1", *words[6:]], "columns 6 and 7 are 0.1 and 0"),
         (lambda words: [words[0], "500", *words[2:]], "shares of the picture"),
         (lambda words: [words[0], "nan", *words[2:]], "shares of the picture"),

@@ -200,7 +200,7 @@ def test_views_are_named_or_counted(text: str, indices: list[int]) -> None:
         ("2.png", r"2 views are named '2\.png'"),
         ("9", "view 9 does not exist, the file has 5 views"),
         ("0,a/1.png", r"a/1\.png is given twice"),
-        ("nothing.png", "neither|not a view index, nor the name of a view"),
+        ("nothing.png", r"'nothing\.png' is not a view index, nor the name of a view"),
         ("0,,1", "'' is not a view index"),
         ("-1", "'-1' is not a view index"),
         ("9" * 5000, "does not exist"),

@@ -41,7 +41,7 @@ def test_every_way_to_cut_a_binary_model_short(tmp_path: Path) -> None:
         ("cameras.bin", 0, 2**63, f"it has {2**63} cameras, the limit is 20000"),
         ("images.bin", 0, 2**40, f"it has {2**40} images, the limit is 20000"),
         ("rigs.bin", 0, 2**40, "rigs, the limit is 20000"),
-        ("rigs.bin", 12, 2**31, f"it has {2**31 + 1} sensors|it has .* sensors"),
+        ("rigs.bin", 12, 2**31, f"it has {2**31} sensors, the limit is 20000"),
         ("frames.bin", 0, 2**40, "frames, the limit is 20000"),
     ],
 )

@@ -227,7 +227,7 @@ def test_two_spellings_of_one_path_are_one_file_twice() -> None:
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr("a/x.png", b"1")
         archive.writestr("a\\x.png", b"2")
-    with pytest.raises(CaptureError, match=r"'a\\\\x\.png' is there twice|'a/x\.png' is there twice"):
+    with pytest.raises(CaptureError, match=r"'a/x\.png' is there twice"):
         ZipFiles(buffer)
 
 

@@ -47,6 +47,14 @@ def test_those_of_srgb_stay_to_the_bit(profile: bytes) -> None:
     np.testing.assert_array_equal(rgb(Image.fromarray(PIXELS), profile), PIXELS)
 
 
+@pytest.mark.parametrize(("red", "stays"), [(0.6395, True), (0.6388, False)])
+def test_one_that_changes_no_colour_by_more_than_a_level_is_that_of_srgb(red: float, stays: bool) -> None:
+    """Another red, which changes some of these colours by a level, and corners of the cube by up to 1.1 and 2.6."""
+    space = Space(((red, 0.33), *SRGB.primaries[1:]))
+    assert (np.rint(converted(PIXELS, space, SRGB)) != PIXELS).any()
+    assert (rgb(Image.fromarray(PIXELS), space.profile()) == PIXELS).all() == stays
+
+
 def test_alpha_stays_and_so_does_a_transparent_colour() -> None:
     alpha = np.where(PIXELS[..., 0] > 100, 255, 0).astype(np.uint8)
     photo = decode_image(encoded(Image.fromarray(np.dstack([PIXELS, alpha])), DISPLAY_P3.profile()), index=0)
