@@ -32,16 +32,18 @@ def test_what_lies_beyond_the_filter_changes_nothing(size: tuple[int, int], box:
     assert (found == expected).all()
 
 
-def test_a_mask_beside_the_crop_is_none() -> None:
+@pytest.mark.parametrize(("side", "reached"), [(40, 27), (64, 29), (90, 29)])
+def test_a_mask_beside_the_crop_is_none(side: int, reached: int) -> None:
+    """Of 64 px from 32 on; three pixels of the coarser grid are reached beyond."""
     rgb = noise(2, 64, 128, 3)
     mask = np.ones((64, 128), bool)
-    mask[:10, :10] = False
+    mask[:10, :reached] = False
     camera = Camera.make(128, 64, 64.0, 64.0, 64.0, 32.0, np.eye(4))
-    masked, whole = (fit_view(Photo(rgb, kept), camera, 64, 64) for kept in (mask, None))
+    masked, whole = (fit_view(Photo(rgb, kept), camera, side, side) for kept in (mask, None))
     assert masked.mask is None
     assert (masked.image == whole.image).all()
     mask[:10, 31:] = False
-    assert fit_view(Photo(rgb, mask), camera, 64, 64).mask is not None
+    assert fit_view(Photo(rgb, mask), camera, side, side).mask is not None
 
 
 def test_a_pixel_that_is_averaged_away_leaves_no_mask_and_no_colour() -> None:
