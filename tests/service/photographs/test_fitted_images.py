@@ -12,6 +12,7 @@ from PIL import Image, ImageOps
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.errors import ImageError
 from gapmes.service.photographs.images import FittedView, PackedView, Photo, decode_image, fit_view, match_photo
+from gapmes.service.photographs.upright import upright
 
 
 def camera(width, height, fx=50.0, fy=55.0, cx=None, cy=None):
@@ -33,9 +34,19 @@ def test_exif_orientation_is_applied_only_where_the_camera_is_upright(orientatio
         with pytest.raises(ImageError, match="the aspects differ"):
             match_photo(photo, camera(36, 64), index=0)
         return
-    upright, turned_camera = match_photo(photo, camera(72, 128))
-    np.testing.assert_array_equal(upright.rgb, np.asarray(ImageOps.exif_transpose(Image.open(io.BytesIO(data)))))
+    turned, turned_camera = match_photo(photo, camera(72, 128))
+    np.testing.assert_array_equal(turned.rgb, np.asarray(ImageOps.exif_transpose(Image.open(io.BytesIO(data)))))
     assert (turned_camera.width, turned_camera.height) == (36, 64)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_every_orientation_is_turned_as_pillow_turns_it(orientation):
+    """Pixels of a photograph, and its mask, which has no channels."""
+    image = Image.fromarray(picture(64, 36))
+    image.getexif()[0x0112] = orientation
+    expected = np.asarray(ImageOps.exif_transpose(image))
+    np.testing.assert_array_equal(upright(picture(64, 36), orientation), expected)
+    np.testing.assert_array_equal(upright(picture(64, 36)[:, :, 0] > 99, orientation), expected[:, :, 0] > 99)
 
 
 def test_sizes_must_agree_up_to_one_pixel_of_rounding():

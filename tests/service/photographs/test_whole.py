@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from PIL import Image
 from plane_scene import PlaneScene
 
 from gapmes.service.cameras.camera import Camera
@@ -73,6 +74,9 @@ def test_a_reduced_picture_keeps_every_point_at_its_ray() -> None:
     expected = np.stack([column / 128, row / 128, (column * 224 / 128 + row) / 352])
     inner = (slice(None), slice(8, -8), slice(8, -8))
     assert np.abs(found.image - expected)[inner].max() < 1.5 / 255  # rounded to 8 bits before and after
+    picture = Image.fromarray(FittedView(levels, None, view.camera, 1.0).pixels())
+    whole = np.asarray(picture.resize((128, 128), Image.Resampling.LANCZOS)).transpose(2, 0, 1)
+    np.testing.assert_array_equal(np.rint(255 * found.image), whole)  # up to the border
     pixels = np.array([[3.5, 100.25], [127.0, 1.0]])
     np.testing.assert_allclose(
         found.camera.rays(pixels), view.camera.rays(pixels * [224 / 128, 1.0]), rtol=1e-12, atol=1e-12

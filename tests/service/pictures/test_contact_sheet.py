@@ -42,3 +42,17 @@ def test_many_cells_go_into_several_rows_as_high_as_their_pictures() -> None:
     assert sheet.shape == (3 * (TITLE + 90 + LABEL + GAP) + GAP, 3 * (CELL + GAP) + GAP, 3)
     for index in range(8):
         assert (sheet == 10 + index).all(axis=2).sum() >= 90 * 160  # text has greys of its own
+
+
+def test_titles_stand_above_their_row_and_labels_below_their_picture() -> None:
+    cells = [Cell(np.full((height, 160, 3), 255, np.uint8), "") for height in (90, 60)]
+    plain = np.asarray(contact_sheet([Row("", cells)]))
+    titled = np.asarray(contact_sheet([Row("Title", cells)]))
+    labelled = np.asarray(contact_sheet([Row("", [cells[0], Cell(cells[1].pixels, "label")])]))
+    assert (plain == 255).all()
+    rows, columns = np.nonzero((titled < 128).all(axis=2))
+    assert GAP <= rows.min() < rows.max() < GAP + TITLE
+    assert GAP <= columns.min() < GAP + 5
+    rows, columns = np.nonzero((labelled < 128).all(axis=2))
+    assert GAP + TITLE + 60 <= rows.min() < rows.max() < GAP + TITLE + 60 + LABEL
+    assert 2 * GAP + CELL <= columns.min() < 2 * GAP + CELL + 5
