@@ -56,3 +56,10 @@ def test_titles_stand_above_their_row_and_labels_below_their_picture() -> None:
     rows, columns = np.nonzero((labelled < 128).all(axis=2))
     assert GAP + TITLE + 60 <= rows.min() < rows.max() < GAP + TITLE + 60 + LABEL
     assert 2 * GAP + CELL <= columns.min() < 2 * GAP + CELL + 5
+
+
+def test_a_larger_picture_is_scaled_to_its_cell() -> None:
+    sheet = np.asarray(contact_sheet([Row("", [Cell(np.full((300, 512, 3), 40, np.uint8), "")])]))
+    assert sheet.shape == (TITLE + 150 + LABEL + 2 * GAP, CELL + 2 * GAP, 3)
+    assert (sheet[GAP + TITLE : GAP + TITLE + 150, GAP : GAP + CELL] == 40).all()
+    assert (sheet == 40).all(axis=2).sum() == 150 * CELL
