@@ -49,6 +49,7 @@ def test_titles_stand_above_their_row_and_labels_below_their_picture() -> None:
     plain = np.asarray(contact_sheet([Row("", cells)]))
     titled = np.asarray(contact_sheet([Row("Title", cells)]))
     labelled = np.asarray(contact_sheet([Row("", [cells[0], Cell(cells[1].pixels, "label")])]))
+    assert plain.shape == (TITLE + 90 + LABEL + 2 * GAP, 2 * CELL + 3 * GAP, 3)
     assert (plain == 255).all()
     rows, columns = np.nonzero((titled < 128).all(axis=2))
     assert GAP <= rows.min() < rows.max() < GAP + TITLE

@@ -127,7 +127,9 @@ def test_every_scale_below_the_one_of_the_cure_is_taken(low: float) -> None:
 
 
 @pytest.mark.parametrize(("channel", "scale", "words"), [("rgb", 0.1, "not with rgb"), ("depth", 0.0, "is 0"),
-                                                          ("depth", float("nan"), "is nan")])  # fmt: skip
+                                                          ("depth", float("nan"), "is nan"),
+                                                          ("depth", float("inf"), "is inf")])  # fmt: skip
 def test_a_scale_that_is_none_is_refused_before_drawing(channel, scale, words) -> None:
+    check_format(10, 10, "depth", "png", 1e-9)
     with pytest.raises(InputError, match=words):
         check_format(10, 10, channel, "png", scale)

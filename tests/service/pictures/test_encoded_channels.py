@@ -23,8 +23,8 @@ def levels_of(data: bytes) -> np.ndarray:
 
 @pytest.mark.parametrize("format", ["png", "webp"])
 def test_opacity_is_held_to_the_nearest_of_255_levels(format: Any) -> None:
-    """Also a little beyond 1, which rounding may leave."""
-    alpha = np.array([[0.0, 0.3 / 255, 0.6 / 255, 0.5], [254.4 / 255, 254.6 / 255, 1.0, 1 + 1e-6]], np.float32)
+    """What is beyond 1 counts as 1."""
+    alpha = np.array([[0.0, 0.3 / 255, 0.6 / 255, 0.5], [254.4 / 255, 254.6 / 255, 1.0, 1.01]], np.float32)
     picture = encode(drawn(np.ones((2, 4)), alpha), "alpha", format)
     assert (picture.media_type, picture.depth) == (f"image/{format}", None)
     assert levels_of(picture.data).tolist() == [[0, 0, 1, 128], [254, 255, 255, 255]]
@@ -52,7 +52,9 @@ def test_of_a_picture_of_nothing_all_numbers_are_0_but_a_scale_that_was_given(sc
 
 def test_the_highest_level_holds_half_a_level_more() -> None:
     there = np.ones((1, 2), bool)
-    assert depth_levels(np.array([[1.0, 255.49]]), there, 255, 1.0)[0].tolist() == [[1, 255]]
+    levels, code = depth_levels(np.array([[1.0, 255.49]]), there, 255, 1.0)
+    assert (levels.tolist(), levels.dtype) == ([[1, 255]], np.uint8)
+    assert code.named() == {"Min": 1.0, "Max": 255.49, "Scale": 1.0, "Offset": 0.0}
     with pytest.raises(InputError, match="is level 256 at 1 per level, the highest is 255"):
         depth_levels(np.array([[1.0, 255.51]]), there, 255, 1.0)
 
