@@ -21,7 +21,7 @@ from . import scene_ids
 from .database import Database
 from .gaussians_cache import GaussiansCache
 from .own_files import check_own_files
-from .scene_files import SceneFiles, is_id, unknown
+from .scene_files import SceneFiles, unknown
 from .scene_index import Indexed, SceneIndex
 
 CACHE_BYTES = 512 * 2**20
@@ -107,7 +107,7 @@ class SceneStore:
 
     def exists(self, scene_id: str) -> bool:
         """Whether the scene exists undamaged. False for a malformed id."""
-        return is_id(scene_id) and self._files.whole(scene_id)
+        return self._files.whole(scene_id)
 
     def document(self, scene_id: str) -> dict[str, Any]:
         """The scene's document. Raises `SceneNotFound`, and `FormatError` for a damaged scene."""
@@ -215,15 +215,15 @@ class SceneStore:
                 raise StorageFull(message, field="store", cure=f"{cure}, or try again when fewer are being read")
             self._evict(row)
 
-    def _evict(self, row: Indexed) -> bool:
+    def _evict(self, row: Indexed) -> None:
+        """Delete a scene and its row, unless somebody reads it."""
         try:
             if not self._files.remove(row.id, unless_read=True):
-                return False
+                return
         except SceneNotFound:  # deleted meanwhile
             pass
         self._index.remove([row.id])
         self._cache.drop(row.id)
-        return True
 
     def _agree(self) -> None:
         """Make the index agree with the folders."""

@@ -273,6 +273,16 @@ def test_the_index_follows_the_folders(tmp_path: Path) -> None:
     assert again.totals() == (2, again.totals()[1])
 
 
+def test_an_index_that_was_kept_follows_folders_that_came_and_went(tmp_path: Path) -> None:
+    """Under a root whose own folder is missing, too, as on a new volume."""
+    root, other = tmp_path / "new" / "scenes", tmp_path / "other"
+    filled(root, 3)
+    SceneStore(other).put(IDS[5], PLY, DOCUMENT)
+    (root / IDS[1]).rename(tmp_path / "taken")
+    (other / IDS[5]).rename(root / IDS[5])
+    assert listed(SceneStore(root)) == {IDS[0], IDS[2], IDS[5]}
+
+
 def test_a_scene_that_is_listed_but_gone_is_not_the_newest(tmp_path: Path) -> None:
     store = filled(tmp_path, 2)
     (tmp_path / IDS[1]).rename(tmp_path.parent / "taken")
