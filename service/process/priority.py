@@ -7,11 +7,13 @@ import os
 import sys
 import threading
 
-NICE = 5  # a third of the time of a thread with nice 0, by Linux's weights; all of it when no other is ready
+NICE = 5  # more than the main thread: a third of its time, by Linux's weights; all of it when no other is ready
 
 
 def give_way() -> None:
-    """Lower the priority of the calling thread and of those that it starts. Only Linux has priorities per thread."""
+    """Lower the priority of the calling thread, and of those that it starts, below that of the main thread. Only Linux
+    has priorities per thread."""
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+            main = os.getpriority(os.PRIO_PROCESS, os.getpid())
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), main + NICE)

@@ -246,6 +246,22 @@ def test_what_no_picture_can_be_drawn_of_is_refused(client: TestClient) -> None:
         assert np.asarray(Image.open(io.BytesIO(picture.content))).max() > 50
 
 
+@pytest.mark.parametrize(
+    ("reach", "near", "far"), [(1e16, "1", "10"), (1, "1e-16", "1e-15"), (1, "1", "1e16"), (1, "1e-14", "1e14")]
+)
+def test_each_bound_of_what_can_be_drawn_holds_alone(client: TestClient, reach: float, near: str, far: str) -> None:
+    """Of positions, near and far, with cameras that are given; the last has none beyond it."""
+    given = moderate(50, 3, 0)
+    means = given.means.copy()
+    means[0, 0] = reach
+    data = ply_bytes(replace(given, means=means), positions="float64")
+    answer = load_form(client, data, cameras=camera_object(2), near=near, far=far)
+    if (reach, near) == (1, "1e-14"):
+        assert answer.status_code == 201
+    else:
+        assert_problem(answer, 422, "format_invalid", "file")
+
+
 def test_bodies_that_are_no_file_of_gaussians(client: TestClient) -> None:
     body = assert_problem(load_raw(client, b""), 422, "invalid_input", "file")
     assert "0 bytes" in body["detail"]

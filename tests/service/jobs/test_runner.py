@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -49,6 +50,17 @@ def test_what_is_logged_of_a_job_has_the_id_of_its_request(place: Place) -> None
         runner.notify()
         place.ended(job_id)
     assert heard == ["mine", None]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has priorities per thread")
+def test_a_job_gives_way_to_requests(place: Place) -> None:
+    """It runs at a lower priority than the threads that answer, so that pictures are drawn first."""
+    found: list[int] = []
+    place.runner(lambda *_: found.append(os.getpriority(os.PRIO_PROCESS, threading.get_native_id())))
+    place.submit()
+    place.ended()
+    answering = os.getpriority(os.PRIO_PROCESS, os.getpid())
+    assert found == [min(answering + 5, 19)]
 
 
 def test_work_of_a_release_with_one_model_is_for_the_default_one() -> None:
