@@ -26,3 +26,16 @@ def test_stopping_ends_in_time_where_the_index_is_locked(place: Place, monkeypat
     place.runner(lambda *_: None)
     assert place.ended().state == "done"
     going.set()
+
+
+def test_stopping_leaves_the_index_alone_where_all_jobs_have_ended(
+    place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that ends after many jobs has nothing to note of each."""
+    runner = place.runner(lambda *_: None)
+    place.submit()
+    place.ended()
+    noted: list[object] = []
+    monkeypatch.setattr(place.table, "give_back", lambda *given: noted.append(given))
+    runner.stop(60.0)
+    assert noted == []
