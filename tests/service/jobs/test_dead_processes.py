@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import subprocess
@@ -138,6 +139,7 @@ def test_processes_whose_files_were_deleted_are_still_alive(tmp_path: Path) -> N
     """Each makes its own again when it looks, or tells of its progress; until then none takes the jobs of another."""
     folder = tmp_path / "leases"
     one, two = Lease(folder, 1), Lease(folder, 2)
+    handles = len(os.listdir("/proc/self/fd"))
     for _ in range(2):
         shutil.rmtree(folder)
         assert one.gone([two.name]) == set()
@@ -145,6 +147,7 @@ def test_processes_whose_files_were_deleted_are_still_alive(tmp_path: Path) -> N
         assert two.keep()
         assert one.gone([two.name, "dead"]) == {"dead"}
         assert (one.slots(), two.slots()) == (3, 3)
+    assert len(os.listdir("/proc/self/fd")) <= handles  # those of the deleted files are closed
     two.release()
     assert two.keep()  # it has ended, and stays so
     assert one.gone([two.name]) == {two.name}

@@ -12,7 +12,7 @@ from starlette.requests import ClientDisconnect
 
 from gapmes.service.errors import ServiceBusy
 from gapmes.service.http.waiting import ended
-from gapmes.service.jobs.job_service import SPOOL, JobService
+from gapmes.service.jobs.job_service import LEASES, SPOOL, JobService
 from gapmes.service.jobs.rows import Job
 from gapmes.service.scenes.store import SceneStore
 from gapmes.service.settings import Settings
@@ -71,6 +71,7 @@ def test_another_process_of_the_store_brings_room_of_its_own(tmp_path: Path) -> 
         for service in services:
             service.close(1.0)
     assert len(services[0].table.unfinished()) == 2
+    assert [path.name for path in (tmp_path / LEASES).iterdir()] == []  # to others, both have ended
 
 
 def test_a_request_that_ends_alone_takes_its_job_along(service: JobService, tmp_path: Path) -> None:
