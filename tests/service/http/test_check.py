@@ -68,6 +68,17 @@ def test_it_tells_as_a_reconstruction_does_where_photographs_lack_detail(client:
     assert len(told[0]) == (2 if detail == "2" else 0)
 
 
+def test_it_warns_of_a_wide_range_as_a_reconstruction_does(client: TestClient) -> None:
+    """With the steps of 64 planes where the network's file does not state their number. Half a step at depth 1 is then
+    1 / (1 + 2 * 63) of it, but for the far plane."""
+    images, cameras = [photograph(5), photograph(6)], {**camera_object(2), "far": 20000.0}
+    asked, done = checked(client, images, cameras), post(client, images, cameras)
+    (told,) = [warning for warning in asked.json()["warnings"] if warning["code"] == "depth_range_wide"]
+    assert "far / near = 2e+04" in told["message"]
+    assert "half a step with 64 planes, by depth: 1: 0.79 %" in told["message"]
+    assert told in done.json()["warnings"]
+
+
 def test_a_photograph_that_cannot_be_decoded_is_named(client: TestClient) -> None:
     broken = photograph(6)[:200]
     assert_problem(checked(client, [photograph(5), broken], camera_object(2)), 415, "image_unreadable", index=1)
