@@ -44,6 +44,7 @@ OF_ROUTE = {
     "/reconstruct": ["Content-Disposition", "Repr-Digest"],
     "/jobs/{job_id}/events": ["X-Accel-Buffering"],
 }
+OF_PART = ["Content-Disposition", "Repr-Digest"]  # only a .ply is sent in parts
 FILES = "/scenes/{scene_id}.{extension}"  # has no Server-Timing
 
 
@@ -78,14 +79,14 @@ def _answers(path: str, status: str, responses: Iterable[str]) -> list[str]:
     if status == "202":
         found += ["Location", "Preference-Applied"]
     if status == "206":
-        found += ["Content-Range"]
+        found += ["Content-Range", *OF_PART]
     if status in ("200", "206") and "206" in responses:
         found += ["Accept-Ranges"]
     if status in ("200", "201") and "201" in responses:
         found += ["Location"]
     if status == "201" or (status == "200" and "304" in responses and path != FILES):
         found += ["Server-Timing"]
-    if status in ("200", "201", "206"):
+    if status in ("200", "201"):
         found += OF_ROUTE.get(path, [])
     return found
 

@@ -19,9 +19,17 @@ def paths(client: TestClient) -> dict[str, Any]:
     return client.get("/openapi.json").json()["paths"]
 
 
-def told(paths: dict[str, Any], path: str, method: str, status: int) -> set[str]:
+def told(paths: dict[str, Any], path: str, method: str, status: int) -> dict[str, Any]:
     responses = paths[path][method]["responses"]
-    return set((responses.get(str(status)) or responses[f"{status // 100}XX"])["headers"])
+    return (responses.get(str(status)) or responses[f"{status // 100}XX"])["headers"]
+
+
+def is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def test_headers_of_answers_are_told(client: TestClient, paths: dict[str, Any]) -> None:
@@ -35,6 +43,8 @@ def test_headers_of_answers_are_told(client: TestClient, paths: dict[str, Any]) 
         ("/reconstruct", kept),
         ("/reconstruct", job),
         ("/reconstruct", post(client, images, accept="application/zip")),
+        ("/reconstruct", post(client, images, accept="application/octet-stream")),
+        ("/reconstruct", post(client, [photograph(902), photograph(903)], accept="application/octet-stream")),
         ("/reconstruct", client.post("/reconstruct")),
         (file, client.get(f"{link}.ply")),
         (file, client.get(f"{link}.ply", headers={"Range": "bytes=0-9"})),
@@ -51,12 +61,27 @@ def test_headers_of_answers_are_told(client: TestClient, paths: dict[str, Any]) 
         ("/check", client.post("/check")),
     ]
     seen: set[str] = set()
+    missing: dict[tuple[str, int], set[str]] = {}
     for path, answer in answers:
         has = {name for name in ANSWERED if name.lower() in answer.headers}
-        assert has <= told(paths, path, answer.request.method.lower(), answer.status_code), (path, answer)
+        may = told(paths, path, answer.request.method.lower(), answer.status_code)
+        assert has <= set(may), (path, answer)
+        for name in has:
+            assert (may[name]["schema"]["type"] == "number") == is_number(answer.headers[name]), name
+        if answer.is_success:
+            of_these = path, answer.status_code
+            missing[of_these] = missing.get(of_these, set(may)) - has
         seen |= has
+    assert not any(missing.values()), missing  # what is told of an answer that succeeds is in one of them
     assert set(ANSWERED) - seen == {"Allow", "Retry-After", "WWW-Authenticate"}
     assert {answer.status_code for _, answer in answers} >= {200, 201, 202, 204, 206, 304, 404, 415, 416}
+
+
+def test_a_refusal_tells_its_problem_and_a_busy_service_when_to_ask_again(paths: dict[str, Any]) -> None:
+    for path, methods in paths.items():
+        for method in methods:
+            assert set(told(paths, path, method, 503)) == {"X-Gapmes-Problem", "Retry-After", "X-Request-ID"}
+            assert set(told(paths, path, method, 418)) >= {"X-Gapmes-Problem", "X-Request-ID"}
 
 
 def test_headers_of_requests_are_told(paths: dict[str, Any]) -> None:
@@ -65,7 +90,7 @@ def test_headers_of_requests_are_told(paths: dict[str, Any]) -> None:
         for path, methods in paths.items()
         for operation in methods.values()
         for parameter in operation.get("parameters", ())
-        if parameter["in"] == "header" and parameter["name"] in ASKED
+        if parameter["in"] == "header" and parameter["name"] in ASKED and not parameter["required"]
     }
     file = "/scenes/{scene_id}.{extension}"
     drawn = ("/render", "/scenes/{scene_id}/preview", "/scenes/{scene_id}/sheet")
