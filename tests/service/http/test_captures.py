@@ -213,6 +213,14 @@ def test_refused_choices(
     assert stored(settings) == before
 
 
+@pytest.mark.parametrize("fields", [{}, {"context": "2"}])
+def test_a_capture_of_one_view_is_no_job(client: TestClient, tmp_path: Path, fields: dict[str, str]) -> None:
+    """It is refused before it is queued."""
+    write_colmap(tmp_path, arc(1))
+    answer = post_capture(client, zipped(tmp_path), prefer="respond-async", **fields)
+    assert_problem(answer, 422, "view_count")
+
+
 @pytest.mark.parametrize("data", [b"", b"PK\x03\x04", b"no zip at all", b"PK\x05\x06" + bytes(18)])
 def test_refused_captures(client: TestClient, data: bytes) -> None:
     assert_problem(post_capture(client, data), 422, "capture_invalid", "capture")
