@@ -161,6 +161,24 @@ def test_neither_methods_nor_paths_get_into_numbers_and_lines(
     assert lines[1] == "GET /a%0AGET%20/scenes/x%20204%1B%5B2J 404"
 
 
+def test_a_line_of_the_log_tells_what_was_answered(client: TestClient, caplog: pytest.LogCaptureFixture) -> None:
+    """And which job a request belongs to; probes are not logged."""
+    made = post(client)
+    link = f"/scenes/{made.json()['id']}"
+    with caplog.at_level(logging.INFO, "gapmes.access"):
+        job = post(client, prefer="respond-async")
+        answers = [job, client.get(link), client.get(f"{link}.ply"), client.get("/render?view=99")]
+        client.get("/healthz")
+    lines = [record.__dict__ for record in caplog.records if record.name == "gapmes.access"]
+    statuses = [line["message"].rsplit(" ", 1) for line in lines]
+    assert statuses == [
+        ["POST /reconstruct", "202"], [f"GET {link}", "200"], [f"GET {link}.ply", "200"], ["GET /render", "422"]
+    ]  # fmt: skip
+    assert [line["bytes"] for line in lines] == [len(answer.content) for answer in answers]
+    assert (lines[2]["route"], lines[3]["route"]) == ("/scenes/{scene_id:path}.{extension}", "/render")
+    assert [line.get("job") for line in lines] == [job.json()["id"], None, None, None]
+
+
 def test_nothing_of_the_host_is_told(client: TestClient) -> None:
     for path in ("/", "/scenes", "/nowhere", "/healthz"):
         headers = client.get(path).headers

@@ -31,16 +31,19 @@ class App:
         await self.may_answer.wait()
 
 
-async def ask(limit: BodyLimit, sizes: list[int]) -> None:
-    left = list(sizes)
+async def ask(limit: BodyLimit, sizes: list[int], declared: int | None = None) -> list[int]:
+    """Send a body in pieces of these sizes; returns the statuses of answers."""
+    left, answered = list(sizes), []
 
     async def receive() -> dict[str, Any]:
         return {"type": "http.request", "body": bytes(left.pop(0)), "more_body": bool(left)}
 
-    async def send(_: object) -> None:
-        raise AssertionError("nothing is answered here")
+    async def send(message: dict[str, Any]) -> None:
+        answered.append(message.get("status"))
 
-    await limit({"type": "http", "headers": []}, receive, send)
+    headers = [] if declared is None else [(b"content-length", str(declared).encode())]
+    await limit({"type": "http", "headers": headers}, receive, send)
+    return answered
 
 
 def test_bodies_together_are_bounded_until_they_are_released_or_answered() -> None:
@@ -76,5 +79,43 @@ def test_one_body_alone_may_pass_the_bound_on_all_together() -> None:
         assert app.read == [900]
         with pytest.raises(UploadTooLarge, match="1001 bytes or more, the limit is 1000"):
             await ask(BodyLimit(app, 1000, 500), [600, 401])
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize("declared", [None, 1000])
+def test_a_body_of_just_the_bound_is_taken(declared: int | None) -> None:
+    async def story() -> None:
+        app = App()
+        app.may_answer.set()
+        assert await ask(BodyLimit(app, 1000, 500), [600, 400], declared) == []
+        assert app.read == [1000]
+        assert (await ask(BodyLimit(app, 1000, 500), [], 1001))[0] == 413  # by its declared length: nothing is read
+
+    asyncio.run(story())
+
+
+def test_what_was_released_is_not_released_again_by_the_answer() -> None:
+    """The bound on all together stays where it is."""
+
+    async def story() -> None:
+        app = App()
+        limit = BodyLimit(app, 1000, 1500)
+        first = asyncio.create_task(ask(limit, [1000]))
+        await asyncio.sleep(0)
+        app.scopes[0][RELEASE]()
+        app.may_answer.set()
+        await first
+        app.may_answer.clear()
+        second = asyncio.create_task(ask(limit, [800]))
+        await asyncio.sleep(0)
+        refused = asyncio.create_task(ask(limit, [701]))
+        third = asyncio.create_task(ask(limit, [700]))
+        await asyncio.sleep(0)
+        assert app.read == [1000, 800, 700]
+        app.may_answer.set()
+        with pytest.raises(ServiceBusy):
+            await refused
+        await asyncio.gather(second, third)
 
     asyncio.run(story())
