@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import pytest
 from http_requests import assert_problem, photograph, post, wait_until_ready
+from starlette.requests import ClientDisconnect
 from starlette.testclient import TestClient
 from starlette.types import Receive, Scope, Send
 
@@ -74,6 +75,19 @@ def test_who_finds_no_file_left_to_open_may_try_again(
     assert_problem(answer, 503, "service_busy")
     assert int(answer.headers["retry-after"]) > 0
     assert ["Traceback" in caplog.text, caplog.text.count("the limit of open files")] == [False, 1]
+
+
+def test_a_client_that_goes_away_is_no_fault(
+    called: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Amid its upload, or before its picture is drawn: nobody reads the answer, and no fault is logged."""
+
+    def left(*_: object) -> None:
+        raise ClientDisconnect
+
+    monkeypatch.setattr(called.app.state.runtime.store, "page", left)
+    assert_problem(called.get("/scenes"), 400, "client_disconnected")
+    assert [record for record in caplog.records if record.levelno >= logging.WARNING] == []
 
 
 def test_a_fault_amid_an_answer_goes_on() -> None:

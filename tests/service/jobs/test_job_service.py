@@ -10,7 +10,7 @@ import pytest
 from job_place import A, work
 from starlette.requests import ClientDisconnect
 
-from gapmes.service.errors import ServiceBusy
+from gapmes.service.errors import DeadlineExceeded, ServiceBusy
 from gapmes.service.http.waiting import ended
 from gapmes.service.jobs.job_service import LEASES, SPOOL, JobService
 from gapmes.service.jobs.rows import Job
@@ -79,6 +79,24 @@ def test_a_request_that_ends_alone_takes_its_job_along(service: JobService, tmp_
     asyncio.run(wait_and_be_ended(service, job))
     assert service.table.get(job.id).state == "cancelled"
     assert not (tmp_path / SPOOL / job.id).exists()
+
+
+def test_a_request_that_has_waited_long_enough_is_told_and_takes_its_job_along(service: JobService) -> None:
+    job, _ = service.submit(work(), A, kept=False)
+    with pytest.raises(DeadlineExceeded, match="the scene was not there within 0 s"):
+        asyncio.run(ended(service, job, 0.0, cast(Any, None)))
+    assert service.table.get(job.id).state == "cancelled"
+
+
+def test_who_waits_for_a_job_that_has_ended_gets_it_at_once(
+    service: JobService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However long it took, and whether the client is still there or not: nothing is left to cancel."""
+    job, _ = service.submit(work(), A, kept=False)
+    service.table.claim("this")
+    service.table.end(job.id, "this", "done")
+    monkeypatch.setattr(service, "leave", None)
+    assert asyncio.run(ended(service, job, 0.0, cast(Any, None))).state == "done"
 
 
 def test_a_client_that_goes_away_while_the_process_ends_takes_its_job_along(service: JobService) -> None:
