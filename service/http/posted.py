@@ -21,6 +21,8 @@ MAX_PARTS = MAX_IMAGES + 4  # files, and as many fields; reading stops at one mo
 MAX_TEXT = 16 * 2**10  # bytes of a text field, far more than 64 views or 6 long names; reading stops beyond
 DOCUMENT = "cameras"  # the only long text field, which has a limit of its own
 ONCE = {DOCUMENT: "send one of them; a COLMAP model of several files goes in as one zip"}  # cures, by field
+# Codecs of Python for names of hosts, which are no charsets; the first takes minutes for half a megabyte.
+NO_CHARSETS = ("punycode", "idna")
 # Prefixes of the parsers' messages, which have no codes.
 _TOO_MANY_FILES, _LONG_HEADERS = "Too many files", "Maximum header"
 
@@ -99,9 +101,16 @@ def _unselected(part: UploadFile | str) -> bool:
 
 class _Parser(MultiPartParser):
     """The framework's parser, with a limit on text fields as they arrive. A form without its closing boundary is
-    refused, since its last field would be lost silently."""
+    refused, since its last field would be lost silently, and one whose charset is none."""
 
     _whole = False
+
+    def on_part_begin(self) -> None:
+        if self._charset in NO_CHARSETS:
+            raise MalformedRequest(
+                f"its charset is {self._charset}, need one of text", field="Content-Type", cure="leave it out: UTF-8"
+            )
+        super().on_part_begin()
 
     def on_part_data(self, data: bytes, start: int, end: int) -> None:
         part = self._current_part
