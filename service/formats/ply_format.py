@@ -238,13 +238,22 @@ def _ascii_columns(data: bytes, header: Header) -> dict[str, F64]:
             index=len(lines),
             cure="is the file truncated?",
         )
-    table = np.empty((vertex.count, len(vertex.properties)))
+    need = len(vertex.properties)
+    if 2 * need * vertex.count > len(data):  # a row is too short, which is told before memory for all is taken
+        for index, line in enumerate(lines):
+            _words(line, need, index)
+    table = np.empty((vertex.count, need))
     for index, line in enumerate(lines):
-        words = line.split()
-        if len(words) != len(vertex.properties):
-            raise PlyError(f"row has {len(words)} numbers, need {len(vertex.properties)}", field="vertex", index=index)
+        words = _words(line, need, index)
         try:
             table[index] = [float(word) for word in words]
         except ValueError as error:
             raise PlyError(f"row is not made of numbers: {line[:80]!r}", field="vertex", index=index) from error
     return {prop.name: table[:, column].copy() for column, prop in enumerate(vertex.properties)}
+
+
+def _words(line: bytes, need: int, index: int) -> list[bytes]:
+    words = line.split()
+    if len(words) != need:
+        raise PlyError(f"row has {len(words)} numbers, need {need}", field="vertex", index=index)
+    return words

@@ -281,6 +281,23 @@ def test_numbers_beside_a_list_are_passed_over_at_once(monkeypatch):
             read_ply(OURS[:start] + head + OURS[start:body] + rows[:cut])
 
 
+def test_rows_that_are_too_short_take_no_memory_for_all():
+    """45 GB for 4 MB of text, where a row has thousands of numbers by the header."""
+    head = by_plyfile(text=True).split(b"end_header\n")[0]
+    names = head[head.index(b"property") :]
+    more = b"".join(b"property int a%d\n" % place for place in range(1000))
+    row = b"0 " * (names.count(b"property") + 1000) + b"\n"
+    start = head.index(b"element vertex")
+    file = head[:start] + b"element vertex 200000\n" + names + more + b"end_header\n" + row + b"0\n" * 199_999
+    tracemalloc.start()
+    with pytest.raises(PlyError, match=r"row has 1 numbers, need 10\d\d") as refusal:
+        read_ply(file)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert refusal.value.index == 1
+    assert peak < 50_000_000
+
+
 @pytest.mark.parametrize("behind", [True, False])
 def test_text_around_the_vertices_costs_nothing(behind):
     text, more = by_plyfile(text=True), b"0\n" * 500_000
