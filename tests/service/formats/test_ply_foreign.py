@@ -13,7 +13,6 @@ from ply_cases import assert_same, binary_file, columns, gaussians
 from plyfile import PlyData, PlyElement
 
 from gapmes.service.errors import PlyError
-from gapmes.service.formats import ply_format
 from gapmes.service.formats.ply import inspect_ply, ply_bytes, read_ply
 
 OURS = ply_bytes(gaussians(6, 1, 1))
@@ -264,38 +263,6 @@ def test_endless_lists_before_the_vertices_are_refused_at_once():
     for head in (many_rows, many_lists, many_tables):
         with pytest.raises(PlyError, match="5000000 lists stand before it, at most 200000"):
             read_ply(OURS[:start] + head + OURS[start:body] + bytes(5_000_000))
-
-
-def test_numbers_beside_a_list_are_passed_over_at_once(monkeypatch):
-    """A byte each: one by one, those of a file of 128 MiB take most of a minute."""
-    start, body = OURS.index(b"element vertex"), OURS.index(b"end_header\n") + 11
-    numbers = [b"property uchar a%d\n" % place for place in range(600)]
-    head = b"element junk 3\n" + b"".join([*numbers[:300], b"property list uchar short l\n", *numbers[300:]])
-    rows = b"".join(bytes(300) + bytes([length]) + bytes(2 * length) + bytes(300) for length in (0, 7, 2))
-    checks, check = [], ply_format._require_bytes
-    monkeypatch.setattr(ply_format, "_require_bytes", lambda *given: (checks.append(1), check(*given)))
-    assert_same(read_ply(OURS[:start] + head + OURS[start:body] + rows + OURS[body:]), read_ply(OURS))
-    assert len(checks) == 9
-    for cut in (2, 301, 303, 700, len(rows) - 1):
-        with pytest.raises(PlyError, match=r"row \d of 3 needs \d+ bytes at \d+, the file has"):
-            read_ply(OURS[:start] + head + OURS[start:body] + rows[:cut])
-
-
-def test_rows_that_are_too_short_take_no_memory_for_all():
-    """45 GB for 4 MB of text, where a row has thousands of numbers by the header."""
-    head = by_plyfile(text=True).split(b"end_header\n")[0]
-    names = head[head.index(b"property") :]
-    more = b"".join(b"property int a%d\n" % place for place in range(1000))
-    row = b"0 " * (names.count(b"property") + 1000) + b"\n"
-    start = head.index(b"element vertex")
-    file = head[:start] + b"element vertex 200000\n" + names + more + b"end_header\n" + row + b"0\n" * 199_999
-    tracemalloc.start()
-    with pytest.raises(PlyError, match=r"row has 1 numbers, need 10\d\d") as refusal:
-        read_ply(file)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert refusal.value.index == 1
-    assert peak < 50_000_000
 
 
 @pytest.mark.parametrize("behind", [True, False])
