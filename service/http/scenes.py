@@ -10,6 +10,7 @@ from urllib.parse import urlencode
 import anyio.to_thread
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BeforeValidator, Field
+from starlette.convertors import Convertor, register_url_convertor
 
 from ..cameras.view_checks import MAX_VIEWS
 from ..errors import FormatUnknown, InputError
@@ -30,6 +31,21 @@ _KEPT = "; ".join(f".{extension} {entry.keeps}" for extension, entry in FORMATS.
 # Ids are matched as paths, so that one with a slash, encoded or not, is an unknown scene and not another route.
 
 
+class _BeforeDot(Convertor[str]):
+    """A path up to its first dot: a pattern that tries every dot takes time with the square of their number."""
+
+    regex = "[^.]*"
+
+    def convert(self, value: str) -> str:
+        return value
+
+    def to_string(self, value: str) -> str:
+        return value
+
+
+register_url_convertor("before_dot", _BeforeDot())
+
+
 class PageQuery(Parameters):
     """Pagination."""
 
@@ -48,9 +64,9 @@ def list_scenes(runtime: RuntimeDep, query: Annotated[PageQuery, Query()]) -> Re
     return json_response({"scenes": scenes, "next": more})
 
 
-@router.head("/scenes/{scene_id:path}.{extension}", include_in_schema=False)
+@router.head("/scenes/{scene_id:before_dot}.{extension}", include_in_schema=False)
 @router.get(
-    "/scenes/{scene_id:path}.{extension}",
+    "/scenes/{scene_id:before_dot}.{extension}",
     response_class=Response,
     responses={
         200: {"description": f"the file; what each format keeps: {_KEPT}", "content": {MEDIA_TYPE: {}}},

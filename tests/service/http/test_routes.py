@@ -8,7 +8,7 @@ import pytest
 from http_requests import assert_problem, post
 from starlette.testclient import TestClient
 
-from gapmes.service.http import preview, render, viewer
+from gapmes.service.http import preview, render, scenes, viewer
 
 
 @pytest.mark.parametrize(
@@ -102,3 +102,16 @@ def test_of_a_long_path_the_beginning_is_told(
     lines = [record.getMessage() for record in caplog.records if record.name == "gapmes.access"]
     assert len(lines) == 3
     assert all(len(line) < 300 for line in lines)
+
+
+@pytest.mark.parametrize("path", ["/scenes/a.b/c.ply", "/scenes/a/b.ply", "/scenes/.ply", "/scenes/" + "." * 30 + "/"])
+def test_dots_and_slashes_of_an_id_are_those_of_an_unknown_scene(client: TestClient, path: str) -> None:
+    assert_problem(client.get(path), 404, "scene_not_found", "scene", cured=True)
+
+
+def test_no_pattern_of_a_route_tries_every_dot(client: TestClient) -> None:
+    """60 kB of them took half a minute, in which nobody was answered."""
+    for path in ("/scenes/" + "." * 60_000 + "/", "/scenes/" + "a." * 30_000 + "/"):
+        assert_problem(client.get(path), 404, "scene_not_found", "scene")
+    (pattern,) = {route.path_regex.pattern for route in scenes.router.routes if "extension" in route.path}
+    assert pattern == r"^/scenes/(?P<scene_id>[^.]*)\.(?P<extension>[^/]+)$"
