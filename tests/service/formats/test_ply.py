@@ -13,6 +13,7 @@ from ply_cases import assert_same, columns, gaussians
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.errors import PlyError
 from gapmes.service.formats.ply import ply_bytes, read_ply, write_ply
+from gapmes.service.formats.ply_write import as_stored, ply_size, stored_positions
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.splat import render
 
@@ -204,6 +205,18 @@ def test_the_position_type_can_be_chosen():
     with pytest.raises(PlyError, match=r"first at index 7.*float64"):
         ply_bytes(before, positions="float32")
     assert read_ply(ply_bytes(before)).means[7, 1] == 1e39
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+@pytest.mark.parametrize(("offset", "positions"), [(1e3, "float32"), (1e6, "float64")])
+def test_the_size_of_a_file_is_known_before_it_is_written(offset, positions, degree):
+    """Of what is stored, which is written exactly."""
+    moved, base = shifted(30, offset), gaussians(30, 5, degree)
+    stored = as_stored(Gaussians.make(moved.means, base.scales, base.rotations_wxyz, base.opacities, base.harmonics))
+    assert stored_positions(stored) == positions
+    data = ply_bytes(stored, positions=positions)
+    assert ply_size(stored) == len(data) - data.index(b"end_header\n") - len(b"end_header\n")
+    assert read_ply(data).means.tobytes() == stored.means.tobytes()
 
 
 def test_dots_alone_do_not_force_double():

@@ -40,7 +40,7 @@ def test_zero_bands_go_and_no_picture_changes(degree: int, max_error: str) -> No
     gaussians = banded(degree)
     lean, report = left(gaussians, max_error)
     assert (lean.sh_degree, len(lean), report["bands"]) == (degree, len(gaussians), [3, degree])
-    assert (report["dropped"], report["bound"]) == (0, 0.0)
+    assert (report["dropped"], report["bound"], len(report["picture_seconds"])) == (0, 0.0, 2)
     assert report["bytes_saved"] == ply_size(gaussians) - ply_size(lean) > 0
     for camera in CAMERAS:
         one, two = render(gaussians, camera, threads=1), render(lean, camera, threads=1)
@@ -81,3 +81,4 @@ def test_off_keeps_all_bands() -> None:
     lean, report = left(gaussians, "off")
     assert lean is gaussians
     assert (report["bands"], report["bytes_saved"], report["certified"]) == ([3, 3], 0, None)
+    assert report["picture_seconds"] is None

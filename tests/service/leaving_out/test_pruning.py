@@ -272,6 +272,10 @@ def test_certified_views_are_inputs_then_the_path_then_what_was_asked():
     for value in (-1, 31, 1.5, True):
         with pytest.raises(InputError, match="certify"):
             Budget(certify=value)
+    assert [Budget(certify=value).certify for value in (0, 30)] == [0, 30]
+    with pytest.raises(InputError, match="is 2, need text") as caught:
+        Budget(asked=("1", 2))
+    assert (caught.value.field, caught.value.index) == ("asked", 1)
     assert Budget(asked=("1", "0.5", "1")).asked == ("0.5", "1")
     with pytest.raises(InputError, match="is the text 'orbit:20', need several"):
         Budget(asked="orbit:20")
