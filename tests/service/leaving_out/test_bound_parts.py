@@ -1,11 +1,13 @@
 """Parts of the bound of leaving out that random scenes hardly need: the early stop, and the edges of footprints."""
 
+import math
+
 import numpy as np
 import pytest
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
-from gapmes.service.leaving_out.pruning import largest_change, prune, reaches, removal_bound
+from gapmes.service.leaving_out.pruning import colour_range, largest_change, prune, reaches, removal_bound
 from gapmes.service.splat import Definition, render, render_reference
 
 SH_C0 = 0.28209479177387814
@@ -38,6 +40,46 @@ def test_what_the_stop_hides_is_in_the_bound(stop: float) -> None:
     found = prune(scene, [PIXEL], 10 * (mass + stop), may_go=gone, worth=0, pictures=1, definition=rule)
     assert found.dropped == 1
     assert found.actual == change <= found.bound
+
+
+@pytest.mark.parametrize("down", [slice(0, 12), slice(12, 22), slice(22, 30)])
+@pytest.mark.parametrize("across", [slice(0, 16), slice(16, 26), slice(26, 40)])
+def test_marks_beside_a_gaussian_neither_reach_it_nor_hide_one_that_does(down: slice, across: slice) -> None:
+    """It is drawn within 3 px of (20.5, 16.5)."""
+    camera = Camera.make(40, 30, 40.0, 40.0, 20.5, 16.5, np.eye(4))
+    one = Gaussians.make([[0.0, 0, 4.0]], [[0.03] * 3], [[1.0, 0, 0, 0]], [0.9], np.zeros((1, 1, 3)))
+    beside, drawn = np.zeros((30, 40), bool), render(one, camera, threads=1).alpha > 0
+    beside[down, across] = True
+    beside[11:23, 15:27] = False
+    assert np.argwhere(drawn).min(axis=0).tolist() >= [13, 17]
+    assert np.argwhere(drawn).max(axis=0).tolist() <= [19, 23]
+    assert not reaches(one, camera, beside, Definition()).any()
+    for row, column in np.argwhere(drawn):
+        marked = beside.copy()
+        marked[row, column] = True
+        assert reaches(one, camera, marked, Definition()).all()
+
+
+def test_a_removal_is_bounded_by_its_weight_with_what_is_rounded_and_what_the_stop_hides() -> None:
+    """Behind a half, 0.4 weighs 0.2; four roundings and one for each layer, twice. What is not there costs nothing."""
+    gaussians, each = behind_each_other([0.5, 0.4, 0.3], [0.2, 0.5, 0.9]), 2.0**-24 * (3 + 4)
+    expected = 0.2 * (1 + 2 * each) + (1 + each) * 1e-4 + 2 * each
+    bound = removal_bound(gaussians, np.array([False, True, False]), [PIXEL], definition=Definition(stop=1e-4))
+    assert bound == pytest.approx(expected, rel=2e-7)
+    assert removal_bound(gaussians, np.zeros(3, bool), [PIXEL]) == 0.0
+
+
+@pytest.mark.parametrize("coefficient", range(16))
+def test_the_range_is_that_of_the_brightest_colour_by_its_bands(coefficient: int) -> None:
+    """Of one coefficient of 4 in one channel: its band's norm times 4 above a half; unclamped below 1."""
+    band = math.isqrt(coefficient)
+    for value in (4.0, -4.0, 0.01):
+        harmonics = np.zeros((3, 16, 3))
+        harmonics[1, coefficient, 2] = value
+        gaussians = Gaussians.make(np.ones((3, 3)), np.ones((3, 3)), [[1.0, 0, 0, 0]] * 3, np.ones(3), harmonics)
+        change = value if band == 0 else abs(value)
+        expected = max(1.0, 0.5 + math.sqrt((2 * band + 1) / (4 * math.pi)) * change)
+        assert colour_range(gaussians) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("focal", [12.0, 400.0])
