@@ -83,18 +83,21 @@ def test_the_range_is_that_of_the_brightest_colour_by_its_bands(coefficient: int
 
 
 @pytest.mark.parametrize("focal", [12.0, 400.0])
+@pytest.mark.parametrize("middle", [20.0, 6.0, 34.0])
 @pytest.mark.parametrize("seed", range(40))
-def test_the_outermost_pixels_that_a_ball_marks_count_as_reached(focal: float, seed: int) -> None:
+def test_the_outermost_pixels_that_a_ball_marks_count_as_reached(focal: float, middle: float, seed: int) -> None:
     """Through a long lens its outline is as wide as the bounding square; through a wide one the affine projection
-    stretches it away from the middle of the picture."""
+    stretches it away from the principal point, also that of a ball beside the picture."""
     rng = np.random.default_rng(seed)
-    camera = Camera.make(40, 40, focal, focal, 20, 20, np.eye(4))
-    at = (rng.uniform(2, 38, 2) - 20) / focal
+    focals = focal * np.array([(1.0, 1.0), (0.5, 1.0), (1.0, 0.5)][seed % 3])
+    camera = Camera.make(40, 40, *focals, middle, middle, np.eye(4))
+    at = (rng.uniform(*((2, 38) if seed % 2 else (-8, 48)), 2) - middle) / focals
     size = rng.uniform(1.0, 4.0) / focal
     ball = Gaussians.make([[*at, 1.0]], [[size] * 3], [[1.0, 0, 0, 0]], [0.9], np.zeros((1, 1, 3)))
     rule = Definition()
     marked = np.argwhere(render_reference(ball, camera, definition=rule).alpha > 0)
-    for row, column in {*(tuple(marked[end(marked[:, axis])]) for axis in (0, 1) for end in (np.argmin, np.argmax))}:
+    ends = ((axis, end) for axis in (0, 1) for end in (np.argmin, np.argmax)) if len(marked) else ()
+    for row, column in {tuple(marked[end(marked[:, axis])]) for axis, end in ends}:
         pixel = np.zeros((40, 40), bool)
         pixel[row, column] = True
         assert reaches(ball, camera, pixel, rule).all()
