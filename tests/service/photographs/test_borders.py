@@ -149,6 +149,13 @@ def ramp(step: int) -> np.ndarray:
     return np.tile(levels[:, None, None], (1, WIDTH, 3))
 
 
+def bluer(pixels: np.ndarray, *where: slice) -> np.ndarray:
+    """With another level of blue there, and the same of red and green."""
+    pixels = pixels.copy()
+    pixels[where][..., 2] = 90
+    return pixels
+
+
 BACKDROPS = {
     "ball": lambda colour: before(colour, "ellipse", (60, 30, 260, 210)),
     "box": lambda colour: before(colour, "rectangle", (60, 50, 259, 169)),
@@ -157,6 +164,10 @@ BACKDROPS = {
     "turned box": lambda colour: before(colour, "polygon", [(50, 36), (276, 44), (270, 204), (44, 196)]),
     "one bar": one_bar,
     "bar of another colour": lambda colour: np.vstack([one_bar(colour)[:-30], np.full((30, WIDTH, 3), 90, np.uint8)]),
+    "bar that differs in blue": lambda colour: bluer(barred(content(), "rows", 30, colour), slice(-30, None)),
+    "frame that differs in blue": lambda colour: bluer(
+        barred(content(), "frame", 30, colour), slice(None), slice(None, 30)
+    ),
     "thin": lambda colour: barred(content(), "rows", 2, colour),
     "thick": lambda colour: barred(content(), "rows", 100, colour),
     "uniform": lambda colour: np.full((HEIGHT, WIDTH, 3), colour, np.uint8),
