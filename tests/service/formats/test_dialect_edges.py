@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from test_ply_dialects import foreign, scene
 
+from gapmes.service.errors import InputError
+from gapmes.service.formats.dialect import Dialect
 from gapmes.service.formats.ply import inspect_ply
 
 
@@ -80,3 +82,18 @@ def test_a_last_component_that_looks_like_w_is_noted(
     first[:negative_first], last[:negative_last] = -0.5, -0.5
     last[-1] = 0.0
     assert ("as if the last were w" in notes(count, rot_0=first, rot_3=last)) == noted
+
+
+@pytest.mark.parametrize(
+    ("given", "field"),
+    [
+        ({"rotation": "WXYZ"}, "rotation"),
+        ({"axes": "RUB"}, "axes"),
+        ({"opacity": "x"}, "opacity"),
+        ({"scales": 3}, "scales"),
+    ],
+)
+def test_a_dialect_that_is_none_is_refused(given: dict, field: str) -> None:
+    with pytest.raises(InputError, match="need one of") as caught:
+        Dialect(**given)
+    assert caught.value.field == field

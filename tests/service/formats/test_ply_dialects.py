@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ply_cases import assert_same, binary_file, columns, gaussians
 
-from gapmes.service.errors import InputError, PlyError
+from gapmes.service.errors import PlyError
 from gapmes.service.formats.dialect import STANDARD, Dialect
 from gapmes.service.formats.ply import inspect_ply, ply_bytes, read_ply
 from gapmes.service.gaussians import Gaussians
@@ -295,18 +295,3 @@ def test_colours_of_a_type_without_a_white_are_refused() -> None:
     with pytest.raises(PlyError, match="is of type int, need uchar, ushort, float or double") as caught:
         inspect_ply(data)
     assert caught.value.field == "vertex.red"
-
-
-@pytest.mark.parametrize(
-    ("given", "field"),
-    [
-        ({"rotation": "WXYZ"}, "rotation"),
-        ({"axes": "RUB"}, "axes"),
-        ({"opacity": "x"}, "opacity"),
-        ({"scales": 3}, "scales"),
-    ],
-)
-def test_a_dialect_that_is_none_is_refused(given: dict, field: str) -> None:
-    with pytest.raises(InputError, match="need one of") as caught:
-        Dialect(**given)
-    assert caught.value.field == field
