@@ -91,5 +91,6 @@ def test_each_number_has_its_ends(name: str, value: float, cure: str | None) -> 
     with pytest.raises(CameraError if name == "width" else IntrinsicsError) as caught:
         Camera.make(**given, world_from_cam=POSE)
     assert caught.value.field == f"camera.{name}"
+    assert name != "fx" or "for an image of 64 px, need between 6.4 and 1280 px" in caught.value.message
     assert cure in str(caught.value.cure)
     assert value > 0 or "larger picture" not in str(caught.value.cure)
