@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 
@@ -106,10 +107,11 @@ class _Parser(MultiPartParser):
     _whole = False
 
     def on_part_begin(self) -> None:
-        if self._charset in NO_CHARSETS:
-            raise MalformedRequest(
-                f"its charset is {self._charset}, need one of text", field="Content-Type", cure="leave it out: UTF-8"
-            )
+        with suppress(LookupError):  # of an unknown one, which the framework answers
+            name = codecs.lookup(self._charset).name  # with spaces around it, too
+            if name in NO_CHARSETS:
+                message = f"its charset is {name}, need one of text"
+                raise MalformedRequest(message, field="Content-Type", cure="leave it out: UTF-8")
         super().on_part_begin()
 
     def on_part_data(self, data: bytes, start: int, end: int) -> None:
