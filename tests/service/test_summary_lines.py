@@ -1,10 +1,10 @@
-"""Warnings on a terminal name their view once."""
+"""Lines of a reconstruction on a terminal: warnings name their view once, and fading says how much it has changed."""
 
 from __future__ import annotations
 
 import pytest
 
-from gapmes.service.commands.summary import warning_line
+from gapmes.service.commands.summary import fading_line, warning_line
 
 
 @pytest.mark.parametrize(
@@ -25,3 +25,18 @@ from gapmes.service.commands.summary import warning_line
 )
 def test_a_warning_names_its_view_once(warning: dict, line: str) -> None:
     assert warning_line(warning) == line
+
+
+@pytest.mark.parametrize(
+    ("passes", "line"),
+    [
+        (0, "fading: off"),
+        (1, "fading in 1 pass: 1,234 Gaussians lost"),
+        (4, "fading in 4 passes: 1,234 Gaussians lost"),
+    ],
+)
+def test_fading_says_how_much_it_has_changed(passes: int, line: str) -> None:
+    told = fading_line({"fading": {"passes": passes, "halved": 1234, "gone": 5, "recoloured": 2 / 255}})
+    assert told.startswith(line)
+    if passes:
+        assert told.endswith("5 are no longer drawn, and colours moved by 2.0 of 255 on average")

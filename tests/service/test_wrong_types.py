@@ -63,6 +63,25 @@ def test_a_field_of_gaussians_that_is_no_numbers_is_named(name: str, value: obje
     assert f"is a {type(value).__name__} that gives no real numbers" in error.message
 
 
+@pytest.mark.parametrize(
+    ("name", "shape", "need"),
+    [
+        ("means", (1, 2), "(1, 3)"),
+        ("scales", (2, 3), "(1, 3)"),
+        ("rotations_wxyz", (1, 3), "(1, 4)"),
+        ("opacities", (1, 1), "(1,)"),
+        ("harmonics", (1, 3), "(1, 1|4|9|16, 3)"),
+        ("harmonics", (2, 1, 3), "(1, 1|4|9|16, 3)"),
+        ("harmonics", (1, 5, 3), "(1, 1|4|9|16, 3)"),
+        ("harmonics", (1, 1, 4), "(1, 1|4|9|16, 3)"),
+    ],
+)
+def test_a_field_of_gaussians_of_another_shape_is_named(name: str, shape: tuple[int, ...], need: str) -> None:
+    given = {field: getattr(ONE, field) for field in FIELDS} | {name: np.ones(shape)}
+    error = _refusal(lambda: Gaussians.make(**given), GaussiansError)
+    assert (error.field, error.message) == (name, f"shape is {shape}, need {need}")
+
+
 @pytest.mark.filterwarnings("error")
 def test_a_number_beyond_float32_is_refused_without_a_warning_of_numpy() -> None:
     given = {field: getattr(ONE, field) for field in FIELDS} | {"scales": [[1e300, 1, 1]]}

@@ -16,7 +16,9 @@ from starlette.testclient import TestClient
 from starlette.types import Receive, Scope, Send
 
 from gapmes.service.app import create_app
+from gapmes.service.errors import GapmesError
 from gapmes.service.http.problems import FaultsAnswered
+from gapmes.service.problem_document import public
 from gapmes.service.process.logs import REQUEST_ID
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.scenes.store import SceneStore
@@ -53,6 +55,19 @@ def test_a_fault_of_a_job_can_be_traced_to_its_request(
     assert mine == answer.headers["x-request-id"]
     [line] = [record for record in caplog.records if record.name == "gapmes.access"]
     assert fault.getMessage() == f"job {line.job} failed"
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "what"),
+    [
+        (ZeroDivisionError("secret"), "internal_error", "an unexpected ZeroDivisionError"),
+        (GapmesError("secret", field="secret", index=1), "internal_error", "GapmesError"),
+    ],
+)
+def test_of_a_fault_only_its_kind_is_told(error: Exception, code: str, what: str) -> None:
+    told = public(error)
+    assert (told["status"], told["code"], told["detail"]) == (500, code, f"the service failed with {what}")
+    assert "secret" not in str(told)
 
 
 def test_a_page_that_may_call_can_read_of_a_fault(called: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -132,3 +132,18 @@ def test_what_keeps_the_command_from_making_it_is_an_error(
     assert run("serve", "--prepare", "--store", tmp_path, "--threads", 1, "--quiet") == 1
     assert "the model is loaded as it is" in caplog.text
     assert "the model 'default' could not be optimised into" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["flags", "Features"])  # as Linux calls them on x86 and on ARM
+def test_another_processor_has_an_entry_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Told by its instruction sets alone: its clock changes from one look to the next."""
+    info = tmp_path / "cpuinfo"
+    monkeypatch.setattr(prepared_model, "Path", lambda _: info)
+
+    def key(flags: str, clock: int = 2400, sha256: str = "a" * 64, runtime: str = "1.27.0") -> str:
+        info.write_text(f"processor\t: 0\ncpu MHz\t\t: {clock}\n{name}\t\t: {flags}\n")
+        return prepared_model._key(sha256, runtime)
+
+    keys = {key("fpu avx2"), key("fpu avx512f"), key("fpu avx2", sha256="b" * 64), key("fpu avx2", runtime="1.28.0")}
+    assert len(keys) == 4
+    assert key("fpu avx2", clock=900) in keys
