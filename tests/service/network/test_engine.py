@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
@@ -153,6 +154,32 @@ def test_an_input_of_another_rank_is_refused(tmp_path):
     onnx.save(model, tmp_path / "other.onnx")
     with pytest.raises(ModelError, match=r"takes near_far of \(2, 1\), .* mean \(2\)"):
         Engine(tmp_path / "other.onnx", threads=1)
+
+
+@pytest.mark.parametrize(("axis", "side"), [(0, 2), (2, None), (3, None)])
+def test_sides_that_a_graph_leaves_open_or_fixes_are_taken_where_they_fit(tmp_path, axis, side):
+    """A graph for two views alone, and graphs for pictures of any height or width."""
+    model = onnx.load(write_standin(tmp_path / "model.onnx"))
+    (images,) = [value for value in model.graph.input if value.name == "images"]
+    dim = images.type.tensor_type.shape.dim[axis]
+    dim.Clear()
+    if side is None:
+        dim.dim_param = "any"
+    else:
+        dim.dim_value = side
+    onnx.save(model, tmp_path / "other.onnx")
+    assert set(Engine(tmp_path / "other.onnx", threads=1).run(**inputs(2))) == set(OUTPUTS)
+
+
+@pytest.mark.parametrize(("said", "kept"), [("true", True), ("false", False), (None, False)])
+def test_a_file_says_whether_it_keeps_all(tmp_path, said, kept):
+    metadata = METADATA if said is None else METADATA | {"keep_all": said}
+    assert Engine(write_standin(tmp_path / "model.onnx", metadata), threads=1).info.keep_all is kept
+
+
+@pytest.mark.parametrize(("planes", "known"), [(65, 65), (2, 2), (1, None), (True, None), ("64", None), (6.5, None)])
+def test_a_number_of_planes_is_two_or_more(engine, planes, known):
+    assert replace(engine.info, config={"depth_planes": planes}).depth_planes == known
 
 
 def test_missing_outputs_are_named(tmp_path):
