@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 from standin_model import BAND_1, C0, EXTRA, HEIGHT, OPACITY, ROTATION, SCALES, WIDTH
 
-from gapmes.service import reconstruct
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.rotations import about_axis, matrix_from_quaternion
 from gapmes.service.errors import (
@@ -62,23 +61,6 @@ def test_every_pixel_lies_on_the_ray_of_its_photograph(scene, plane_scene):
         corner = (camera.width - WIDTH * scale) / 2, (camera.height - HEIGHT * scale) / 2
         np.testing.assert_allclose(pixels, pixel_centres() * scale + corner, atol=1e-4)
         np.testing.assert_allclose(means, view.unproject(pixel_centres(), np.full(per_view, depth)), rtol=0, atol=1e-5)
-
-
-@pytest.mark.parametrize(("fade", "detail", "times"), [(1, 1, 2), (0, 1, 1), (0, 2, 1), (1, 2, 1)])
-def test_fading_compares_at_another_size_too(reconstructor, plane_scene, monkeypatch, fade, detail, times):
-    """Twice the network's, or its own where `detail` 2 has Gaussians at twice that; without fading at none."""
-    sizes, real = [], reconstruct.mended
-
-    def mended(*given, resized):
-        sizes.extend((view.camera.width, view.camera.height) for view in resized)
-        return real(*given, resized=resized)
-
-    monkeypatch.setattr(reconstruct, "mended", mended)
-    reconstructor.reconstruct(
-        plane_scene.images[:2], plane_scene.cameras[:2], near=plane_scene.near, far=plane_scene.far, fade=fade,
-        detail=detail, budget=KEEP_ALL,
-    )  # fmt: skip
-    assert sizes == [(times * WIDTH, times * HEIGHT)] * 2
 
 
 def test_scales_rotations_and_colours_are_in_the_world(scene, plane_scene):
