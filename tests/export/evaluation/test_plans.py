@@ -49,7 +49,7 @@ def test_what_is_about_to_be_done_is_told() -> None:
 
 def test_generated_scenes_are_those_of_their_seed_and_not_of_the_validation() -> None:
     assert GENERATED_SEED != VALIDATION_SEED
-    first, second = (list(generated_cases(2, 2, 32, 48)) for _ in range(2))
+    first, second = (list(generated_cases(2, 3, 32, 48)) for _ in range(2))
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one.targets[0].image, other.targets[0].image)
         assert one.near == other.near
@@ -57,5 +57,8 @@ def test_generated_scenes_are_those_of_their_seed_and_not_of_the_validation() ->
         # the inputs are what their photographs hold: 8 bits
         np.testing.assert_array_equal(np.rint(one.inputs[0].image * 255), one.photos[0].rgb.transpose(2, 0, 1))
         assert one.truth is not None
-        assert one.truth.targets.shape == (2, 32, 48)
+        assert (one.truth.inputs.shape, one.truth.targets.shape) == ((3, 32, 48), (2, 32, 48))
+        behind = np.isinf(one.truth.inputs)
+        assert np.all(one.truth.input_surfaces()[behind] == np.float32(one.truth.far))
+        np.testing.assert_array_equal(one.truth.input_surfaces()[~behind], one.truth.inputs[~behind])
     assert not np.array_equal(first[0].targets[0].image, first[1].targets[0].image)

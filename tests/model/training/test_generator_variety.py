@@ -46,6 +46,20 @@ def test_all_three_motions_are_drawn_in_their_shares(monkeypatch: pytest.MonkeyP
     assert ahead / count == pytest.approx(shares["forward"], abs=0.06)
 
 
+@pytest.mark.parametrize("baseline", [0.1, 1.0, 2.0])
+def test_however_far_apart_cameras_look_at_what_is_between_them(
+    monkeypatch: pytest.MonkeyPatch, baseline: float
+) -> None:
+    """On wide baselines they are turned inwards: the middle of the scene stays in the pictures of first and last."""
+    monkeypatch.setattr(camera_paths, "STYLES", ("sideways",) * 3)
+    rng, seen, half_width = np.random.default_rng(5), [], 0.5
+    for _ in range(300):
+        for pose in camera_poses(rng, 2, 1, baseline, 1.0, half_width)[:2]:
+            x, _, z = pose[:3, :3].T @ (np.array([0.0, 0.0, 1.0]) - pose[:3, 3])
+            seen.append(z > 0 and abs(x / z) < half_width)
+    assert np.mean(seen) > 0.95  # measured 0.978 at 2; 0.73 without
+
+
 @pytest.mark.parametrize(("aside", "median", "farthest"), [(0.0, 0.09, 0.6), (0.4, 0.22, 2.4)])
 def test_targets_lie_off_the_way_between_the_inputs_as_far_as_asked(
     aside: float, median: float, farthest: float
