@@ -48,7 +48,7 @@ def test_a_fault_of_a_job_can_be_traced_to_its_request(
     monkeypatch.setattr(Reconstructor, "reconstruct", broken)
     monkeypatch.setattr(caplog.handler, "filters", [lambda _: ids.append(REQUEST_ID.get()) or True])
     with caplog.at_level(logging.INFO):
-        answer = post(client, [photograph(210), photograph(211)])
+        answer = post(client, [photograph(910), photograph(911)])
     assert_problem(answer, 500, "internal_error")
     told = list(zip(caplog.records, ids, strict=True))
     [(fault, mine)] = [(record, request_id) for record, request_id in told if record.levelno == logging.ERROR]
