@@ -11,6 +11,7 @@ from fastapi import Depends, FastAPI
 from fastapi.openapi.utils import get_openapi
 from starlette.middleware.cors import CORSMiddleware
 
+from .addresses import listed
 from .http import (
     check,
     health,
@@ -29,6 +30,7 @@ from .http import (
 from .http.access import OPEN, SCHEMES, KeyNeeded
 from .http.described import describe
 from .http.heads import Heads
+from .http.hosts import KnownHosts
 from .http.limits import BodyLimit
 from .http.observe import Observed
 from .http.origins import KnownPages
@@ -96,13 +98,15 @@ def create_app(
     app.add_middleware(BodyLimit, max_bytes=settings.max_upload_bytes, most_together=settings.max_uploads_bytes)
     if key is not None:
         app.add_middleware(KeyNeeded, key=key)
-    origins = [origin.strip() for origin in settings.cors_origins.split(",") if origin.strip()]
+    origins, hosts = listed(settings.cors_origins), listed(settings.allowed_hosts)
     app.add_middleware(KnownPages, origins=origins)
     app.add_middleware(problems.FaultsAnswered)
     if origins:  # asked before the key: a browser's question brings none
         app.add_middleware(
             CORSMiddleware, allow_origins=origins, allow_methods=["*"], allow_headers=["*"], expose_headers=EXPOSED
         )
+    if hosts:
+        app.add_middleware(KnownHosts, hosts=hosts)
     app.add_middleware(Heads)
     app.add_middleware(AnsweredInTime, shutdown_deadline=runtime.shutdown_deadline, seconds=settings.drain_seconds)
     app.add_middleware(Observed)

@@ -30,6 +30,7 @@ GapmesError                     500 internal_error
 ├── JobNotFound                 404 job_not_found
 ├── Unauthorized                401 unauthorized
 ├── OriginRefused               403 origin_refused
+├── HostRefused                 421 host_refused
 ├── ModelError                  500 model_invalid
 ├── ServiceBusy                 503 service_busy
 │   └── ModelNotReady           503 model_not_ready
@@ -199,6 +200,11 @@ class Unauthorized(GapmesError):
 class OriginRefused(GapmesError):
     status = 403
     code = "origin_refused"
+
+
+class HostRefused(GapmesError):
+    status = 421
+    code = "host_refused"
 
 
 class ModelError(GapmesError):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
@@ -13,6 +12,7 @@ from pydantic import Field, SecretStr, ValidationError, ValidationInfo, field_va
 from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from .addresses import checked_hosts, checked_origins
 from .errors import InputError
 from .mending.detail_level import DETAILS
 from .model_names import model_paths
@@ -29,9 +29,6 @@ ELSEWHERE = {
 }
 WEEK_S = 7 * 86_400.0  # longest time that a setting may name, but for what is kept
 NEAR = 0.8  # likeness of two names, of 1, from which one is taken for a slip of the pen of the other
-_ORIGIN = re.compile(  # scheme://host or scheme://host:port, where that is not the port of the scheme
-    r"(?!http://.*:80$|https://.*:443$)[a-z][a-z0-9+.-]*://([a-z0-9._~-]+|\[[0-9a-f:.]+\])(:[1-9][0-9]{0,4})?"
-)
 
 
 def default_store() -> Path:
@@ -158,6 +155,9 @@ class Settings(BaseSettings):
     cors_origins: str = Field(
         "", description="origins, comma separated, whose pages may call the service; empty means none, `*` all"
     )
+    allowed_hosts: str = Field(
+        "", description="names, comma separated, by which requests may call the service; empty means any"
+    )
     log: Literal["text", "json"] = Field("text", description="form of the log on stderr, a line per event")
     quiet: bool = Field(
         False, description="log only warnings and errors, and show no progress bars when the service starts"
@@ -207,17 +207,12 @@ class Settings(BaseSettings):
     @field_validator("cors_origins")
     @classmethod
     def _origins(cls, origins: str) -> str:
-        """Raises `InputError` for what no browser sends as an origin, and what thus would allow nothing."""
-        for index, origin in enumerate(origins.split(",")):
-            if origin.strip() not in ("", "*", "null") and not _ORIGIN.fullmatch(origin.strip()):
-                raise InputError(
-                    f"{origin.strip()!r} is no origin as browsers send it: scheme, host in small letters, and a port"
-                    " that is not the scheme's own",
-                    field="GAPMES_CORS_ORIGINS",
-                    index=index,
-                    cure="write it like https://a.example or http://localhost:3000, with no / at its end",
-                )
-        return origins
+        return checked_origins(origins)
+
+    @field_validator("allowed_hosts")
+    @classmethod
+    def _hosts(cls, hosts: str) -> str:
+        return checked_hosts(hosts)
 
     def model_paths(self) -> dict[str, Path]:
         """Name -> file of every model, the default one first. Raises `InputError` where GAPMES_MODELS is malformed."""

@@ -137,6 +137,20 @@ def test_origins_that_no_browser_sends_are_refused(origin: str) -> None:
     assert (caught.value.field, caught.value.index) == ("GAPMES_CORS_ORIGINS", 1)
 
 
+@pytest.mark.parametrize("host", ["a.example", "LOCALHOST", "10.0.0.5", "[::1]", "my-pc_2"])
+def test_names_of_hosts_are_taken(host: str) -> None:
+    assert Settings(allowed_hosts=f"b.example,, {host}").allowed_hosts == f"b.example,, {host}"
+
+
+@pytest.mark.parametrize(
+    "host", ["a.example:8000", "https://a.example", "a.example/", "*.a.example", "::1", "[::1]:80", "ä.example", "a b"]
+)
+def test_what_no_request_can_name_as_its_host_is_refused(host: str) -> None:
+    with pytest.raises(InputError, match="no name of a host") as caught:
+        Settings(allowed_hosts=f"b.example,,{host}")
+    assert (caught.value.field, caught.value.index) == ("GAPMES_ALLOWED_HOSTS", 2)
+
+
 def test_store_follows_the_user_data_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", "/data")
     assert default_store() == Path("/data/gapmes/scenes")

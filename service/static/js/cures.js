@@ -11,6 +11,7 @@ const CURES = {
   deadline_exceeded: "use fewer photographs",
   storage_full: "delete scenes from the list",
   model_not_ready: "try again once the top of the page names the network",
+  host_refused: "open the page by the service's own name",
   origin_refused: "ask whoever runs the service: a proxy in front of it must pass on the Host header",
 };
 const PHRASES = [ // replaced within a cure
