@@ -24,6 +24,7 @@ DAMAGED = (OSError, SyntaxError, ValueError, EOFError, struct.error)  # what Pil
 
 _LONG_TEXT = "MAX_TEXT_"  # in Pillow's errors about a PNG's chunks of text, of which the colour profile is one
 _PNG = b"\x89PNG\r\n\x1a\n"
+_CHUNK = re.compile(rb"\w{4}")  # the name of one; decoders stop at anything else
 _START_OF_SCAN, _END_OF_IMAGE, _START_OF_IMAGE = 0xDA, 0xD9, 0xD8
 # ITU-T T.81, B.1.1.2: inside a scan 0xFF stands before 0 (stuffed) or a restart marker; 1 (TEM) has no parameters.
 _MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
@@ -119,10 +120,12 @@ def _check_parts(count: int, most: int, kind: str, what: str, index: int) -> Non
 
 
 def png_chunks(data: bytes, most: int) -> int:
-    """Number of chunks of a PNG; counting stops just above `most`."""
+    """Number of chunks of a PNG up to its end chunk, or to what is no chunk; counting stops just above `most`."""
     count, place = 0, len(_PNG)
-    while count <= most and place < len(data):
+    while count <= most and (name := _CHUNK.match(data, place + 4)) is not None:
         count += 1
+        if name[0] == b"IEND":
+            break
         place += 12 + int.from_bytes(data[place : place + 4], "big")  # length, name and checksum beside the content
     return count
 

@@ -90,6 +90,21 @@ def test_a_png_of_countless_empty_chunks_is_refused_before_it_is_parsed():
     np.testing.assert_array_equal(decode_image(some, index=0).rgb, decode_image(data, index=0).rgb)
 
 
+def test_what_stands_behind_the_end_of_a_png_is_not_counted():
+    """Memory cards and recovery programs fill the last block with zeros, which look like empty chunks."""
+    data = encoded("PNG")
+    padded = data + bytes(50_000)
+    assert image_size(padded, index=0) == (64, 48)
+    np.testing.assert_array_equal(decode_image(padded, index=0).rgb, decode_image(data, index=0).rgb)
+
+
+def test_a_png_whose_rest_was_not_copied_is_damaged():
+    """A file that was made at its full length has zeros from there on: no chunks, whose number would be told."""
+    data = encoded("PNG")
+    with pytest.raises(ImageUnreadable, match="cannot be decoded"):
+        decode_image(data[: data.index(b"IDAT") + 20] + bytes(50_000), index=0)
+
+
 def test_pixels_may_come_in_as_many_chunks_as_encoders_write():
     """Of 512 bytes each, a sixteenth of what they do."""
     data = encoded("PNG", 1600, 1600)
