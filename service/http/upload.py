@@ -181,7 +181,7 @@ async def _inputs(
 
 
 async def _images(form: FormData, wanted: ViewSelection) -> list[NamedImage]:
-    parts = form.getlist("images")
+    parts = [part for part in form.getlist("images") if part != ""]  # an empty field counts as missing
     if len(parts) > MAX_IMAGES:
         raise _too_many(f"{len(parts)} images")
     files = []
@@ -212,7 +212,7 @@ def _encodable(name: str) -> str:
 
 
 async def _cameras(form: FormData, max_bytes: int) -> str | bytes:
-    part = _single(form, "cameras")
+    part = _single(form, "cameras") or None  # an empty field counts as missing
     if part is None:
         raise InputError(
             "is missing",
