@@ -84,7 +84,6 @@ async def scene_file(
 
     The .ply supports ranges. Other formats are converted from it; `X-Gapmes-Notes` lists what they cannot hold.
     """
-    scene_id, _, extension = f"{scene_id}.{extension}".partition(".")  # ids have no dot, extensions may
     with ExitStack() as held:  # until the answer is made
         etag, size = await anyio.to_thread.run_sync(_stored, runtime, scene_id, held)
         if extension not in FORMATS:
