@@ -63,7 +63,7 @@ def _check_time(begun: float, seconds: float) -> None:
     if time.monotonic() - begun > seconds:
         raise DeadlineExceeded(
             f"the picture was not drawn within {seconds:g} s",
-            cure="ask for a smaller one, fewer samples, or a larger alpha_min or stop",
+            cure="ask for a smaller one, fewer samples, a larger alpha_min or stop, or a smaller cut_radius",
         )
 
 
