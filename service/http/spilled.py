@@ -30,15 +30,17 @@ def spilled(data: bytes, folder: Path) -> IO[bytes]:
     the files of other answers leave no room until they are closed."""
     with _counting:
         others = sum(size for file, size in _unsent.items() if not file.closed)
-    if others and others + len(data) > MOST:
-        raise ServiceBusy(
-            f"{others} bytes of other answers are not read yet, with this one's {len(data)} the limit of {MOST} would "
-            "be passed",
-            cure="retry later",
-        )
+        if others and others + len(data) > MOST:
+            raise ServiceBusy(
+                f"{others} bytes of other answers are not read yet, with this one's {len(data)} the limit of {MOST} "
+                "would be passed",
+                cure="retry later",
+            )
+        place = io.BytesIO()  # counts until the file is written, or writing it fails
+        _unsent[place] = len(data)
     file = _written(data, folder)
     with _counting:
-        _unsent[file] = len(data)
+        _unsent[file] = _unsent.pop(place)
     return file
 
 

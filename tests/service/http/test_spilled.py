@@ -94,6 +94,29 @@ def test_one_that_is_alone_may_be_larger(tmp_path: Path) -> None:
         assert file.read() == b"x"
 
 
+@pytest.mark.usefixtures("room")
+def test_one_that_is_being_written_has_its_place_already(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of several threads would find room, and all of them together pass the limit; one that fails takes none."""
+    write = module._written
+
+    def written(data: bytes, folder: Path) -> Any:
+        monkeypatch.setattr(module, "_written", write)
+        with pytest.raises(ServiceBusy, match=f"{2 * len(DATA)} bytes of other answers"):
+            spilled(DATA, folder)
+        return write(data, folder)
+
+    def failing(data: bytes, folder: Path) -> Any:
+        raise MemoryError
+
+    monkeypatch.setattr(module, "_written", failing)
+    with pytest.raises(MemoryError):
+        spilled(DATA, tmp_path)
+    monkeypatch.setattr(module, "_written", written)
+    with spilled(2 * DATA, tmp_path) as file:
+        assert file.read() == 2 * DATA
+    assert not any(not open_file.closed for open_file in module._unsent)
+
+
 def test_the_file_is_closed_as_soon_as_its_client_has_left(tmp_path: Path) -> None:
     """Not when garbage is next collected, which a service that has nothing to do does not."""
     response = SpilledResponse(spilled(DATA, tmp_path), "application/octet-stream", {})
