@@ -17,8 +17,8 @@ FORMATS = ("JPEG", "PNG", "WEBP")
 MAX_PIXELS = 64_000_000  # 192 MB once decoded; the largest phone photographs have 50 to 60 million
 MAX_SCANS = 100  # of one JPEG; encoders write about ten, and each costs a pass over all coefficients
 MAX_SEGMENTS = 10_000  # of one JPEG; a photograph has some dozens, and each costs an iteration of the header's parser
-# Segments of a JPEG and chunks of a PNG that a file of any size may have, and bytes of it for each further one; most
-# encoders put 8 KiB or more of a PNG's pixels into one chunk.
+# Segments of a JPEG and chunks of a PNG or WebP that a file of any size may have, and bytes of it for each further one;
+# most encoders put 8 KiB or more of a PNG's pixels into one chunk.
 FEW_PARTS, PART_BYTES = 500, 256
 DAMAGED = (OSError, SyntaxError, ValueError, EOFError, struct.error)  # what Pillow's decoders raise on damaged files
 
@@ -39,8 +39,7 @@ _quiet = threading.Lock()  # the filters of `warnings` belong to the whole proce
 def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Image.Image:
     """Open an image lazily: its header is read and its size checked, no pixel is decoded.
 
-    Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (a JPEG or PNG of too many
-    parts).
+    Raises `ImageUnreadable`, `ImageTooLarge` (more than `max_pixels`) or `ImageError` (a file of too many parts).
     """
     most = FEW_PARTS + len(data) // PART_BYTES
     if data[:2] == b"\xff\xd8":
@@ -49,6 +48,8 @@ def open_image(data: bytes, *, index: int, max_pixels: int = MAX_PIXELS) -> Imag
         _check_parts(segments, min(most, MAX_SEGMENTS), "JPEG", "segments", index)
     elif data.startswith(_PNG):
         _check_parts(png_chunks(data, most), most, "PNG", "chunks", index)
+    elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        _check_parts(webp_chunks(data, most), most, "WebP", "chunks", index)
     try:
         with _quiet, warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the bound below is the tighter one
@@ -127,6 +128,16 @@ def png_chunks(data: bytes, most: int) -> int:
         if name[0] == b"IEND":
             break
         place += 12 + int.from_bytes(data[place : place + 4], "big")  # length, name and checksum beside the content
+    return count
+
+
+def webp_chunks(data: bytes, most: int) -> int:
+    """Number of chunks of a WebP within the length that its first bytes tell; counting stops just above `most`."""
+    count, place, end = 0, 12, min(len(data), 8 + int.from_bytes(data[4:8], "little"))
+    while count <= most and place < end:
+        count += 1
+        length = int.from_bytes(data[place + 4 : place + 8], "little")
+        place += 8 + length + length % 2  # to an even place
     return count
 
 

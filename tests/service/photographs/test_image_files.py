@@ -90,6 +90,23 @@ def test_a_png_of_countless_empty_chunks_is_refused_before_it_is_parsed():
     np.testing.assert_array_equal(decode_image(some, index=0).rgb, decode_image(data, index=0).rgb)
 
 
+def test_a_webp_of_countless_empty_chunks_is_refused_before_it_is_parsed():
+    """Each takes six times its bytes for as long as the file is open. What is behind the end does not count."""
+    data = encoded("WEBP", exif=b"II*\0" + struct.pack("<IHI", 8, 0, 0))
+
+    def with_chunks(count):
+        body = data[8:] + b"abCd" + struct.pack("<I", 3) + b"odd\0" + (b"abCd" + bytes(4)) * count
+        return b"RIFF" + struct.pack("<I", len(body)) + body
+
+    most = FEW_PARTS + len(with_chunks(600)) // 256
+    assert most < 600
+    with pytest.raises(ImageError, match=f"is a WebP of {most + 1} chunks or more, the limit is {most}") as caught:
+        open_image(with_chunks(600), index=1)
+    assert (caught.value.status, caught.value.index) == (422, 1)
+    for fine in (with_chunks(450), data + bytes(50_000)):
+        np.testing.assert_array_equal(decode_image(fine, index=0).rgb, decode_image(data, index=0).rgb)
+
+
 def test_what_stands_behind_the_end_of_a_png_is_not_counted():
     """Memory cards and recovery programs fill the last block with zeros, which look like empty chunks."""
     data = encoded("PNG")
