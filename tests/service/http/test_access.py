@@ -175,7 +175,7 @@ def test_a_line_of_the_log_tells_what_was_answered(client: TestClient, caplog: p
         ["POST /reconstruct", "202"], [f"GET {link}", "200"], [f"GET {link}.ply", "200"], ["GET /render", "422"]
     ]  # fmt: skip
     assert [line["bytes"] for line in lines] == [len(answer.content) for answer in answers]
-    assert (lines[2]["route"], lines[3]["route"]) == ("/scenes/{scene_id:path}.{extension}", "/render")
+    assert (lines[2]["route"], lines[3]["route"]) == ("/scenes/{scene_id:before_dot}.{extension}", "/render")
     assert [line.get("job") for line in lines] == [job.json()["id"], None, None, None]
 
 
