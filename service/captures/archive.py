@@ -110,6 +110,9 @@ class ZipFiles:
             return
         for depth in range(1, len(parts)):
             self._folders.setdefault("/".join(parts[: depth - 1]), set()).add(parts[depth - 1])
+        if len(self._folders) > MAX_MEMBERS:
+            message = f"has more than {MAX_MEMBERS} folders with folders in them"
+            raise CaptureError(message, field="capture", cure=_ALONE)
         folder = "/".join(parts[:-1])
         if name.endswith("/"):
             self._folders.setdefault(folder, set()).add(parts[-1])

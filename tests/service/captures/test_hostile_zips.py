@@ -66,6 +66,16 @@ def test_a_path_as_long_and_as_deep_as_any_is_read() -> None:
     assert opened(archive_of((name, b"x"))).has(name)
 
 
+def test_folders_of_many_paths_together() -> None:
+    """Each path has few, and 8 MiB of paths had 240,000, which took 225 MB and two seconds."""
+    deep = "/b" * 31 + "/x"
+    listed = archive_of(*((f"{place}{deep}", b"") for place in range(645)))
+    assert len(opened(listed).folders("")) == 645
+    more = archive_of(*((f"{place}{deep}", b"") for place in range(646)))
+    with pytest.raises(CaptureError, match="has more than 20000 folders with folders in them"):
+        opened(more)
+
+
 @pytest.mark.parametrize("name", ["more.zip", "a/MORE.ZIP", "x.tar.gz", "x.7z"])
 def test_archives_in_archives(name: str) -> None:
     with pytest.raises(CaptureError, match="is another archive"):
