@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from gapmes.service.leaving_out.left_out import table
-from gapmes.service.photographs.masks import FADED, REPLACED, TRANSPARENT
+from gapmes.service.photographs.masks import FADED, MASKED, REPLACED, TRANSPARENT
 
-# Two views of three patches, of which each may take two of four experts; the last patch is under a mask.
+# Two views of three patches, of which each may take two of five experts; the last patch is under a mask.
 INDEX = np.array([[[0, 1], [0, 3], [1, 0]], [[3, 0], [0, 1], [2, 2]]])
 WEIGHT = np.array([[[0.6, 0.4], [1.0, 0.0], [0.5, 0.5]], [[0.7, 0.3], [1.0, 0.0], [0.0, 0.0]]])
 MASK = np.array([[True, True, True], [True, True, False]])
@@ -19,31 +19,36 @@ PRUNED = {
     "kept": 60, "dropped": 15, "faint": 3, "unseen": 10, "faint_bound": 0.001, "bound": 0.003, "bands": [3, 1]
 }  # fmt: skip
 EXPERTS = [
-    {"what": "runs of an expert on a patch", "count": 24 - 8, "of": 24, "error": 0.0},
-    {"what": "experts that no patch chose", "count": 1, "of": 4, "error": 0.0},
+    {"what": "runs of an expert on a patch", "count": 30 - 8, "of": 30, "error": 0.0},
+    {"what": "experts that no patch chose", "count": 2, "of": 5, "error": 0.0},
 ]
 
 
-def rows(config: dict[str, Any], keep_all: bool) -> list[dict[str, Any]]:
-    unpruned: Any = SimpleNamespace(
-        outputs={"opacities": np.zeros(90), "expert_index": INDEX, "expert_weight": WEIGHT},
-        patch_mask=MASK,
-        dropped={TRANSPARENT: 4, FADED: 1, REPLACED: 2},
-        placed=SimpleNamespace(added=10),
-    )
-    info: Any = SimpleNamespace(config=config, keep_all=keep_all)
-    return table(unpruned, info, PRUNED)
+ROUTES = {"expert_index": INDEX, "expert_weight": WEIGHT}
+DROPPED = {TRANSPARENT: 4, FADED: 1, REPLACED: 2, MASKED: 3}
 
 
 @pytest.mark.parametrize(
-    ("config", "keep_all", "experts"),
-    [({"experts": 4}, False, EXPERTS), ({"experts": 4}, True, []), ({}, False, [])],
+    ("config", "keep_all", "routes", "experts"),
+    [
+        ({"experts": 5}, False, ROUTES, EXPERTS),
+        ({"experts": 5}, True, ROUTES, []),
+        ({"experts": 5}, False, {}, []),
+        ({}, False, ROUTES, []),
+    ],
 )
 def test_everything_that_was_left_out_has_a_row(
-    config: dict[str, Any], keep_all: bool, experts: list[dict[str, Any]]
+    config: dict[str, Any], keep_all: bool, routes: dict[str, Any], experts: list[dict[str, Any]]
 ) -> None:
-    """What experts did without only where the network does without it and says how many it has."""
-    found = rows(config, keep_all)
+    """What experts did without only where the network has them, does without it and says how many it has."""
+    scene: Any = SimpleNamespace(
+        outputs={"opacities": np.zeros(90)} | routes,
+        patch_mask=MASK,
+        dropped=DROPPED,
+        placed=SimpleNamespace(added=10),
+    )
+    info: Any = SimpleNamespace(config=config, keep_all=keep_all)
+    found = table(scene, info, PRUNED)
     bound = [row.pop("error") for row in found if row["what"] == "Gaussians within the budget"]
     assert bound == [pytest.approx(0.003 - 0.001)]
     assert found == [
@@ -52,9 +57,21 @@ def test_everything_that_was_left_out_has_a_row(
         {"what": f"Gaussians: {TRANSPARENT}", "count": 4, "of": 100, "error": 0.0},
         {"what": f"Gaussians: {FADED}", "count": 1, "of": 100, "error": 0.0},
         {"what": f"Gaussians: {REPLACED}", "count": 2, "of": 100, "error": None},
-        {"what": "Gaussians between strides", "count": 100 - 7 - 75, "of": 100, "error": None},
+        {"what": f"Gaussians: {MASKED}", "count": 3, "of": 100, "error": None},
+        {"what": "Gaussians between strides", "count": 100 - 10 - 75, "of": 100, "error": None},
         {"what": "Gaussians below min_opacity", "count": 3, "of": 100, "error": 0.001},
         {"what": "Gaussians without weight in the certified views", "count": 10, "of": 100, "error": 0.0},
         {"what": "Gaussians within the budget", "count": 15 - 10 - 3, "of": 100},
         {"what": "bands of harmonics that are 0", "count": 2, "of": 3, "error": 0.0},
     ]
+
+
+def test_what_is_none_has_no_row() -> None:
+    nothing = {"kept": 90, "dropped": 0, "faint": 0, "faint_bound": 0.0, "unseen": 0, "bound": 0.0, "bands": [1, 1]}
+    scene: Any = SimpleNamespace(
+        outputs={"opacities": np.zeros(90)},
+        patch_mask=np.ones((2, 3), bool),
+        dropped={},
+        placed=SimpleNamespace(added=0),
+    )
+    assert table(scene, SimpleNamespace(config={}, keep_all=False), nothing) == []  # type: ignore[arg-type]
