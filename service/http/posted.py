@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager, contextmanager, suppress
 import anyio
 from fastapi import Request
 from python_multipart.exceptions import FormParserError
+from python_multipart.multipart import parse_options_header
 from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 
@@ -24,6 +25,7 @@ DOCUMENT = "cameras"  # the only long text field, which has a limit of its own
 ONCE = {DOCUMENT: "send one of them; a COLMAP model of several files goes in as one zip"}  # cures, by field
 # Codecs of Python for names of hosts, which are no charsets; the first takes minutes for half a megabyte.
 NO_CHARSETS = ("punycode", "idna")
+LONGEST_CHARSET = 40  # characters of its name, twice those of any; Python remembers every unknown one that it has met
 # Prefixes of the parsers' messages, which have no codes.
 _TOO_MANY_FILES, _LONG_HEADERS = "Too many files", "Maximum header"
 
@@ -65,6 +67,7 @@ async def posted_form(
         raise UnsupportedMediaType(
             f"the body is {declared[:100] or 'of no declared type'}, need {FORM}", field="body", cure=example
         )
+    _check_charset(request.headers["content-type"])
     if request.query_params:
         field = next(iter(request.query_params))[:100]
         raise InputError("is in the query beside a form", field=field, cure="make it a field of the form")
@@ -100,19 +103,25 @@ def _unselected(part: UploadFile | str) -> bool:
     return isinstance(part, UploadFile) and not part.filename and not part.size
 
 
+def _check_charset(content_type: str) -> None:
+    """Raises `MalformedRequest` for a form's charset whose name is that of none."""
+    charset = parse_options_header(content_type)[1].get(b"charset", b"utf-8").decode("latin-1")
+    message = None
+    if len(charset) > LONGEST_CHARSET:
+        message = f"its charset has a name of {len(charset)} characters, need at most {LONGEST_CHARSET}"
+    else:
+        with suppress(LookupError):  # of an unknown one, which the framework answers
+            name = codecs.lookup(charset).name  # with spaces around it, too
+            message = f"its charset is {name}, need one of text" if name in NO_CHARSETS else None
+    if message is not None:
+        raise MalformedRequest(message, field="Content-Type", cure="leave it out: UTF-8")
+
+
 class _Parser(MultiPartParser):
     """The framework's parser, with a limit on text fields as they arrive. A form without its closing boundary is
-    refused, since its last field would be lost silently, and one whose charset is none."""
+    refused, since its last field would be lost silently."""
 
     _whole = False
-
-    def on_part_begin(self) -> None:
-        with suppress(LookupError):  # of an unknown one, which the framework answers
-            name = codecs.lookup(self._charset).name  # with spaces around it, too
-            if name in NO_CHARSETS:
-                message = f"its charset is {name}, need one of text"
-                raise MalformedRequest(message, field="Content-Type", cure="leave it out: UTF-8")
-        super().on_part_begin()
 
     def on_part_data(self, data: bytes, start: int, end: int) -> None:
         part = self._current_part
