@@ -3,13 +3,17 @@
 import { askJson, keyed } from "./api.js";
 import { make } from "./dom.js";
 
-/** A description without HEAD, which is wherever GET is, and with forms that start with defaults, not with examples. */
+/**
+ * A description without HEAD, which is wherever GET is, with forms that start with defaults, not with examples, and beside
+ * them empty queries: the service takes one or the other, and has the same defaults.
+ */
 function adapted(spec) {
   for (const methods of Object.values(spec.paths)) {
     delete methods.head;
-    for (const { requestBody } of Object.values(methods)) {
-      const fields = requestBody?.content["multipart/form-data"]?.schema.properties ?? {};
-      for (const field of Object.values(fields)) {
+    for (const { requestBody, parameters = [] } of Object.values(methods)) {
+      const fields = requestBody?.content["multipart/form-data"]?.schema.properties;
+      if (fields) for (const { in: part, schema } of parameters) if (part === "query") delete schema.default;
+      for (const field of Object.values(fields ?? {})) {
         if (field.type === "array") field.example = [];
         else if (field.default === undefined && field.format !== "binary") Object.assign(field, { example: "", examples: undefined });
       }

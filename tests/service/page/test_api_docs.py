@@ -9,13 +9,16 @@ from typing import Any
 import httpx
 import pytest
 from browser_tab import Tab
+from format_cases import moderate
 from http_requests import camera_object, photograph
 from page_service import document_of, serving, write_scene
 
+from gapmes.service.formats.ply import ply_bytes
 from gapmes.service.settings import Settings
 
 HEALTH = "[id$=healthz_healthz_get]"
 RECONSTRUCT = "[id$=reconstruct_reconstruct_post]"
+LOAD = "[id$=load_scene_scenes_post]"
 KEY = "open sesame"
 
 
@@ -64,6 +67,18 @@ def test_a_form_sends_what_is_filled_in_and_defaults(tab: Tab, tmp_path: Path) -
     scene = httpx.get(f"{tab.address}/scenes").json()["scenes"][0]["id"]
     document = document_of(tab.address, scene)
     assert (document["depth_range_source"], len(document["view_cameras"])) == ("given", 2)  # by the cameras
+
+
+def test_a_file_of_gaussians_can_be_loaded(tab: Tab, tmp_path: Path) -> None:
+    """The same options are a query beside a raw body, and fields of a form: defaults of both would be refused."""
+    page = tab.page
+    (tmp_path / "a.ply").write_bytes(ply_bytes(moderate(50, 1, 0)))
+    page.goto(tab.address + "/docs")
+    page.click(f"{LOAD} .opblock-summary-control")
+    page.click(f"{LOAD} .try-out__btn")
+    page.set_input_files(f"{LOAD} [data-property-name=file] input[type=file]", tmp_path / "a.ply")
+    page.click(f"{LOAD} .execute")
+    assert status(page, LOAD).startswith("201")
 
 
 def test_a_key_is_that_of_the_page_in_the_same_tab(locked: Tab) -> None:
