@@ -73,11 +73,11 @@ export async function ask(path, { method = "GET", headers = {}, body, signal } =
     if (!(error instanceof TypeError)) throw error;
     throw new Refused(await silence(body));
   }
+  if (response.ok) return response;
+  let problem = await response.json().catch(() => null);
   if (response.status === 401 && sessionStorage.getItem(KEY) !== key) { // another one came meanwhile
     return ask(path, { method, headers, body, signal });
   }
-  if (response.ok) return response;
-  let problem = await response.json().catch(() => null);
   if (typeof problem?.title !== "string") problem = { title: "Error", detail: `the service answered ${response.status}` }; // not its own words
   if (response.status === 401) document.dispatchEvent(new CustomEvent("key-needed", { detail: { refused: key !== null } }));
   throw new Refused(problem, response.status);

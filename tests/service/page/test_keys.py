@@ -48,6 +48,34 @@ def test_a_wrong_key_is_told_and_asked_for_again(locked: Any) -> None:
     assert locked.evaluate("document.activeElement.id") == "stage"
 
 
+HELD = """() => {
+  const json = Response.prototype.json;
+  const held = new Promise((go) => { window.go = go; });
+  Response.prototype.json = async function () {
+    if (this.status === 401 && this.url.includes("/scenes")) {
+      window.reading = true;
+      await held;
+    }
+    return json.call(this);
+  };
+}"""
+
+
+def test_a_refusal_that_is_read_while_another_key_is_given_asks_for_none(locked: Any) -> None:
+    """Of two requests with the wrong key, the first has brought the form; the body of the other's answer is slow."""
+    locked.wait_for_selector("#key:focus")
+    locked.evaluate(HELD)
+    locked.fill("#key", "wrong")
+    locked.press("#key", "Enter")
+    until(locked, lambda: locked.evaluate("window.reading"))
+    locked.fill("#key", "open sesame")
+    locked.press("#key", "Enter")
+    locked.evaluate("async () => { window.go(); await new Promise((read) => setTimeout(read)); }")
+    locked.wait_for_selector("#view-problem:empty", state="attached")
+    assert locked.is_hidden("#key-form")
+    assert locked.text_content("#key-problem") == ""
+
+
 def test_a_key_that_no_header_can_hold_is_not_taken(locked: Any) -> None:
     locked.fill("#key", "“open sesame”")
     locked.click("#key-form button")
