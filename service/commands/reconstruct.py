@@ -96,12 +96,12 @@ def reconstruct(
     )
     wanted = checked_selection(ViewSelection(views, context, field="views"))
     found = open_capture(capture).choose(wanted, near, far)
-    depths = dict(zip(("near", "far"), found.checked_depths(near, far), strict=True))
+    near, far = found.checked_depths(near, far)
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
         with stages.stage("load model"):
             reconstructor = Reconstructor(model, threads=threads, engine=chosen)
-        scene = reconstruct_chosen(reconstructor, found, **depths, listener=bars, **options._asdict())
+        scene = reconstruct_chosen(reconstructor, found, near=near, far=far, listener=bars, **options._asdict())
         with stages.stage("write"), named(output):
             if target.extension == "ply":
                 encoded = Encoded(ply_bytes(scene.gaussians, positions=scene.positions))
