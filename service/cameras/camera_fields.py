@@ -62,6 +62,18 @@ class CameraFile:
         """Near and far: each as it is given here, else the file's."""
         return self.near if near is None else near, self.far if far is None else far
 
+    def middles(self, near: float | None, far: float | None) -> list[float | None]:
+        """The harmonic mean of nearest and farthest depth of each view: of `near` and `far` if one of them is given,
+        else of its bounds, else of the file's; None where one end is unknown."""
+        given = near is not None or far is not None
+        ends = [self.depths(near, far) if given or view.bounds is None else view.bounds for view in self.views]
+        return [None if near is None or far is None else harmonic_mean(near, far) for near, far in ends]
+
+
+def harmonic_mean(near: float, far: float) -> float:
+    """Of two depths; NaN unless 0 < near < far, which is refused later."""
+    return 2.0 / (1.0 / near + 1.0 / far) if 0 < near < far else math.nan
+
 
 def number_of(entry: Mapping, name: str, *, field: str, index: int | None = None) -> float:
     """The finite number under `name`. Raises `CameraError` where it is missing or anything else."""

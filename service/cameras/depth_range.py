@@ -19,7 +19,7 @@ from .pose_readings import apart_when_inverted
 F64 = NDArray[np.float64]
 
 SPREAD = 8.0  # near = convergence / 8, far = 8 x convergence: wide, since the photographs narrow it (depth_sweep)
-NEAR_ACROSS = 2.0  # near over baseline for cameras side by side; stereo rigs and slow pans have 3 and more
+NEAR_ACROSS = 0.5  # near over baseline for cameras side by side; stereo rigs have 3 and more, a row before a sofa 0.8
 NEAR_ALONG = 0.4  # near over baseline for cameras one behind the other; nothing in view is passed on the way
 NEAR_TURNED = 0.4  # near over baseline for axes that miss each other: cameras around a thing are at most 2 depths apart
 FAR = 50.0  # far over baseline
@@ -65,7 +65,7 @@ def depth_range(cameras: Sequence[Camera], near: float | None = None, far: float
 
     Else, with the parts of B across and along the cameras' mean axis,
 
-        near = 2 B_across + 0.4 B_along   where all axes are within 5 degrees of parallel: a rig, a pan, a walk,
+        near = 0.5 B_across + 0.4 B_along   where all axes are within 5 degrees of parallel: a rig, a pan, a walk,
         near = 0.4 B                      otherwise: cameras held by hand around something, which miss it a little,
         far = 50 B.
 

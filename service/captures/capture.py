@@ -129,7 +129,7 @@ class Capture:
         if wanted.context is None and len(there) <= MAX_VIEWS:
             return self._chosen(self.cameras(there), there, {"by": "photographs", **said})
         there, file, warnings = usable_views(there, self.cameras)
-        choice = chosen_views(file.cameras, wanted.context or DEFAULT_CONTEXT, *file.depths(near, far))
+        choice = chosen_views(file.cameras, wanted.context or DEFAULT_CONTEXT, file.middles(near, far))
         indices = [there[place] for place in choice.places]
         return self._chosen(file.chosen(choice.places), indices, {"by": "score", **said, **choice.said}, warnings)
 

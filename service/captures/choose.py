@@ -33,8 +33,11 @@ class Choice:
     said: dict[str, Any]
 
 
-def chosen_views(cameras: Sequence[Camera], count: int, near: float | None, far: float | None) -> Choice:
+def chosen_views(cameras: Sequence[Camera], count: int, middles: Sequence[float | None]) -> Choice:
     """Choose `count` of two cameras or more, or all if there are not more; deterministic.
+
+    `middles`: the z-depth of each view at which it is compared, 2 / (1 / near + 1 / far), caller's units; None where
+    it is unknown.
 
     With o_ij the share of view i that view j sees at the depth of view i, mean of both directions, and a_ij the angle
     between the two cameras as seen from there, a pair has the quality q_ij = o_ij min(1, a_ij / 5 deg, 25 deg / a_ij),
@@ -43,7 +46,8 @@ def chosen_views(cameras: Sequence[Camera], count: int, near: float | None, far:
         mean over its views of the largest q with another of it x mean over all views of the largest c with one of it.
 
     The pair with the highest score comes first, then one view after the other that keeps it highest; ties go to the
-    earlier views. The depth is 2 / (1 / near + 1 / far) where both are known, else 0.7 of that of `scene_depths`.
+    earlier views. A view of unknown depth gets the median of the known ones; if none is known, each gets 0.7 of that of
+    `scene_depths`.
 
     Of all pairs of five captures of 8 to 12 photographs, reconstructed and compared with the others, the chosen one
     loses 0.4 dB to the best with near and far and 0.9 dB without, the median pair 1.9 dB. The constants were set with
@@ -51,9 +55,9 @@ def chosen_views(cameras: Sequence[Camera], count: int, near: float | None, far:
     """
     looked = _evenly(len(cameras), MAX_SCORED)
     some = [cameras[place] for place in looked]
-    depths = BEFORE * scene_depths(some)
-    if near is not None and far is not None and 0 < near < far:
-        depths = np.full(len(some), 2.0 / (1.0 / near + 1.0 / far))
+    depths = np.array([middles[place] for place in looked], dtype=np.float64)  # None becomes NaN
+    known = np.isfinite(depths)
+    depths = np.where(known, depths, np.median(depths[known])) if known.any() else BEFORE * scene_depths(some)
     overlap = _overlap(some, depths)
     angles = _angles(some, depths)
     with np.errstate(divide="ignore"):

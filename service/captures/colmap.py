@@ -1,8 +1,10 @@
-"""Cameras from COLMAP models: camera models that are pinholes or can be undistorted; others are refused."""
+"""Cameras from COLMAP models, with the depths of their points; camera models that are no pinholes and cannot be
+undistorted are refused."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import PurePath
 
 from ..cameras.camera_fields import CameraFile, SizeOf, view_through
@@ -11,6 +13,7 @@ from ..cameras.pose import inverted_pose
 from ..errors import CameraError, IntrinsicsError
 from . import colmap_binary, colmap_text
 from .colmap_model import ColmapCamera, ColmapModel
+from .colmap_points import depth_bounds
 from .files import Files, joined
 from .table import CameraTable, check_listed
 
@@ -51,10 +54,12 @@ def has_colmap(files: Files, folder: str) -> str | None:
 
 
 def read_colmap(files: Files, folder: str, form: str) -> CameraTable:
-    """The model in a folder, its images in the order of their names. Raises `CameraError`."""
+    """The model in a folder, its images in the order of their names, with the bounds of `depth_bounds`. Raises
+    `CameraError`."""
     model = _model(files, folder, form)
     source = joined(folder, f"images.{form}")
     check_listed(len(model.images), source)
+    depths = depth_bounds(files, folder, form, model)
     ids = sorted(model.images, key=lambda image_id: (model.images[image_id].name, image_id))
 
     def parse(indices: Sequence[int], size_of: SizeOf | None) -> CameraFile:
@@ -67,10 +72,12 @@ def read_colmap(files: Files, folder: str, form: str) -> CameraTable:
                 raise CameraError(message, field="cameras", index=index, cure="are both files of one model?")
             pose = inverted_pose(model.pose(ids[index]), field="cameras", index=index)
             lens = lens_of(camera, image.camera_id, index)
-            views.append(view_through(image.name, lens, pose, field="cameras", index=index))
-        return CameraFile(tuple(views))
+            view = view_through(image.name, lens, pose, field="cameras", index=index)
+            views.append(replace(view, bounds=depths.of.get(ids[index])))
+        return CameraFile.bounded(views)
 
-    return CameraTable("colmap", source, tuple(model.images[image_id].name for image_id in ids), parse)
+    names = tuple(model.images[image_id].name for image_id in ids)
+    return CameraTable("colmap", source, names, parse, warnings=depths.warnings)
 
 
 def lens_of(camera: ColmapCamera, camera_id: int, index: int) -> Lens:

@@ -1,4 +1,4 @@
-"""Streaming reader of COLMAP's binary files; points are skipped."""
+"""Streaming reader of COLMAP's binary files; the points of images are skipped."""
 
 from __future__ import annotations
 
@@ -6,10 +6,22 @@ import io
 import struct
 from typing import Any, BinaryIO, cast
 
+import numpy as np
+
 from ..errors import CameraError
-from .colmap_model import IDENTITY, MODELS, ColmapCamera, ColmapFrame, ColmapImage, Sensor
+from .colmap_model import (
+    IDENTITY,
+    MODELS,
+    ColmapCamera,
+    ColmapFrame,
+    ColmapImage,
+    Points,
+    Sensor,
+    check_points,
+)
 from .table import MAX_LISTED
 
+_SEEN = 8  # bytes of an image's id and the place of its point
 _POINT2D = 24  # bytes of x, y and the point's id
 _LONGEST_NAME = 4096
 _CHUNK = 2**20
@@ -120,3 +132,19 @@ def read_frames(stream: BinaryIO, source: str) -> dict[int, ColmapFrame]:
             images.append(((kind, sensor_id), image_id))
         frames[frame_id] = ColmapFrame(rig_id, tuple(pose), tuple(images))
     return frames
+
+
+def read_points(stream: BinaryIO, source: str) -> Points:
+    """Points of a points3D.bin. Raises `CameraError`, also above the limits of `check_points`."""
+    data = _Bytes(stream, source)
+    count = data.unpack("Q")[0]
+    check_points(count, 0, source)
+    xyz, error, lengths, tracks, seen = np.empty((count, 3)), np.empty(count), [], [], 0
+    for place in range(count):
+        _, *xyz[place], _, _, _, error[place], length = data.unpack("Q3d3BdQ")
+        seen += length
+        check_points(0, seen, source)
+        lengths.append(length)
+        tracks.append(data.take(_SEEN * length))
+    images = np.frombuffer(b"".join(tracks), "<u4").reshape(-1, 2)[:, 0].astype(np.int64)
+    return Points(xyz, error, images, np.repeat(np.arange(count), lengths))

@@ -1,4 +1,4 @@
-"""Value types of a COLMAP model: cameras, images, and the rigs and frames of newer releases."""
+"""Value types of a COLMAP model: cameras, images, points, and the rigs and frames of newer releases."""
 
 from __future__ import annotations
 
@@ -13,6 +13,10 @@ from ..cameras.rotations import matrix_from_quaternion
 from ..errors import CameraError, PoseError
 
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+MAX_POINTS = 500_000  # of a model that are read; a few hundred photographs have fewer
+MAX_SEEN = 20 * MAX_POINTS  # pairs of a point and an image that was matched in it
 
 CAMERA = 0  # sensor kind of cameras
 SENSORS = ("CAMERA", "IMU")
@@ -58,6 +62,16 @@ class ColmapImage:
     name: str
     camera_id: int
     cam_from_world: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """P sparse points, and in M pairs which image has been matched in which of them."""
+
+    xyz: F64  # (P, 3) in the world
+    error: F64  # (P,) mean reprojection error in px, negative where it is unknown
+    seen_image: I64  # (M,) ids
+    seen_point: I64  # (M,) places in `xyz`
 
 
 Sensor = tuple[int, int]  # kind and id
@@ -109,6 +123,14 @@ class ColmapModel:
             for sensor, image_id in frame.images
             if sensor[0] == CAMERA
         }
+
+
+def check_points(points: int, seen: int, source: str) -> None:
+    """Raises `CameraError` above `MAX_POINTS` points or `MAX_SEEN` pairs."""
+    for count, most, what in ((points, MAX_POINTS, "points"), (seen, MAX_SEEN, "matches of points")):
+        if count > most:
+            message = f"{source} has {count} {what}, at most {most} are read"
+            raise CameraError(message, field="capture", cure="give near and far")
 
 
 def rigid(numbers: tuple[float, ...], name: str) -> F64:

@@ -1,20 +1,35 @@
-"""Reader of COLMAP's text files, line by line, with comments, empty lines and names with spaces; points are skipped."""
+"""Reader of COLMAP's text files, line by line, with comments, empty lines and names with spaces."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from typing import BinaryIO, TypeVar
 
+import numpy as np
+
 from ..errors import CameraError
-from .colmap_model import IDENTITY, MODELS, SENSORS, ColmapCamera, ColmapFrame, ColmapImage, Sensor
+from .colmap_model import (
+    IDENTITY,
+    MAX_POINTS,
+    MODELS,
+    SENSORS,
+    ColmapCamera,
+    ColmapFrame,
+    ColmapImage,
+    Points,
+    Sensor,
+    check_points,
+)
 from .table import MAX_LISTED
 
 _Entry = TypeVar("_Entry")
+_Parsed = TypeVar("_Parsed")
 
 _LONGEST_LINE = 2**20  # bytes of a parsed line; lines of points may be longer
 _MOST_LINES = 4 * MAX_LISTED  # parsed or passed over: two for each image, and comments
 _MARK = "\ufeff"  # byte order mark, written by some editors
 _LONGEST_IMAGE = 2**13  # bytes of the line of an image; a longer line holds points
+_POINT = 8  # columns of a point before its images: id, x, y, z, red, green, blue and error
 _PARAMS = {name: count for name, count in MODELS.values()}
 
 
@@ -76,6 +91,30 @@ def read_frames(stream: BinaryIO, source: str) -> dict[int, ColmapFrame]:
     return _entries(_lines(stream, source), source, frame)
 
 
+def read_points(stream: BinaryIO, source: str) -> Points:
+    """Points of a points3D.txt. Raises `CameraError`, also above the limits of `check_points`."""
+
+    def point(words: list[str]) -> tuple[list[float], list[int]]:
+        if len(words) < _POINT or len(words) % 2:
+            raise ValueError(f"a point has {len(words)} columns, need {_POINT} and two for each of its images")
+        images = [int(word) for word in words[_POINT::2]]
+        if any(not 0 <= image < 2**32 for image in images):
+            raise ValueError("an image's number is not from 0 to 4294967295")
+        return [float(words[column]) for column in (1, 2, 3, 7)], images
+
+    rows: list[list[float]] = []
+    seen_image: list[int] = []
+    lengths: list[int] = []
+    for row, images in _parsed(_lines(stream, source, most=2 * MAX_POINTS), source, point):
+        rows.append(row)
+        seen_image += images
+        lengths.append(len(images))
+        check_points(len(rows), len(seen_image), source)
+    values = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    seen_point = np.repeat(np.arange(len(rows)), lengths)
+    return Points(values[:, :3], values[:, 3], np.array(seen_image, dtype=np.int64), seen_point)
+
+
 def _entries(
     lines: Iterator[tuple[int, str]],
     source: str,
@@ -84,13 +123,7 @@ def _entries(
 ) -> dict[int, _Entry]:
     """Parsed lines by id; with `most` columns the last may contain spaces. Raises `CameraError` naming the line."""
     entries: dict[int, _Entry] = {}
-    for number, line in lines:
-        try:
-            key, entry = parse(line.split(maxsplit=most - 1))
-        except (ValueError, IndexError, StopIteration, RuntimeError, OverflowError) as error:
-            reason = str(error) if isinstance(error, ValueError) else "has too few columns"
-            cure = "is it a file of COLMAP, and complete?"
-            raise CameraError(f"{source}, line {number}: {reason}", field="cameras", cure=cure) from error
+    for key, entry in _parsed(lines, source, parse, most):
         entries[key] = entry
         if len(entries) > MAX_LISTED:
             message = f"{source} lists more than {MAX_LISTED} entries, the limit"
@@ -98,14 +131,31 @@ def _entries(
     return entries
 
 
-def _lines(stream: BinaryIO, source: str, *, every_second: bool = False) -> Iterator[tuple[int, str]]:
-    """Number and text of lines that are neither empty nor comments; with `every_second` the line of points after each
-    is skipped."""
+def _parsed(
+    lines: Iterator[tuple[int, str]], source: str, parse: Callable[[list[str]], _Parsed], most: int = 0
+) -> Iterator[_Parsed]:
+    """Lines parsed one by one; with `most` columns the last may contain spaces. Raises `CameraError` naming the
+    line."""
+    for number, line in lines:
+        try:
+            parsed = parse(line.split(maxsplit=most - 1))
+        except (ValueError, IndexError, StopIteration, RuntimeError, OverflowError) as error:
+            reason = str(error) if isinstance(error, ValueError) else "has too few columns"
+            cure = "is it a file of COLMAP, and complete?"
+            raise CameraError(f"{source}, line {number}: {reason}", field="cameras", cure=cure) from error
+        yield parsed
+
+
+def _lines(
+    stream: BinaryIO, source: str, *, every_second: bool = False, most: int = _MOST_LINES
+) -> Iterator[tuple[int, str]]:
+    """Number and text of lines that are neither empty nor comments, of `most` at most; with `every_second` the line of
+    points after each is skipped."""
     number, data = 0, b""
     while data := data or stream.readline(_LONGEST_LINE):
         number += 1
-        if number > _MOST_LINES:
-            message = f"{source} has more than {_MOST_LINES} lines"
+        if number > most:
+            message = f"{source} has more than {most} lines"
             raise CameraError(
                 message, field="cameras", cure="is it a file of COLMAP? leave out empty lines and comments"
             )

@@ -122,7 +122,8 @@ def _reader_in(files: Files, base: str, max_bytes: int) -> Callable[[], CameraTa
 def _colmap(files: Files, models: Sequence[str], first: str) -> CameraTable:
     folder = largest_model(files, models, first)
     form = has_colmap(files, folder) or "bin"
-    return replace(read_colmap(files, folder, form), warnings=several_models(files, models, folder))
+    table = read_colmap(files, folder, form)
+    return replace(table, warnings=(*several_models(files, models, folder), *table.warnings))
 
 
 def _is_list(files: Files, path: str) -> bool:

@@ -73,7 +73,7 @@ def posted(
         file, said = cameras(places), said | {"by": "select"}
     elif wanted.context is not None:
         there, file, refused = usable_views(range(len(images)), cameras)
-        choice = chosen_views(file.cameras, wanted.context, *file.depths(near, far))
+        choice = chosen_views(file.cameras, wanted.context, file.middles(near, far))
         places, file = [there[place] for place in choice.places], file.chosen(choice.places)
         warnings, said = (*warnings, *refused), said | {"by": "score", **choice.said}
     else:

@@ -82,8 +82,11 @@ def write_blender(root: Path, cameras: Sequence[Camera]) -> None:
     (root / "transforms_train.json").write_text(json.dumps({"camera_angle_x": float(angle), "frames": frames}))
 
 
-def colmap_model(cameras: Sequence[Camera], named: Sequence[str]) -> pycolmap.Reconstruction:
-    """A model with a camera per image, ids with gaps, not in the order of the names."""
+def colmap_model(
+    cameras: Sequence[Camera], named: Sequence[str], features: int | None = None
+) -> pycolmap.Reconstruction:
+    """A model with a camera per image, ids with gaps, not in the order of the names; each image has `features`, or 0
+    to 2 of them."""
     model = pycolmap.Reconstruction()
     for index, (camera, name) in enumerate(zip(cameras, named, strict=True)):
         camera_id = 3 * index + 5
@@ -91,7 +94,8 @@ def colmap_model(cameras: Sequence[Camera], named: Sequence[str]) -> pycolmap.Re
         size = {"width": camera.width, "height": camera.height}
         model.add_camera_with_trivial_rig(pycolmap.Camera(camera_id=camera_id, model="PINHOLE", params=params, **size))
         image = pycolmap.Image(name=name, camera_id=camera_id, image_id=7 * (len(cameras) - index) + 3)
-        image.points2D = pycolmap.Point2DList([pycolmap.Point2D(np.array([index + 0.5, 2.0]))] * (index % 3))
+        many = index % 3 if features is None else features
+        image.points2D = pycolmap.Point2DList([pycolmap.Point2D(np.array([index + 0.5, 2.0]))] * many)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(camera.cam_from_world[:3]))
     return model
 

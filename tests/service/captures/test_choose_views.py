@@ -9,11 +9,12 @@ import pytest
 from capture_scenes import arc
 
 from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.camera_fields import CameraFile, NamedView
 from gapmes.service.cameras.depth_range import DepthRange
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.cameras.view_checks import check_views
 from gapmes.service.captures import choose
-from gapmes.service.captures.choose import chosen_views, scene_depths
+from gapmes.service.captures.choose import Choice, chosen_views, scene_depths
 from gapmes.service.captures.select import ViewSelection, checked_selection, named_views, several_named_views
 from gapmes.service.errors import InputError, ViewCountError, ViewError
 
@@ -39,6 +40,11 @@ def wandering(seed: int, count: int) -> list[Camera]:
         pose[:3, 3] = rng.uniform(-1, 1, 3)
         cameras.append(Camera.make(96, 72, 80.0, 80.0, 48.0, 36.0, pose))
     return cameras
+
+
+def chosen(cameras: list[Camera], count: int) -> Choice:
+    """The choice where no depth is known."""
+    return chosen_views(cameras, count, [None] * len(cameras))
 
 
 def score(cameras: list[Camera], places: tuple[int, ...], depth: float) -> float:
@@ -76,7 +82,7 @@ def test_the_pair_has_the_highest_score_of_all(seed: int) -> None:
     cameras = wandering(seed, 7)
     depth = 2 / (1 / 2.0 + 1 / 10.0)
     scores = {places: score(cameras, places, depth) for places in combinations(range(7), 2)}
-    choice = chosen_views(cameras, 2, 2.0, 10.0)
+    choice = chosen_views(cameras, 2, [depth] * 7)
     assert scores[choice.places] == pytest.approx(max(scores.values()), rel=1e-9)
 
 
@@ -84,7 +90,7 @@ def test_the_pair_has_the_highest_score_of_all(seed: int) -> None:
 def test_the_third_view_is_the_best_beside_the_pair(seed: int) -> None:
     cameras = wandering(seed, 7)
     depth = 2 / (1 / 2.0 + 1 / 10.0)
-    pair, three = (chosen_views(cameras, count, 2.0, 10.0).places for count in (2, 3))
+    pair, three = (chosen_views(cameras, count, [depth] * 7).places for count in (2, 3))
     scores = [score(cameras, (*pair, k), depth) for k in range(7) if k not in pair]
     assert set(pair) < set(three)
     assert score(cameras, three, depth) == pytest.approx(max(scores), rel=1e-9)
@@ -92,8 +98,8 @@ def test_the_third_view_is_the_best_beside_the_pair(seed: int) -> None:
 
 def test_the_choice_is_the_same_each_time_and_in_any_world() -> None:
     cameras = wandering(5, 12)
-    first = chosen_views(cameras, 4, None, None)
-    assert chosen_views(cameras, 4, None, None) == first
+    first = chosen(cameras, 4)
+    assert chosen(cameras, 4) == first
     turn = about_axis(np.array([0.6, 0.0, 0.8]), 1.1)
     moved = []
     for camera in cameras:
@@ -101,12 +107,12 @@ def test_the_choice_is_the_same_each_time_and_in_any_world() -> None:
         pose[:3, :3] = turn @ camera.rotation
         pose[:3, 3] = 1000 * (turn @ camera.center) + [5e5, -3e5, 20.0]
         moved.append(camera.posed(pose))
-    assert chosen_views(moved, 4, None, None).places == first.places
+    assert chosen(moved, 4).places == first.places
 
 
 def test_parallax_is_neither_too_small_nor_too_large() -> None:
     """A frame of a video each degree around a thing."""
-    choice = chosen_views(around([float(angle) for angle in range(0, 80)]), 3, None, None)
+    choice = chosen(around([float(angle) for angle in range(0, 80)]), 3)
     first, second, third = choice.places
     assert 5 <= second - first <= 25
     assert 5 <= third - second <= 25
@@ -115,7 +121,7 @@ def test_parallax_is_neither_too_small_nor_too_large() -> None:
 
 def test_the_same_place_twice_is_never_chosen() -> None:
     cameras = around([0.0, 0.0, 0.0, 12.0, 12.0])
-    assert chosen_views(cameras, 2, None, None).places == (0, 3)
+    assert chosen(cameras, 2).places == (0, 3)
 
 
 def test_a_view_that_looks_elsewhere_is_left_out() -> None:
@@ -123,20 +129,20 @@ def test_a_view_that_looks_elsewhere_is_left_out() -> None:
     away = cameras[1].world_from_cam.copy()
     away[:3, :3] = away[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
     cameras[1] = cameras[1].posed(away)
-    assert 1 not in chosen_views(cameras, 3, None, None).places
-    assert chosen_views(cameras, 9, None, None).places == (0, 1, 2, 3)
+    assert 1 not in chosen(cameras, 3).places
+    assert chosen(cameras, 9).places == (0, 1, 2, 3)
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 6])
 def test_what_is_chosen_passes_the_checks(count: int) -> None:
     cameras = arc(40)
-    places = chosen_views(cameras, count, None, None).places
+    places = chosen(cameras, count).places
     assert len(places) == count
     check_views([cameras[place] for place in places], DepthRange(2.0, 9.0, "given"))
 
 
 def test_of_thousands_some_hundred_are_compared() -> None:
-    choice = chosen_views(around([0.05 * index for index in range(2000)]), 3, None, None)
+    choice = chosen(around([0.05 * index for index in range(2000)]), 3)
     assert choice.said["compared"] == choose.MAX_SCORED == 400
     assert len(set(choice.places)) == 3
     assert max(choice.places) < 2000
@@ -147,7 +153,7 @@ def test_of_many_the_first_and_the_last_are_compared() -> None:
     cameras = around([0.0, *(180.0 + 0.01 * index for index in range(498)), 12.0])
     for index, camera in enumerate(cameras[1:-1]):
         camera.world_from_cam[1, 3] = 1000.0 * (index + 1)
-    assert chosen_views(cameras, 2, 2.0, 6.0).places == (0, 499)
+    assert chosen_views(cameras, 2, [3.0] * 500).places == (0, 499)
 
 
 def test_depths_are_where_axes_meet() -> None:
@@ -240,3 +246,27 @@ def test_selections_that_cannot_be() -> None:
         checked_selection(ViewSelection("," * 100_000))
     with pytest.raises(InputError, match="is given beside select"):
         checked_selection(ViewSelection("0,1", 2))
+
+
+def test_a_view_is_compared_at_its_own_depth() -> None:
+    """Of three views that look one way, the middle one sees what is near, where only the view beside it sees the same;
+    at the depth of the others all three share nearly all."""
+    cameras = around([0.0, 0.0, 0.0])
+    for camera, across in zip(cameras, (0.0, 1.0, 10.0), strict=True):
+        camera.world_from_cam[0, 3] = across
+    assert chosen_views(cameras, 2, [5.0, 5.0, 5.0]).places == (0, 1)
+    assert chosen_views(cameras, 2, [100.0, 100.0, 100.0]).places == (0, 2)
+    assert chosen_views(cameras, 2, [100.0, None, 100.0]).places == (0, 2)
+    assert chosen_views(cameras, 2, [5.0, 5.0, 100.0]).places == (0, 1)
+
+
+def test_depths_of_views_are_the_users_else_their_own_else_the_files() -> None:
+    cameras = around([0.0, 10.0, 20.0])
+    bounds = [(2.0, 6.0), None, (1.0, 3.0)]
+    views = tuple(NamedView(None, camera, bounds=each) for camera, each in zip(cameras, bounds, strict=True))
+    file = CameraFile(views, 1.0, None)
+    assert file.middles(None, None) == pytest.approx([3.0, None, 1.5])
+    assert file.middles(4.0, 12.0) == pytest.approx([6.0] * 3)
+    assert file.middles(None, 3.0) == pytest.approx([1.5] * 3)
+    assert file.middles(4.0, None) == [None] * 3
+    assert np.isnan(file.middles(6.0, 2.0)).all()

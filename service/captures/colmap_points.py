@@ -1,0 +1,78 @@
+"""Depth bounds of the views of a COLMAP model, from the sparse points that each of them was registered with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cameras.view_checks import Notice
+from ..errors import CameraError, PoseError
+from . import colmap_binary, colmap_text
+from .colmap_model import ColmapModel, Points
+from .files import Files, joined
+
+F64 = NDArray[np.float64]
+
+MAX_ERROR = 2.0  # px of reprojection; points beyond it are often wrong matches
+MIN_TRACK = 3  # views of a point; two may agree by chance along an epipolar line
+MIN_POINTS = 20  # of a view; fewer say too little about its depths
+PERCENTILE = 1.0  # of a view's points at either end, which may be wrong
+BEFORE = 0.8  # near = 0.8 x that percentile: room for what has no point, such as plain things at the border
+BEYOND = 1.3  # far = 1.3 x that at the other end
+
+_READERS: dict[str, Callable[[BinaryIO, str], Points]] = {
+    "bin": colmap_binary.read_points,
+    "txt": colmap_text.read_points,
+}
+
+
+@dataclass(frozen=True)
+class DepthBounds:
+    """What the points of a model say of the depths of its views."""
+
+    of: dict[int, tuple[float, float]]  # image id -> nearest and farthest z-depth; without views that have few points
+    warnings: tuple[Notice, ...] = ()
+
+
+def depth_bounds(files: Files, folder: str, form: str, model: ColmapModel) -> DepthBounds:
+    """The bounds of the views of `model`, which lies in `folder` in the form `bin` or `txt`; of none where it has no
+    file of points. One that cannot be read is passed over, with the warning `points_not_read`."""
+    path = joined(folder, f"points3D.{form}")
+    if not files.has(path):
+        return DepthBounds({})
+    try:
+        with files.open(path) as stream:
+            points = _READERS[form](stream, path)
+    except CameraError as error:
+        message = f"{error.message}: near and far are estimated from the cameras instead ({error.cure})"
+        return DepthBounds({}, ({"code": "points_not_read", "field": "capture", "message": message},))
+    return DepthBounds(_bounds(points, model))
+
+
+def _bounds(points: Points, model: ColmapModel) -> dict[int, tuple[float, float]]:
+    """Bounds by image id: percentiles of the z-depths of the points that each view has been matched in."""
+    tracks = np.bincount(points.seen_point, minlength=len(points.xyz))
+    right = np.isfinite(points.xyz).all(axis=1) & (points.error <= MAX_ERROR) & (tracks >= MIN_TRACK)
+    kept = right[points.seen_point]
+    image, point = points.seen_image[kept], points.seen_point[kept]
+    order = np.argsort(image, kind="stable")
+    ids, starts, counts = np.unique(image[order], return_index=True, return_counts=True)
+    bounds = {}
+    for image_id, start, count in zip(ids.tolist(), starts, counts, strict=True):
+        if image_id not in model.images:
+            continue
+        try:
+            axis = model.pose(image_id)[2]
+        except (CameraError, PoseError):  # refused where this view is used
+            continue
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite translations, which are refused there too
+            depths = points.xyz[point[order[start : start + count]]] @ axis[:3] + axis[3]
+        depths = depths[np.isfinite(depths) & (depths > 0)]
+        if len(depths) >= MIN_POINTS:
+            first, last = np.percentile(depths, (PERCENTILE, 100.0 - PERCENTILE))
+            bounds[image_id] = (BEFORE * float(first), BEYOND * float(last))
+    return bounds
