@@ -10,7 +10,7 @@ from .camera import Camera
 from .camera_fields import CameraFile as CameraFile
 from .camera_fields import NamedView as NamedView
 from .camera_fields import SizeOf, image_name, json_kind, list_of, number_of, opencv_pose, optional_number
-from .lens_keys import COEFFICIENTS, refuse_distorting_model, refuse_other_names
+from .lens_keys import COEFFICIENTS, in_a_matrix, refuse_distorting_model, refuse_other_names
 from .transforms_file import parse_transforms
 
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
@@ -75,22 +75,13 @@ def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int |
     _refuse_lens(entry, field, index)
     missing = [name for name in _NUMBERS if name not in entry]
     if missing:
-        cure = f"sizes and focal lengths in px{_in_a_matrix(entry)}"
+        cure = f"sizes and focal lengths in px{in_a_matrix(entry, 'fx, fy')}"
         raise CameraError(f"{', '.join(missing)} missing", field=field, index=index, cure=cure)
     width, height, fx, fy, cx, cy = (number_of(entry, name, field=field, index=index) for name in _NUMBERS)
     name = _matrix_name(entry, pose, field, index)
     world_from_cam = opencv_pose(entry[name], axes=axes, pose=pose, field=f"{field}.{name}", index=index)
     camera = Camera.make(width, height, fx, fy, cx, cy, world_from_cam, index=index, field=field)
     return NamedView(image_name(entry, "image", field=field, index=index), camera)
-
-
-def _in_a_matrix(entry: Mapping) -> str:
-    """Where the intrinsics of this view are, if it has them as a matrix K."""
-    for name, value in entry.items():
-        match value:
-            case [[int() | float() as fx, *_], _, [0, 0, 1]] if fx > 1:  # else a rotation, or not in px
-                return f"; of a matrix {str(name)[:20]} fx, fy, cx, cy are [0][0], [1][1], [0][2], [1][2]"
-    return ""
 
 
 def _json_object(obj: object) -> Mapping:

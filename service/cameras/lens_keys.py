@@ -75,6 +75,16 @@ def _refuse(message: str, field: str, index: int | None, cure: str = UNDISTORT) 
     raise IntrinsicsError(message, field=field, index=index, cure=cure)
 
 
+def in_a_matrix(values: Mapping, focal: str) -> str:
+    """Where the intrinsics of a view are, if it has them as a matrix K; `focal` is what the file calls the focal
+    lengths."""
+    for name, value in values.items():
+        match value:
+            case [[int() | float() as fx, *_], _, [0, 0, 1]] if fx > 1:  # else a rotation, or not in px
+                return f"; of a matrix {str(name)[:20]} {focal}, cx, cy are [0][0], [1][1], [0][2], [1][2]"
+    return ""
+
+
 def too_long(value: object) -> bool:
     """Whether it has more values, in lists at any depth, or more letters than a lens can need."""
     waiting, count = [value], 0

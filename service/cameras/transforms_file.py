@@ -20,7 +20,7 @@ from .camera_fields import (
     view_through,
 )
 from .distortion import Lens
-from .lens_keys import COEFFICIENTS, OTHER_NAMES, refuse_other_names, require_pinhole_model, too_long
+from .lens_keys import COEFFICIENTS, OTHER_NAMES, in_a_matrix, refuse_other_names, require_pinhole_model, too_long
 
 NARROWEST, WIDEST = (2 * math.atan(0.5 / focal) for focal in (MOST_FOCAL, LEAST_FOCAL))  # radians
 _LENGTHS, _ANGLES = ("fl_x", "fl_y"), ("camera_angle_x", "camera_angle_y")
@@ -124,6 +124,7 @@ def _focal(values: Mapping, axis: str, size: int, index: int) -> float:
     name = f"camera_angle_{axis}"
     if name not in values:
         cure = f"give fl_{axis}, the focal length in px, at the top of the file or in the frame"
+        cure += in_a_matrix(values, "fl_x, fl_y")
         raise CameraError(f"neither fl_{axis} nor {name} is given", field=f"frames.fl_{axis}", index=index, cure=cure)
     angle = number_of(values, name, field="frames", index=index)
     if not NARROWEST <= angle <= WIDEST:

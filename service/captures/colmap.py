@@ -27,13 +27,15 @@ PARAMETERS = {
     "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
 _READERS = {"bin": colmap_binary, "txt": colmap_text}
-_FILES = ("cameras", "images", "rigs", "frames", "points3D")  # of a model, each .bin or .txt
+FORMS = tuple(_READERS)  # endings of a model's files
+WHOLE = ("cameras", "images")  # files that each model has
+_FILES = (*WHOLE, "rigs", "frames", "points3D")
 
 
 def is_of_colmap(name: str) -> bool:
     """Whether a file of this name stands for the COLMAP model that it lies in."""
     stem, _, form = name.rpartition(".")
-    return stem in _FILES and form in _READERS
+    return stem in _FILES and form in FORMS
 
 
 def folders_below_project(folder: PurePath) -> int:
@@ -45,12 +47,12 @@ def folders_below_project(folder: PurePath) -> int:
 
 def is_whole(files: Files, folder: str, form: str) -> bool:
     """Whether a folder has both cameras and images in this form, `bin` or `txt`."""
-    return all(files.has(joined(folder, f"{name}.{form}")) for name in ("cameras", "images"))
+    return all(files.has(joined(folder, f"{name}.{form}")) for name in WHOLE)
 
 
 def has_colmap(files: Files, folder: str) -> str | None:
     """The first of `bin` and `txt` in which the folder holds a whole model; None where it holds none."""
-    return next((form for form in _READERS if is_whole(files, folder, form)), None)
+    return next((form for form in FORMS if is_whole(files, folder, form)), None)
 
 
 def read_colmap(files: Files, folder: str, form: str) -> CameraTable:

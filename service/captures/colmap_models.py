@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from ..cameras.view_checks import Notice
 from ..errors import CaptureError
-from .colmap import has_colmap
+from .colmap import FORMS, WHOLE, has_colmap
 from .files import Files, joined
 from .table import MAX_LISTED
 
@@ -51,13 +51,30 @@ def numbered_alone(files: Files, folders: Sequence[str]) -> list[str]:
     return sorted(folders, key=lambda name: (len(name), name))
 
 
+def parts_of_models(files: Files, folders: Sequence[str]) -> str:
+    """A sentence about the first of `folders` that holds cameras of COLMAP without images, or images without cameras;
+    empty if none does."""
+    for folder in folders:
+        for form in FORMS:
+            there = [name for name in WHOLE if files.has(joined(folder, f"{name}.{form}"))]
+            if len(there) == 1:
+                (missing,) = set(WHOLE) - set(there)
+                return f"{joined(folder, f'{there[0]}.{form}')} is there without {missing}.{form} beside it"
+    return ""
+
+
 def models_below(files: Files, base: str) -> list[str]:
     """Folders with a model, numbered ones in numerical order."""
+    return [folder for folder in places_of_models(files, base) if has_colmap(files, folder) is not None]
+
+
+def places_of_models(files: Files, base: str) -> list[str]:
+    """Folders that may have a model, numbered ones in numerical order."""
     folders = [base]
     for place in (joined(base, name) for name in _PLACES):
         within = sorted(files.folders(place), key=lambda name: (len(name), name))
         folders += [place, *(joined(place, name) for name in within)]
-    return [folder for folder in folders if has_colmap(files, folder) is not None]
+    return folders
 
 
 def _described(files: Files, folder: str) -> str:

@@ -13,7 +13,14 @@ from ..cameras.camera_file import parse_camera_file, view_names
 from ..errors import CameraError, CaptureError
 from ..unique_members import CURE, RepeatedMember, parsed
 from .colmap import has_colmap, is_of_colmap, is_whole, read_colmap
-from .colmap_models import largest_model, models_below, numbered_alone, several_models
+from .colmap_models import (
+    largest_model,
+    models_below,
+    numbered_alone,
+    parts_of_models,
+    places_of_models,
+    several_models,
+)
 from .files import Files, joined, read_bounded
 from .llff import SIGNATURE, read_llff
 from .realestate10k import looks_like_realestate10k, read_realestate10k
@@ -55,7 +62,12 @@ def recognised(files: Files, max_bytes: int = MAX_CAMERA_BYTES) -> tuple[str, Ca
         )
     there = [f"{name}/" for name in files.folders("")] + list(files.files(""))
     found_instead = f"holds no cameras, only {', '.join(there[:8])}" if there else "is empty"
-    raise CaptureError(f"{files.label} {found_instead}", field="capture", cure=f"it needs one of {KNOWN}")
+    cure = f"it needs one of {KNOWN}"
+    if part := parts_of_models(
+        files, [place for base in ("", *files.folders("")) for place in places_of_models(files, base)]
+    ):
+        found_instead, cure = f"holds no whole COLMAP model: {part}", "copy or export the model with all its files"
+    raise CaptureError(f"{files.label} {found_instead}", field="capture", cure=cure)
 
 
 def table_of_file(files: Files, path: str, max_bytes: int = MAX_CAMERA_BYTES) -> CameraTable:

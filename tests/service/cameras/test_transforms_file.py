@@ -55,6 +55,15 @@ def test_a_field_of_view_of_a_frame_wins_over_focal_lengths_of_the_top():
     assert (camera.fx, camera.fy) == (600, 600)
 
 
+def test_a_matrix_is_not_read_and_the_cure_says_what_is_in_it():
+    frames = [
+        frame | {"K": [[500.0, 0.0, 320.0], [0.0, 510.0, 240.0], [0.0, 0.0, 1.0]]} for frame in transforms(2)["frames"]
+    ]
+    with pytest.raises(CameraError, match="neither fl_x nor camera_angle_x is given") as caught:
+        parse_camera_file({"w": 640, "h": 480, "frames": frames})
+    assert caught.value.cure.endswith("of a matrix K fl_x, fl_y, cx, cy are [0][0], [1][1], [0][2], [1][2]")
+
+
 @pytest.mark.parametrize("name", ["k1", "k2", "k3", "k4", "p1", "p2"])
 def test_a_lens_that_bends_is_given_with_the_pinhole_it_becomes(name):
     assert parse_camera_file(transforms(**{name: 0.0})).views[0].lens is None

@@ -140,3 +140,16 @@ def test_the_folder_of_a_single_model_stands_for_it(tmp_path: Path) -> None:
     found = open_capture(tmp_path / "sparse").choose(ViewSelection())
     assert found.selection["cameras"] == "sparse/4/images.bin"
     assert found.paths == tuple(f"images/{name}" for name in names(3))
+
+
+@pytest.mark.parametrize(("missing", "text"), [("images", False), ("cameras", True)])
+@pytest.mark.parametrize("folder", ["", "project/"])
+def test_a_model_that_lacks_a_file_is_named_with_it(tmp_path: Path, missing: str, text: bool, folder: str) -> None:
+    write_colmap(tmp_path / folder, arc(2), "sparse/1", text=text)
+    form = "txt" if text else "bin"
+    (tmp_path / folder / f"sparse/1/{missing}.{form}").unlink()
+    there = {"images": "cameras", "cameras": "images"}[missing]
+    told = f"no whole COLMAP model: {folder}sparse/1/{there}.{form} is there without {missing}.{form} beside it"
+    with pytest.raises(CaptureError, match=told) as caught:
+        open_capture(tmp_path)
+    assert caught.value.cure == "copy or export the model with all its files"
