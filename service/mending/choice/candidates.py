@@ -31,6 +31,7 @@ COUNT = FREE + len(REACHES)
 KNOWN, ABOUT = 14, 7  # features of each candidate, and of each pixel
 NEAR, FAR = 4.0, 32.0  # px of parallax: scales of differences
 MOST = 16.0  # px: distances to another view's surface are clipped at it
+NEARBY = 0.01  # total weight from which the confirmed pixels of a surface are near
 ALIKE = 1.5  # px: closer candidates count as the same depth
 CONTRAST = 0.05  # scale of the contrast feature, which is clipped at twice this
 
@@ -44,6 +45,7 @@ class Candidates(NamedTuple):
     about: NDArray[np.float16]  # (ABOUT, N)
     undecided: Mask  # (H, W) kept pixels that no other view confirms
     outside: Mask  # (H, W) pixels outside every other view's picture, at their current depth
+    nearby: Mask  # (COUNT, H, W) where one is a surface that image edges limit, and that is confirmed nearby
     disparity_scale: float  # px per unit of inverse depth
 
 
@@ -65,15 +67,16 @@ class Matched:
             return None
         scale = max(scales.values())
         known = np.zeros((COUNT, KNOWN, int(undecided.sum())), np.float16)
-        inverse = np.empty((COUNT, *depth.shape))
+        inverse, nearby = np.empty((COUNT, *depth.shape)), np.zeros((COUNT, *depth.shape), np.bool_)
         inverse[:FREE] = scale / np.stack([depth, *(stack[index] for stack in self.others)])
         for place, (reach, edges) in enumerate(REACHES, start=FREE):
             found = described_surface(view.image, inverse[0], sure, reach, edges=edges)
             inverse[place] = found.surface.within(inverse[0], view.kept)
+            nearby[place] = edges and found.surface.weight >= NEARBY
             known[place, 4:7] = _of_surface(found, undecided)
         self._compared(index, scales, inverse, undecided, known)
         about = _about(view, inverse, undecided)
-        return Candidates(inverse, known, about, undecided, self._outside(index, scales), scale)
+        return Candidates(inverse, known, about, undecided, self._outside(index, scales), nearby, scale)
 
     def _compared(
         self, index: int, scales: Mapping[int, float], inverse: F64, undecided: Mask, known: NDArray[np.float16]

@@ -14,9 +14,9 @@ from .network import ChoiceNetwork
 
 F64 = NDArray[np.float64]
 
-# Parallax, as a share of the shorter side, from which a pixel outside every other view's picture is not moved away: the
-# large network has learned that things such as a door frame stand close at the border, where the surfaces behind them
-# seem to continue.
+# Parallax, as a share of the shorter side, from which a pixel outside every other view's picture is not moved away
+# unless to a surface that is confirmed nearby with no image edge between: the large network has learned that things
+# such as a door frame stand close at the border, where the surfaces behind them seem to continue.
 BACK = 1 / 32
 
 
@@ -26,7 +26,7 @@ def chosen(views: Sequence[FittedView], depths: F64, others: Sequence[F64], netw
 
     Each pixel takes its candidate (`candidates.py`) with the largest preference, after the preferences were smoothed by
     a guided filter. Confirmed and masked pixels keep their depth, as do views without a confirmed pixel, and pixels
-    outside every other view's picture that would move away by BACK or more.
+    outside every other view's picture that would move away by BACK or more, unless to a surface nearby.
     """
     matched = Matched(views, depths, others)
     return np.stack([_of_view(matched, index, network) for index in range(len(views))])
@@ -38,8 +38,8 @@ def _of_view(matched: Matched, index: int, network: ChoiceNetwork) -> F64:
     if found is None:
         return depth
     best = preferred(matched.views[index], found, network)
-    inverse = np.take_along_axis(found.inverse, best[None], axis=0)[0]
-    stays = found.outside & (inverse <= found.inverse[0] - BACK * min(depth.shape))
+    inverse, nearby = (np.take_along_axis(each, best[None], axis=0)[0] for each in (found.inverse, found.nearby))
+    stays = found.outside & (inverse <= found.inverse[0] - BACK * min(depth.shape)) & ~nearby
     moves = found.undecided & (best > 0) & ~stays
     return np.where(moves, found.disparity_scale / np.where(moves, inverse, 1), depth)
 

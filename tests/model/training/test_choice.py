@@ -109,7 +109,7 @@ def test_errors_are_px_of_parallax_from_the_true_depth_and_a_sky_is_infinitely_f
     known = np.broadcast_to(number % 1000, (COUNT, KNOWN, len(number))).astype(np.float16)
     about = np.broadcast_to(number // 1000, (ABOUT, len(number))).astype(np.float16)
     inverse = (true + apart[:, None]).reshape(COUNT, *sky.shape)
-    one = Candidates(inverse, known, about, undecided, ~undecided, way)
+    one = Candidates(inverse, known, about, undecided, ~undecided, np.zeros(inverse.shape, bool), way)
     found = choice_data._of_view(one, batch, index, 4, np.random.default_rng(0))
     assert found.error.shape == (COUNT, PIXELS)
     assert found.error == pytest.approx(np.broadcast_to(apart[:, None], found.error.shape), abs=1e-4)  # of float32

@@ -9,7 +9,7 @@ import pytest
 from plane_views import PATCH, SIDE, plane_depths
 
 from gapmes.service.matching.confirmed import confirmed
-from gapmes.service.mending.choice.candidates import ABOUT, COUNT, KNOWN, Matched
+from gapmes.service.mending.choice.candidates import ABOUT, COUNT, FREE, KNOWN, REACHES, Matched
 from gapmes.service.mending.choice.chosen import BACK, chosen, preferred
 from gapmes.service.mending.choice.network import ChoiceNetwork, shipped_choice
 from gapmes.service.photographs.images import FittedView
@@ -61,6 +61,28 @@ def test_what_no_other_view_shows_does_not_go_far_away(views: list[FittedView]) 
         found = chosen(pair, truth, (other, truth), always(1))
         assert (found[0] != truth[0])[outside].all() == moves
         assert (found[0] == truth[0])[outside].all() != moves
+
+
+def test_what_no_other_view_shows_goes_to_a_surface_that_is_confirmed_nearby(views: list[FittedView]) -> None:
+    """And stays where the confirmed pixels are far off. Surfaces across image edges do not count."""
+    pair, truth = views[:2], plane_depths(views)[:2]
+    place, _ = pair[1].camera.project(pair[0].camera.unproject(_grid(), truth[0].ravel()))
+    beyond = ~((place > 0) & (place < SIDE)).all(axis=1).reshape(SIDE, SIDE)
+    near = truth.copy()
+    near[0][beyond] /= 1.9
+    way = pair[0].camera.fx * np.linalg.norm(pair[0].camera.center - pair[1].camera.center)
+    assert (way / near - way / truth)[0][beyond].min() > BACK * SIDE + 1
+    candidates = Matched(pair, near, (near, near)).candidates(0)
+    assert candidates is not None
+    place = FREE + REACHES.index((6.0, True))
+    beside = candidates.outside & candidates.nearby[place]
+    far_off = candidates.outside & ~candidates.nearby[place]
+    assert min(beside.sum(), far_off.sum()) > 100
+    assert not candidates.nearby[:FREE].any()
+    assert not candidates.nearby[FREE + REACHES.index((24.0, False))].any()
+    found = chosen(pair, near, (near, near), always(place))
+    assert np.median(np.abs(found[0] / truth[0] - 1)[beside]) < 0.01
+    assert (found[0] == near[0])[far_off].all()
 
 
 def test_what_a_mask_of_the_other_view_hides_goes_as_far_as_it_must(views: list[FittedView]) -> None:
