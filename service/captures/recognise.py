@@ -23,6 +23,7 @@ from .colmap_models import (
 )
 from .files import Files, joined, read_bounded
 from .llff import SIGNATURE, read_llff
+from .photographs import SUFFIXES
 from .realestate10k import looks_like_realestate10k, read_realestate10k
 from .table import CameraTable
 
@@ -60,14 +61,22 @@ def recognised(files: Files, max_bytes: int = MAX_CAMERA_BYTES) -> tuple[str, Ca
         raise CaptureError(
             f"{files.label} holds {len(found)} captures: {listed}", field="capture", cure="give one of them"
         )
-    there = [f"{name}/" for name in files.folders("")] + list(files.files(""))
+    raise _nothing(files)
+
+
+def _nothing(files: Files) -> CaptureError:
+    """The refusal of a capture without cameras."""
+    folders = files.folders("")
+    places = [place for base in ("", *folders) for place in places_of_models(files, base)]
+    if part := parts_of_models(files, places):
+        cure = "copy or export the model with all its files"
+        return CaptureError(f"{files.label} holds no whole COLMAP model: {part}", field="capture", cure=cure)
+    there = [f"{name}/" for name in folders] + list(files.files(""))
     found_instead = f"holds no cameras, only {', '.join(there[:8])}" if there else "is empty"
     cure = f"it needs one of {KNOWN}"
-    if part := parts_of_models(
-        files, [place for base in ("", *files.folders("")) for place in places_of_models(files, base)]
-    ):
-        found_instead, cure = f"holds no whole COLMAP model: {part}", "copy or export the model with all its files"
-    raise CaptureError(f"{files.label} {found_instead}", field="capture", cure=cure)
+    if any(name.endswith(SUFFIXES) for folder in ("", *folders) for name in files.files(folder)):
+        cure += "; COLMAP computes cameras from photographs: colmap automatic_reconstructor"
+    return CaptureError(f"{files.label} {found_instead}", field="capture", cure=cure)
 
 
 def table_of_file(files: Files, path: str, max_bytes: int = MAX_CAMERA_BYTES) -> CameraTable:

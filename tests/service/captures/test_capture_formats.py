@@ -233,8 +233,13 @@ def test_what_is_beside_a_capture_does_not_matter(tmp_path: Path) -> None:
 def test_a_folder_without_cameras_is_no_capture_and_any_text_no_clip(tmp_path: Path, text: str) -> None:
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes.txt").write_text(text)
-    with pytest.raises(CaptureError, match=r"holds no cameras, only notes/, notes\.txt"):
+    with pytest.raises(CaptureError, match=r"holds no cameras, only notes/, notes\.txt") as caught:
         open_capture(tmp_path)
+    assert "COLMAP computes" not in str(caught.value.cure)
+    write_photographs(tmp_path, ["photos/0.jpg"])
+    with pytest.raises(CaptureError, match=r"holds no cameras, only notes/, photos/, notes\.txt") as caught:
+        open_capture(tmp_path)
+    assert str(caught.value.cure).endswith("cameras from photographs: colmap automatic_reconstructor")
     (tmp_path / "scan").mkdir()
     write_realestate10k(tmp_path / "scan", arc(2))
     clip = tmp_path / "scan" / "clip.txt"
