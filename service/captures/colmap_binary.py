@@ -16,6 +16,7 @@ from .colmap_model import (
     ColmapFrame,
     ColmapImage,
     Points,
+    PointsSoFar,
     Sensor,
     check_points,
 )
@@ -136,15 +137,11 @@ def read_frames(stream: BinaryIO, source: str) -> dict[int, ColmapFrame]:
 
 def read_points(stream: BinaryIO, source: str) -> Points:
     """Points of a points3D.bin. Raises `CameraError`, also above the limits of `check_points`."""
-    data = _Bytes(stream, source)
+    data, found = _Bytes(stream, source), PointsSoFar(source)
     count = data.unpack("Q")[0]
     check_points(count, 0, source)
-    xyz, error, lengths, tracks, seen = np.empty((count, 3)), np.empty(count), [], [], 0
-    for place in range(count):
-        _, *xyz[place], _, _, _, error[place], length = data.unpack("Q3d3BdQ")
-        seen += length
-        check_points(0, seen, source)
-        lengths.append(length)
-        tracks.append(data.take(_SEEN * length))
-    images = np.frombuffer(b"".join(tracks), "<u4").reshape(-1, 2)[:, 0].astype(np.int64)
-    return Points(xyz, error, images, np.repeat(np.arange(count), lengths))
+    for _ in range(count):
+        _, x, y, z, _, _, _, error, length = data.unpack("Q3d3BdQ")
+        found.check(length)  # before so much is read
+        found.add((x, y, z, error), np.frombuffer(data.take(_SEEN * length), "<u4")[::2].astype(np.uint32))
+    return found.points()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -13,7 +15,7 @@ from ..cameras.rotations import matrix_from_quaternion
 from ..errors import CameraError, PoseError
 
 F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
+U64 = NDArray[np.uint64]
 
 MAX_POINTS = 500_000  # of a model that are read; a few hundred photographs have fewer
 MAX_SEEN = 20 * MAX_POINTS  # pairs of a point and an image that was matched in it
@@ -70,8 +72,35 @@ class Points:
 
     xyz: F64  # (P, 3) in the world
     error: F64  # (P,) mean reprojection error in px, negative where it is unknown
-    seen_image: I64  # (M,) ids
-    seen_point: I64  # (M,) places in `xyz`
+    seen: U64  # (M,) an image's id times 2**32, plus a place in `xyz`; ascending, each once
+
+
+class PointsSoFar:
+    """The points of a file while it is read, in arrays: Python's numbers would take hundreds of megabytes."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._rows, self._lengths, self._images = array("d"), array("I"), array("I")
+
+    def check(self, more: int) -> None:
+        """Raises `CameraError` if a point with so many matches were one too many, or they."""
+        check_points(len(self._lengths) + 1, len(self._images) + more, self._source)
+
+    def add(self, row: Iterable[float], images: NDArray[np.uint32]) -> None:
+        """A point's x, y, z and error, and the ids of the images that it was matched in. Raises as `check`."""
+        self.check(len(images))
+        self._rows.extend(row)
+        self._lengths.append(len(images))
+        self._images.frombytes(images.tobytes())
+
+    def points(self) -> Points:
+        rows = np.array(self._rows).reshape(-1, 4)
+        seen = np.array(self._images, dtype=np.uint64)
+        seen <<= np.uint64(32)
+        seen |= np.repeat(np.arange(len(rows), dtype=np.uint32), np.asarray(self._lengths))
+        seen.sort()
+        again = np.flatnonzero(seen[1:] == seen[:-1])  # an image may be matched in a point twice
+        return Points(rows[:, :3], rows[:, 3], np.delete(seen, again) if len(again) else seen)
 
 
 Sensor = tuple[int, int]  # kind and id

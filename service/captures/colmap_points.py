@@ -24,6 +24,9 @@ PERCENTILE = 1.0  # of a view's points at either end, which may be wrong
 BEFORE = 0.8  # near = 0.8 x that percentile: room for what has no point, such as plain things at the border
 BEYOND = 1.3  # far = 1.3 x that at the other end
 
+_PLACE = np.uint64(2**32 - 1)  # the bits of a pair that are the point's place
+_PART = 2**20  # pairs
+
 _READERS: dict[str, Callable[[BinaryIO, str], Points]] = {
     "bin": colmap_binary.read_points,
     "txt": colmap_text.read_points,
@@ -55,24 +58,31 @@ def depth_bounds(files: Files, folder: str, form: str, model: ColmapModel) -> De
 
 def _bounds(points: Points, model: ColmapModel) -> dict[int, tuple[float, float]]:
     """Bounds by image id: percentiles of the z-depths of the points that each view has been matched in."""
-    tracks = np.bincount(points.seen_point, minlength=len(points.xyz))
-    right = np.isfinite(points.xyz).all(axis=1) & (points.error <= MAX_ERROR) & (tracks >= MIN_TRACK)
-    kept = right[points.seen_point]
-    image, point = points.seen_image[kept], points.seen_point[kept]
-    order = np.argsort(image, kind="stable")
-    ids, starts, counts = np.unique(image[order], return_index=True, return_counts=True)
+    right = np.isfinite(points.xyz).all(axis=1) & (points.error <= MAX_ERROR) & (_tracks(points) >= MIN_TRACK)
+    ids = [image_id for image_id in model.images if 0 <= image_id < 2**32]
+    first = np.array(ids, dtype=np.uint64) << np.uint64(32)
+    starts, ends = np.searchsorted(points.seen, first), np.searchsorted(points.seen, first | _PLACE, side="right")
     bounds = {}
-    for image_id, start, count in zip(ids.tolist(), starts, counts, strict=True):
-        if image_id not in model.images:
-            continue
+    for image_id, start, end in zip(ids, starts, ends, strict=True):
+        places = (points.seen[start:end] & _PLACE).astype(np.intp)
+        places = places[right[places]]
         try:
             axis = model.pose(image_id)[2]
         except (CameraError, PoseError):  # refused where this view is used
             continue
         with np.errstate(over="ignore", invalid="ignore"):  # infinite translations, which are refused there too
-            depths = points.xyz[point[order[start : start + count]]] @ axis[:3] + axis[3]
+            depths = points.xyz[places] @ axis[:3] + axis[3]
         depths = depths[np.isfinite(depths) & (depths > 0)]
         if len(depths) >= MIN_POINTS:
-            first, last = np.percentile(depths, (PERCENTILE, 100.0 - PERCENTILE))
-            bounds[image_id] = (BEFORE * float(first), BEYOND * float(last))
+            nearest, farthest = np.percentile(depths, (PERCENTILE, 100.0 - PERCENTILE))
+            bounds[image_id] = (BEFORE * float(nearest), BEYOND * float(farthest))
     return bounds
+
+
+def _tracks(points: Points) -> NDArray[np.intp]:
+    """(P,) views that each point was matched in, counted part by part to take little memory."""
+    tracks = np.zeros(len(points.xyz), np.intp)
+    for start in range(0, len(points.seen), _PART):
+        places = (points.seen[start : start + _PART] & _PLACE).astype(np.intp)
+        tracks += np.bincount(places, minlength=len(tracks))
+    return tracks

@@ -17,8 +17,8 @@ from .colmap_model import (
     ColmapFrame,
     ColmapImage,
     Points,
+    PointsSoFar,
     Sensor,
-    check_points,
 )
 from .table import MAX_LISTED
 
@@ -102,17 +102,10 @@ def read_points(stream: BinaryIO, source: str) -> Points:
             raise ValueError("an image's number is not from 0 to 4294967295")
         return [float(words[column]) for column in (1, 2, 3, 7)], images
 
-    rows: list[list[float]] = []
-    seen_image: list[int] = []
-    lengths: list[int] = []
+    found = PointsSoFar(source)
     for row, images in _parsed(_lines(stream, source, most=2 * MAX_POINTS), source, point):
-        rows.append(row)
-        seen_image += images
-        lengths.append(len(images))
-        check_points(len(rows), len(seen_image), source)
-    values = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    seen_point = np.repeat(np.arange(len(rows)), lengths)
-    return Points(values[:, :3], values[:, 3], np.array(seen_image, dtype=np.int64), seen_point)
+        found.add(row, np.array(images, dtype=np.uint32))
+    return found.points()
 
 
 def _entries(

@@ -10,11 +10,12 @@ import numpy as np
 import pycolmap
 import pytest
 from capture_scenes import arc, colmap_model, names, write_photographs
+from hostile import archive_of, opened, peak_below
 
 from gapmes.service.captures import colmap_binary, colmap_text
 from gapmes.service.captures.capture import open_capture
-from gapmes.service.captures.colmap_model import MAX_POINTS
-from gapmes.service.captures.colmap_points import BEFORE, BEYOND, MIN_POINTS
+from gapmes.service.captures.colmap_model import IDENTITY, MAX_POINTS, ColmapImage, ColmapModel, Points
+from gapmes.service.captures.colmap_points import BEFORE, BEYOND, MIN_POINTS, depth_bounds
 from gapmes.service.captures.select import ViewSelection
 from gapmes.service.errors import CameraError
 
@@ -48,6 +49,11 @@ def expected(model: pycolmap.Reconstruction, image_id: int) -> tuple[float, floa
     if len(depths) < 20:
         return None
     return 0.8 * float(np.percentile(depths, 1)), 1.3 * float(np.percentile(depths, 99))
+
+
+def pairs(points: Points) -> list[tuple[int, int]]:
+    """Images' ids, and places of the points that they were matched in."""
+    return [divmod(pair, 2**32) for pair in points.seen.tolist()]
 
 
 def written(root: Path, model: pycolmap.Reconstruction, *, text: bool = False) -> Path:
@@ -124,15 +130,14 @@ def test_points_that_are_not_finite_or_behind_do_not_count() -> None:
     data = b"".join(POINT.pack(k, *xyz, 0, 0, 0, 1.0, 1) + struct.pack("<II", 4, 0) for k, xyz in enumerate(rows))
     points = colmap_binary.read_points(io.BytesIO(struct.pack("<Q", 3) + data), "a.bin")
     np.testing.assert_array_equal(points.xyz, rows)
-    assert points.seen_image.tolist() == [4, 4, 4]
-    assert points.seen_point.tolist() == [0, 1, 2]
+    assert pairs(points) == [(4, 0), (4, 1), (4, 2)]
 
 
 def test_texts_of_points_name_the_line() -> None:
     whole = "# comment\n\n7 1 2 3 0 0 0 0.5 4 0 9 1\n"
     points = colmap_text.read_points(io.BytesIO(whole.encode()), "a.txt")
     assert points.xyz.tolist() == [[1.0, 2.0, 3.0]]
-    assert (points.error.tolist(), points.seen_image.tolist(), points.seen_point.tolist()) == ([0.5], [4, 9], [0, 0])
+    assert (points.error.tolist(), pairs(points)) == ([0.5], [(4, 0), (9, 0)])
     assert colmap_text.read_points(io.BytesIO(b""), "a.txt").xyz.shape == (0, 3)
     for line, told in (
         ("7 1 2 3 0 0 0 0.5 4", "a.txt, line 1: a point has 9 columns"),
@@ -146,3 +151,27 @@ def test_texts_of_points_name_the_line() -> None:
 
 def test_the_share_around_the_points_is_as_documented() -> None:
     assert (BEFORE, BEYOND, MIN_POINTS) == (0.8, 1.3, 20)
+
+
+def test_views_of_a_point_count_once(tmp_path: Path) -> None:
+    """COLMAP may match one image in a point twice: two views stay two."""
+    model = model_with_points(4, views=3)
+    for point in model.points3D.values():
+        point.error = 0.5
+        point.track.add_element(point.track.elements[0].image_id, 399)
+    assert [view.bounds for view in open_capture(written(tmp_path, model)).cameras(range(3)).views] == [None] * 3
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_a_match_takes_few_bytes(form: str) -> None:
+    """Of as many as are read 77 bytes for each would take 770 MB, sent in a zip of 400 kB."""
+    count, track = 5_000, range(70_000, 70_040)
+    if form == "bin":
+        matches = b"".join(struct.pack("<II", image, 0) for image in track)
+        data = struct.pack("<Q", count) + count * (POINT.pack(1, 0, 0, 5, 0, 0, 0, 1.0, len(track)) + matches)
+    else:
+        data = count * f"1 0 0 5 0 0 0 1 {' '.join(f'{image} 0' for image in track)}\n".encode()
+    model = ColmapModel(images={image: ColmapImage("a", 1, IDENTITY) for image in track})
+    with peak_below(32 * count * len(track)):
+        found = depth_bounds(opened(archive_of((f"points3D.{form}", data))), "", form, model)
+    assert found.of == {image: pytest.approx((4.0, 6.5)) for image in track}
