@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import BinaryIO
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.view_checks import Notice
-from ..errors import CameraError, PoseError
+from ..errors import CameraError, CaptureError, PoseError
 from . import colmap_binary, colmap_text
 from .colmap_model import ColmapModel, Points
 from .files import Files, joined
@@ -24,6 +25,9 @@ PERCENTILE = 1.0  # of a view's points at either end, which may be wrong
 BEFORE = 0.8  # near = 0.8 x that percentile: room for what has no point, such as plain things at the border
 BEYOND = 1.3  # far = 1.3 x that at the other end
 
+SMALLEST, LARGEST = 1e-14, 1e14  # depths that count, units of the model: others make no range that is accepted
+
+_one_at_a_time = threading.Lock()  # points of two models need not be in memory together
 _PLACE = np.uint64(2**32 - 1)  # the bits of a pair that are the point's place
 _PART = 2**20  # pairs
 
@@ -48,12 +52,11 @@ def depth_bounds(files: Files, folder: str, form: str, model: ColmapModel) -> De
     if not files.has(path):
         return DepthBounds({})
     try:
-        with files.open(path) as stream:
-            points = _READERS[form](stream, path)
-    except CameraError as error:
-        message = f"{error.message}: near and far are estimated from the cameras instead ({error.cure})"
+        with _one_at_a_time, files.open(path) as stream:
+            return DepthBounds(_bounds(_READERS[form](stream, path), model))
+    except (CameraError, CaptureError) as error:
+        message = f"{error.message}: near and far cannot come from it ({error.cure})"
         return DepthBounds({}, ({"code": "points_not_read", "field": "capture", "message": message},))
-    return DepthBounds(_bounds(points, model))
 
 
 def _bounds(points: Points, model: ColmapModel) -> dict[int, tuple[float, float]]:
@@ -72,7 +75,7 @@ def _bounds(points: Points, model: ColmapModel) -> dict[int, tuple[float, float]
             continue
         with np.errstate(over="ignore", invalid="ignore"):  # infinite translations, which are refused there too
             depths = points.xyz[places] @ axis[:3] + axis[3]
-        depths = depths[np.isfinite(depths) & (depths > 0)]
+        depths = depths[(depths >= SMALLEST) & (depths <= LARGEST)]
         if len(depths) >= MIN_POINTS:
             nearest, farthest = np.percentile(depths, (PERCENTILE, 100.0 - PERCENTILE))
             bounds[image_id] = (BEFORE * float(nearest), BEYOND * float(farthest))

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import io
 import struct
+import threading
+import zipfile
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pycolmap
@@ -12,10 +15,20 @@ import pytest
 from capture_scenes import arc, colmap_model, names, write_photographs
 from hostile import archive_of, opened, peak_below
 
-from gapmes.service.captures import colmap_binary, colmap_text
+from gapmes.service.cameras.depth_range import depth_range
+from gapmes.service.captures import colmap_binary, colmap_points, colmap_text
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.colmap_model import IDENTITY, MAX_POINTS, ColmapImage, ColmapModel, Points
-from gapmes.service.captures.colmap_points import BEFORE, BEYOND, MIN_POINTS, depth_bounds
+from gapmes.service.captures.colmap_points import (
+    BEFORE,
+    BEYOND,
+    LARGEST,
+    MIN_POINTS,
+    SMALLEST,
+    DepthBounds,
+    depth_bounds,
+)
+from gapmes.service.captures.files import FolderFiles
 from gapmes.service.captures.select import ViewSelection
 from gapmes.service.errors import CameraError
 
@@ -175,3 +188,45 @@ def test_a_match_takes_few_bytes(form: str) -> None:
     with peak_below(32 * count * len(track)):
         found = depth_bounds(opened(archive_of((f"points3D.{form}", data))), "", form, model)
     assert found.of == {image: pytest.approx((4.0, 6.5)) for image in track}
+
+
+def test_points_that_cannot_be_unpacked_are_told_and_passed_over() -> None:
+    """Before points were read, such a zip was accepted."""
+    path, model = "points3D.bin", ColmapModel()
+    damaged = bytearray(archive_of((path, bytes(1000)), method=zipfile.ZIP_STORED))
+    damaged[damaged.index(path.encode()) + len(path) + 500] = 1  # which its checksum contradicts
+    found = depth_bounds(opened(bytes(damaged)), "", "bin", model)
+    assert not found.of
+    (warning,) = found.warnings
+    assert warning["code"] == "points_not_read"
+    assert "cannot be unpacked" in warning["message"]
+
+
+@pytest.mark.parametrize("depth", [1e-40, 5e-324, 1e40, 1e308])
+def test_depths_that_no_range_may_have_do_not_count(depth: float) -> None:
+    track = struct.pack("<6I", 1, 0, 2, 0, 3, 0)
+    points = 40 * (POINT.pack(1, 0, 0, depth, 0, 0, 0, 1.0, 3) + track)
+    model = ColmapModel(images={1: ColmapImage("a", 1, IDENTITY)})
+    files = opened(archive_of(("points3D.bin", struct.pack("<Q", 40) + points)))
+    assert depth_bounds(files, "", "bin", model) == DepthBounds({})
+
+
+def test_any_depths_that_count_make_a_range_that_is_accepted() -> None:
+    assert depth_range(arc(2), BEFORE * SMALLEST, BEYOND * LARGEST).source == "given"
+
+
+def test_points_of_one_model_are_in_memory_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    held: list[bool] = []
+    lock = threading.Lock()
+    monkeypatch.setattr(colmap_points, "_one_at_a_time", lock)
+
+    class Watched(FolderFiles):
+        def has(self, path: str) -> bool:
+            return True
+
+        def open(self, path: str) -> BinaryIO:
+            held.append(lock.locked())
+            return io.BytesIO(struct.pack("<Q", 0))
+
+    assert depth_bounds(Watched(Path()), "", "bin", ColmapModel()) == DepthBounds({})
+    assert (held, lock.locked()) == ([True], False)
