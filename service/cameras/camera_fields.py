@@ -52,9 +52,9 @@ class CameraFile:
         return cls(tuple(views), near, far)
 
     def chosen(self, indices: Sequence[int]) -> CameraFile:
-        """These views in this order; where views have bounds, near and far are those of the chosen ones."""
+        """These views in this order; where views have bounds, near and far are those of the chosen ones, if any."""
         views = tuple(self.views[index] for index in indices)
-        if any(view.bounds is not None for view in views):
+        if self._by_view:
             return self.bounded(views)
         return CameraFile(views, self.near, self.far)
 
@@ -64,10 +64,16 @@ class CameraFile:
 
     def middles(self, near: float | None, far: float | None) -> list[float | None]:
         """The harmonic mean of nearest and farthest depth of each view: of `near` and `far` if one of them is given,
-        else of its bounds, else of the file's; None where one end is unknown."""
-        given = near is not None or far is not None
-        ends = [self.depths(near, far) if given or view.bounds is None else view.bounds for view in self.views]
-        return [None if near is None or far is None else harmonic_mean(near, far) for near, far in ends]
+        else of its bounds, else of the file's unless other views have bounds; None where one end is unknown."""
+        if near is None and far is None and self._by_view:
+            return [None if view.bounds is None else harmonic_mean(*view.bounds) for view in self.views]
+        near, far = self.depths(near, far)
+        return [None if near is None or far is None else harmonic_mean(near, far)] * len(self.views)
+
+    @property
+    def _by_view(self) -> bool:
+        """Whether near and far of the file are those of single views."""
+        return any(view.bounds is not None for view in self.views)
 
 
 def harmonic_mean(near: float, far: float) -> float:

@@ -270,3 +270,20 @@ def test_depths_of_views_are_the_users_else_their_own_else_the_files() -> None:
     assert file.middles(None, 3.0) == pytest.approx([1.5] * 3)
     assert file.middles(4.0, None) == [None] * 3
     assert np.isnan(file.middles(6.0, 2.0)).all()
+
+
+def test_views_without_bounds_take_no_range_from_others() -> None:
+    """Among views with bounds, one without is compared at the median of theirs; if none of the chosen has bounds,
+    their range is estimated."""
+    cameras = around([0.0, 10.0, 20.0, 30.0])
+    bounds = [(2.0, 6.0), None, None, (1.0, 3.0)]
+    file = CameraFile.bounded(
+        [NamedView(None, camera, bounds=each) for camera, each in zip(cameras, bounds, strict=True)]
+    )
+    assert (file.near, file.far) == (1.0, 6.0)
+    assert file.middles(None, None) == [pytest.approx(3.0), None, None, pytest.approx(1.5)]
+    chosen = [file.chosen(places) for places in ([1, 2], [0, 1], [3, 0])]
+    assert [(each.near, each.far) for each in chosen] == [(None, None), (2.0, 6.0), (1.0, 6.0)]
+    whole = CameraFile(tuple(NamedView(None, camera) for camera in cameras), 2.0, 6.0)
+    assert whole.middles(None, None) == pytest.approx([3.0] * 4)
+    assert (whole.chosen([1, 2]).near, whole.chosen([1, 2]).far) == (2.0, 6.0)
