@@ -12,11 +12,12 @@ from typing import BinaryIO
 import numpy as np
 import pycolmap
 import pytest
-from capture_scenes import arc, colmap_model, names, write_photographs
+from capture_scenes import arc, names, write_photographs
+from capture_scenes import colmap_model as model_of
 from hostile import archive_of, opened, peak_below
 
 from gapmes.service.cameras.depth_range import depth_range
-from gapmes.service.captures import colmap_binary, colmap_points, colmap_text
+from gapmes.service.captures import colmap_binary, colmap_model, colmap_points, colmap_text
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.colmap_model import IDENTITY, MAX_POINTS, ColmapImage, ColmapModel, Points
 from gapmes.service.captures.colmap_points import (
@@ -37,7 +38,7 @@ POINT = struct.Struct("<Q3d3BdQ")
 
 def model_with_points(seed: int, count: int = 400, views: int = 5) -> pycolmap.Reconstruction:
     """Points at depths of 2 to 9, each seen by some views; errors up to 3 px. The first view by name has too few."""
-    rng, model = np.random.default_rng(seed), colmap_model(arc(views), names(views), features=count)
+    rng, model = np.random.default_rng(seed), model_of(arc(views), names(views), features=count)
     ids = sorted(model.images)
     for place in range(count):
         few = place < MIN_POINTS - 1
@@ -157,9 +158,20 @@ def test_texts_of_points_name_the_line() -> None:
         ("7 1 2 3 0 0 0", "a.txt, line 1: a point has 7 columns"),
         ("7 1 x 3 0 0 0 0.5", "a.txt, line 1: could not convert"),
         ("7 1 2 3 0 0 0 0.5 4294967296 0", "a.txt, line 1: an image's number"),
+        ("7 1 2 3 0 0 0 0.5" + 2**18 * " 4 0", "a.txt, line 1 has more than 1048576 bytes"),
     ):
         with pytest.raises(CameraError, match=told):
             colmap_text.read_points(io.BytesIO(line.encode()), "a.txt")
+
+
+@pytest.mark.parametrize(
+    ("limit", "told"), [("MAX_POINTS", "has 4 points, at most 3"), ("MAX_SEEN", "has 4 matches of points, at most 3")]
+)
+def test_texts_of_too_many_points_are_left(monkeypatch: pytest.MonkeyPatch, limit: str, told: str) -> None:
+    monkeypatch.setattr(colmap_model, limit, 3)
+    stream = io.BytesIO(5 * b"7 1 2 3 0 0 0 0.5 4 0\n")
+    with pytest.raises(CameraError, match=told):
+        colmap_text.read_points(stream, "a.txt")
 
 
 def test_the_share_around_the_points_is_as_documented() -> None:
