@@ -189,7 +189,7 @@ def test_views_of_a_point_count_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["bin", "txt"])
 def test_a_match_takes_few_bytes(form: str) -> None:
-    """Of as many as are read 77 bytes for each would take 770 MB, sent in a zip of 400 kB."""
+    """Of as many as are read 77 bytes for each would take 770 MB, sent in a zip of less than 1 MB."""
     count, track = 5_000, range(70_000, 70_040)
     if form == "bin":
         matches = b"".join(struct.pack("<II", image, 0) for image in track)
