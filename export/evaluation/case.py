@@ -1,4 +1,4 @@
-"""Evaluation cases: inputs and held-out targets of a scene, from a folder of photographs or from the generator."""
+"""Evaluation cases: inputs and held-out targets of a scene, from a capture of photographs or from the generator."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ from numpy.typing import NDArray
 from gapmes.model.training.generated_views import exact_views, generated_view
 from gapmes.model.training.scenes import SceneBatch, SceneSampler
 from gapmes.service.cameras.camera import Camera
-from gapmes.service.captures.capture import SceneFolder
-from gapmes.service.errors import ImageError
-from gapmes.service.photographs.images import FittedView, Photo, decode_image, fit_view, match_photo
+from gapmes.service.photographs.images import FittedView, Photo, fit_view
 from gapmes.service.photographs.whole import view_shapes
 from gapmes.service.reconstruct import Reconstructor, Scene
 
 from .labels import shortest_names
-from .suggested import suggested_views
+from .scene_views import Photographs, scene_views
 
 F32 = NDArray[np.float32]
 
@@ -68,6 +66,7 @@ class Case:
     truth: TrueDepth | None = None
     at_twice: Callable[[], LargerTargets] | None = None  # computed on demand
     whole: bool = False  # whether photographs are used beyond the aspect of the network
+    photographs: Photographs | None = None  # None of generated scenes
 
     def reconstructed(self, service: Reconstructor, **options: Any) -> Scene:
         """The scene of the inputs, without predicting any from the others; `options` as for `reconstruct`."""
@@ -76,51 +75,35 @@ class Case:
 
 
 def photograph_case(
-    folder: Path, inputs: int, height: int, width: int, name: str | None = None, *, whole: bool = False
+    path: Path, inputs: int, height: int, width: int, name: str | None = None, *, whole: bool = False
 ) -> Case:
-    """The `suggested` views of a scene folder, centre-cropped and resampled to `height` x `width` px, or `whole` to the
-    shape that a scene by a network of this size has (`view_shapes`); `name` defaults to that of the folder.
+    """The inputs and targets of a capture (`scene_views`), centre-cropped and resampled to `height` x `width` px, or
+    `whole` to the shape that a scene by a network of this size has (`view_shapes`); `name` defaults to that of the
+    folder.
 
-    Raises `NoSuchViews`, and `InputError` for a folder that is no scene, missing views, and photographs that cannot be
-    decoded or have transparent pixels.
+    Raises `NoSuchViews`, and `InputError` for what is no capture, missing views, and photographs that cannot be decoded
+    or have transparent pixels.
     """
-    suggested = suggested_views(folder, inputs)
-    scene = suggested.scene
-
-    given, held_out = ([opaque_view(scene, i) for i in views] for views in (suggested.inputs, suggested.targets))
+    views = scene_views(path, inputs)
+    given, held_out = (
+        [views.photograph(chosen, place) for place in range(len(chosen.indices))]
+        for chosen in (views.inputs, views.targets)
+    )
     if whole:
         cameras = [camera for _, camera in given]
         height, width = view_shapes(cameras, [0] * len(cameras), (height, width))[0]
     return Case(
-        name=name or shortest_names([folder])[0],
+        name=name or shortest_names([path])[0],
         photos=tuple(photo for photo, _ in given),
         cameras=tuple(camera for _, camera in given),
         inputs=tuple(fit_view(*view, height, width) for view in given),
         targets=tuple(fit_view(*view, height, width) for view in held_out),
-        near=scene.file.near,
-        far=scene.file.far,
+        near=views.inputs.file.near,
+        far=views.inputs.file.far,
         at_twice=partial(_resampled, held_out, 2 * height, 2 * width),
         whole=whole,
+        photographs=views.said,
     )
-
-
-def opaque_view(scene: SceneFolder, index: int) -> tuple[Photo, Camera]:
-    """A photograph of a scene folder at its own size, with its camera; raises `InputError` where it cannot be decoded
-    or has transparent pixels, naming the file."""
-    path = scene.image_paths[index]
-    try:
-        photo = decode_image(path.read_bytes(), index=index)
-    except ImageError as error:  # of one scene of several
-        named = f"{path}: {error.message}"
-        raise type(error)(named, field=error.field, index=index, cure=error.cure, **error.extra) from error
-    if photo.mask is not None:
-        raise ImageError(
-            f"{path} is transparent in {(~photo.mask).sum()} of {photo.mask.size} pixels, need 0: all are compared",
-            field="images",
-            index=index,
-            cure="save the scene's photographs without an alpha channel, or leave the scene out",
-        )
-    return match_photo(photo, scene.file.views[index].camera, index=index)
 
 
 def _resampled(photos: Sequence[tuple[Photo, Camera]], height: int, width: int) -> LargerTargets:

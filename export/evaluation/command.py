@@ -26,7 +26,7 @@ def evaluate(
         typer.Argument(
             metavar="SCENE_DIR...",
             readable=False,
-            help="folders with images/ and cameras.json that has `suggested` views",
+            help="captures: any that reconstruct takes; cameras.json may name the views (`suggested`)",
         ),
     ] = None,
     generated: Annotated[int | None, typer.Option(min=0, help="number of generated scenes")] = None,

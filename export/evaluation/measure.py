@@ -108,7 +108,7 @@ def measure(
         )
     share = float(np.stack(masks).mean())
     routes = {name: result.routes for name, result in results.items()}
-    return Measured(SceneScore(case.name, share, scores, ours), pictures, masks, routes)
+    return Measured(SceneScore(case.name, share, scores, ours, case.photographs), pictures, masks, routes)
 
 
 def _reconstruct(case: Case, model: Model, fade: int) -> _Reconstruction:

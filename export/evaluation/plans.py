@@ -13,7 +13,7 @@ from .case import GENERATED_SEED
 from .labels import given_twice, shortest_names
 from .models import exports, model_sizes
 from .run import GroupPlan
-from .suggested import NoSuchViews, suggested_views
+from .suggested import suggestions
 
 PHOTOGRAPH_SIZES = (Size.square(256), Size.square(128))
 PHOTOGRAPH_INPUTS, GENERATED_INPUTS = (2, 3), (2,)
@@ -89,10 +89,8 @@ def _check_once(field: str, values: Sequence[int | Size]) -> None:
 def neighbouring_scenes() -> list[Path]:
     """Folders in `shared/scenes` beside the checkout that suggest two inputs with targets."""
     found = []
-    for path in sorted((Path(__file__).resolve().parents[3] / "shared" / "scenes").glob("*/cameras.json")):
-        try:
-            suggested_views(path.parent, 2)
-        except NoSuchViews:
-            continue
-        found.append(path.parent)
+    for folder in sorted((Path(__file__).resolve().parents[3] / "shared" / "scenes").glob("*/")):
+        suggested = suggestions(folder) or {}
+        if suggested.get("context2") and suggested.get("target2"):
+            found.append(folder)
     return found

@@ -31,14 +31,14 @@ GENERATED_SHEETS = 8  # generated scenes with a picture, those of the smallest m
 
 @dataclass(frozen=True)
 class GroupPlan:
-    """Scenes that are evaluated alike: folders of photographs, or a number of generated ones."""
+    """Scenes that are evaluated alike: captures of photographs, or a number of generated ones."""
 
     inputs: int
     size: Size
-    folders: Mapping[str, Path] = field(default_factory=dict)  # label -> folder
+    folders: Mapping[str, Path] = field(default_factory=dict)  # label -> capture
     generated: int = 0
     seed: int = GENERATED_SEED  # of the generated ones
-    left_out: Mapping[str, str] = field(default_factory=dict)  # label -> reason, of folders without such views
+    left_out: Mapping[str, str] = field(default_factory=dict)  # label -> reason, of captures without such views
     whole: bool = False  # photographs as a whole instead of cropped to the aspect of `size`
 
     @property
@@ -64,7 +64,7 @@ def evaluate(
 ) -> Report:
     """Evaluate every plan and write report.json, report.md and pictures into `out`.
 
-    A folder without suggested views for a plan is left out, with the reason in the report. Raises `GapmesError`.
+    A capture without inputs and targets for a plan is left out, with the reason in the report. Raises `GapmesError`.
     """
     sizes = sorted({plan.size for plan in plans}, key=Size.order, reverse=True)
     check_output_folder(out)  # before the work, as everything here
@@ -132,8 +132,8 @@ def _group(
 
 
 def _looked_at(plan: GroupPlan) -> GroupPlan:
-    """The plan with the folders that can be evaluated. Raises `InputError` for one that is no scene folder or has an
-    unusable photograph, and where none is left."""
+    """The plan with the captures that can be evaluated. Raises `InputError` for one that is none or has an unusable
+    photograph, and where none is left."""
     folders, left_out = {}, {}
     for name, folder in plan.folders.items():
         try:

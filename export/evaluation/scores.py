@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from ..size import Size
 from .metrics import Figures, mean_figures, mean_or_none
 from .routing import RoutingStatistics
+from .scene_views import Photographs
 
 NEAREST, PLANE, SWEEP, TUNED_SWEEP = "nearest input", "plane blend", "plane sweep", "tuned sweep"
 TRUE_DEPTH = "true depth"
@@ -54,6 +55,7 @@ class SceneScore:
     covisible_share: float  # of the target pixels
     baselines: dict[str, MethodScore]  # TRUE_DEPTH among them where there is truth
     models: dict[str, ModelScore]
+    photographs: Photographs | None = None  # None of generated scenes
 
     @property
     def best_baseline(self) -> str:

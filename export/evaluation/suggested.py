@@ -4,40 +4,50 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gapmes.service.captures.capture import SceneFolder, load_scene_folder
 from gapmes.service.captures.files import FolderFiles, read_bounded
 from gapmes.service.captures.recognise import MAX_CAMERA_BYTES
 from gapmes.service.errors import InputError
 from gapmes.service.plain_number import counted
 
+Views = dict[str, list[int]]  # context2, target2, context3 and so on -> view indices
+
 
 class NoSuchViews(InputError):
-    """A scene folder suggests no inputs of this number, or no targets for them."""
+    """A scene has no inputs of this number, or no targets for them."""
 
 
-@dataclass(frozen=True)
-class SuggestedViews:
-    """A scene folder with the indices of its inputs and targets, valid and distinct."""
+def suggestions(path: Path) -> Views | None:
+    """What the `cameras.json` of a folder suggests, or this file itself; None where there is none or it says nothing.
+    Raises `InputError` for what is no JSON, and for lists of anything but whole numbers."""
+    file = path if path.name == "cameras.json" else path / "cameras.json"
+    if not file.is_file():
+        return None
+    try:
+        document = json.loads(read_bounded(FolderFiles(file.parent), file.name, MAX_CAMERA_BYTES))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{file} is no JSON: {error}", field="SCENE_DIR") from error
+    if not isinstance(document, dict) or "suggested" not in document:
+        return None
+    suggested: Any = document["suggested"]
+    lists = suggested.values() if isinstance(suggested, dict) else [None]
+    if not all(isinstance(views, list) and all(type(view) is int for view in views) for views in lists):
+        raise InputError(
+            f"{file}: need lists of view indices in an object, got {str(suggested)[:80]}",
+            field="suggested",
+            cure='for example {"context2": [1, 5], "target2": [2, 3, 4]}',
+        )
+    return suggested
 
-    scene: SceneFolder
-    inputs: tuple[int, ...]
-    targets: tuple[int, ...]
 
+def suggested_views(path: Path, suggested: Views, inputs: int, count: int) -> tuple[list[int], list[int]]:
+    """Inputs and targets for a number of inputs, among the `count` views of the scene at `path`, valid and distinct.
 
-def suggested_views(folder: Path, inputs: int) -> SuggestedViews:
-    """The views that `cameras.json` suggests for a number of inputs.
-
-    Raises `NoSuchViews` where it suggests none, and `InputError` for a folder that is no scene, another number of
-    inputs, a view that is missing or named twice, and a target that is an input.
+    Raises `NoSuchViews` where nothing is suggested, and `InputError` for another number of inputs, a view that is
+    missing or named twice, and a target that is an input.
     """
-    path = folder / "cameras.json"
-    if not path.is_file():
-        raise InputError(f"{path} is not a file", field="SCENE_DIR", cure="name a folder with images/ and cameras.json")
-    suggested = _suggested(path)
     names = f"context{inputs}", f"target{inputs}"
     context, targets = (suggested.get(name) for name in names)
     if not context or not targets:
@@ -51,16 +61,15 @@ def suggested_views(folder: Path, inputs: int) -> SuggestedViews:
             f"{path}: {names[0]} = {context} names {counted(len(context), 'view')}, need {inputs}",
             field=f"suggested.{names[0]}",
         )
-    scene = load_scene_folder(folder)
     for name, views in zip(names, (context, targets), strict=True):
-        _check_indices(path, name, views, len(scene.file.views))
+        _check_indices(path, name, views, count)
     if shared := sorted(set(context) & set(targets)):
         raise InputError(
             f"{path}: {', '.join(map(str, shared))} both in {names[0]} = {context} and {names[1]} = {targets}",
             field="suggested",
             cure="a target is held out: name views that are no inputs",
         )
-    return SuggestedViews(scene, tuple(context), tuple(targets))
+    return context, targets
 
 
 def _check_indices(path: Path, name: str, views: Sequence[int], count: int) -> None:
@@ -80,19 +89,3 @@ def _check_indices(path: Path, name: str, views: Sequence[int], count: int) -> N
                 index=view,
                 cure="name each view once",
             )
-
-
-def _suggested(path: Path) -> dict[str, list[int]]:
-    try:
-        document = json.loads(read_bounded(FolderFiles(path.parent), path.name, MAX_CAMERA_BYTES))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is no JSON: {error}", field="SCENE_DIR") from error
-    suggested: Any = document.get("suggested", {}) if isinstance(document, dict) else None
-    lists = suggested.values() if isinstance(suggested, dict) else [None]
-    if not all(isinstance(views, list) and all(type(view) is int for view in views) for views in lists):
-        raise InputError(
-            f"{path}: need lists of view indices in an object, got {str(suggested)[:80]}",
-            field="suggested",
-            cure='for example {"context2": [1, 5], "target2": [2, 3, 4]}',
-        )
-    return suggested

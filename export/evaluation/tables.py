@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from .floors import Floor
 from .metrics import Figures
 from .routing import RoutingStatistics
+from .scene_views import HELD_OUT
 from .scores import BASELINES, Group, MethodScore, Twice, mean_of
 
 SCENES_SHOWN = 20  # most scenes of a group in a table
@@ -37,9 +38,19 @@ def group_section(group: Group, lpips: bool) -> list[str]:
             "the best on average."
         )
     lines += ["", *_scene_table(group), "", *_twice_table(group), *_routing_table(group)]
+    lines += _held_out(group)
     for scene, reason in group.left_out.items():
         lines += [f"Left out: {scene}: {reason}", ""]
     return lines
+
+
+def _held_out(group: Group) -> list[str]:
+    """Inputs and targets of the scenes that suggest none."""
+    lines = []
+    for scene in group.scenes:
+        if (said := scene.photographs) is not None and said.by == HELD_OUT:
+            lines.append(f"- {scene.scene}: inputs {', '.join(said.inputs)}; targets {', '.join(said.targets)}")
+    return ["Held out, as these captures suggest no views:", "", *lines, ""] if lines else []
 
 
 def precision_table(groups: Sequence[Group], lpips: bool) -> list[str]:

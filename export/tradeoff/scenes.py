@@ -9,8 +9,8 @@ import numpy as np
 
 from gapmes.service.photographs.images import FittedView
 
-from ..evaluation.case import Case, opaque_view, photograph_case
-from ..evaluation.suggested import suggested_views
+from ..evaluation.case import Case, photograph_case
+from ..evaluation.scene_views import scene_views
 from .child import Given
 
 SIZE = 256  # px of the targets
@@ -27,10 +27,10 @@ class Scene:
 
 
 def load_scene(folder: Path, name: str | None = None) -> Scene:
-    """The suggested two inputs and their targets; up to two further inputs where views are left over. The folder's own
-    name unless another is given.
+    """The two inputs and the targets of a capture (`scene_views`); up to two further inputs where views are left over.
+    The folder's own name unless another is given.
 
-    Raises `InputError` for what is no scene folder and for views that are not there.
+    Raises `InputError` for what is no capture and for views that are not there.
     """
     case = photograph_case(folder, 2, SIZE, SIZE, name)
     return Scene(case.name, _given(case), case.targets, _more(folder, case))
@@ -41,15 +41,15 @@ def _given(case: Case) -> Given:
 
 
 def _more(folder: Path, case: Case) -> dict[int, Given]:
-    suggested = suggested_views(folder, 2)
-    scene, context, targets = suggested.scene, suggested.inputs, suggested.targets
-    spare = [i for i in range(len(scene.file.views)) if i not in (*context, *targets)]
+    scene = scene_views(folder, 2)
+    context, spare = scene.inputs.indices, scene.spare()
     found = {}
     for count in (3, 4):
         extra = count - len(context)
         if len(spare) < extra:
             break
         chosen = sorted([*context, *(spare[i] for i in np.linspace(0, len(spare) - 1, extra).round().astype(int))])
-        views = [opaque_view(scene, index) for index in chosen]
-        found[count] = Given([p for p, _ in views], [c for _, c in views], case.near, case.far)
+        views = scene.capture.views(chosen)
+        photographs = [scene.photograph(views, place) for place in range(count)]
+        found[count] = Given([p for p, _ in photographs], [c for _, c in photographs], case.near, case.far)
     return found

@@ -120,11 +120,11 @@ class Capture:
         said: dict[str, Any] = {"format": self.table.kind, "cameras": self.table.source, "of": count}
         if wanted.select is not None:
             indices = several_named_views(wanted.select, self.names, field=wanted.field, path_of=self._found)
-            return self._chosen(self.cameras(indices), indices, {"by": "select", **said})
+            return self.views(indices)
         if wanted.context is None and count <= MAX_VIEWS:
             indices = list(range(count))
             return self._chosen(self.cameras(indices), indices, {"by": "all", **said})
-        there = self._with_photograph()
+        there = self.with_photograph()
         said["without_photograph"] = count - len(there)
         if wanted.context is None and len(there) <= MAX_VIEWS:
             return self._chosen(self.cameras(there), there, {"by": "photographs", **said})
@@ -132,6 +132,24 @@ class Capture:
         choice = chosen_views(file.cameras, wanted.context or DEFAULT_CONTEXT, file.middles(near, far))
         indices = [there[place] for place in choice.places]
         return self._chosen(file.chosen(choice.places), indices, {"by": "score", **said, **choice.said}, warnings)
+
+    def views(self, indices: Sequence[int]) -> ChosenViews:
+        """The views with these indices, in this order. Raises `ImageError`, `CameraError` and `CaptureError`."""
+        said = {"format": self.table.kind, "cameras": self.table.source, "of": len(self.table.names)}
+        return self._chosen(self.cameras(indices), indices, {"by": "select", **said})
+
+    def with_photograph(self) -> list[int]:
+        """Indices of the views whose photograph is there. Raises `ImageError` where fewer than two are."""
+        there, first = [], None
+        for index in range(len(self.table.names)):
+            try:
+                self.path_of(index)
+                there.append(index)
+            except ImageError as error:
+                first = first or error
+        if len(there) < MIN_VIEWS and first is not None:
+            raise first
+        return there
 
     def _found(self, index: int) -> str | None:
         try:
@@ -150,18 +168,6 @@ class Capture:
                 raise ImageError(message, field="views.image", index=indices[place], cure=cure)
         said = {**said, "views": list(indices), "images": list(paths)}
         return ChosenViews(file, paths, self._photographs, tuple(indices), said, self.table.warnings + warnings)
-
-    def _with_photograph(self) -> list[int]:
-        there, first = [], None
-        for index in range(len(self.table.names)):
-            try:
-                self.path_of(index)
-                there.append(index)
-            except ImageError as error:
-                first = first or error
-        if len(there) < MIN_VIEWS and first is not None:
-            raise first
-        return there
 
     def _in_order(self) -> list[str]:
         if self._paths is None:

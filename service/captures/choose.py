@@ -37,7 +37,7 @@ def chosen_views(cameras: Sequence[Camera], count: int, middles: Sequence[float 
     """Choose `count` of two cameras or more, or all if there are not more; deterministic.
 
     `middles`: the z-depth of each view at which it is compared, 2 / (1 / near + 1 / far), caller's units; None where
-    it is unknown.
+    it is unknown (`compared_depths`).
 
     With o_ij the share of view i that view j sees at the depth of view i, mean of both directions, and a_ij the angle
     between the two cameras as seen from there, a pair has the quality q_ij = o_ij min(1, a_ij / 5 deg, 25 deg / a_ij),
@@ -46,20 +46,17 @@ def chosen_views(cameras: Sequence[Camera], count: int, middles: Sequence[float 
         mean over its views of the largest q with another of it x mean over all views of the largest c with one of it.
 
     The pair with the highest score comes first, then one view after the other that keeps it highest; ties go to the
-    earlier views. A view of unknown depth gets the median of the known ones; if none is known, each gets 0.7 of that of
-    `scene_depths`.
+    earlier views.
 
     Of all pairs of five captures of 8 to 12 photographs, reconstructed and compared with the others, the chosen one
     loses 0.4 dB to the best with near and far and 0.9 dB without, the median pair 1.9 dB. The constants were set with
     four of them.
     """
-    looked = _evenly(len(cameras), MAX_SCORED)
+    looked = evenly(len(cameras), MAX_SCORED)
     some = [cameras[place] for place in looked]
-    depths = np.array([middles[place] for place in looked], dtype=np.float64)  # None becomes NaN
-    known = np.isfinite(depths)
-    depths = np.where(known, depths, np.median(depths[known])) if known.any() else BEFORE * scene_depths(some)
+    depths = compared_depths(some, [middles[place] for place in looked])
     overlap = _overlap(some, depths)
-    angles = _angles(some, depths)
+    angles = parallax(some, depths)
     with np.errstate(divide="ignore"):
         quality = overlap * np.minimum(1.0, np.minimum(angles / SMALL_ANGLE, LARGE_ANGLE / angles))
         covered = overlap * np.minimum(1.0, NEAR_ANGLE / angles)
@@ -72,6 +69,14 @@ def chosen_views(cameras: Sequence[Camera], count: int, middles: Sequence[float 
         "parallax_degrees": round(float(np.degrees(np.mean([angles[pair] for pair in pairs]))), 2),
     }
     return Choice(tuple(sorted(looked[place] for place in chosen)), said)
+
+
+def compared_depths(cameras: Sequence[Camera], middles: Sequence[float | None]) -> F64:
+    """(V,) the z-depths at which two views or more are compared: where one is unknown the median of the known ones; if
+    none is known, 0.7 of those of `scene_depths`."""
+    depths = np.array(middles, dtype=np.float64)  # None becomes NaN
+    known = np.isfinite(depths)
+    return np.where(known, depths, np.median(depths[known])) if known.any() else BEFORE * scene_depths(cameras)
 
 
 def scene_depths(cameras: Sequence[Camera]) -> F64:
@@ -103,6 +108,12 @@ def scene_depths(cameras: Sequence[Camera]) -> F64:
 
 def _overlap(cameras: Sequence[Camera], depths: F64) -> F64:
     """(V, V) share of each view, at its depth, that another sees; mean of both directions, 1 on the diagonal."""
+    shares = seen_by(cameras, depths, cameras).mean(axis=2).T
+    return 0.5 * (shares + shares.T)
+
+
+def seen_by(cameras: Sequence[Camera], depths: F64, others: Sequence[Camera]) -> NDArray[np.bool_]:
+    """(O, V, P) whether each of the others sees the points of a grid of each view, which lie at the view's depth."""
     grid = pixel_grid((GRID, GRID)) / GRID
     points = np.concatenate(
         [
@@ -110,12 +121,10 @@ def _overlap(cameras: Sequence[Camera], depths: F64) -> F64:
             for one, depth in zip(cameras, depths, strict=True)
         ]
     )
-    seen = [other.shows(*other.project(points)).reshape(len(cameras), -1) for other in cameras]
-    shares = np.stack([mask.mean(axis=1) for mask in seen], axis=1)
-    return 0.5 * (shares + shares.T)
+    return np.stack([other.shows(*other.project(points)).reshape(len(cameras), -1) for other in others])
 
 
-def _angles(cameras: Sequence[Camera], depths: F64) -> F64:
+def parallax(cameras: Sequence[Camera], depths: F64) -> F64:
     """(V, V) parallax in radians: angle between two cameras from the centre point of a view; mean of both views."""
     centers = np.stack([camera.center for camera in cameras]) - cameras[0].center
     axes = np.stack([camera.rotation[:, 2] for camera in cameras])
@@ -152,7 +161,7 @@ def _grown(chosen: list[int], quality: F64, covered: F64, count: int) -> list[in
     return chosen
 
 
-def _evenly(count: int, most: int) -> list[int]:
+def evenly(count: int, most: int) -> list[int]:
     """All indices, or `most` evenly spaced ones including the first and the last."""
     if count <= most:
         return list(range(count))

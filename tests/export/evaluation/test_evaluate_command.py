@@ -121,7 +121,8 @@ def test_refusals_are_one_line(
     (tmp_path / "scene").mkdir()
     for text, words in (
         ("{bad", "is no JSON"),
-        ("[]", "lists of view indices"),
+        ("[]", f"{tmp_path / 'scene'}: is a list, need a JSON object"),
+        ('{"views": []}', f"{tmp_path / 'scene'}: views must be a non-empty list"),
         ('{"suggested": null}', "lists of view indices"),
         ('{"suggested": {"context2": [0, "1"], "target2": [2]}}', "lists of view indices"),
         ('{"suggested": {}}', "suggests no context"),

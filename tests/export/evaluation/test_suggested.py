@@ -14,7 +14,8 @@ from gapmes.export.cli import app as export_app
 from gapmes.export.evaluation import run as measuring
 from gapmes.export.evaluation import suggested as suggesting
 from gapmes.export.evaluation.case import photograph_case
-from gapmes.export.evaluation.suggested import NoSuchViews, suggested_views
+from gapmes.export.evaluation.scene_views import SUGGESTED, scene_views
+from gapmes.export.evaluation.suggested import NoSuchViews
 from gapmes.export.tradeoff import files
 from gapmes.service import cli
 from gapmes.service.errors import ImageError, InputError
@@ -52,36 +53,39 @@ def test_views_that_cannot_be_measured_are_refused(tmp_path: Path, suggested: di
 
 
 def test_what_is_suggested_is_taken(tmp_path: Path) -> None:
-    found = suggested_views(sample_folder(), 3)
-    assert (found.inputs, found.targets) == ((0, 3, 7), (1, 2, 5, 6))
-    edges = suggested_views(scene(tmp_path / "scene", context2=[0, 7]), 2)  # the first and the last there is
-    assert (edges.inputs, edges.targets) == ((0, 7), (2, 3))
+    found = scene_views(sample_folder(), 3)
+    assert (found.inputs.indices, found.targets.indices, found.by) == ((0, 3, 7), (1, 2, 5, 6), SUGGESTED)
+    edges = scene_views(scene(tmp_path / "scene", context2=[0, 7]), 2)  # the first and the last there is
+    assert (edges.inputs.indices, edges.targets.indices) == ((0, 7), (2, 3))
+    file = scene_views(tmp_path / "scene" / "cameras.json", 2)
+    assert (file.inputs.paths, file.targets.paths) == (edges.inputs.paths, edges.targets.paths)
 
 
 def test_a_folder_without_suggested_views_is_named(tmp_path: Path) -> None:
     with pytest.raises(NoSuchViews, match="context6"):
         photograph_case(sample_folder(), 6, 64, 64)
     with pytest.raises(NoSuchViews, match="target2"):
-        suggested_views(scene(tmp_path / "scene", target2=[]), 2)
-    with pytest.raises(InputError, match=r"cameras\.json is not a file"):
-        photograph_case(tmp_path, 2, 64, 64)
+        scene_views(scene(tmp_path / "scene", target2=[]), 2)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"is empty.*COLMAP model"):
+        photograph_case(tmp_path / "empty", 2, 64, 64)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-32-be"])
 def test_cameras_are_read_in_every_encoding_of_json(tmp_path: Path, encoding: str) -> None:
     path = scene(tmp_path / "scene") / "cameras.json"
     path.write_bytes(path.read_text().encode(encoding))
-    assert suggested_views(path.parent, 2).targets == (2, 3)
+    assert scene_views(path.parent, 2).targets.indices == (2, 3)
 
 
 def test_json_that_is_too_deep_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "cameras.json"
     path.write_text("[" * 100_000 + "]" * 100_000)
     with pytest.raises(InputError, match=r"cameras\.json is no JSON: "):
-        suggested_views(tmp_path, 2)
+        scene_views(tmp_path, 2)
     monkeypatch.setattr(suggesting, "MAX_CAMERA_BYTES", 1000)
     with pytest.raises(InputError, match="200000 bytes or more, the limit is 1000"):
-        suggested_views(tmp_path, 2)
+        scene_views(tmp_path, 2)
 
 
 def see_through(path: Path, width: int) -> None:

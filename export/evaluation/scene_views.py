@@ -1,0 +1,114 @@
+"""The inputs and held-out targets of a capture: those that it suggests, else those that a rule holds out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gapmes.service.cameras.camera import Camera
+from gapmes.service.captures.capture import Capture, ChosenViews, open_capture
+from gapmes.service.captures.files import FolderFiles
+from gapmes.service.captures.usable import usable_views
+from gapmes.service.errors import CaptureError, ImageError, InputError
+from gapmes.service.photographs.images import Photo, decode_image, match_photo
+from gapmes.service.photographs.undistort import undistorted
+from gapmes.service.plain_number import counted
+
+from .held_out import held_out_views
+from .suggested import NoSuchViews, suggested_views, suggestions
+
+SUGGESTED, HELD_OUT = "suggested", "held out"
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Which photographs of a capture are compared."""
+
+    by: str  # SUGGESTED or HELD_OUT
+    inputs: tuple[str, ...]  # paths in the capture
+    targets: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneViews:
+    """The chosen views of a capture; photographs are not read yet."""
+
+    path: Path  # of the capture
+    capture: Capture
+    by: str  # SUGGESTED or HELD_OUT
+    inputs: ChosenViews
+    targets: ChosenViews
+
+    @property
+    def said(self) -> Photographs:
+        return Photographs(self.by, self.inputs.paths, self.targets.paths)
+
+    def spare(self) -> list[int]:
+        """Indices of the views with a photograph and a usable camera that are neither inputs nor targets."""
+        used = {*self.inputs.indices, *self.targets.indices}
+        return [index for index in _usable(self.capture)[0] if index not in used]
+
+    def photograph(self, views: ChosenViews, place: int) -> tuple[Photo, Camera]:
+        """A photograph of `views` of this capture at its own size, without lens distortion, with its camera. Raises
+        `ImageError` where it cannot be decoded or has transparent pixels, naming the file."""
+        index, view = views.indices[place], views.file.views[place]
+        root = self.capture.files.root if isinstance(self.capture.files, FolderFiles) else self.path
+        file = root / views.paths[place]
+        try:
+            photo = decode_image(views.read(place), index=index)
+        except (ImageError, CaptureError) as error:  # of one scene of several
+            named = f"{file}: {error.message}"
+            raise type(error)(named, field=error.field, index=index, cure=error.cure, **error.extra) from error
+        if photo.mask is not None:
+            raise ImageError(
+                f"{file} is transparent in {(~photo.mask).sum()} of {photo.mask.size} pixels, need 0: all are compared",
+                field="images",
+                index=index,
+                cure="save the scene's photographs without an alpha channel, or leave the scene out",
+            )
+        if view.lens is None:
+            return match_photo(photo, view.camera, index=index)
+        photo = undistorted(photo, view.lens, index=index)
+        return photo, view.camera.resized(photo.width, photo.height)
+
+
+def scene_views(path: Path, inputs: int) -> SceneViews:
+    """The views of a scene folder that its `cameras.json` suggests for a number of inputs; of any other capture those
+    that `held_out_views` chooses.
+
+    Raises `NoSuchViews` where there are none, and `InputError` for what is no capture and for a wrong suggestion; each
+    names the capture.
+    """
+    try:
+        suggested = suggestions(path)
+        capture = open_capture(path)
+        if suggested is None:
+            return _held_out(path, capture, inputs)
+        context, targets = suggested_views(path, suggested, inputs, len(capture.table.names))
+        return SceneViews(path, capture, SUGGESTED, capture.views(context), capture.views(targets))
+    except InputError as error:  # of one capture of several
+        if str(path) not in error.message:
+            error.message = f"{path}: {error.message}"
+        raise
+
+
+def _held_out(path: Path, capture: Capture, inputs: int) -> SceneViews:
+    """Raises `NoSuchViews` where there are no targets."""
+    there, middles, cameras = _usable(capture)
+    given, held_out = held_out_views(cameras, middles, inputs)
+    if not held_out:
+        raise NoSuchViews(
+            f"{path} has {counted(len(there), 'view')} with a photograph; with every second one held out, no target is "
+            f"left that {inputs} inputs see and that lies between them",
+            field="SCENE_DIR",
+            cure='take more photographs between those that are there, or name views in a cameras.json: "suggested": '
+            f'{{"context{inputs}": [...], "target{inputs}": [...]}}',
+        )
+    views = (capture.views([there[place] for place in places]) for places in (given, held_out))
+    return SceneViews(path, capture, HELD_OUT, *views)
+
+
+def _usable(capture: Capture) -> tuple[list[int], list[float | None], tuple[Camera, ...]]:
+    """The views with a photograph and a usable camera: indices, depths at which they are compared, and cameras."""
+    there, file, _ = usable_views(capture.with_photograph(), capture.cameras)
+    return there, file.middles(None, None), file.cameras
