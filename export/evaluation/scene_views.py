@@ -15,7 +15,7 @@ from gapmes.service.photographs.undistort import undistorted
 from gapmes.service.plain_number import counted
 
 from .held_out import held_out_views
-from .suggested import NoSuchViews, suggested_views, suggestions
+from .suggested import NoSuchViews, check_indices, suggested_views, suggestions
 
 SUGGESTED, HELD_OUT = "suggested", "held out"
 
@@ -80,11 +80,11 @@ def scene_views(path: Path, inputs: int) -> SceneViews:
     names the capture.
     """
     try:
-        suggested = suggestions(path)
+        if (suggested := suggestions(path)) is None:
+            return _held_out(path, open_capture(path), inputs)
+        context, targets = suggested_views(path, suggested, inputs)
         capture = open_capture(path)
-        if suggested is None:
-            return _held_out(path, capture, inputs)
-        context, targets = suggested_views(path, suggested, inputs, len(capture.table.names))
+        check_indices(path, inputs, (context, targets), len(capture.table.names))
         return SceneViews(path, capture, SUGGESTED, capture.views(context), capture.views(targets))
     except InputError as error:  # of one capture of several
         if str(path) not in error.message:

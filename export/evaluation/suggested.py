@@ -42,13 +42,13 @@ def suggestions(path: Path) -> Views | None:
     return suggested
 
 
-def suggested_views(path: Path, suggested: Views, inputs: int, count: int) -> tuple[list[int], list[int]]:
-    """Inputs and targets for a number of inputs, among the `count` views of the scene at `path`, valid and distinct.
+def suggested_views(path: Path, suggested: Views, inputs: int) -> tuple[list[int], list[int]]:
+    """Inputs and targets for a number of inputs of the scene at `path`.
 
-    Raises `NoSuchViews` where nothing is suggested, and `InputError` for another number of inputs, a view that is
-    missing or named twice, and a target that is an input.
+    Raises `NoSuchViews` where nothing is suggested, and `InputError` for another number of inputs and for a target that
+    is an input.
     """
-    names = f"context{inputs}", f"target{inputs}"
+    names = _names(inputs)
     context, targets = (suggested.get(name) for name in names)
     if not context or not targets:
         raise NoSuchViews(
@@ -61,8 +61,6 @@ def suggested_views(path: Path, suggested: Views, inputs: int, count: int) -> tu
             f"{path}: {names[0]} = {context} names {counted(len(context), 'view')}, need {inputs}",
             field=f"suggested.{names[0]}",
         )
-    for name, views in zip(names, (context, targets), strict=True):
-        _check_indices(path, name, views, count)
     if shared := sorted(set(context) & set(targets)):
         raise InputError(
             f"{path}: {', '.join(map(str, shared))} both in {names[0]} = {context} and {names[1]} = {targets}",
@@ -72,20 +70,25 @@ def suggested_views(path: Path, suggested: Views, inputs: int, count: int) -> tu
     return context, targets
 
 
-def _check_indices(path: Path, name: str, views: Sequence[int], count: int) -> None:
-    """Raises `InputError` for a view outside of the scene's `count`, or named twice."""
-    for place, view in enumerate(views):
-        if not 0 <= view < count:
-            raise InputError(
-                f"{path}: is {view}, the scene has {counted(count, 'view')}: need 0 to {count - 1}",
-                field=f"suggested.{name}[{place}]",
-                index=view,
-                cure="views are counted from 0, in the order of the file",
-            )
-        if (first := views.index(view)) < place:
-            raise InputError(
-                f"{path}: is {view}, as {name}[{first}] is",
-                field=f"suggested.{name}[{place}]",
-                index=view,
-                cure="name each view once",
-            )
+def check_indices(path: Path, inputs: int, views: tuple[Sequence[int], Sequence[int]], count: int) -> None:
+    """Raises `InputError` for an input or target outside of the scene's `count` views, or named twice."""
+    for name, indices in zip(_names(inputs), views, strict=True):
+        for place, view in enumerate(indices):
+            if not 0 <= view < count:
+                raise InputError(
+                    f"{path}: is {view}, the scene has {counted(count, 'view')}: need 0 to {count - 1}",
+                    field=f"suggested.{name}[{place}]",
+                    index=view,
+                    cure="views are counted from 0, in the order of the file",
+                )
+            if (first := indices.index(view)) < place:
+                raise InputError(
+                    f"{path}: is {view}, as {name}[{first}] is",
+                    field=f"suggested.{name}[{place}]",
+                    index=view,
+                    cure="name each view once",
+                )
+
+
+def _names(inputs: int) -> tuple[str, str]:
+    return f"context{inputs}", f"target{inputs}"
