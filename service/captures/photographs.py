@@ -8,6 +8,7 @@ from functools import cached_property
 
 from ..errors import CaptureError, ImageError, ImageUnreadable
 from ..photographs.image_files import MAX_PIXELS, image_size
+from .elsewhere import Elsewhere
 from .files import Files, joined, read_bounded
 from .names import Endings, key
 
@@ -32,6 +33,7 @@ class Photographs:
         self._listed: dict[str, dict[str, list[str]]] = {}
         self._below: dict[str, dict[str, list[str]]] = {}
         self._sizes: dict[str, tuple[int, int]] = {}
+        self._elsewhere = Elsewhere(files, self._folders_in, SUFFIXES)
 
     def find(self, name: str | None, index: int) -> str:
         """Path of a photograph: by its name, also with a missing suffix or in another case, else by a unique end of its
@@ -45,8 +47,10 @@ class Photographs:
             looked = ", ".join(place or "." for place in self._places[:3])
             cure = f"photographs are looked for in {looked} and the like, under the names that the cameras have"
             last = posixpath.basename(joined(name))
-            if (count := self._endings.count(last)) > 1 and self._at(last):
-                cure += f"; {last} alone may be any of {count}: keep their folders"
+            if (count := self._endings.count(last)) > 1:
+                cure += f"; {last} alone may be any of {count}: keep their folders" if self._at(last) else ""
+            elif (hint := self._elsewhere.hint(name)) is not None:
+                cure = f"{hint}; {cure}"
             message = f"{posixpath.join(self._files.label, name)} does not exist"
             raise ImageError(message, field="views.image", index=index, cure=cure)
         return found
@@ -116,6 +120,9 @@ class Photographs:
                 return path
             found = joined(found, part if part in same else same[0])
         return found
+
+    def _folders_in(self, folder: str) -> list[str]:
+        return [name for same in self._named_like(folder).values() for name in same]
 
     def _named_like(self, folder: str) -> dict[str, list[str]]:
         """Names of the folders in `folder` by their `key`."""

@@ -10,10 +10,12 @@ import pytest
 from capture_scenes import arc, photograph, write_photographs, zipped
 
 from gapmes.service.cameras.camera_file import camera_document
-from gapmes.service.captures import names
+from gapmes.service.captures import elsewhere, names
 from gapmes.service.captures.capture import open_capture
+from gapmes.service.captures.elsewhere import Elsewhere
 from gapmes.service.captures.files import FolderFiles
 from gapmes.service.captures.names import MOST_PARTS, Endings, places_of, same_file, same_path
+from gapmes.service.captures.photographs import SUFFIXES
 from gapmes.service.captures.select import ViewSelection, named_views
 from gapmes.service.errors import ImageError, ViewError
 
@@ -39,6 +41,46 @@ def test_photographs_of_one_camera_of_a_rig_are_not_those_of_the_other(tmp_path:
     assert chosen.indices == (4, 5, 6, 7)
     assert chosen.selection["without_photograph"] == 4
     assert [chosen.read(place) for place in range(4)] == [photograph(seed) for seed in range(4)]
+
+
+ELSEWHERE = {
+    "images_cropped/a.PNG": "images_cropped/a.PNG has this name: rename the folder images_cropped to images, or write",
+    "scan/rgb left/a.png": "scan/rgb left/a.png has this name: rename the folder scan/rgb left to images",
+    "images/a.jpeg": "images/a.jpeg has another suffix: if it is this photograph, write its name",
+}
+
+
+@pytest.mark.parametrize("packed", [False, True], ids=["folder", "zip"])
+@pytest.mark.parametrize("there", [*ELSEWHERE, "other/b.png"])
+def test_a_missing_photograph_that_lies_elsewhere_is_told(tmp_path: Path, there: str, packed: bool) -> None:
+    path = capture_of(tmp_path / "capture", ["images/a.png", "images/c.png"], [there, "images/c.png"])
+    if packed:
+        path = tmp_path / "capture.zip"
+        path.write_bytes(zipped(tmp_path / "capture"))
+    with pytest.raises(ImageError, match="does not exist") as caught:
+        open_capture(path).choose(ViewSelection())
+    assert caught.value.index == 0
+    assert caught.value.cure.startswith(ELSEWHERE.get(there, "photographs are looked for in ., images, images_2"))
+    assert "photographs are looked for in" in caught.value.cure
+
+
+def test_a_missing_photograph_is_not_looked_for_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Folders are listed once for all missing ones, outer ones first, and no more of them than the limit."""
+    (tmp_path / "a" / "b" / "c").mkdir(parents=True)
+    folder = capture_of(tmp_path, ["images/a.png", "images/d.png"], ["a/b/a.png", "a/b/c/d.png"])
+    listed: list[str] = []
+    files = FolderFiles(folder)
+    found = Elsewhere(files, files.folders, SUFFIXES)
+    monkeypatch.setattr(files, "files", lambda place: listed.append(place) or FolderFiles.files(files, place))
+    assert "a/b/a.png has this name" in found.hint("a.png")
+    assert "a/b/c/d.png has this name" in found.hint("x/d.png")
+    assert listed == ["", "a", "a/b", "a/b/c"]
+    monkeypatch.setattr(elsewhere, "MOST_FOLDERS", 3)
+    short = Elsewhere(files, files.folders, SUFFIXES)
+    assert short.hint("a.png")
+    assert short.hint("d.png") is None
+    monkeypatch.setattr(elsewhere, "MOST_NAMES", 0)
+    assert Elsewhere(files, files.folders, SUFFIXES).hint("a.png") is None
 
 
 @pytest.mark.parametrize("above", ["", "/home/me/scans/", "C:\\scans\\rig\\", "../rig/"])
@@ -92,9 +134,10 @@ def test_a_folder_of_folders_is_read_once(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(FolderFiles, "folders", lambda self, folder: asked.append(folder) or real(self, folder))
     capture = open_capture(capture_of(tmp_path, named, there))
     asked.clear()
-    with pytest.raises(ImageError, match="does not exist"):
+    with pytest.raises(ImageError, match="does not exist") as caught:
         capture.choose(ViewSelection())
     assert len(asked) == len(set(asked)) < 20
+    assert "has this name" not in caught.value.cure  # any view's
 
 
 @pytest.mark.parametrize("forms", [("NFC", "NFD"), ("NFD", "NFC")])
