@@ -84,11 +84,11 @@ def coarse_notices(given: DepthRange, found: DepthRange, views: Sequence[FittedV
     if found.source != "narrowed":
         return []
     message = (
-        f"between the given near = {given.near:.4g} and far = {given.far:.4g} the network's {planes} depths stand "
+        f"between near = {given.near:.4g} and far = {given.far:.4g} the network's {planes} depths stand "
         f"{planes_apart_px(given, views, planes):.3g} px of parallax apart, need some {COARSE_PX:g}: the scene is "
         f"looked for from {found.near:.4g} to {found.far:.4g}, where the photographs match"
     )
-    cure = "give near and far closer to the scene, near above all, or neither"
+    cure = "give near and far closer to the scene, near above all"
     return [{"code": "depth_range_coarse", "field": "near", "message": f"{message} ({cure})"}]
 
 

@@ -19,7 +19,10 @@ from .window_match import match_weights
 
 AT_END = 0.2  # share of contrast whose best plane is at an end; right ranges of 170 pairs: near <= 0.05, far <= 0.11
 END = 2  # planes that count as an end
-CURE = "give near and far in the unit of the poses, around the whole scene, or neither"
+CURE = (  # they may come from the capture
+    "give near and far in the unit of the poses, around the whole scene; where neither the request nor the camera file "
+    "has them, they are estimated"
+)
 
 
 def estimated_instead(cameras: Sequence[Camera], depths: DepthRange) -> DepthRange | None:
@@ -41,7 +44,7 @@ def range_doubtful(
     z-depths of the given range's planes."""
     found, (inside, elsewhere) = narrowed(estimate, views), scores
     message = (
-        f"the photographs match with score {inside:.2f} at depths from the given near = {depths.near:.4g} to far = "
+        f"the photographs match with score {inside:.2f} at depths from near = {depths.near:.4g} to far = "
         f"{depths.far:.4g}, and {elsewhere:.2f} where the range is estimated: {found.near:.4g} to {found.far:.4g}"
     )
     at_near, at_far = _at_ends(coarse, swept)

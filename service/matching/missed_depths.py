@@ -45,7 +45,7 @@ def missed_depths(pairs: PairMatches) -> list[Notice]:
         if amount > LEAST * weight.sum():
             low, high = outer_percentiles(depth[missed], weight[missed])
             message = (
-                f"{amount / weight.sum():.0%} of what matches in the photographs lies {where} than the given {end} = "
+                f"{amount / weight.sum():.0%} of what matches in the photographs lies {where} than {end} = "
                 f"{limit:.4g}, at depths of {low:.4g} to {high:.4g}"
             )
             notices.append({"code": "depth_range_doubtful", "field": end, "message": f"{message} ({CURE})"})

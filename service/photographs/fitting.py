@@ -175,7 +175,7 @@ def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> lis
         size = f"{camera.width} x {camera.height}" if lens is None else f"{lens.width} x {lens.height}"
         message = f"EXIF orientation {photo.orientation} is not applied: the camera has the stored size {size}"
         notices.append({"code": "exif_orientation_ignored", "field": "images", "index": index, "message": message})
-    return notices if lens is None else [*notices, _lens_notice(lens, index)]
+    return notices if lens is None else [*notices, _lens_notice(photo, lens, index)]
 
 
 def _within(fine: FittedView, mask: NDArray[np.bool_] | None) -> FittedView:
@@ -199,11 +199,12 @@ def _too_small(width: int, height: int, shape: Shape, detail: int, index: int) -
     return [{"code": "detail_beyond_photograph", "field": "images", "index": index, "message": message}]
 
 
-def _lens_notice(lens: Lens, index: int) -> Notice:
-    """The warning that the photograph was undistorted: by how much, and which share of its pixels is left."""
-    window = pinhole_window(lens)
+def _lens_notice(photo: Photo, lens: Lens, index: int) -> Notice:
+    """The warning that the photograph was undistorted: by how much, in its own pixels, and which share of these is
+    left."""
+    (width, height), shift = undistorted_size(photo, lens), lens.largest_shift() * photo.width / lens.width
     message = (
-        f"the lens moves points by up to {lens.largest_shift():.3g} px: resampled to a pinhole of {window.width} x "
-        f"{window.height} px, which holds {window.kept_share:.1%} of the photograph's pixels"
+        f"the lens moves points by up to {shift:.3g} px: resampled to a pinhole of {width} x {height} px, which shows "
+        f"{pinhole_window(lens).kept_share:.1%} of the photograph"
     )
     return {"code": "undistorted", "field": "images", "index": index, "message": message}

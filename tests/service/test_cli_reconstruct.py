@@ -154,7 +154,7 @@ def test_photographs_through_a_lens_are_resampled(
     width, height = (document["cameras"][0][name] for name in ("width", "height"))
     told = [warning for warning in document["warnings"] if warning["code"] == "undistorted"]
     assert [warning["index"] for warning in told] == [0, 1]
-    assert f"resampled to a pinhole of {width} x {height} px, which holds 9" in told[0]["message"]
+    assert f"resampled to a pinhole of {width} x {height} px, which shows 9" in told[0]["message"]
     assert (width, height) != (96, 72)
     assert told[1]["message"] in err
 

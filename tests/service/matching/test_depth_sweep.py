@@ -142,7 +142,7 @@ def test_a_given_range_is_narrowed_where_the_planes_would_stand_far_apart(near, 
         assert LEAST_NEAR < result.near < 0.6 * 4.6
         (notice,) = notices
         assert (notice["code"], notice["field"]) == ("depth_range_coarse", "near")
-        words = f"given near = 0.3 and far = 30 the network's {planes} depths stand {apart:.3g} px"
+        words = f"between near = 0.3 and far = 30 the network's {planes} depths stand {apart:.3g} px"
         assert words in notice["message"]
         assert f"from {result.near:.4g} to {result.far:.4g}" in notice["message"]
 

@@ -19,7 +19,7 @@ def test_a_range_that_misses_the_scene_is_told(indices, near, far, end):
     assert (notice["code"], notice["field"]) == ("depth_range_doubtful", "near")
     assert notice["score"] < 0.75
     found = narrowed(depth_range([view.camera for view in views]), views)
-    assert f"from the given near = {near * NEAR:.4g} to far = {far * FAR:.4g}, and 0.8" in notice["message"]
+    assert f"from near = {near * NEAR:.4g} to far = {far * FAR:.4g}, and 0.8" in notice["message"]
     assert f"estimated: {found.near:.4g} to {found.far:.4g};" in notice["message"]
     assert f"match best at {end}: what they show may be {'nearer' if end == 'near' else 'farther'}" in notice["message"]
 

@@ -48,7 +48,7 @@ def test_the_end_and_the_depths_beyond_it_are_told(near: float, far: float, end:
         assert low == pytest.approx(depth, rel=0.1)
         assert high == pytest.approx(depth, rel=0.1)
         where, limit = ("nearer", near) if end == "near" else ("farther", far)
-        assert f"lies {where} than the given {end} = {limit:.4g}, " in notice["message"]
+        assert f"lies {where} than {end} = {limit:.4g}, " in notice["message"]
 
 
 def test_an_estimate_is_not_judged() -> None:

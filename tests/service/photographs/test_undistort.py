@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import io
 import math
 import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.camera_fields import view_through
 from gapmes.service.cameras.distortion import Lens, pinhole_window
 from gapmes.service.cameras.pose import checked_pose
 from gapmes.service.errors import ImageError, IntrinsicsError
-from gapmes.service.photographs.images import Photo
+from gapmes.service.photographs.fitting import fitted
+from gapmes.service.photographs.images import EncodedPhoto, Photo
 from gapmes.service.photographs.undistort import MAX_SIDE, undistorted
 
 LENSES = {
@@ -113,6 +116,26 @@ def test_photographs_at_another_resolution_and_turned() -> None:
     np.testing.assert_array_equal(undistorted(lying, lens).rgb, whole.rgb)
     with pytest.raises(ImageError, match="the aspects differ"):
         undistorted(Photo(np.zeros((100, 100, 3), np.uint8)), lens, index=3)
+
+
+def test_the_warning_speaks_of_the_photographs_pixels() -> None:
+    """A photograph of a quarter of the size that its camera is given for."""
+    lens = LENSES["barrel"]
+    camera = pinhole_camera(lens)
+    large = through(lens)
+    small = Photo(np.ascontiguousarray(large.rgb[::4, ::4]))
+    for photo, scale in ((large, 1.0), (small, 0.25)):
+        made = undistorted(photo, lens)
+        (notice,) = fitted(photo_of(photo, lens), camera, 5, (64, 64))[2]
+        assert f"by up to {scale * lens.largest_shift():.3g} px: " in notice["message"]
+        assert f"a pinhole of {made.width} x {made.height} px, which shows " in notice["message"]
+        assert notice["index"] == 5
+
+
+def photo_of(photo: Photo, lens: Lens) -> EncodedPhoto:
+    buffer = io.BytesIO()
+    Image.fromarray(photo.rgb).save(buffer, "PNG")
+    return EncodedPhoto(buffer.getvalue(), lens=lens)
 
 
 def test_masks_are_bent_with_the_colours_and_let_none_through() -> None:
