@@ -15,6 +15,7 @@ from ..cameras.rotations import quaternion_from_matrix
 from ..gaussians import Gaussians, joined
 from ..harmonics import C0
 from ..photographs.images import FittedView
+from .outlines import clear_of_masks
 
 F64 = NDArray[np.float64]
 
@@ -40,11 +41,14 @@ def backdrop(views: Sequence[FittedView], depths: F64, coefficients: int) -> tup
     the mean colour of the pixels of about that depth there. The second sheet: where the first one, within BEYOND cells,
     is at less than DEEPER of this inverse depth, a cell stands behind the farthest of it, in its colour. Cells of the
     margin take depth and colour of the nearest cell; those of a ring take its colour, and stand behind all cells within
-    the ring's outer distance of it. No cell stands where a mask keeps less than KEPT of it, and a masked photograph has
-    neither second sheet nor rings: what its mask leaves out must stay invisible.
+    the ring's outer distance of it. No cell stands where a mask keeps less than KEPT of it, nor where it would reach
+    into what a mask leaves out (`clear_of_masks`), and a masked photograph has neither second sheet nor rings: what its
+    mask leaves out must stay invisible.
     """
     sets = [_of_view(view, 1 / depth, coefficients) for view, depth in zip(views, depths, strict=True)]
+    owner = np.repeat(np.arange(len(sets)), [len(own) for own, _ in sets])
     behind, around = (joined(*parts) for parts in zip(*sets, strict=True))
+    behind = behind[clear_of_masks(behind.means.astype(np.float64), owner, views, depths)]
     return joined(behind, around), len(behind)
 
 
