@@ -58,7 +58,7 @@ class Report:
         folder.mkdir(parents=True, exist_ok=True)
         paths = [folder / "report.json", folder / "report.md"]
         paths[0].write_text(json.dumps(self.document(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        paths[1].write_text(self.markdown(), encoding="utf-8")
+        paths[1].write_text(self.markdown(), encoding="utf-8", errors="backslashreplace")  # names of files
         return paths
 
 

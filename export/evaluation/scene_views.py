@@ -15,7 +15,7 @@ from gapmes.service.photographs.undistort import undistorted
 from gapmes.service.plain_number import counted
 
 from .held_out import held_out_views
-from .suggested import NoSuchViews, check_indices, suggested_views, suggestions
+from .suggested import NoSuchViews, check_indices, suggested_by, suggested_views, suggestions
 
 SUGGESTED, HELD_OUT = "suggested", "held out"
 
@@ -80,14 +80,16 @@ def scene_views(path: Path, inputs: int) -> SceneViews:
     names the capture.
     """
     try:
-        if (suggested := suggestions(path)) is None:
-            return _held_out(path, open_capture(path), inputs)
-        context, targets = suggested_views(path, suggested, inputs)
+        if (suggested := suggestions(path)) is not None:
+            suggested_views(path, suggested, inputs)  # told before the cameras are read
         capture = open_capture(path)
+        if suggested is None and (suggested := suggested_by(capture, path)) is None:
+            return _held_out(path, capture, inputs)
+        context, targets = suggested_views(path, suggested, inputs)
         check_indices(path, inputs, (context, targets), len(capture.table.names))
-        return SceneViews(path, capture, SUGGESTED, capture.views(context), capture.views(targets))
+        return _distinct(SceneViews(path, capture, SUGGESTED, capture.views(context), capture.views(targets)))
     except InputError as error:  # of one capture of several
-        if str(path) not in error.message:
+        if not error.message.startswith(str(path)):
             error.message = f"{path}: {error.message}"
         raise
 
@@ -105,7 +107,21 @@ def _held_out(path: Path, capture: Capture, inputs: int) -> SceneViews:
             f'{{"context{inputs}": [...], "target{inputs}": [...]}}',
         )
     views = (capture.views([there[place] for place in places]) for places in (given, held_out))
-    return SceneViews(path, capture, HELD_OUT, *views)
+    return _distinct(SceneViews(path, capture, HELD_OUT, *views))
+
+
+def _distinct(views: SceneViews) -> SceneViews:
+    """Raises `ImageError` where a target has the photograph of an input."""
+    for path, index in zip(views.targets.paths, views.targets.indices, strict=True):
+        if path in views.inputs.paths:
+            first = views.inputs.indices[views.inputs.paths.index(path)]
+            raise ImageError(
+                f"{path} is the photograph of view {first}, an input, too",
+                field="views.image",
+                index=index,
+                cure="a target is held out: name one photograph for each view",
+            )
+    return views
 
 
 def _usable(capture: Capture) -> tuple[list[int], list[float | None], tuple[Camera, ...]]:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gapmes.service.captures.files import FolderFiles, read_bounded
+from gapmes.service.captures.capture import Capture
+from gapmes.service.captures.files import Files, FolderFiles, read_bounded
 from gapmes.service.captures.recognise import MAX_CAMERA_BYTES
 from gapmes.service.errors import InputError
 from gapmes.service.plain_number import counted
@@ -23,10 +24,19 @@ def suggestions(path: Path) -> Views | None:
     """What the `cameras.json` of a folder suggests, or this file itself; None where there is none or it says nothing.
     Raises `InputError` for what is no JSON, and for lists of anything but whole numbers."""
     file = path if path.name == "cameras.json" else path / "cameras.json"
-    if not file.is_file():
+    return _suggested(FolderFiles(file.parent), file.name, file) if file.is_file() else None
+
+
+def suggested_by(capture: Capture, path: Path) -> Views | None:
+    """The same of an open capture at `path`, such as a zip, whose cameras come from a file of this kind."""
+    if capture.table.kind != "cameras.json":
         return None
+    return _suggested(capture.files, capture.table.source, path / capture.table.source)
+
+
+def _suggested(files: Files, name: str, file: Path) -> Views | None:
     try:
-        document = json.loads(read_bounded(FolderFiles(file.parent), file.name, MAX_CAMERA_BYTES))
+        document = json.loads(read_bounded(files, name, MAX_CAMERA_BYTES))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{file} is no JSON: {error}", field="SCENE_DIR") from error
     if not isinstance(document, dict) or "suggested" not in document:

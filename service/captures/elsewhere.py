@@ -11,28 +11,30 @@ from .names import key
 
 MOST_FOLDERS = 16  # that are looked into; captures have some ten, zips may have thousands
 MOST_NAMES = 20_000  # of photographs that are remembered
+NO_PHOTOGRAPHS = ("mask", "depth", "normal", "semantic")  # in names of folders: their pictures have photographs' names
 
 
 class Elsewhere:
-    """The photographs in the folders of a capture, the outer ones first, listed when the first one is missing.
+    """The photographs in the folders below `base`, the outer ones first, listed when the first one is missing.
     `folders` lists those in a folder."""
 
-    def __init__(self, files: Files, folders: Callable[[str], Sequence[str]], suffixes: tuple[str, ...]) -> None:
+    def __init__(
+        self, files: Files, base: str, folders: Callable[[str], Sequence[str]], suffixes: tuple[str, ...]
+    ) -> None:
         self._files = files
+        self._base = base
         self._folders = folders
         self._suffixes = suffixes
         self._found: dict[str, str] | None = None  # last part of the path, with and without suffix -> path
 
     def hint(self, name: str) -> str | None:
-        """How the photograph that a camera file calls `name` could be found; None where nothing has that name."""
+        """Where the photograph may be that a camera file calls `name`; None where nothing has that name."""
         last = posixpath.basename(key(name))
         found = self._listed()
         if path := found.get(last):
-            folder = posixpath.dirname(path)
-            moved = f"rename the folder {folder} to images" if folder else "put it into a folder images"
-            return f"{path} has this name: {moved}, or write that path into the camera file"
+            return f"{path} has this name: if it is this photograph, put it where photographs are looked for"
         if path := found.get(posixpath.splitext(last)[0]):
-            return f"{path} has another suffix: if it is this photograph, write its name into the camera file"
+            return f"{path} has another suffix: if it is this photograph, give it the one that its camera names"
         return None
 
     def _listed(self) -> dict[str, str]:
@@ -46,9 +48,11 @@ class Elsewhere:
 
     def _paths(self) -> list[str]:
         found: list[str] = []
-        waiting, looked = deque([""]), 0
+        waiting, looked = deque([self._base]), 0
         while waiting and looked < MOST_FOLDERS and len(found) < MOST_NAMES:
             folder, looked = waiting.popleft(), looked + 1
             found += [joined(folder, name) for name in self._files.files(folder) if name.endswith(self._suffixes)]
-            waiting += [joined(folder, name) for name in self._folders(folder)]
+            for name in self._folders(folder):
+                if not any(word in name.lower() for word in NO_PHOTOGRAPHS):
+                    waiting.append(joined(folder, name))
         return found[:MOST_NAMES]

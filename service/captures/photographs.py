@@ -33,7 +33,7 @@ class Photographs:
         self._listed: dict[str, dict[str, list[str]]] = {}
         self._below: dict[str, dict[str, list[str]]] = {}
         self._sizes: dict[str, tuple[int, int]] = {}
-        self._elsewhere = Elsewhere(files, self._folders_in, SUFFIXES)
+        self._elsewhere = Elsewhere(files, base, self._folders_in, SUFFIXES)
 
     def find(self, name: str | None, index: int) -> str:
         """Path of a photograph: by its name, also with a missing suffix or in another case, else by a unique end of its

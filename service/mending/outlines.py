@@ -28,11 +28,12 @@ def clear_of_masks(points: F64, owner: NDArray[np.intp], views: Sequence[FittedV
 
     A mask is an outline, such as that of an object cut out of its background, if the other views have little where it
     leaves pixels out: of their kept pixels that it shows, at most STRAY times the share of its picture that lies there.
-    A passer-by who is masked in one photograph hides what others show; behind him a sheet may stand.
+    A passer-by who is masked in one photograph hides what others show; behind him a sheet may stand. So it may at bars:
+    masks that keep a whole rectangle say nothing about the scene.
     """
     clear = np.ones(len(points), dtype=np.bool_)
     for index, view in enumerate(views):
-        if view.mask is None:
+        if view.mask is None or _is_rectangle(view.mask):
             continue
         others = [place for place in range(len(views)) if place != index]
         judged = owner == index
@@ -55,10 +56,18 @@ def _sums(values: F64, reach: int) -> F64:
     return sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
 
 
+def _is_rectangle(kept: Mask) -> bool:
+    rows, columns = np.flatnonzero(kept.any(axis=1)), np.flatnonzero(kept.any(axis=0))
+    return len(rows) > 0 and bool(kept[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].all())
+
+
 def _is_outline(view: FittedView, others: Sequence[FittedView], depths: F64) -> bool:
-    """Whether the kept pixels of the others, at their `depths`, hardly fall at least REACH beside what `view` keeps."""
+    """Whether the kept pixels of the others, at their `depths`, hardly fall at least REACH beside what `view` keeps;
+    not where nothing lies so far beside it."""
     strays, shown = 0, 0
     far = kept_around(view.kept, REACH) <= 0
+    if not far.any():
+        return False
     for other, depth in zip(others, depths, strict=True):
         some = np.s_[::STRIDE, ::STRIDE]
         chosen = other.kept[some]
@@ -69,8 +78,9 @@ def _is_outline(view: FittedView, others: Sequence[FittedView], depths: F64) -> 
 
 
 def _at(view: FittedView, values: NDArray, points: F64) -> tuple[NDArray, Mask]:
-    """(N,) of `values` (H, W) at the pixels to which points (N, 3) project, and (N,) whether the view shows them."""
+    """(N,) of `values` (H, W) at the pixels to which points (N, 3) project, and (N,) whether the view shows them. Where
+    two pixels meet, as in the middle of a cell, it is the one before, whatever the rounding."""
     pixels, z = view.camera.project(points)
     inside = view.camera.shows(pixels, z)
-    column, row = np.where(inside[:, None], pixels, 0.0).astype(np.intp).T
+    column, row = np.maximum(np.where(inside[:, None], pixels, 0.0) - 0.25, 0.0).astype(np.intp).T
     return values[row, column], inside

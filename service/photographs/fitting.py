@@ -200,8 +200,7 @@ def _too_small(width: int, height: int, shape: Shape, detail: int, index: int) -
 
 
 def _lens_notice(photo: Photo, lens: Lens, index: int) -> Notice:
-    """The warning that the photograph was undistorted: by how much, in its own pixels, and which share of these is
-    left."""
+    """The warning that the photograph was undistorted: by how many of its pixels, and which share of it is left."""
     (width, height), shift = undistorted_size(photo, lens), lens.largest_shift() * photo.width / lens.width
     message = (
         f"the lens moves points by up to {shift:.3g} px: resampled to a pinhole of {width} x {height} px, which shows "

@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from gapmes.export.evaluation.case import photograph_case
 from gapmes.export.evaluation.held_out import held_out_views
+from gapmes.export.evaluation.report import Report
 from gapmes.export.evaluation.scene_views import HELD_OUT, scene_views
 from gapmes.export.evaluation.suggested import NoSuchViews
 from gapmes.service.cameras.camera import Camera
@@ -188,3 +189,10 @@ def test_the_report_tells_what_was_held_out(tmp_path: Path, capfd: pytest.Captur
     refused(capfd, "4 views with a photograph; with every second one held out")
     with pytest.raises(NoSuchViews, match="take more photographs"):
         scene_views(tmp_path / "four", 3)
+
+
+def test_names_that_are_no_text_do_not_stop_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    report = Report([], [], None)
+    monkeypatch.setattr(Report, "markdown", lambda _: "- inputs \udcf6IMG.png\n")
+    report.write(tmp_path)
+    assert (tmp_path / "report.md").read_text() == "- inputs \\udcf6IMG.png\n"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -69,6 +70,36 @@ def test_a_folder_without_suggested_views_is_named(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"is empty.*COLMAP model"):
         photograph_case(tmp_path / "empty", 2, 64, 64)
+
+
+def test_suggestions_of_a_zip_a_folder_below_and_a_file_of_another_name_are_taken(tmp_path: Path) -> None:
+    folder = scene(tmp_path / "up" / "scene")
+    with zipfile.ZipFile(tmp_path / "scene.zip", "w") as archive:
+        for path in sorted(each for each in folder.rglob("*") if each.is_file()):
+            archive.write(path, path.relative_to(folder))
+    shutil.copytree(folder, tmp_path / "named")
+    (tmp_path / "named" / "cameras.json").rename(tmp_path / "named" / "views.json")
+    for path in (tmp_path / "scene.zip", tmp_path / "up", tmp_path / "named" / "views.json"):
+        found = scene_views(path, 2)
+        assert (found.by, found.inputs.indices, found.targets.indices) == (SUGGESTED, (1, 5), (2, 3))
+
+
+def test_a_target_with_the_photograph_of_an_input_is_refused(tmp_path: Path) -> None:
+    folder = scene(tmp_path / "scene")
+    document = json.loads((folder / "cameras.json").read_text())
+    document["views"][3]["image"] = document["views"][5]["image"]
+    (folder / "cameras.json").write_text(json.dumps(document))
+    with pytest.raises(ImageError, match=r"005\.png is the photograph of view 5, an input, too") as caught:
+        scene_views(folder, 2)
+    assert caught.value.index == 3
+
+
+def test_a_capture_of_a_short_name_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a").mkdir()
+    (tmp_path / "a" / "transforms.json").write_text("{bad")
+    with pytest.raises(InputError, match=r"^cameras: a: transforms\.json is not"):
+        scene_views(Path("a"), 2)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-32-be"])

@@ -44,14 +44,14 @@ def test_photographs_of_one_camera_of_a_rig_are_not_those_of_the_other(tmp_path:
 
 
 ELSEWHERE = {
-    "images_cropped/a.PNG": "images_cropped/a.PNG has this name: rename the folder images_cropped to images, or write",
-    "scan/rgb left/a.png": "scan/rgb left/a.png has this name: rename the folder scan/rgb left to images",
-    "images/a.jpeg": "images/a.jpeg has another suffix: if it is this photograph, write its name",
+    "images_cropped/a.PNG": "images_cropped/a.PNG has this name: if it is this photograph, put it where",
+    "scan/rgb left/a.png": "scan/rgb left/a.png has this name: if it is this photograph, put it where",
+    "images/a.jpeg": "images/a.jpeg has another suffix: if it is this photograph, give it the one",
 }
 
 
 @pytest.mark.parametrize("packed", [False, True], ids=["folder", "zip"])
-@pytest.mark.parametrize("there", [*ELSEWHERE, "other/b.png"])
+@pytest.mark.parametrize("there", [*ELSEWHERE, "other/b.png", "Masks/a.png", "depth_maps/a.jpg"])
 def test_a_missing_photograph_that_lies_elsewhere_is_told(tmp_path: Path, there: str, packed: bool) -> None:
     path = capture_of(tmp_path / "capture", ["images/a.png", "images/c.png"], [there, "images/c.png"])
     if packed:
@@ -64,23 +64,45 @@ def test_a_missing_photograph_that_lies_elsewhere_is_told(tmp_path: Path, there:
     assert "photographs are looked for in" in caught.value.cure
 
 
+def test_a_photograph_beside_the_folder_of_the_cameras_is_not_told(tmp_path: Path) -> None:
+    """It could not be found there, whatever it is called."""
+    folder = capture_of(tmp_path / "up" / "scan", ["images/a.png", "images/b.png"], ["images/b.png"])
+    write_photographs(tmp_path / "up", ["pics/a.png"])
+    with pytest.raises(ImageError, match="does not exist") as caught:
+        open_capture(folder.parent).choose(ViewSelection())
+    assert "pics" not in caught.value.cure
+
+
+def test_what_a_hint_tells_to_do_helps(tmp_path: Path) -> None:
+    folder = capture_of(tmp_path, ["images/a.png", "images/b.jpg"], ["cropped/a.png", "images/b.png"])
+    with pytest.raises(ImageError, match="does not exist") as caught:
+        open_capture(folder).choose(ViewSelection())
+    assert caught.value.cure.startswith("cropped/a.png has this name")
+    (folder / "cropped" / "a.png").rename(folder / "images" / "a.png")
+    with pytest.raises(ImageError, match="does not exist") as caught:
+        open_capture(folder).choose(ViewSelection())
+    assert caught.value.cure.startswith("images/b.png has another suffix")
+    (folder / "images" / "b.png").rename(folder / "images" / "b.jpg")
+    assert open_capture(folder).choose(ViewSelection()).paths == ("images/a.png", "images/b.jpg")
+
+
 def test_a_missing_photograph_is_not_looked_for_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Folders are listed once for all missing ones, outer ones first, and no more of them than the limit."""
     (tmp_path / "a" / "b" / "c").mkdir(parents=True)
     folder = capture_of(tmp_path, ["images/a.png", "images/d.png"], ["a/b/a.png", "a/b/c/d.png"])
     listed: list[str] = []
     files = FolderFiles(folder)
-    found = Elsewhere(files, files.folders, SUFFIXES)
+    found = Elsewhere(files, "", files.folders, SUFFIXES)
     monkeypatch.setattr(files, "files", lambda place: listed.append(place) or FolderFiles.files(files, place))
     assert "a/b/a.png has this name" in found.hint("a.png")
     assert "a/b/c/d.png has this name" in found.hint("x/d.png")
     assert listed == ["", "a", "a/b", "a/b/c"]
     monkeypatch.setattr(elsewhere, "MOST_FOLDERS", 3)
-    short = Elsewhere(files, files.folders, SUFFIXES)
+    short = Elsewhere(files, "", files.folders, SUFFIXES)
     assert short.hint("a.png")
     assert short.hint("d.png") is None
     monkeypatch.setattr(elsewhere, "MOST_NAMES", 0)
-    assert Elsewhere(files, files.folders, SUFFIXES).hint("a.png") is None
+    assert Elsewhere(files, "", files.folders, SUFFIXES).hint("a.png") is None
 
 
 @pytest.mark.parametrize("above", ["", "/home/me/scans/", "C:\\scans\\rig\\", "../rig/"])

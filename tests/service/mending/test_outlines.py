@@ -61,8 +61,8 @@ def test_the_share_that_is_kept_is_counted() -> None:
 
 @pytest.mark.parametrize("angles", [(-8.0, 8.0), (-12.0, 0.0, 12.0)])
 def test_the_sheet_of_a_cut_out_ball_stays_within_its_outline(angles: tuple[float, ...]) -> None:
-    """From the inputs, from between them and from beside them. Largest mean 0.0008, largest opacity 0.11; the whole sheet
-    has 0.04 and 0.92."""
+    """From the inputs, from between them and from beside them. Largest mean 0.0008, largest opacity 0.11; the whole
+    sheet has 0.04 and 0.92."""
     views, depths = views_of(angles)
     sheet, around_it = backdrop(views, depths, 1)
     assert around_it == len(sheet) > 20  # the inner part of the ball is still backed
@@ -76,23 +76,55 @@ def test_the_sheet_of_a_cut_out_ball_stays_within_its_outline(angles: tuple[floa
         assert drawn[kept_around(there, 20) == 1].min() > 0.8
 
 
-def test_a_sheet_may_stand_behind_a_masked_passer_by() -> None:
+@pytest.mark.parametrize("width", [4, 8, 16, 17, 32])
+def test_a_sheet_may_stand_behind_a_masked_passer_by(width: int) -> None:
     """Who hides what the other view shows: only the sheet of his own view keeps away from him."""
     views, depths = views_of((-4.0, 4.0))
     depths[:] = AWAY
     there = np.ones((SIDE, SIDE), np.bool_)
-    there[32:96, 48:80] = False
+    there[32:96, 64 - width // 2 : 64 + width // 2] = False
     hidden = [replace(views[0], mask=there), replace(views[1], mask=None)]
     points = np.stack([np.linspace(-0.5, 0.5, 41), np.zeros(41), np.zeros(41)], axis=1)
     own, other = (clear_of_masks(points, np.full(41, owner), hidden, depths) for owner in (0, 1))
-    pixels = views[0].camera.project(points)[0].astype(np.intp)
+    pixels = (views[0].camera.project(points)[0] - 0.25).astype(np.intp)
     near = kept_around(there, REACH)[pixels[:, 1], pixels[:, 0]] < 0.95
     np.testing.assert_array_equal(own, ~near)
     assert near.any()
     assert other.all()
+    if width < 20:  # narrower than an outline can be told from
+        return
     outlined = [replace(views[0], mask=there), replace(views[1], mask=seen_from(views[1], hidden[0]))]
     both = clear_of_masks(points, np.full(41, 1), outlined, depths)
     assert not both[near].any()  # where neither shows anything, it is an outline
+
+
+@pytest.mark.parametrize("bar", [4, 9, 24])
+def test_bars_change_nothing(bar: int) -> None:
+    """A letterboxed film has them in every frame, a screenshot at one side."""
+    views, depths = views_of((-4.0, 4.0))
+    depths[:] = AWAY
+    points = np.random.default_rng(0).uniform(-1.5, 1.5, (200, 3)) * [1, 1, 0]
+    for kept in (np.s_[bar:-bar], np.s_[:, bar:]):
+        there = np.zeros((SIDE, SIDE), np.bool_)
+        there[kept] = True
+        for masks in ((there, there), (there, None)):
+            barred = [replace(view, mask=mask) for view, mask in zip(views, masks, strict=True)]
+            for owner in (0, 1):
+                assert clear_of_masks(points, np.full(200, owner), barred, depths).all()
+
+
+def test_units_do_not_change_what_is_clear() -> None:
+    """Centres of cells project to where pixels meet."""
+    views, depths = views_of((-8.0, 8.0))
+    counts = set()
+    for unit in (1.0, 3.0, 7.0, 0.1, 1e5):
+        scaled = []
+        for view in views:
+            pose = view.camera.world_from_cam.copy()
+            pose[:3, 3] *= unit
+            scaled.append(replace(view, camera=view.camera.posed(pose)))
+        counts.add(len(backdrop(scaled, unit * depths, 1)[0]))
+    assert len(counts) == 1
 
 
 def seen_from(view: FittedView, other: FittedView) -> np.ndarray:
