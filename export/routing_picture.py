@@ -81,8 +81,8 @@ def route(folder: Path, views: list[str], model: Path | None = None, listener: L
         raise ModelError("has neither experts nor a task gate: there are no routes to show", field="model")
     photos = [EncodedPhoto(path.read_bytes()) for path in scene.image_paths]
     near, far = scene.file.near, scene.file.far
-    found = Reconstructor(engine).reconstruct(
-        photos, scene.file.cameras, near=near, far=far, leave_one_out=0, listener=listener
+    found = Reconstructor(engine).reconstruct(  # routes are the network's: nothing after it is of use here
+        photos, scene.file.cameras, near=near, far=far, leave_one_out=0, fade=0, listener=listener
     )
     upright = next(  # most are
         camera

@@ -13,7 +13,7 @@ from gapmes.model.checkpoint import read_config, shipped_checkpoint
 from gapmes.model.weights_file import file_sha256
 from gapmes.service.errors import InputError, ModelError
 from gapmes.service.network.backends.choice import DEFAULT_ENGINE, EngineName, checked_engine, made_by
-from gapmes.service.network.engine import Engine
+from gapmes.service.network.model_file import model_file
 from gapmes.service.progress import Listener, silent
 from gapmes.service.shipped import shipped_model
 
@@ -109,7 +109,7 @@ def exports(files: Sequence[Path], sizes: Sequence[Size]) -> list[tuple[str, Siz
 
 def model_sizes(files: Sequence[Path]) -> list[Size]:
     """The sizes of the ONNX files, largest first."""
-    infos = [Engine(path, threads=1).info for path in files if path.suffix != CHECKPOINT]
+    infos = [model_file(path).info for path in files if path.suffix != CHECKPOINT]
     return sorted({Size(info.height, info.width) for info in infos}, key=Size.order, reverse=True)
 
 

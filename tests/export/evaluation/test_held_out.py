@@ -11,6 +11,7 @@ import pytest
 from capture_scenes import arc, names, write_cameras_json, write_colmap, write_llff, write_transforms
 from evaluate_runs import refused, run
 from numpy.testing import assert_allclose, assert_array_equal
+from standin_model import METADATA, write_standin
 
 from gapmes.export.evaluation.case import photograph_case
 from gapmes.export.evaluation.held_out import held_out_views
@@ -175,7 +176,10 @@ def test_the_report_tells_what_was_held_out(tmp_path: Path, capfd: pytest.Captur
     write_transforms(tmp_path / "four", arc(4))
     write_transforms(tmp_path / "seven", arc(7))
     out = tmp_path / "out"
-    assert run(tmp_path / "four", tmp_path / "seven", "--inputs", 3, "--size", 256, "--fade", 0, "--out", out) == 0
+    config = {"config": json.dumps({"sh_degree": 1, "experts": 6})}
+    file = write_standin(tmp_path / "wide.onnx", {**METADATA, **config})
+    asked = ("--inputs", 3, "--model", file, "--fade", 0, "--out", out)
+    assert run(tmp_path / "four", tmp_path / "seven", *asked) == 0
     (group,) = json.loads((out / "report.json").read_text())["groups"]
     (scene,) = group["scenes"]
     said = scene["photographs"]
@@ -185,7 +189,7 @@ def test_the_report_tells_what_was_held_out(tmp_path: Path, capfd: pytest.Captur
     assert "Left out: four: " in text
     assert "4 views with a photograph; with every second one held out" in group["left_out"]["four"]
     capfd.readouterr()
-    assert run(tmp_path / "four", "--inputs", 3, "--size", 256, "--out", out) == 1
+    assert run(tmp_path / "four", *asked) == 1
     refused(capfd, "4 views with a photograph; with every second one held out")
     with pytest.raises(NoSuchViews, match="take more photographs"):
         scene_views(tmp_path / "four", 3)
