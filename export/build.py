@@ -21,11 +21,10 @@ from gapmes.service.network.contract import INPUTS
 from .fold import folded
 from .graph import SceneGraph, folded_position_embeddings
 from .linear_layers import deployed_linear_layers
+from .metadata import MAX_VIEWS, MIN_VIEWS, OPSET
 from .samples import random_scene
 from .size import Size
 
-OPSET = 20  # the newest that all backends in the documentation support
-MIN_VIEWS, MAX_VIEWS = 2, 6
 _SCOPES = "pkg.torch.onnx.name_scopes"  # where the exporter says which modules a node comes from
 TRACE_VIEWS = 3  # at 2 views a loop over other views would run once; every count is verified afterwards
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import onnx
 
-from gapmes.model.architectures import Network
 from gapmes.model.config import PIXELS_PER_PATCH
 from gapmes.service.network.contract import FORMAT
 
-from .build import MAX_VIEWS, MIN_VIEWS, OPSET
+if TYPE_CHECKING:
+    from gapmes.model.architectures import Network
 
+OPSET = 20  # the newest that all backends in the documentation support
+MIN_VIEWS, MAX_VIEWS = 2, 6
 NEAR_FAR_RULE = "z-depth range in the units of the poses; candidates are uniform in 1/z from 1/far to 1/near"
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from .config import PRESETS, ModelConfig
-from .network import GaPMeS
 from .overflow import refuse_overflow
 from .pretrained.files import read_tensors
 from .pretrained.recognise import looks_like
@@ -19,10 +19,19 @@ from .saved_tensors import save_tensors
 from .tensor_checks import refuse_non_finite, refuse_other_kinds
 from .weights_file import CheckpointError, some, why_no_file, wrapper_of
 
+if TYPE_CHECKING:
+    from .network import GaPMeS
+
 WEIGHTS_LICENCE = "MIT"
 SHIPPED = Path(__file__).parent / "weights"
 WEIGHTS = "weights.safetensors"  # in the folder of a training
 STATE_PARTS = {"average", "optimiser"}  # beside the weights in the state of a training
+
+
+def _built(config: ModelConfig) -> GaPMeS:
+    from .network import GaPMeS  # takes seconds, which processes that draw scenes or write files do without
+
+    return GaPMeS(config)
 
 
 def shipped_checkpoint(preset: str) -> Path:
@@ -75,7 +84,7 @@ def _preset_of(tensors: Mapping[str, Tensor]) -> str:
     shapes = {name.removeprefix(wrapper): value.shape for name, value in tensors.items()}
     for name, config in PRESETS.items():
         with torch.device("meta"):
-            wanted = {key: value.shape for key, value in GaPMeS(config).state_dict().items()}
+            wanted = {key: value.shape for key, value in _built(config).state_dict().items()}
         if shapes == wanted:
             return name
     return ""
@@ -113,7 +122,7 @@ def load_checkpoint(path: Path) -> GaPMeS:
     refuse_other_kinds(path, tensors)
     weights = {name: value.to(torch.float32) for name, value in tensors.items()}
     refuse_non_finite(path, weights)
-    model = GaPMeS(config)
+    model = _built(config)
     kept = ("gapmes.licence", "gapmes.backbones")
     model.provenance = {key: value for key, value in metadata.items() if key in kept}
     model.load_state_dict(weights)
@@ -141,6 +150,6 @@ def _tensors_of(path: Path, config: ModelConfig) -> Mapping[str, Tensor]:
     for a configuration that no network has."""
     try:
         with torch.device("meta"):
-            return GaPMeS(config).state_dict()
+            return _built(config).state_dict()
     except (RuntimeError, ValueError, TypeError, ArithmeticError) as error:
         raise CheckpointError(f"{path} has a configuration that no network has: {error}") from error

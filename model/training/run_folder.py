@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -18,9 +18,11 @@ from gapmes.service.process.disk import replace_file
 
 from ..allocation import lacks_memory
 from ..checkpoint import WEIGHTS, save_checkpoint
-from ..network import GaPMeS
 from .differences import differences
 from .log_rows import read_rows
+
+if TYPE_CHECKING:
+    from ..network import GaPMeS
 
 STATE = "state.pt"
 LOG = "log.jsonl"

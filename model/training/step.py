@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..network import FullPrediction, GaPMeS
 from .losses import box_ssim, depth_loss, normalised_inverse_depth
 from .recipe import Recipe
 from .rendering import draw
 from .scenes import SceneBatch
+
+if TYPE_CHECKING:  # processes that draw scenes have no network, which takes seconds to import
+    from ..network import FullPrediction, GaPMeS
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,11 @@ import onnxruntime
 import pytest
 import torch
 
-from gapmes.export.build import MAX_VIEWS, MIN_VIEWS, OPSET, export_graph
+from gapmes.export.build import export_graph
 from gapmes.export.cases import Case
 from gapmes.export.gate_settings import gate_values, with_gates
 from gapmes.export.graph import evaluated
+from gapmes.export.metadata import MAX_VIEWS, MIN_VIEWS, OPSET
 from gapmes.export.samples import FLAT, UNDETERMINED, hostile_scenes, random_scene
 from gapmes.export.tolerance import TOLERANCES
 from gapmes.export.verify import verify
