@@ -1,10 +1,11 @@
 """Settings for the whole suite: no property test is timed, continuous integration draws the same examples in every run,
-and the processes share the processors."""
+and the processes share the processors, of which there is one fewer."""
 
 from __future__ import annotations
 
 import os
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # threads that wait for each other by spinning take the others' time
@@ -17,3 +18,11 @@ settings.register_profile(
     derandomize=bool(os.environ.get("CI")),
 )
 settings.load_profile("untimed")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """One process more than processors: some wait for processes of their own, or for a graph that another makes."""
+    from gapmes.service.process.threads import available_threads  # not before the threads are limited
+
+    return available_threads() + 1
