@@ -125,11 +125,13 @@ def list_of(obj: Mapping, name: str) -> Sequence[Mapping]:
     return entries
 
 
-def opencv_pose(matrix: object, *, axes: str, pose: str, field: str, index: int | None) -> Pose:
-    """world_from_cam in OpenCV axes; `axes` (opencv | opengl) and `pose` (c2w | w2c) say what `matrix` is."""
+def opencv_pose(matrix: object, *, form: str, axes: str, pose: str, field: str, index: int | None) -> Pose:
+    """world_from_cam in OpenCV axes; `axes` (opencv | opengl) and `pose` (c2w | w2c) say what `matrix` is, in a file of
+    this `form`."""
     parse = inverted_pose if pose == "w2c" else checked_pose
     world_from_cam, given = parse(matrix, field=field, index=index)
-    return Pose(world_from_cam @ OPENCV_FROM_OPENGL if axes == "opengl" else world_from_cam, given)
+    turned = world_from_cam @ OPENCV_FROM_OPENGL if axes == "opengl" else world_from_cam
+    return Pose(turned, given).written(form, axes, pose)
 
 
 def view_through(image: str | None, lens: Lens, pose: Pose, *, field: str, index: int | None = None) -> NamedView:

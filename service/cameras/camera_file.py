@@ -11,6 +11,7 @@ from .camera_fields import CameraFile as CameraFile
 from .camera_fields import NamedView as NamedView
 from .camera_fields import SizeOf, image_name, json_kind, list_of, number_of, opencv_pose, optional_number
 from .lens_keys import COEFFICIENTS, in_a_matrix, refuse_distorting_model, refuse_other_names
+from .pose_cures import CAMERAS_JSON
 from .transforms_file import parse_transforms
 
 _NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
@@ -79,7 +80,9 @@ def parse_view(entry: Mapping, *, axes: str, pose: str, field: str, index: int |
         raise CameraError(f"{', '.join(missing)} missing", field=field, index=index, cure=cure)
     width, height, fx, fy, cx, cy = (number_of(entry, name, field=field, index=index) for name in _NUMBERS)
     name = _matrix_name(entry, pose, field, index)
-    world_from_cam = opencv_pose(entry[name], axes=axes, pose=pose, field=f"{field}.{name}", index=index)
+    world_from_cam = opencv_pose(
+        entry[name], form=CAMERAS_JSON, axes=axes, pose=pose, field=f"{field}.{name}", index=index
+    )
     camera = Camera.make(width, height, fx, fy, cx, cy, world_from_cam, index=index, field=field)
     return NamedView(image_name(entry, "image", field=field, index=index), camera)
 

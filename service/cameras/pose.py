@@ -27,11 +27,24 @@ ROUNDING = 1e-14  # what float64 leaves of orthonormality (some 1e-15); such a m
 
 
 class Given(NamedTuple):
-    """How precise a pose was when it was given."""
+    """How a pose was given: how precise, and by which convention."""
 
     drift: float = 0.0  # max |R^T R - I|, camera to world; 0 where it is mere float64 rounding and R is kept to the bit
     shift: float = 0.0  # how far projecting R onto SO(3) moved the camera centre, units; 0 for camera to world
     step: float = 0.0  # half a float32 step of its translation, see `float32.py`
+    form: str = ""  # of the file that it comes from, such as cameras.json; empty for a matrix of the caller's
+    axes: str = "opencv"  # or opengl
+    pose: str = "c2w"  # or w2c
+
+    @property
+    def precision(self) -> tuple[float, float, float]:
+        """What a scene depends on."""
+        return self.drift, self.shift, self.step
+
+    @property
+    def convention(self) -> tuple[str, str, str]:
+        """What only the words of a cure depend on."""
+        return self.form, self.axes, self.pose
 
 
 AS_IT_IS = Given()
@@ -42,6 +55,10 @@ class Pose(NamedTuple):
 
     matrix: F64  # (4, 4)
     given: Given
+
+    def written(self, form: str, axes: str, pose: str) -> Pose:
+        """The same, with a word on how it was written: see `Given`."""
+        return Pose(self.matrix, self.given._replace(form=form, axes=axes, pose=pose))
 
 
 def rigid_motion(rotation: F64, translation: F64) -> F64:

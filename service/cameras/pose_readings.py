@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .camera import Camera
 from .camera_fields import OPENCV_FROM_OPENGL
 from .pose import rigid_inverse
+from .pose_cures import convention, in_order, other_convention
 
 # To x right, y down, z forward, from the axes of a robot: x forward, and y left, z up, or y right, z down.
 OPENCV_FROM_LEFT_UP = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -32,47 +33,31 @@ class Reading:
 
 
 def other_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
-    """World-to-camera instead of camera-to-world, OpenGL instead of OpenCV axes, and both at once. The cures are those
-    of a transforms.json too, which cannot say either and has OpenGL axes where nothing is wrong."""
-    poses = [camera.world_from_cam for camera in cameras]
+    """Inverse poses, OpenGL instead of OpenCV axes (or the reverse), and both at once; with the cures of the file that
+    they come from. An inverse in the axes of the other side is one in those of its own, but for a turn of the world."""
+    poses, given = [camera.world_from_cam for camera in cameras], convention(cameras)
+    turned = "opencv" if given.axes == "opengl" else "opengl"
     readings = (
-        (
-            "world-to-camera matrices",
-            'invert them, or say "pose": "w2c" in a cameras.json; of a transforms.json negate columns 1 and 2 then',
-            [rigid_inverse(pose) for pose in poses],
-        ),
-        (
-            "OpenGL axes (x right, y up, z backward), or in a transforms.json OpenCV axes",
-            'negate columns 1 and 2 of each c2w, or say "axes": "opengl" in a cameras.json',
-            [pose @ OPENCV_FROM_OPENGL for pose in poses],
-        ),
-        (
-            "world-to-camera matrices in OpenGL axes",
-            'say "pose": "w2c" and "axes": "opengl" in a cameras.json; of a transforms.json invert them',
-            [rigid_inverse(pose) @ OPENCV_FROM_OPENGL for pose in poses],
-        ),
+        (True, "opencv", [rigid_inverse(pose) for pose in poses]),
+        (False, turned, [pose @ OPENCV_FROM_OPENGL for pose in poses]),
+        (True, "opengl", [rigid_inverse(pose) @ OPENCV_FROM_OPENGL for pose in poses]),
     )
-    return tuple(_posed(cameras, *reading) for reading in readings)
+    told = (other_convention(given, inverted=inverted, axes=axes) for inverted, axes, _ in readings)
+    return tuple(_posed(cameras, *words, moved) for words, (_, _, moved) in zip(told, readings, strict=True))
 
 
 def robot_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
-    """The axes of a robot's body instead of OpenCV axes. The cures are as those of `other_readings`."""
-    poses = [camera.world_from_cam for camera in cameras]
+    """The axes of a robot's body, with the cures of the file that the poses come from."""
+    poses, given = [camera.world_from_cam for camera in cameras], convention(cameras)
+    opencv = given.axes == "opencv"
     readings = (
-        (
-            f"{_LEFT_UP}, or in a transforms.json {_RIGHT_DOWN}",
-            "put -column 1, -column 2, column 0 for columns 0, 1, 2 of each c2w; in a transforms.json column 1, "
-            "-column 2, -column 0",
-            [pose @ OPENCV_FROM_LEFT_UP for pose in poses],
-        ),
-        (
-            f"{_RIGHT_DOWN}, or in a transforms.json {_LEFT_UP}",
-            "put column 1, column 2, column 0 for columns 0, 1, 2 of each c2w; in a transforms.json -column 1, "
-            "column 2, -column 0",
-            [pose @ OPENCV_FROM_RIGHT_DOWN for pose in poses],
-        ),
+        (_LEFT_UP if opencv else _RIGHT_DOWN, ("-1", "-2", "0") if opencv else ("1", "-2", "-0"), OPENCV_FROM_LEFT_UP),
+        (_RIGHT_DOWN if opencv else _LEFT_UP, ("1", "2", "0") if opencv else ("-1", "2", "-0"), OPENCV_FROM_RIGHT_DOWN),
     )
-    return tuple(_posed(cameras, *reading) for reading in readings)
+    return tuple(
+        _posed(cameras, looks_like, in_order(given, lines), [pose @ axes for pose in poses])
+        for looks_like, lines, axes in readings
+    )
 
 
 def _posed(cameras: Sequence[Camera], looks_like: str, cure: str, poses: Sequence[NDArray[np.float64]]) -> Reading:

@@ -21,6 +21,7 @@ from .camera_fields import (
 )
 from .distortion import Lens
 from .lens_keys import COEFFICIENTS, OTHER_NAMES, in_a_matrix, refuse_other_names, require_pinhole_model, too_long
+from .pose_cures import TRANSFORMS_JSON
 
 NARROWEST, WIDEST = (2 * math.atan(0.5 / focal) for focal in (MOST_FOCAL, LEAST_FOCAL))  # radians
 _LENGTHS, _ANGLES = ("fl_x", "fl_y"), ("camera_angle_x", "camera_angle_y")
@@ -62,9 +63,8 @@ def parse_transforms(obj: Mapping, *, size_of: SizeOf | None, indices: Sequence[
         if "transform_matrix" not in frame:
             cure = "give each frame its 4x4 camera-to-world matrix in OpenGL axes under this name"
             raise CameraError("transform_matrix is missing", field="frames.transform_matrix", index=index, cure=cure)
-        pose = opencv_pose(
-            frame["transform_matrix"], axes="opengl", pose="c2w", field="frames.transform_matrix", index=index
-        )
+        matrix, field = frame["transform_matrix"], "frames.transform_matrix"
+        pose = opencv_pose(matrix, form=TRANSFORMS_JSON, axes="opengl", pose="c2w", field=field, index=index)
         lens = _lens(values, (width, height), (fx, fy), (cx, cy), index)
         try:
             views.append(view_through(name, lens, pose, field="frames", index=index))

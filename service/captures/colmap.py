@@ -10,6 +10,7 @@ from pathlib import PurePath
 from ..cameras.camera_fields import CameraFile, SizeOf, view_through
 from ..cameras.distortion import Lens
 from ..cameras.pose import inverted_pose
+from ..cameras.pose_cures import COLMAP
 from ..errors import CameraError, IntrinsicsError
 from . import colmap_binary, colmap_text
 from .colmap_model import ColmapCamera, ColmapModel
@@ -72,7 +73,7 @@ def read_colmap(files: Files, folder: str, form: str) -> CameraTable:
             if camera is None:
                 message = f"{source}: {image.name!r} is of camera {image.camera_id}, which is missing"
                 raise CameraError(message, field="cameras", index=index, cure="are both files of one model?")
-            pose = inverted_pose(model.pose(ids[index]), field="cameras", index=index)
+            pose = inverted_pose(model.pose(ids[index]), field="cameras", index=index).written(COLMAP, "opencv", "w2c")
             lens = lens_of(camera, image.camera_id, index)
             view = view_through(image.name, lens, pose, field="cameras", index=index)
             views.append(replace(view, bounds=depths.of.get(ids[index])))

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from ..cameras.camera import Camera
 from ..cameras.camera_fields import CameraFile, NamedView, SizeOf
 from ..cameras.pose import inverted_pose
+from ..cameras.pose_cures import REALESTATE10K
 from ..errors import CameraError
 from .table import CameraTable, check_listed
 
@@ -55,6 +56,7 @@ def _view(row: Sequence[str], index: int, source: str, size_of: SizeOf | None) -
         raise CameraError(f"{source} has no picture sizes", field="cameras", index=index, cure="send the photographs")
     width, height = size_of(row[0], index)
     pose = inverted_pose([rest[2:6], rest[6:10], rest[10:14]], field="cameras", index=index)
+    pose = pose.written(REALESTATE10K, "opencv", "w2c")
     camera = Camera.make(
         width, height, fx * width, fy * height, cx * width, cy * height, pose, field="cameras", index=index
     )

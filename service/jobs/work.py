@@ -72,7 +72,8 @@ class Work:
             options["lenses"] = [_lens_entry(lens) for lens in self.lenses]
         if self.numbers:
             options["numbers"] = self.numbers
-        return SceneStore.scene_id(identity, self.images, [_camera_entry(camera) for camera in self.cameras], options)
+        cameras = [{**camera_document(camera), "given": camera.given.precision} for camera in self.cameras]
+        return SceneStore.scene_id(identity, self.images, cameras, options)
 
     def check_pixels(self, settings: Settings) -> None:
         """Check the limits on pixels by the photographs' headers. Raises `ImageError` and `ImageTooLarge`."""

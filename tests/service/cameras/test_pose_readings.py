@@ -10,7 +10,7 @@ from plane_scene import ROBOT, PlaneScene, photograph
 from sample_photographs import sample_cameras, sample_pixels, sample_views
 
 from gapmes.service.cameras.camera import Camera
-from gapmes.service.cameras.camera_file import parse_camera_file
+from gapmes.service.cameras.camera_fields import opencv_pose
 from gapmes.service.cameras.depth_range import DepthRange, depth_range
 from gapmes.service.cameras.pose_readings import other_orders, other_readings, robot_readings
 from gapmes.service.errors import ContradictionError
@@ -38,13 +38,36 @@ def test_readings_that_match_alike_are_all_named():
         check_photos(swapped, DEPTHS)
     assert caught.value.cure.startswith(
         "these look like the cameras of the other photograph: swap the two cameras or images; "
-        "or world-to-camera matrices: invert them,"
+        "or world-to-camera matrices: invert each c2w; "
     )
 
 
-def transforms(matrices: list[np.ndarray]) -> tuple[Camera, ...]:
-    frames = [{"file_path": str(i), "transform_matrix": matrix.tolist()} for i, matrix in enumerate(matrices)]
-    return parse_camera_file({"w": 320, "h": 240, "fl_x": 250, "frames": frames}).cameras
+SAID = [  # form, axes and pose as the file says, or as its format has them
+    ("", "opencv", "c2w"),
+    ("transforms.json", "opengl", "c2w"),
+    ("COLMAP", "opencv", "w2c"),
+    ("RealEstate10K", "opencv", "w2c"),
+    *(("cameras.json", axes, pose) for axes in ("opencv", "opengl") for pose in ("c2w", "w2c")),
+]
+AXES = {"opencv": np.eye(4), "opengl": GL, "left": ROBOT, "right": ROBOT @ GL}
+LOOKS = {
+    "opencv": "OpenCV axes (x right, y down, z forward)",
+    "opengl": "OpenGL axes (x right, y up, z backward)",
+    "left": "a robot's axes (x forward, y left, z up)",
+    "right": "a robot's axes (x forward, y right, z down)",
+}
+Said = tuple[str, str, str]
+
+
+def written(poses: list[np.ndarray], axes: str, pose: str) -> list[np.ndarray]:
+    turned = [matrix @ AXES[axes] for matrix in poses]
+    return [inv(matrix) for matrix in turned] if pose == "w2c" else turned
+
+
+def read(matrices: list[np.ndarray], said: Said) -> tuple[Camera, ...]:
+    form, axes, pose = said
+    poses = (opencv_pose(m, form=form, axes=axes, pose=pose, field="pose", index=None) for m in matrices)
+    return tuple(Camera.make(320, 240, 250, 250, 160, 120, pose) for pose in poses)
 
 
 def between(cameras: tuple[Camera, ...]) -> np.ndarray:
@@ -52,56 +75,58 @@ def between(cameras: tuple[Camera, ...]) -> np.ndarray:
     return inv(one) @ other
 
 
-@pytest.mark.parametrize(
-    ("written", "place", "told", "mended"),
-    [
-        (lambda c2w: c2w, 1, "in a transforms.json OpenCV axes: negate columns 1 and 2 of each", lambda m: m @ GL),
-        (inv, 0, "invert them, .*of a transforms.json negate columns 1 and 2 then", lambda m: inv(m) @ GL),
-        (lambda c2w: inv(c2w @ GL), 2, "of a transforms.json invert them", inv),
-        (
-            lambda c2w: c2w @ ROBOT,
-            4,
-            r"json a robot's axes \(x forward, y left, z up\): .*json -column 1, column 2, -column 0",
-            lambda m: m[:, [1, 2, 0, 3]] * [-1, 1, -1, 1],
-        ),
-        (
-            lambda c2w: c2w @ ROBOT @ GL,
-            3,
-            r"json a robot's axes \(x forward, y right, z down\): .*json column 1, -column 2, -column 0",
-            lambda m: m[:, [1, 2, 0, 3]] * [1, -1, -1, 1],
-        ),
-    ],
-)
-def test_cures_are_those_of_a_transforms_json_too(written, place, told, mended):
-    """It has OpenGL axes, and takes no word for others."""
+def mended(cure: str, matrices: list[np.ndarray], said: Said) -> tuple[Camera, ...]:
+    """The cameras after doing what the cure says, word by word."""
+    form, axes, pose = said
+    if cure.startswith("say "):
+        told = dict(re.findall(r'"(pose|axes)": "(\w+)"', cure))
+        assert told.keys() <= {"pose", "axes"}
+        assert told.items().isdisjoint({("pose", pose), ("axes", axes)})  # no word on what is said already
+        return read(matrices, (form, told.get("axes", axes), told.get("pose", pose)))
+    if "invert each" in cure:
+        matrices = [inv(matrix) for matrix in matrices]
+    if found := re.search(r"negate (row|column)s 1 and 2", cure):
+        matrices = [matrix @ GL if found[1] == "column" else GL @ matrix for matrix in matrices]
+    if found := re.fullmatch(r"put (.+) for (row|column)s 0, 1, 2 of each \S.*", cure):
+        moved = [re.fullmatch(rf"(-?){found[2]} ([012])", name).groups() for name in found[1].split(", ")]
+        order, signs = [int(number) for _, number in moved], [-1 if sign else 1 for sign, _ in moved]
+        if found[2] == "column":
+            matrices = [matrix[:, [*order, 3]] * [*signs, 1] for matrix in matrices]
+        else:
+            matrices = [matrix[[*order, 3]] * np.array([*signs, 1])[:, None] for matrix in matrices]
+    return read(matrices, said)
+
+
+@pytest.mark.parametrize("pose", ["c2w", "w2c"])
+@pytest.mark.parametrize("axes", AXES)
+@pytest.mark.parametrize("said", SAID, ids=" ".join)
+def test_done_word_by_word_the_cure_makes_a_file_right(said: Said, axes: str, pose: str) -> None:
+    """Whatever the file is and says, and whatever its matrices are, but for inverse ones of a robot."""
     poses = [camera.world_from_cam for camera in sample_cameras((1, 5))]
-    matrices = [written(pose) for pose in poses]
-    cameras = transforms(matrices)
-    reading = (*other_readings(cameras), *robot_readings(cameras))[place]
-    np.testing.assert_allclose(between(reading.cameras), inv(poses[0]) @ poses[1], atol=1e-12)
-    assert re.search(told, f"{reading.looks_like}: {reading.cure}")
-    np.testing.assert_allclose(
-        between(transforms([mended(matrix) for matrix in matrices])), inv(poses[0]) @ poses[1], atol=1e-12
-    )
+    right, matrices = inv(poses[0]) @ poses[1], written(poses, axes, pose)
+    cameras = read(matrices, said)
+    readings = (*other_readings(cameras), *robot_readings(cameras))
+    fitting = [reading for reading in readings if np.allclose(between(reading.cameras), right, rtol=0, atol=1e-12)]
+    if (axes, pose) == said[1:] or (axes in ("left", "right") and pose != said[2]):
+        assert fitting == []
+        return
+    (reading,) = fitting
+    np.testing.assert_allclose(between(mended(reading.cure, matrices, said)), right, rtol=0, atol=1e-12)
+    direction = {"c2w": "camera-to-world matrices", "w2c": "world-to-camera matrices"}[pose]
+    if pose == said[2]:
+        assert reading.looks_like == LOOKS[axes]
+    else:
+        assert reading.looks_like == direction + ("" if axes == said[1] else f" in {LOOKS[axes][:11]}")
+    things = {"transforms.json": "transform_matrix", "COLMAP": "[R | t]", "RealEstate10K": "[R | t]"}
+    if not reading.cure.startswith("say "):
+        assert f" each {things.get(said[0], said[2])}" in reading.cure
 
 
-@pytest.mark.parametrize(
-    ("written", "place", "mended"),
-    [
-        (lambda c2w: c2w @ ROBOT, 0, lambda m: m[:, [1, 2, 0, 3]] * [-1, -1, 1, 1]),
-        (lambda c2w: c2w @ ROBOT @ GL, 1, lambda m: m[:, [1, 2, 0, 3]]),
-    ],
-)
-def test_the_cure_of_a_robots_axes_gives_the_right_poses(written, place, mended):
-    """The columns of the cure, as it counts and signs them."""
-    cameras = sample_cameras((1, 5))
-    wrong = [camera.posed(written(camera.world_from_cam)) for camera in cameras]
-    reading = robot_readings(wrong)[place]
-    signs = "-column 1, -column 2, column 0" if place == 0 else "column 1, column 2, column 0"
-    assert reading.cure.startswith(f"put {signs} for columns 0, 1, 2 of each c2w")
-    for camera, read, bad in zip(cameras, reading.cameras, wrong, strict=True):
-        np.testing.assert_array_equal(mended(bad.world_from_cam), read.world_from_cam)
-        np.testing.assert_allclose(read.world_from_cam, camera.world_from_cam, atol=1e-15)
+def test_of_matrices_that_were_written_differently_the_cure_is_for_those_as_they_were_read():
+    poses = [camera.world_from_cam for camera in sample_cameras((1, 5))]
+    one, other = read(poses, ("cameras.json", "opencv", "c2w")), read(poses, ("cameras.json", "opengl", "c2w"))
+    assert other_readings((one[0], other[1]))[0].cure == "invert each c2w"
+    assert other_readings(one)[0].cure == 'say "pose": "w2c"'
 
 
 STORED = {2: 2, 3: 3, 4: 4, 5: 5, 6: 8, 7: 7, 8: 6}  # the orientation that undoes another; both turned by 90 degrees

@@ -39,7 +39,10 @@ def test_every_format_gives_the_same_rays(tmp_path: Path, form: str, packed: str
         inside = "my capture/" if packed == "nested zip" else ""
         path = tmp_path / "capture.bin"  # content decides, not the name
         path.write_bytes(zipped(tmp_path / "scene", inside=inside))
-    found = open_capture(path).choose(ViewSelection())
+    capture = open_capture(path)
+    found = capture.choose(ViewSelection())
+    said = {"cameras.json": "cameras.json", "transforms.json": "transforms.json", "colmap": "COLMAP", "llff": ""}
+    assert {camera.given.form for camera in found.file.cameras} == {said.get(capture.table.kind, "RealEstate10K")}
     assert found.indices == (0, 1, 2, 3, 4)
     assert found.selection["by"] == "all"
     pixels = np.array([[0.0, 0.0], [96.0, 0.0], [48.0, 36.0], [10.5, 71.5]])

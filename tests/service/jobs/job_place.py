@@ -27,7 +27,8 @@ def work(seed: int = 0) -> Work:
     rng = np.random.default_rng(seed)
     pose = np.eye(4)
     pose[:3, 3] = rng.normal(size=3)
-    cameras = tuple(Camera(64, 48, 60.1, 60.2, 32.3, 24.4, pose, Given(1e-5, 0.25, 2.0**-26)) for _ in range(2))
+    given = Given(1e-5, 0.25, 2.0**-26, "COLMAP", "opencv", "w2c")
+    cameras = tuple(Camera(64, 48, 60.1, 60.2, 32.3, 24.4, pose, given) for _ in range(2))
     return Work((b"one", b"two"), cameras, None, 7.5, True, 2, Budget(None, 3, ("1.5", "0"), 0.25, 2), "ds")
 
 

@@ -23,23 +23,6 @@ from gapmes.service.process.logs import REQUEST_ID
 from gapmes.service.progress import Stage, Stages
 
 
-def test_work_comes_back_from_disk_to_the_bit(tmp_path: Path) -> None:
-    given, spool = work(), Spool(tmp_path / "jobs")
-    spool.put("1", given)
-    found = spool.get("1")
-    assert found.document() == given.document()
-    assert found.images == given.images
-    assert found.budget == given.budget
-    assert found.scene_id("model") == given.scene_id("model")
-    for one, two in zip(found.cameras, given.cameras, strict=True):
-        assert one.world_from_cam.tobytes() == two.world_from_cam.tobytes()
-        assert one.given == two.given
-    assert found.model == given.model
-    spool.drop("1")
-    with pytest.raises(FileNotFoundError):
-        spool.get("1")
-
-
 def test_what_is_logged_of_a_job_has_the_id_of_its_request(place: Place) -> None:
     """Also in another process, where only the disk tells it."""
     heard: list[str | None] = []
