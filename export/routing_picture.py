@@ -81,7 +81,7 @@ def route(folder: Path, views: list[str], model: Path | None = None, listener: L
         raise ModelError("has neither experts nor a task gate: there are no routes to show", field="model")
     photos = [EncodedPhoto(path.read_bytes()) for path in scene.image_paths]
     near, far = scene.file.near, scene.file.far
-    found = Reconstructor(engine).reconstruct(  # routes are the network's: nothing after it is of use here
+    found = Reconstructor(engine).reconstruct(  # mending changes no route
         photos, scene.file.cameras, near=near, far=far, leave_one_out=0, fade=0, listener=listener
     )
     upright = next(  # most are

@@ -28,10 +28,10 @@ WEIGHTS = "weights.safetensors"  # in the folder of a training
 STATE_PARTS = {"average", "optimiser"}  # beside the weights in the state of a training
 
 
-def _built(config: ModelConfig) -> GaPMeS:
+def _architecture() -> type[GaPMeS]:
     from .network import GaPMeS  # takes seconds, which processes that draw scenes or write files do without
 
-    return GaPMeS(config)
+    return GaPMeS
 
 
 def shipped_checkpoint(preset: str) -> Path:
@@ -82,9 +82,10 @@ def _preset_of(tensors: Mapping[str, Tensor]) -> str:
     """The preset with exactly these tensor names, behind a `wrapper_of` all of them, and shapes, or an empty string."""
     wrapper = wrapper_of(tensors)
     shapes = {name.removeprefix(wrapper): value.shape for name, value in tensors.items()}
+    built = _architecture()
     for name, config in PRESETS.items():
         with torch.device("meta"):
-            wanted = {key: value.shape for key, value in _built(config).state_dict().items()}
+            wanted = {key: value.shape for key, value in built(config).state_dict().items()}
         if shapes == wanted:
             return name
     return ""
@@ -122,7 +123,7 @@ def load_checkpoint(path: Path) -> GaPMeS:
     refuse_other_kinds(path, tensors)
     weights = {name: value.to(torch.float32) for name, value in tensors.items()}
     refuse_non_finite(path, weights)
-    model = _built(config)
+    model = _architecture()(config)
     kept = ("gapmes.licence", "gapmes.backbones")
     model.provenance = {key: value for key, value in metadata.items() if key in kept}
     model.load_state_dict(weights)
@@ -148,8 +149,9 @@ def _misfit(expected: Mapping[str, Tensor], tensors: Mapping[str, Tensor]) -> st
 def _tensors_of(path: Path, config: ModelConfig) -> Mapping[str, Tensor]:
     """The state dict of the network of `config` on the meta device, which takes no memory. Raises `CheckpointError`
     for a configuration that no network has."""
+    built = _architecture()
     try:
         with torch.device("meta"):
-            return _built(config).state_dict()
+            return built(config).state_dict()
     except (RuntimeError, ValueError, TypeError, ArithmeticError) as error:
         raise CheckpointError(f"{path} has a configuration that no network has: {error}") from error

@@ -144,3 +144,12 @@ def test_the_runtime_asks_for_no_torch_and_the_export_extra_does() -> None:
     export = project["optional-dependencies"]["export"]
     assert any(name.startswith("torch==") for name in export)
     assert any(name.startswith("onnx>") for name in export)
+
+
+@pytest.mark.parametrize("module", ["model.training.ahead", "model.training.choice", "export.model_file"])
+def test_what_needs_no_network_imports_none(module: str) -> None:
+    """Which takes seconds in each process that draws scenes or writes a file."""
+    code = (
+        f"import sys, gapmes.{module}; sys.exit(bool({{'gapmes.model.network', 'transformers'}} & sys.modules.keys()))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -63,11 +63,13 @@ def load_models(
     found: list[Model] = []
     known = [*(path for path in files if path.suffix == CHECKPOINT), shipped_checkpoint("tiny")]
     checkpoints = {file_sha256(path): path for path in known if path.is_file()}
-    for path, label in zip(files, _labels(files), strict=True):
+    labels = dict(zip(files, _labels(files), strict=True))
+    loaded = {p: runtime.load(p, labels[p], checkpoints) for p in files if p.suffix != CHECKPOINT}  # before all exports
+    for path, label in labels.items():
         if path.suffix == CHECKPOINT:
             found += [m for size in sizes for m in _exported(path, size, label, folder, runtime, listener)]
         else:
-            found += runtime.load(path, label, checkpoints)
+            found += loaded[path]
     have = ", ".join(dict.fromkeys(f"{model.file}: {model.size}" for model in found))
     if {model.size for model in found} != set(sizes):
         raise ModelError(
@@ -109,7 +111,7 @@ def exports(files: Sequence[Path], sizes: Sequence[Size]) -> list[tuple[str, Siz
 
 def model_sizes(files: Sequence[Path]) -> list[Size]:
     """The sizes of the ONNX files, largest first."""
-    infos = [model_file(path).info for path in files if path.suffix != CHECKPOINT]
+    infos = [model_file(path).info for path in files if path.suffix != CHECKPOINT]  # not loaded, which takes seconds
     return sorted({Size(info.height, info.width) for info in infos}, key=Size.order, reverse=True)
 
 

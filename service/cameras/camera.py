@@ -33,7 +33,7 @@ class Camera:
     cx: float  # px
     cy: float  # px
     world_from_cam: F64  # (4, 4), rotation | centre, caller's units
-    given: Given = AS_IT_IS  # how precise the pose was when it was given
+    given: Given = AS_IT_IS  # how the pose was given
 
     @classmethod
     def make(

@@ -33,8 +33,8 @@ class Given(NamedTuple):
     shift: float = 0.0  # how far projecting R onto SO(3) moved the camera centre, units; 0 for camera to world
     step: float = 0.0  # half a float32 step of its translation, see `float32.py`
     form: str = ""  # of the file that it comes from, such as cameras.json; empty for a matrix of the caller's
-    axes: str = "opencv"  # or opengl
-    pose: str = "c2w"  # or w2c
+    axes: str = "opencv"  # or opengl, in the file
+    pose: str = "c2w"  # or w2c, in the file
 
     @property
     def precision(self) -> tuple[float, float, float]:

@@ -7,11 +7,23 @@ from collections.abc import Sequence
 from .camera import Camera
 from .pose import AS_IT_IS, Given
 
-CAMERAS_JSON, TRANSFORMS_JSON, COLMAP, REALESTATE10K = "cameras.json", "transforms.json", "COLMAP", "RealEstate10K"
+CAMERAS_JSON, TRANSFORMS_JSON, COLMAP, LLFF, REALESTATE10K = (
+    "cameras.json",
+    "transforms.json",
+    "COLMAP",
+    "LLFF",
+    "RealEstate10K",
+)
 
 _AXES = {"opencv": "OpenCV axes (x right, y down, z forward)", "opengl": "OpenGL axes (x right, y up, z backward)"}
 _POSES = {"c2w": "camera-to-world", "w2c": "world-to-camera"}
-_MATRICES = {TRANSFORMS_JSON: "transform_matrix", COLMAP: "[R | t]", REALESTATE10K: "[R | t]"}  # else named as the pose
+_MATRICES = {  # that are changed as the cure says; a caller's own are named as their pose
+    CAMERAS_JSON: "matrix",
+    TRANSFORMS_JSON: "transform_matrix",
+    COLMAP: "[R | t] of quaternion and translation",
+    LLFF: "[right | down | -back | centre]",  # in the file the columns are down, right, back, centre
+    REALESTATE10K: "[R | t]",
+}
 
 
 def convention(cameras: Sequence[Camera]) -> Given:
@@ -28,7 +40,8 @@ def other_convention(given: Given, *, inverted: bool, axes: str) -> tuple[str, s
         looks_like += f" in {_AXES[axes].split(' (')[0]}"
     if given.form == CAMERAS_JSON:
         said = [f'"pose": "{pose}"'] * inverted + [f'"axes": "{axes}"'] * (axes != given.axes)
-        return looks_like, f"say {' and '.join(said)}"
+        named = f", and name the matrices {pose}" if inverted else ""  # by the other name another one may be read
+        return looks_like, f"say {' and '.join(said)}{named}"
     steps = [f"invert each {_matrix(given)}"] * inverted
     if axes != given.axes:
         lines = f"{_line(given)}s 1 and 2"

@@ -34,7 +34,7 @@ class Reading:
 
 def other_readings(cameras: Sequence[Camera]) -> tuple[Reading, ...]:
     """Inverse poses, OpenGL instead of OpenCV axes (or the reverse), and both at once; with the cures of the file that
-    they come from. An inverse in the axes of the other side is one in those of its own, but for a turn of the world."""
+    they come from. These are all: turning the axes of the world as well changes no pose relative to another."""
     poses, given = [camera.world_from_cam for camera in cameras], convention(cameras)
     turned = "opencv" if given.axes == "opengl" else "opengl"
     readings = (
@@ -102,7 +102,9 @@ def apart_when_inverted(cameras: Sequence[Camera]) -> str:
     as_read = _largest_distance(np.stack([camera.center for camera in cameras]))
     if apart <= max(CLEARLY * as_read, 1e-6 * float(np.abs(centers).max())):
         return ""
-    return f'; if these are world-to-camera matrices ("pose": "w2c"), the cameras stand {apart:.4g} apart'
+    given = convention(cameras)
+    looks_like, cure = other_convention(given, inverted=True, axes=given.axes)
+    return f"; if these are {looks_like}, {cure}: the cameras then stand {apart:.4g} apart"
 
 
 def _largest_distance(centers: NDArray[np.float64]) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..cameras.camera import Camera
 from ..cameras.camera_fields import CameraFile, NamedView, SizeOf
 from ..cameras.pose import checked_pose
+from ..cameras.pose_cures import LLFF
 from ..errors import CameraError
 from .table import CameraTable, check_listed
 
@@ -37,6 +38,7 @@ def _view(row: NDArray[np.float64], index: int) -> NamedView:
     down, right, back, center = matrix[:, :4].T
     height, width, focal = matrix[:, 4]
     pose = checked_pose(np.stack([right, down, -back, center], axis=1), field="cameras", index=index)
+    pose = pose.written(LLFF, "opencv", "c2w")
     camera = Camera.make(width, height, focal, focal, width / 2, height / 2, pose, field="cameras", index=index)
     near, far = float(row[15]), float(row[16])
     if not (np.isfinite([near, far]).all() and 0 < near < far):

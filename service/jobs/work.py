@@ -50,7 +50,8 @@ class Work:
 
     def scene_id(self, identity: str) -> str:
         """Hash of everything that the stored scene depends on, and of nothing else: neither file names nor the model's
-        name. `identity` is that of the model's file and of the engine."""
+        name, nor the file that the poses come from, on which the words of a warning depend: those of a stored scene are
+        for the file that made it. `identity` is that of the model's file and of the engine."""
         budget = self.budget
         bounded = budget.max_error is not None or budget.min_opacity > 0
         options: dict[str, Any] = {

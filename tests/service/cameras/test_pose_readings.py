@@ -11,9 +11,11 @@ from sample_photographs import sample_cameras, sample_pixels, sample_views
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.camera_fields import opencv_pose
-from gapmes.service.cameras.depth_range import DepthRange, depth_range
+from gapmes.service.cameras.camera_file import parse_camera_file
+from gapmes.service.cameras.depth_range import DepthRange, depth_range, largest_baseline
 from gapmes.service.cameras.pose_readings import other_orders, other_readings, robot_readings
-from gapmes.service.errors import ContradictionError
+from gapmes.service.cameras.rotations import about_axis
+from gapmes.service.errors import BaselineError, ContradictionError
 from gapmes.service.matching.photo_checks import check_photos
 from gapmes.service.photographs.images import Photo, fit_view
 from gapmes.service.photographs.upright import upright
@@ -46,6 +48,7 @@ SAID = [  # form, axes and pose as the file says, or as its format has them
     ("", "opencv", "c2w"),
     ("transforms.json", "opengl", "c2w"),
     ("COLMAP", "opencv", "w2c"),
+    ("LLFF", "opencv", "c2w"),
     ("RealEstate10K", "opencv", "w2c"),
     *(("cameras.json", axes, pose) for axes in ("opencv", "opengl") for pose in ("c2w", "w2c")),
 ]
@@ -64,8 +67,14 @@ def written(poses: list[np.ndarray], axes: str, pose: str) -> list[np.ndarray]:
     return [inv(matrix) for matrix in turned] if pose == "w2c" else turned
 
 
-def read(matrices: list[np.ndarray], said: Said) -> tuple[Camera, ...]:
+def read(matrices: list[np.ndarray], said: Said, names: tuple[str, ...] | None = None) -> tuple[Camera, ...]:
+    """As a file of this form is read; in a cameras.json under the first of the `names`, beside other matrices."""
     form, axes, pose = said
+    if form == "cameras.json":
+        view = {"width": 320, "height": 240, "fx": 250, "fy": 250, "cx": 160, "cy": 120}
+        used, *others = names or (pose,)
+        views = [{**view, used: m.tolist(), **{name: (m @ GL @ m).tolist() for name in others}} for m in matrices]
+        return parse_camera_file({"axes": axes, "pose": pose, "views": views}).cameras
     poses = (opencv_pose(m, form=form, axes=axes, pose=pose, field="pose", index=None) for m in matrices)
     return tuple(Camera.make(320, 240, 250, 250, 160, 120, pose) for pose in poses)
 
@@ -75,14 +84,18 @@ def between(cameras: tuple[Camera, ...]) -> np.ndarray:
     return inv(one) @ other
 
 
-def mended(cure: str, matrices: list[np.ndarray], said: Said) -> tuple[Camera, ...]:
+def mended(
+    cure: str, matrices: list[np.ndarray], said: Said, names: tuple[str, ...] | None = None
+) -> tuple[Camera, ...]:
     """The cameras after doing what the cure says, word by word."""
     form, axes, pose = said
     if cure.startswith("say "):
         told = dict(re.findall(r'"(pose|axes)": "(\w+)"', cure))
         assert told.keys() <= {"pose", "axes"}
         assert told.items().isdisjoint({("pose", pose), ("axes", axes)})  # no word on what is said already
-        return read(matrices, (form, told.get("axes", axes), told.get("pose", pose)))
+        if named := re.search(r", and name the matrices (\w+)$", cure):
+            names = (named[1],)
+        return read(matrices, (form, told.get("axes", axes), told.get("pose", pose)), names)
     if "invert each" in cure:
         matrices = [inv(matrix) for matrix in matrices]
     if found := re.search(r"negate (row|column)s 1 and 2", cure):
@@ -94,7 +107,7 @@ def mended(cure: str, matrices: list[np.ndarray], said: Said) -> tuple[Camera, .
             matrices = [matrix[:, [*order, 3]] * [*signs, 1] for matrix in matrices]
         else:
             matrices = [matrix[[*order, 3]] * np.array([*signs, 1])[:, None] for matrix in matrices]
-    return read(matrices, said)
+    return read(matrices, said, names)
 
 
 @pytest.mark.parametrize("pose", ["c2w", "w2c"])
@@ -117,16 +130,63 @@ def test_done_word_by_word_the_cure_makes_a_file_right(said: Said, axes: str, po
         assert reading.looks_like == LOOKS[axes]
     else:
         assert reading.looks_like == direction + ("" if axes == said[1] else f" in {LOOKS[axes][:11]}")
-    things = {"transforms.json": "transform_matrix", "COLMAP": "[R | t]", "RealEstate10K": "[R | t]"}
-    if not reading.cure.startswith("say "):
-        assert f" each {things.get(said[0], said[2])}" in reading.cure
+    things = {
+        "": "c2w",
+        "cameras.json": "matrix",
+        "transforms.json": "transform_matrix",
+        "COLMAP": "[R | t] of quaternion and translation",
+        "LLFF": "[right | down | -back | centre]",
+        "RealEstate10K": "[R | t]",
+    }
+    assert reading.cure.startswith("say ") or f" each {things[said[0]]}" in reading.cure
+
+
+@pytest.mark.parametrize("names", [("c2w",), ("w2c",), ("w2c", "c2w")], ids="+".join)
+@pytest.mark.parametrize("axes", ["opencv", "opengl", "left"])
+def test_so_it_does_whatever_the_matrices_are_called(axes: str, names: tuple[str, ...]) -> None:
+    """Those that are said to be world-to-camera; a view may have both, of which the right one is read."""
+    poses = [camera.world_from_cam for camera in sample_cameras((1, 5))]
+    said, right = ("cameras.json", "opencv", "w2c"), inv(poses[0]) @ poses[1]
+    matrices = written(poses, axes, "w2c" if axes == "left" else "c2w")
+    cameras = read(matrices, said, names)
+    readings = (*other_readings(cameras), *robot_readings(cameras))
+    (reading,) = (r for r in readings if np.allclose(between(r.cameras), right, rtol=0, atol=1e-12))
+    found = between(mended(reading.cure, matrices, said, names))
+    np.testing.assert_allclose(found, right, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        (("", "opencv", "c2w"), "world-to-camera matrices, invert each c2w"),
+        (("transforms.json", "opengl", "c2w"), "world-to-camera matrices, invert each transform_matrix"),
+        (("COLMAP", "opencv", "w2c"), "camera-to-world matrices, invert each [R | t] of quaternion and translation"),
+        (
+            ("cameras.json", "opencv", "c2w"),
+            'world-to-camera matrices, say "pose": "w2c", and name the matrices w2c',
+        ),
+        (
+            ("cameras.json", "opengl", "w2c"),
+            'camera-to-world matrices, say "pose": "c2w", and name the matrices c2w',
+        ),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_a_ring_that_is_read_inverted_is_told_in_the_same_words(said: Said, words: str) -> None:
+    ring = [about_axis(np.array([0.0, 1.0, 0.0]), turn) for turn in (0.0, 0.4, 0.8)]
+    poses = [np.block([[turn, turn @ [[0.0], [0.0], [-3.0]]], [np.zeros((1, 3)), np.ones((1, 1))]]) for turn in ring]
+    inverse = {"c2w": "w2c", "w2c": "c2w"}[said[2]]
+    with pytest.raises(BaselineError) as caught:
+        largest_baseline(read(written(poses, said[1], inverse), said))
+    apart = 2 * 3 * np.sin(0.4)
+    assert caught.value.cure.endswith(f"; if these are {words}: the cameras then stand {apart:.4g} apart")
 
 
 def test_of_matrices_that_were_written_differently_the_cure_is_for_those_as_they_were_read():
     poses = [camera.world_from_cam for camera in sample_cameras((1, 5))]
     one, other = read(poses, ("cameras.json", "opencv", "c2w")), read(poses, ("cameras.json", "opengl", "c2w"))
     assert other_readings((one[0], other[1]))[0].cure == "invert each c2w"
-    assert other_readings(one)[0].cure == 'say "pose": "w2c"'
+    assert other_readings(one)[0].cure == 'say "pose": "w2c", and name the matrices w2c'
 
 
 STORED = {2: 2, 3: 3, 4: 4, 5: 5, 6: 8, 7: 7, 8: 6}  # the orientation that undoes another; both turned by 90 degrees

@@ -25,6 +25,13 @@ from gapmes.service.captures.capture import load_scene_folder, open_capture, rea
 from gapmes.service.captures.select import ViewSelection
 from gapmes.service.errors import CameraError, CaptureError, ImageError, IntrinsicsError
 
+SAID = {
+    "cameras.json": ("cameras.json", "opencv", "c2w"),
+    "transforms.json": ("transforms.json", "opengl", "c2w"),
+    "colmap": ("COLMAP", "opencv", "w2c"),
+    "llff": ("LLFF", "opencv", "c2w"),
+    "realestate10k": ("RealEstate10K", "opencv", "w2c"),
+}
 RAYS_PX = 1e-4  # what is promised; worst 1.4e-14 px over all formats: each writes and reads float64
 
 
@@ -41,8 +48,7 @@ def test_every_format_gives_the_same_rays(tmp_path: Path, form: str, packed: str
         path.write_bytes(zipped(tmp_path / "scene", inside=inside))
     capture = open_capture(path)
     found = capture.choose(ViewSelection())
-    said = {"cameras.json": "cameras.json", "transforms.json": "transforms.json", "colmap": "COLMAP", "llff": ""}
-    assert {camera.given.form for camera in found.file.cameras} == {said.get(capture.table.kind, "RealEstate10K")}
+    assert {camera.given.convention for camera in found.file.cameras} == {SAID[capture.table.kind]}
     assert found.indices == (0, 1, 2, 3, 4)
     assert found.selection["by"] == "all"
     pixels = np.array([[0.0, 0.0], [96.0, 0.0], [48.0, 36.0], [10.5, 71.5]])
