@@ -82,10 +82,10 @@ def _preset_of(tensors: Mapping[str, Tensor]) -> str:
     """The preset with exactly these tensor names, behind a `wrapper_of` all of them, and shapes, or an empty string."""
     wrapper = wrapper_of(tensors)
     shapes = {name.removeprefix(wrapper): value.shape for name, value in tensors.items()}
-    built = _architecture()
+    architecture = _architecture()
     for name, config in PRESETS.items():
         with torch.device("meta"):
-            wanted = {key: value.shape for key, value in built(config).state_dict().items()}
+            wanted = {key: value.shape for key, value in architecture(config).state_dict().items()}
         if shapes == wanted:
             return name
     return ""
@@ -149,9 +149,9 @@ def _misfit(expected: Mapping[str, Tensor], tensors: Mapping[str, Tensor]) -> st
 def _tensors_of(path: Path, config: ModelConfig) -> Mapping[str, Tensor]:
     """The state dict of the network of `config` on the meta device, which takes no memory. Raises `CheckpointError`
     for a configuration that no network has."""
-    built = _architecture()
+    architecture = _architecture()
     try:
         with torch.device("meta"):
-            return built(config).state_dict()
+            return architecture(config).state_dict()
     except (RuntimeError, ValueError, TypeError, ArithmeticError) as error:
         raise CheckpointError(f"{path} has a configuration that no network has: {error}") from error
