@@ -13,7 +13,8 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from test_export_place import QUICK, small, verdict
+from little_models import small
+from test_export_place import QUICK, verdict
 from typer.testing import CliRunner
 
 from gapmes.export import pipeline
@@ -31,8 +32,7 @@ from pathlib import Path
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 from gapmes.export import model_file, quantise
 from gapmes.service.process.ending import ended_in_order
-from test_export_place import small
-from test_model_file import product
+from little_models import product, small
 folder = Path(sys.argv[2])
 tempfile.tempdir = str(folder)
 model_file.EXTERNAL_BYTES = 2**26 if sys.argv[1] == "graph" else 1000

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import onnx
 import pytest
+from little_models import small
 from typer.testing import CliRunner
 
 from gapmes.export import pipeline
@@ -17,14 +18,6 @@ from gapmes.export.report import CaseResult, Report
 from gapmes.service.errors import InputError
 
 QUICK = {"height": 64, "width": 64, "quick": True}
-
-
-def small() -> onnx.ModelProto:
-    """A graph in place of the network's."""
-    value = onnx.helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [1])
-    node = onnx.helper.make_node("Identity", ["x"], ["y"])
-    result = onnx.helper.make_tensor_value_info("y", onnx.TensorProto.FLOAT, [1])
-    return onnx.helper.make_model(onnx.helper.make_graph([node], "small", [value], [result]))
 
 
 def said_of(model: Path) -> dict[str, str]:
@@ -115,7 +108,7 @@ ENDED = """
 import signal, sys, time
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it would be ignored
 from gapmes.export import cli, pipeline
-from test_export_place import small
+from little_models import small
 pipeline.export_graph = lambda *_: small()
 def waits(model, *_):
     print(model, flush=True)

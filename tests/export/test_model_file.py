@@ -6,21 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import onnx
 import pytest
-from onnx import TensorProto, helper, numpy_helper
+from little_models import product
 
 from gapmes.export.model_file import data_files, remove_model, write_model
 from gapmes.service.process.disk import replacing
-
-
-def product(seed: int) -> onnx.ModelProto:
-    """A model of y = x @ w with 16 KB of weights."""
-    weights = np.random.default_rng(seed).normal(size=(64, 64)).astype(np.float32)
-    x, y = (helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 64]) for name in "xy")
-    node = helper.make_node("MatMul", ["x", "w"], ["y"])
-    return helper.make_model(helper.make_graph([node], "product", [x], [y], [numpy_helper.from_array(weights, "w")]))
 
 
 @pytest.fixture(autouse=True)
