@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -42,14 +42,20 @@ def refuse_overflow(path: Path, network: nn.Module) -> None:
 
 def overflow(network: nn.Module, compute: Callable[[], object]) -> str:
     """A message that names the first layer of `network` with a non-finite result in `compute`, and the largest weight;
-    empty where the result of `compute` is finite. An error without a non-finite result before it is re-raised."""
-    with torch.no_grad(), _first_overflow(network) as layers:
-        try:
+    empty where the result of `compute` is finite. An error without a non-finite result before it is re-raised.
+
+    Layers are watched only in a second computation: looking at all their results takes as long as the network."""
+    with torch.no_grad():
+        with suppress(*_FAILURES):
             if _finite(compute()):
                 return ""
-        except _FAILURES:
-            if not layers:
-                raise
+        with _first_overflow(network) as layers:
+            try:
+                if _finite(compute()):
+                    return ""
+            except _FAILURES:
+                if not layers:
+                    raise
     name, largest = _largest_weight(network)
     where = f"layer {layers[0]}" if layers else "the network"
     return f"{where} overflows: it gives numbers that are not finite; the largest weight is {largest:.3g}, in {name}"
