@@ -44,6 +44,7 @@ from .workers import Worker
 log = logging.getLogger(__name__)
 
 SAVE_SECONDS = 120.0  # between two states: what an interrupt can cost
+VALIDATION_SIZE = 128  # px
 STEPS, SKIPPED = "steps", "skipped"  # counts among the sums of what the log gives means of
 
 
@@ -149,8 +150,8 @@ def _run(
             report.write(folder / f"{part}.checkpoint.json")
     if worker.leads and start < recipe.steps:
         held_out = {
-            "wide": validation_batches(128, validation_scenes, (0.18, 0.5)),
-            "narrow": validation_batches(128, max(1, validation_scenes // 2), (0.06, 0.15)),
+            "wide": validation_batches(VALIDATION_SIZE, validation_scenes, (0.18, 0.5)),
+            "narrow": validation_batches(VALIDATION_SIZE, max(1, validation_scenes // 2), (0.06, 0.15)),
         }
     counts = model.trainable_parameters(), sum(p.numel() for p in model.parameters())
     log.info("%d of %d parameters trained, step %d of %d", *counts, start, recipe.steps)

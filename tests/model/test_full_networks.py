@@ -4,16 +4,14 @@ weights."""
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from full_networks import miniature
+from full_networks import miniature, weights_of_another
 from small_networks import scene
 
-from gapmes.model.backbones import DepthAnythingFeatures
 from gapmes.model.checkpoint import load_checkpoint, save_checkpoint, shipped_checkpoint
 from gapmes.model.config import preset
 from gapmes.model.cost_volume import Views
@@ -22,9 +20,8 @@ from gapmes.model.network import GaPMeS
 from gapmes.model.pretrained.backbones import RECORD, BackboneSources, load_backbones
 from gapmes.model.training import command
 from gapmes.model.training.command import main as train_command
-from gapmes.model.training.loop import train
 from gapmes.model.training.recipe import FINISH, Recipe
-from gapmes.model.training.run_folder import STATE, WEIGHTS
+from gapmes.model.training.run_folder import WEIGHTS
 from gapmes.model.trunk import LightTrunk
 from gapmes.model.weights_file import CheckpointError
 
@@ -80,21 +77,6 @@ def test_scenes_of_a_batch_do_not_see_each_other() -> None:
     torch.testing.assert_close(both[1:], alone, atol=0, rtol=1e-4)
 
 
-def test_a_step_changes_what_is_trained_and_nothing_that_is_frozen(tmp_path: Path) -> None:
-    config = miniature().config
-    torch.manual_seed(Recipe.seed)
-    before = GaPMeS(config)  # as the run starts
-    recipe = replace(Recipe(), steps=1)
-    after = train(config, recipe, tmp_path / "run", validate_every=10, validation_scenes=1)
-    # the averaged weights are a mean with the start, so every trained tensor with a gradient has moved
-    moved = {
-        n for (n, a), b in zip(after.named_parameters(), before.parameters(), strict=True) if not torch.equal(a, b)
-    }
-    frozen = {name for name, value in before.named_parameters() if not value.requires_grad}
-    assert not moved & frozen
-    assert {name.split(".")[0] for name in moved} == {"depth", "mixture", "heads", "mono_context"}
-
-
 def test_both_trunks_give_the_same_two_maps() -> None:
     full, light = miniature(), GaPMeS(preset("tiny"))
     assert isinstance(full.trunk, FullTrunk)
@@ -113,15 +95,7 @@ def test_the_full_trunk_says_which_channels_it_has() -> None:
 
 @pytest.fixture
 def sources(tmp_path: Path) -> BackboneSources:
-    """Weights of another miniature, in layouts that loaders know."""
-    other = miniature(seed=9)
-    assert isinstance(other.mono, DepthAnythingFeatures)
-    semantic, depth, trunk = (tmp_path / name for name in ("dino.pth", "depth.pth", "gmflow.pth"))
-    torch.save(other.semantic.vit.state_dict(), semantic)
-    torch.save(other.mono.model.state_dict(), depth)
-    extra = {"feature_flow_attn.q_proj.weight": torch.zeros(2, 2)}
-    torch.save({"model": other.trunk.state_dict() | extra}, trunk)
-    return BackboneSources(str(semantic), str(trunk), str(depth))
+    return weights_of_another(tmp_path)
 
 
 def test_published_weights_go_into_the_frozen_parts_and_on_record(tmp_path: Path, sources: BackboneSources) -> None:
@@ -170,53 +144,6 @@ def test_the_ablation_without_depth_takes_no_depth_weights(sources: BackboneSour
         load_backbones(miniature(), replace(sources, depth=None))
 
 
-def test_a_state_holds_what_is_trained_and_a_run_goes_on_from_it(tmp_path: Path, sources: BackboneSources) -> None:
-    config, recipe = miniature().config, replace(Recipe(), steps=1)
-    whole = train(config, recipe, tmp_path / "run", validation_scenes=1, backbones=sources)
-    state = torch.load(tmp_path / "run" / STATE, weights_only=True)
-    trained = {name for name, value in GaPMeS(config).named_parameters() if value.requires_grad}
-    assert trained
-    assert trained == state["model"].keys() == state["average"].keys()
-    again = train(config, recipe, tmp_path / "run", validation_scenes=1, backbones=sources)
-    assert all(torch.equal(a, b) for a, b in zip(whole.parameters(), again.parameters(), strict=True))
-    torch.save(state | {"average": {}}, tmp_path / "run" / STATE)
-    with pytest.raises(ValueError, match="has other tensors than this network trains"):
-        train(config, recipe, tmp_path / "run", validation_scenes=1, backbones=sources)
-
-
-def test_a_run_does_not_go_on_with_other_frozen_weights(tmp_path: Path, sources: BackboneSources) -> None:
-    config, recipe = miniature().config, replace(Recipe(), steps=1)
-    train(config, recipe, tmp_path / "run", validate_every=10, validation_scenes=1, backbones=sources)
-    renamed = replace(sources, semantic=str(Path(sources.semantic).with_name("renamed.pth")))
-    shutil.copy(sources.semantic, renamed.semantic)
-    train(config, recipe, tmp_path / "run", validate_every=10, validation_scenes=1, backbones=renamed)  # the same ones
-    torch.save(miniature(seed=4).semantic.vit.state_dict(), sources.semantic)
-    record = tmp_path / "run" / "semantic.checkpoint.json"
-    before = record.read_text()
-    for others in (sources, None):
-        with pytest.raises(ValueError, match="another backbones"):
-            train(config, recipe, tmp_path / "run", backbones=others)
-    assert record.read_text() == before
-
-
-def test_a_run_takes_the_frozen_parts_of_the_weights_that_it_starts_from(
-    tmp_path: Path, sources: BackboneSources
-) -> None:
-    config, given = miniature().config, tmp_path / "given.safetensors"
-    network = miniature()
-    load_backbones(network, sources)
-    save_checkpoint(given, network)
-    one = replace(Recipe(), steps=1)
-    train(config, one, tmp_path / "run", validate_every=9, validation_scenes=1, initial=given)
-    found = load_checkpoint(tmp_path / "run" / WEIGHTS)
-    assert found.provenance[RECORD] == network.provenance[RECORD]
-    for part in ("semantic.vit", "mono.model", "trunk"):
-        ours, theirs = found.get_submodule(part).state_dict(), network.get_submodule(part).state_dict()
-        assert all(torch.equal(ours[name], theirs[name]) for name in theirs), part
-    with pytest.raises(ValueError, match="carry the frozen parts already"):
-        train(config, one, tmp_path / "other", backbones=sources, initial=given)
-
-
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
@@ -260,13 +187,3 @@ def test_weights_that_are_not_there_are_wrong_usage(tmp_path: Path, capsys: pyte
     with pytest.raises(SystemExit):
         train_command([str(tmp_path), "--preset", "small", *arguments])
     assert "nope.pth" in capsys.readouterr().err
-
-
-def test_a_run_of_no_steps_writes_the_frozen_weights_and_an_untrained_rest(
-    tmp_path: Path, sources: BackboneSources
-) -> None:
-    train(miniature().config, replace(Recipe(), steps=0), tmp_path / "run", validation_scenes=1, backbones=sources)
-    loaded = load_checkpoint(tmp_path / "run" / WEIGHTS)
-    other = miniature(seed=9).trunk.state_dict()
-    assert all(torch.equal(value, other[name]) for name, value in loaded.trunk.state_dict().items())
-    assert RECORD in loaded.provenance

@@ -1,0 +1,14 @@
+"""Settings for the tests of training: runs are validated on little pictures."""
+
+from __future__ import annotations
+
+import pytest
+
+from gapmes.model.training import loop
+
+
+@pytest.fixture(autouse=True)
+def _little_validation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At a quarter of the area, which took more time than the steps of most runs; processes that a test starts keep the
+    usual size."""
+    monkeypatch.setattr(loop, "VALIDATION_SIZE", 64)
