@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,23 +89,13 @@ def folded_position_embeddings(network: Network, height: int, width: int) -> Ite
 
     Otherwise the graph would hold the library's bicubic interpolation, which backends compute differently.
     """
-    replaced = []
-    try:
+    with ExitStack() as fixed:
         for module in network.modules():
             if isinstance(module, IntermediateVit):
-                pixels = module.seen_size(height, width)
+                rows, columns = (side // module.config.patch for side in module.seen_size(height, width))
             elif isinstance(module, VitFeatures | DepthAnythingFeatures):
-                patch = module.config.patch
-                pixels = (height // PIXELS_PER_PATCH * patch, width // PIXELS_PER_PATCH * patch)
+                rows, columns = height // PIXELS_PER_PATCH, width // PIXELS_PER_PATCH
             else:
                 continue
-            patch, embeddings = module.config.patch, module.vit.embeddings
-            with torch.no_grad():
-                tokens = torch.zeros(1, 1 + (pixels[0] // patch) * (pixels[1] // patch), module.config.hidden)
-                constant = embeddings.interpolate_pos_encoding(tokens, *pixels).detach().clone()
-            vars(embeddings)["interpolate_pos_encoding"] = lambda *_, constant=constant: constant
-            replaced.append(embeddings)
+            fixed.enter_context(module.vit.fixed_grid(rows, columns))
         yield
-    finally:
-        for embeddings in replaced:
-            del vars(embeddings)["interpolate_pos_encoding"]

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from torch import Tensor, nn
-from transformers.models.dinov2.modeling_dinov2 import Dinov2Layer, Dinov2MLP
 
 from gapmes.model.depthsplat.transformer import AttentionLayer
+from gapmes.model.vit import VitLayer
 
 SLOW_LENGTH = 1024  # float32 of a row: 4 KB
 ZEROS = 16  # hidden channels that a layer of such a length gets
@@ -32,9 +32,8 @@ def deployed_linear_layers(network: nn.Module) -> Iterator[None]:
 
     try:
         for module in list(network.modules()):
-            if isinstance(module, Dinov2Layer):
+            if isinstance(module, VitLayer):
                 attention, mlp = module.attention, module.mlp
-                assert isinstance(mlp, Dinov2MLP)
                 replace(attention, {"o_proj": scaled(attention.o_proj, module.layer_scale1.lambda1)})
                 first, last = lengthened(mlp.fc1, scaled(mlp.fc2, module.layer_scale2.lambda1))
                 replace(mlp, {"fc1": first, "fc2": last})

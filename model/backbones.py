@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from transformers import (
-    DepthAnythingConfig,
-    DepthAnythingForDepthEstimation,
-    Dinov2Backbone,
-    PreTrainedModel,
-)
 
 from .config import CELLS_PER_PATCH, PIXELS_PER_PATCH, VitConfig
-from .vit_parts import ATTENTION, dinov2, dinov2_config, normalised_for_vit
+from .depth_anything import DepthAnything
+from .vit import Vit, normalised_for_vit
 
 _FLAT = 1e-4  # of its greatest value: below this deviation a depth map says nothing but rounding
 
@@ -30,7 +23,7 @@ class VitFeatures(nn.Module):
         super().__init__()
         self.config = config
         self.frozen = frozen
-        self.vit = dinov2(config)
+        self.vit = Vit(config)
         if frozen:
             self.vit.requires_grad_(False)
 
@@ -39,28 +32,8 @@ class VitFeatures(nn.Module):
         height, width = images.shape[-2] // PIXELS_PER_PATCH, images.shape[-1] // PIXELS_PER_PATCH
         x = _seen_by_vit(normalised_for_vit(images), self.config.patch)
         with torch.set_grad_enabled(torch.is_grad_enabled() and not self.frozen):
-            tokens = self.vit(pixel_values=x).last_hidden_state[:, 1:]
+            tokens = self.vit(x)[:, 1:]
         return tokens.transpose(1, 2).reshape(-1, self.config.hidden, height, width)
-
-
-@dataclass(frozen=True)
-class DptShape:
-    """Shape of Depth-Anything-V2's head on a ViT."""
-
-    layers: tuple[int, int, int, int]  # of the ViT whose tokens it reads, 1 is the first; 0 is the patch embedding
-    levels: tuple[int, int, int, int]  # channels, from the finest level to the coarsest
-    fusion: int  # channels of the fused map
-
-    @staticmethod
-    def of(vit: VitConfig) -> DptShape:
-        """The published shape for ViT-S, B and L, and the same proportions for others, of three layers or more."""
-        if (vit.hidden, vit.layers) == (1024, 24):
-            return DptShape((5, 12, 18, 24), (256, 512, 1024, 1024), 256)
-        first, second, third, last = (vit.layers * i // 4 for i in (1, 2, 3, 4))
-        if second == third:
-            raise ValueError(f"a depth head reads four layers of a ViT, this one has {vit.layers}; give it at least 3")
-        h = vit.hidden
-        return DptShape((first, second, third, last), (h // 8, h // 4, h // 2, h), h // 6)
 
 
 class DepthAnythingFeatures(nn.Module):
@@ -76,23 +49,15 @@ class DepthAnythingFeatures(nn.Module):
         super().__init__()
         self.config = config
         self.frozen = frozen
-        self.model = DepthAnythingForDepthEstimation(_depth_anything_config(config))
-        for module in self.model.modules():
-            if isinstance(module, PreTrainedModel):  # the wrapper does not hand its choice on to the encoder
-                module.config._attn_implementation = ATTENTION
+        self.model = DepthAnything(config)
         self.register_buffer("to_cells", _area_average(config.patch, CELLS_PER_PATCH), persistent=False)
-        mask_token = self.vit.embeddings.mask_token
-        assert mask_token is not None
-        mask_token.requires_grad_(False)  # only used by masked pretraining
         if frozen:
             self.model.requires_grad_(False)
 
     @property
-    def vit(self) -> Dinov2Backbone:
+    def vit(self) -> Vit:
         """The encoder, under the name that it has in `VitFeatures`."""
-        backbone = self.model.backbone
-        assert isinstance(backbone, Dinov2Backbone)
-        return backbone
+        return self.model.backbone
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """(n, 3, H, W) in [0, 1] -> features (n, hidden, H/16, W/16), the encoder's last, normed; and inverse depth
@@ -101,20 +66,9 @@ class DepthAnythingFeatures(nn.Module):
         rows, columns = images.shape[-2] // PIXELS_PER_PATCH, images.shape[-1] // PIXELS_PER_PATCH
         x = _seen_by_vit(normalised_for_vit(images), self.config.patch)
         with torch.set_grad_enabled(torch.is_grad_enabled() and not self.frozen):
-            maps = self.vit(pixel_values=x).feature_maps
-            fused = self.model.neck(list(maps), rows, columns)
-            inverse = self._head(fused[-1], rows * self.config.patch, columns * self.config.patch)
-        features = maps[-1][:, 1:].transpose(1, 2).reshape(-1, self.config.hidden, rows, columns)
+            tokens, inverse = self.model(x)
+        features = tokens[:, 1:].transpose(1, 2).reshape(-1, self.config.hidden, rows, columns)
         return features, without_scale_and_shift(self._per_cell(inverse, rows, columns))
-
-    def _head(self, fused: Tensor, height: int, width: int) -> Tensor:
-        """(n, fusion, h, w) -> inverse depth (n, 1, height, width), the published head layer by layer.
-
-        Its own forward turns the size into an integer, which an export with symbolic sizes would freeze silently.
-        """
-        head = self.model.head
-        x = F.interpolate(head.conv1(fused), size=(height, width), mode="bilinear", align_corners=True)
-        return F.relu(head.conv3(F.relu(head.conv2(x))))
 
     def _per_cell(self, inverse: Tensor, rows: int, columns: int) -> Tensor:
         """Mean over the area of each cell: (n, 1, rows * patch, columns * patch) -> (n, 1, H/4, W/4).
@@ -147,22 +101,6 @@ def _seen_by_vit(x: Tensor, patch: int) -> Tensor:
         return x
     size = (x.shape[-2] // PIXELS_PER_PATCH * patch, x.shape[-1] // PIXELS_PER_PATCH * patch)
     return F.interpolate(x, size=size, mode="bilinear", align_corners=False, antialias=False)
-
-
-def _depth_anything_config(vit: VitConfig) -> DepthAnythingConfig:
-    shape = DptShape.of(vit)
-    backbone = dinov2_config(vit, out_indices=list(shape.layers), apply_layernorm=True, reshape_hidden_states=False)
-    return DepthAnythingConfig(
-        backbone_config=backbone,
-        patch_size=vit.patch,
-        reassemble_hidden_size=vit.hidden,
-        reassemble_factors=[4, 2, 1, 0.5],
-        neck_hidden_sizes=list(shape.levels),
-        fusion_hidden_size=shape.fusion,
-        head_hidden_size=32,
-        depth_estimation_type="relative",
-        max_depth=1,
-    )
 
 
 def _area_average(pixels: int, cells: int) -> Tensor:

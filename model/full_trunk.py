@@ -12,7 +12,7 @@ from .depthsplat.config import CNN_CHANNELS, FEATURES
 from .depthsplat.neighbours import nearest_views, neighbour_rows
 from .depthsplat.transformer import MultiViewTransformer, with_positions
 from .trunk import TrunkFeatures
-from .vit_parts import normalised_for_vit
+from .vit import normalised_for_vit
 
 HALF_CHANNELS = CNN_CHANNELS[1]
 QUARTER_CHANNELS = CNN_CHANNELS[2] + FEATURES  # texture beside what the neighbours know of it

@@ -16,7 +16,7 @@ from gapmes.service.mending.fade_passes import DEFAULT_PASSES, checked_passes
 from gapmes.service.network.backends.choice import DEFAULT_ENGINE, ENGINES
 from gapmes.service.process.terminal import ProgressBars, Quiet
 
-NEEDED = ("torch", "transformers", "onnx", "onnxscript", "safetensors")  # of the extra `export`
+NEEDED = ("torch", "onnx", "onnxscript", "safetensors")  # of the extra `export`
 FLOOR_MISSED = 1
 
 

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from ..cost_volume import Views
 from ..layers import softmax_of_channels
 from ..normalisation import GroupNorm
-from ..vit_parts import normalised_for_vit
+from ..vit import normalised_for_vit
 from .cnn import CnnEncoder
 from .config import CNN_CHANNELS, DEPTH_HEAD, FEATURES, PLANES, VITS, DepthSplatConfig
 from .dpt import DptHead, replicate_conv

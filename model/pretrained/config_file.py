@@ -4,16 +4,42 @@ layers that a depth head reads."""
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..config import VitConfig
+from ..depth_anything import FACTORS, DptShape
+from ..vit import NORM_EPSILON
 from ..weights_file import CheckpointError
 
-# Fields by which the same tensors compute something else.
-VIT_FIELDS = ("num_attention_heads", "layer_norm_eps", "hidden_act", "qkv_bias", "use_swiglu_ffn")
-TAP_FIELDS = ("out_features", "apply_layernorm")  # which layers a head reads, and whether normed
-DEPTH_FIELDS = ("depth_estimation_type", "reassemble_factors", "head_in_index", "patch_size")
+# What a published configuration says of this network, in its words: fields by which the same tensors compute something
+# else.
+
+
+def stated_of_vit(config: VitConfig) -> dict[str, Any]:
+    return {
+        "num_attention_heads": config.heads,
+        "layer_norm_eps": NORM_EPSILON,
+        "hidden_act": "gelu",
+        "qkv_bias": True,
+        "use_swiglu_ffn": False,
+    }
+
+
+def stated_of_tapped_vit(config: VitConfig, shape: DptShape) -> dict[str, Any]:
+    """The same, and which layers a depth head reads, and whether normed."""
+    stages = [f"stage{layer}" if layer else "stem" for layer in shape.layers]
+    return {**stated_of_vit(config), "out_features": stages, "apply_layernorm": True}
+
+
+def stated_of_depth(config: VitConfig) -> dict[str, Any]:
+    return {
+        "depth_estimation_type": "relative",
+        "reassemble_factors": list(FACTORS),
+        "head_in_index": -1,
+        "patch_size": config.patch,
+    }
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -33,12 +59,9 @@ def vit_section(document: Mapping[str, Any]) -> Mapping[str, Any]:
     return nested if isinstance(nested, dict) else document
 
 
-def compare(path: Path, stated: Mapping[str, Any], ours: object, fields: Iterable[str], cure: str) -> None:
-    """Raise `CheckpointError` for the first of `fields` that the file states and `ours` has otherwise."""
-    for field in fields:
-        said, own = stated.get(field), getattr(ours, field)
-        if isinstance(own, tuple):
-            own = list(own)  # as JSON has it
-        if said is None or said == own:
-            continue
-        raise CheckpointError(f"{path} states {field} = {said!r}, this network has {own!r}; {cure}")
+def compare(path: Path, stated: Mapping[str, Any], ours: Mapping[str, Any], cure: str) -> None:
+    """Raise `CheckpointError` for the first of our fields that the file states otherwise."""
+    for field, own in ours.items():
+        said = stated.get(field)
+        if said is not None and said != own:
+            raise CheckpointError(f"{path} states {field} = {said!r}, this network has {own!r}; {cure}")

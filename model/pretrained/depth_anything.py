@@ -1,4 +1,4 @@
-"""Depth-Anything-V2's published layouts, transformers' and the original, into `DepthAnythingForDepthEstimation`."""
+"""Depth-Anything-V2's published layouts, transformers' and the original, into `DepthAnything`."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import re
 from pathlib import Path
 
 from torch import Tensor
-from transformers import DepthAnythingForDepthEstimation
 
 from ..backbones import DepthAnythingFeatures
+from ..depth_anything import DepthAnything
 from ..weights_file import CheckpointError
-from .config_file import DEPTH_FIELDS, TAP_FIELDS, VIT_FIELDS, compare, read_config, vit_section
-from .dinov2 import OPTIONAL, refuse_variants, shape_of, vit_parts, with_source
+from .config_file import compare, read_config, stated_of_depth, stated_of_tapped_vit, vit_section
+from .dinov2 import OPTIONAL, refuse_variants, vit_parts, with_source
 from .files import TensorFile, read_tensors
 from .fit import Fit, LeftOut, Part, fit
 from .recognise import ORIGINAL, VitFile, find_vit
@@ -48,16 +48,16 @@ def load_depth_anything(features: DepthAnythingFeatures, source: str | Path, *, 
     found = resolve(source, cache=cache)
     report, tensors = fit_depth_anything(read_tensors(found.path), features.model)
     if found.config is not None:
-        document, ours = read_config(found.config), features.model.config
+        document, model = read_config(found.config), features.model
         cure = "take the relative model of the second version, for example depth-anything/Depth-Anything-V2-Small-hf"
-        compare(found.config, document, ours, DEPTH_FIELDS, cure)
-        compare(found.config, vit_section(document), ours.backbone_config, (*VIT_FIELDS, *TAP_FIELDS), cure)
+        compare(found.config, document, stated_of_depth(model.config), cure)
+        compare(found.config, vit_section(document), stated_of_tapped_vit(model.config, model.shape), cure)
     features.model.load_state_dict(tensors, strict=True)
     return with_source(report, found)
 
 
 def fit_depth_anything(
-    file: TensorFile, model: DepthAnythingForDepthEstimation, *, prefix: str | None = None
+    file: TensorFile, model: DepthAnything, *, prefix: str | None = None
 ) -> tuple[Fit, dict[str, Tensor]]:
     """The report and the state dict for `model`; `prefix` is the encoder's, as of `find_vit`.
 
@@ -80,7 +80,7 @@ def fit_depth_anything(
     expected = model.state_dict()
     optional = {f"backbone.{name}": reason for name, reason in OPTIONAL.items()}
     optional |= {name: "not in the file; never run" for name in expected if name.startswith(_NEVER_RUN)}
-    recognised = held.recognised(shape_of(model.backbone))
+    recognised = held.recognised(model.config)
     return fit(file, expected, names, recognised=recognised, optional=optional)
 
 

@@ -1,17 +1,16 @@
-"""DINOv2's published layouts (the original, transformers 4 and 5) into transformers' `Dinov2Model`."""
+"""DINOv2's published layouts (the original, transformers 4 and 5) into `Vit`."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
 
-from torch import Tensor, nn
-from transformers import Dinov2Config
+from torch import Tensor
 
 from ..backbones import VitFeatures
-from ..config import VitConfig
+from ..vit import Vit
 from ..weights_file import CheckpointError
-from .config_file import VIT_FIELDS, compare, read_config, vit_section
+from .config_file import compare, read_config, stated_of_vit, vit_section
 from .files import TensorFile, read_tensors
 from .fit import Fit, LeftOut, Part, fit
 from .recognise import ORIGINAL, VitFile, find_vit, split_block
@@ -54,21 +53,21 @@ def load_vit(
     Raises `CheckpointError`, and then `features` is unchanged.
 
     On the grid that the position embedding is stored for, the result is that of the publisher's code. On another grid,
-    of n patches, that code samples the embedding as if there were n + 0.1, transformers as n: `tests/parity`.
+    of n patches, that code samples the embedding as if there were n + 0.1, this one as n: `tests/parity`.
     """
     found = resolve(source, cache=cache)
     report, tensors = fit_vit(read_tensors(found.path), features.vit, depth_encoder=depth_encoder)
     if found.config is not None:
         stated = vit_section(read_config(found.config))
-        compare(found.config, stated, features.vit.config, VIT_FIELDS, "these weights are of another network")
+        compare(found.config, stated, stated_of_vit(features.vit.config), "these weights are of another network")
     features.vit.load_state_dict(tensors, strict=True)
     return with_source(report, found)
 
 
 def fit_vit(
-    file: TensorFile, vit: nn.Module, *, depth_encoder: bool = False, prefix: str | None = None
+    file: TensorFile, vit: Vit, *, depth_encoder: bool = False, prefix: str | None = None
 ) -> tuple[Fit, dict[str, Tensor]]:
-    """The report and the state dict for `vit`, a `Dinov2Model` or `Dinov2Backbone`; `prefix` as of `find_vit`.
+    """The report and the state dict for `vit`; `prefix` as of `find_vit`.
 
     Raises `CheckpointError`: see `fit`; also for variants of DINOv2 that this network is not.
     """
@@ -92,12 +91,12 @@ def fit_vit(
             return LeftOut("linear classifier on top of the ViT")
         return None
 
-    recognised = held.recognised(shape_of(vit))
+    recognised = held.recognised(vit.config)
     return fit(file, vit.state_dict(), names, recognised=recognised, optional=OPTIONAL)
 
 
 def vit_parts(held: VitFile, source: str) -> tuple[Part, ...] | None:
-    """The tensors of a `Dinov2Model` that one of the file's gives; None when that layout has no such name."""
+    """The tensors of a `Vit` that one of the file's gives; None when that layout has no such name."""
     name = source.removeprefix(held.prefix)
     block = split_block(name)
     if held.layout != ORIGINAL:
@@ -129,22 +128,6 @@ def refuse_variants(path: Path, held: VitFile) -> None:
             f"{path} has SwiGLU layers ({held.name}), as the giant of DINOv2 has, and this network has not; take "
             f"ViT-S (preset small) or ViT-B (preset base), for example facebook/dinov2-base"
         )
-
-
-def shape_of(vit: nn.Module) -> VitConfig:
-    """The shape of a `Dinov2Model` or `Dinov2Backbone`."""
-    config = vit.config
-    assert isinstance(config, Dinov2Config)
-    assert isinstance(config.patch_size, int)
-    assert isinstance(config.image_size, int)
-    return VitConfig(
-        hidden=config.hidden_size,
-        layers=config.num_hidden_layers,
-        heads=config.num_attention_heads,
-        patch=config.patch_size,
-        mlp_ratio=config.mlp_ratio,
-        image_size=config.image_size,
-    )
 
 
 def with_source(report: Fit, found: Source) -> Fit:

@@ -27,7 +27,7 @@ def test_without_torch_it_says_what_to_install(command: str, run: str) -> None:
 
 OUTDATED = """
 import sys, types
-sys.modules["transformers"] = types.ModuleType("transformers")
+sys.modules["safetensors"] = types.ModuleType("safetensors")
 from gapmes.export.entry import main
 main()
 """
@@ -36,7 +36,7 @@ main()
 def test_another_version_of_a_package_is_named() -> None:
     ended = subprocess.run([sys.executable, "-c", OUTDATED], capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stdout) == (1, "")
-    assert ended.stderr.startswith("refused: gapmes-export cannot use the installed transformers (cannot import name ")
+    assert ended.stderr.startswith("refused: gapmes-export cannot use the installed safetensors (cannot import name ")
     assert ended.stderr.endswith("): pip install --upgrade 'gapmes[export]'\n")
     assert ended.stderr.count("\n") == 1
 

@@ -12,7 +12,7 @@ from torch import nn
 from gapmes.export.linear_layers import SLOW_LENGTH, ZEROS, deployed_linear_layers, lengthened, scaled
 from gapmes.model.config import VitConfig
 from gapmes.model.depthsplat.transformer import MultiViewTransformer
-from gapmes.model.vit_parts import dinov2
+from gapmes.model.vit import Vit
 
 EXACT = 1e-13  # of float64; measured at most 1e-14
 
@@ -43,15 +43,15 @@ def test_more_hidden_channels_change_nothing(hidden: int, bias: bool) -> None:
 
 def test_a_vit_computes_the_same_and_is_itself_again_afterwards() -> None:
     torch.manual_seed(0)
-    vit = dinov2(VitConfig(hidden=256, layers=2, heads=4, patch=14, image_size=56, mlp_ratio=4)).double().eval()
+    vit = Vit(VitConfig(hidden=256, layers=2, heads=4, patch=14, image_size=56, mlp_ratio=4)).double().eval()
     scattered_scales(vit)
     before, modules = {k: v.clone() for k, v in vit.state_dict().items()}, list(vit.modules())
     pictures = torch.randn(2, 3, 56, 56, dtype=torch.float64)
     with torch.no_grad():
-        expected = vit(pixel_values=pictures).last_hidden_state
+        expected = vit(pictures)
         with deployed_linear_layers(vit):
             assert vit.encoder.layer[0].mlp.fc1.out_features == SLOW_LENGTH + ZEROS
-            deployed = vit(pixel_values=pictures).last_hidden_state
+            deployed = vit(pictures)
     torch.testing.assert_close(deployed, expected, rtol=EXACT, atol=EXACT)
     assert list(vit.modules()) == modules
     after = vit.state_dict()

@@ -9,7 +9,7 @@ from random_checkpoint import randomised
 
 from gapmes.model.depthsplat.config import DepthSplatConfig
 from gapmes.model.depthsplat.network import DepthSplat
-from gapmes.model.depthsplat.vit import resampled_positions
+from gapmes.model.vit import resampled_positions
 
 
 def test_a_copy_does_not_follow_changes_of_the_original() -> None:
@@ -25,6 +25,6 @@ def test_a_copy_does_not_follow_changes_of_the_original() -> None:
 
 def test_positions_are_read_with_the_offset() -> None:
     embeddings = DepthSplat(DepthSplatConfig("small", 1)).depth_predictor.pretrained.vit.embeddings
-    tokens = torch.zeros(1, 1 + 4 * 5, 384)
-    found = embeddings.interpolate_pos_encoding(tokens, 4 * 14, 5 * 14)
-    assert torch.equal(found, resampled_positions(embeddings.position_embeddings, 4, 5))
+    table = embeddings.position_embeddings
+    assert torch.equal(embeddings.positions(4, 5), resampled_positions(table, 4, 5, 0.1))
+    assert not torch.equal(embeddings.positions(4, 5), resampled_positions(table, 4, 5))

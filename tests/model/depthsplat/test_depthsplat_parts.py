@@ -23,8 +23,9 @@ from gapmes.model.depthsplat.transformer import (
     to_windows,
     window_positions,
 )
-from gapmes.model.depthsplat.vit import resampled_positions
+from gapmes.model.depthsplat.vit import POSITION_OFFSET
 from gapmes.model.geometry import rigid_inverse
+from gapmes.model.vit import resampled_positions
 
 
 def cameras(batch: int, count: int, seed: int = 0) -> Tensor:
@@ -196,16 +197,16 @@ def test_what_lies_behind_the_other_camera_matches_nothing_unless_its_depth_is_c
 
 def test_a_table_of_positions_in_its_own_size_is_left_as_it_is() -> None:
     table = torch.randn(1, 1 + 9, 4)
-    assert resampled_positions(table, 3, 3) is table
-    assert torch.equal(resampled_positions(table, 2, 5)[:, :1], table[:, :1])
-    assert resampled_positions(table, 2, 5).shape == (1, 11, 4)
+    assert resampled_positions(table, 3, 3, POSITION_OFFSET) is table
+    assert torch.equal(resampled_positions(table, 2, 5, POSITION_OFFSET)[:, :1], table[:, :1])
+    assert resampled_positions(table, 2, 5, POSITION_OFFSET).shape == (1, 11, 4)
 
 
 def test_resampled_positions_are_read_as_far_apart_as_the_offset_says() -> None:
     side, cells = 37, 18
     ramp = torch.arange(side, dtype=torch.float32).reshape(1, side, 1).expand(side, side, 1).reshape(1, -1, 1)
     table = torch.cat([torch.zeros(1, 1, 1), ramp], dim=1)
-    found = resampled_positions(table, cells, cells)[0, 1:, 0].reshape(cells, cells)[9]
+    found = resampled_positions(table, cells, cells, POSITION_OFFSET)[0, 1:, 0].reshape(cells, cells)[9]
     step = side / (cells + 0.1)
     expected = (torch.arange(cells) + 0.5) * step - 0.5
     inner = slice(2, -2)  # where the cubic does not reach over a border; it gives a straight line back up to 0.05
@@ -217,5 +218,5 @@ def test_an_interpolated_embedding_is_bicubic() -> None:
     table = torch.randn(1, 1 + 16, 2)
     grid = table[:, 1:].reshape(1, 4, 4, 2).permute(0, 3, 1, 2)
     expected = F.interpolate(grid, scale_factor=(3.1 / 4, 5.1 / 4), mode="bicubic", align_corners=False)
-    found = resampled_positions(table, 3, 5)[:, 1:].reshape(1, 3, 5, 2).permute(0, 3, 1, 2)
+    found = resampled_positions(table, 3, 5, POSITION_OFFSET)[:, 1:].reshape(1, 3, 5, 2).permute(0, 3, 1, 2)
     assert torch.equal(found, expected)

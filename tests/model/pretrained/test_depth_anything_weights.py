@@ -19,6 +19,7 @@ from layouts import (
     transformers_4,
     write,
 )
+from library_networks import library_depth_anything
 
 from gapmes.model.backbones import DepthAnythingFeatures
 from gapmes.model.config import PRESETS
@@ -123,7 +124,7 @@ def test_look_alikes_are_told_by_their_configuration(config: dict[str, object], 
 
 def test_the_configuration_that_transformers_writes_is_agreed_with(tmp_path: Path) -> None:
     features, loaded = random_depth_anything(4), fresh()
-    features.model.save_pretrained(tmp_path)
+    library_depth_anything(features).save_pretrained(tmp_path)
     report = load_depth_anything(loaded, tmp_path)
     assert equal(features, loaded)
     assert report.path == "model.safetensors"

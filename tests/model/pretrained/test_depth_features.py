@@ -13,11 +13,13 @@ import pytest
 import torch
 import torch.nn.functional as F
 from layouts import SMALL, random_depth_anything
+from library_networks import library_depth_anything
 from torch.export import Dim
 
-from gapmes.model.backbones import DepthAnythingFeatures, DptShape, VitFeatures, without_scale_and_shift
+from gapmes.model.backbones import DepthAnythingFeatures, VitFeatures, without_scale_and_shift
 from gapmes.model.config import PRESETS, VitConfig
-from gapmes.model.vit_parts import normalised_for_vit
+from gapmes.model.depth_anything import DptShape
+from gapmes.model.vit import normalised_for_vit
 
 HEIGHT, WIDTH = 64, 96
 
@@ -73,7 +75,7 @@ def test_the_cue_is_the_published_depth_averaged_over_each_cell() -> None:
     x = normalised_for_vit(images())
     x = F.interpolate(x, size=(HEIGHT // 16 * 14, WIDTH // 16 * 14), mode="bilinear")
     with torch.no_grad():
-        published = features.model(pixel_values=x).predicted_depth.unsqueeze(1)
+        published = library_depth_anything(features)(pixel_values=x).predicted_depth.unsqueeze(1)
         cue = features(images())[1]
     assert published.std() > 1
     # Every pixel as 2 x 2, of which a cell covers 7 x 7 whole ones.
@@ -121,13 +123,8 @@ def test_frozen_weights_take_no_gradient_and_others_do() -> None:
 
 def test_the_graph_gives_the_same_at_every_number_of_views(tmp_path: Path) -> None:
     features = random_depth_anything(6)
-    embeddings = features.vit.embeddings
-    tokens = torch.zeros(1, 1 + HEIGHT // 16 * (WIDTH // 16), SMALL.hidden)
-    with torch.no_grad():
-        constant = embeddings.interpolate_pos_encoding(tokens, HEIGHT // 16 * 14, WIDTH // 16 * 14).clone()
-    vars(embeddings)["interpolate_pos_encoding"] = lambda *_: constant
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-    with torch.no_grad(), warnings.catch_warnings():
+    with torch.no_grad(), features.vit.fixed_grid(HEIGHT // 16, WIDTH // 16), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
             features,
