@@ -85,14 +85,11 @@ def evaluated(network: Network, inputs: SceneInputs, dtype: torch.dtype) -> dict
 
 @contextmanager
 def folded_position_embeddings(network: Network, height: int, width: int) -> Iterator[None]:
-    """Replace each ViT's position embedding by its constant for this size within the context.
-
-    Otherwise the graph would hold the library's bicubic interpolation, which backends compute differently.
-    """
+    """Replace each ViT's position embedding by its constant for this size within the context: `Vit.fixed_grid`."""
     with ExitStack() as fixed:
         for module in network.modules():
             if isinstance(module, IntermediateVit):
-                rows, columns = (side // module.config.patch for side in module.seen_size(height, width))
+                rows, columns = module.grid(height, width)
             elif isinstance(module, VitFeatures | DepthAnythingFeatures):
                 rows, columns = height // PIXELS_PER_PATCH, width // PIXELS_PER_PATCH
             else:

@@ -9,11 +9,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .config import VitConfig
-from .vit import Vit
+from .vit import DEVIATION, Vit
 
 HEAD_CHANNELS = 32
 FACTORS = (4.0, 2.0, 1.0, 0.5)  # of the levels' sizes, from the finest to the coarsest, in patches
-_DEVIATION = 0.02  # of random weights, with which the depth is nearly constant
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,8 @@ class DptShape:
 
 
 class DepthAnything(nn.Module):
-    """Inverse depth without scale; random weights until others are loaded. Raises `ValueError` below three layers."""
+    """Inverse depth without scale; random weights, with which it is nearly constant, until others are loaded. Raises
+    `ValueError` below three layers."""
 
     def __init__(self, config: VitConfig) -> None:
         super().__init__()
@@ -52,8 +52,7 @@ class DepthAnything(nn.Module):
         """Images (n, 3, H, W), normalised, of whole patches -> tokens (n, 1 + patches, hidden) of the last layer,
         normed, and inverse depth (n, 1, H, W), greater is nearer."""
         rows, columns = images.shape[-2] // self.config.patch, images.shape[-1] // self.config.patch
-        tokens = self.backbone.tokens(images)
-        read = [self.backbone.layernorm(tokens[layer]) for layer in self.shape.layers]
+        read = [self.backbone.layernorm(tokens) for tokens in self.backbone.tokens(images, self.shape.layers)]
         return read[-1], self.head(self.neck(read, rows, columns), rows, columns)
 
 
@@ -157,6 +156,6 @@ class DepthHead(nn.Module):
 
 def _randomise(module: nn.Module) -> None:
     if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
-        nn.init.normal_(module.weight, std=_DEVIATION)
+        nn.init.normal_(module.weight, std=DEVIATION)
         if module.bias is not None:
             nn.init.zeros_(module.bias)

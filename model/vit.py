@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
 import torch
@@ -14,7 +14,7 @@ from .config import VitConfig
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 NORM_EPSILON = 1e-6
-_DEVIATION = 0.02  # of random weights
+DEVIATION = 0.02  # of random weights
 
 
 class Vit(nn.Module):
@@ -30,18 +30,19 @@ class Vit(nn.Module):
         self.embeddings = VitEmbeddings(config, offset)
         self.encoder = VitEncoder(config)
         self.layernorm = nn.LayerNorm(config.hidden, eps=NORM_EPSILON)
-        for part in (self.encoder, self.embeddings):
-            part.apply(_randomise)
+        self.apply(_randomise)
 
     def forward(self, images: Tensor) -> Tensor:
         """Images (n, 3, H, W), normalised, of whole patches -> tokens (n, 1 + patches, hidden) of the last layer,
         normed; the first is the class token."""
-        tokens: Tensor = self.layernorm(self.tokens(images)[-1])
-        return tokens
+        (tokens,) = self.tokens(images, [self.config.layers])
+        normed: Tensor = self.layernorm(tokens)
+        return normed
 
-    def tokens(self, images: Tensor) -> list[Tensor]:
-        """Tokens (n, 1 + patches, hidden) of the patch embedding and of every layer, not normed."""
-        found: list[Tensor] = self.encoder(self.embeddings(images))
+    def tokens(self, images: Tensor, layers: Collection[int]) -> list[Tensor]:
+        """Tokens (n, 1 + patches, hidden) of these layers in ascending order, not normed; 1 is the first, 0 the patch
+        embedding."""
+        found: list[Tensor] = self.encoder(self.embeddings(images), layers)
         return found
 
     @contextmanager
@@ -50,12 +51,13 @@ class Vit(nn.Module):
 
         Otherwise an exported graph would hold the bicubic resampling, which backends compute differently.
         """
+        before = self.embeddings.constant
         with torch.no_grad():
-            self.embeddings.constant = self.embeddings.positions(rows, columns).detach().clone()
+            self.embeddings.constant = self.embeddings.positions(rows, columns).clone()
         try:
             yield
         finally:
-            self.embeddings.constant = None
+            self.embeddings.constant = before
 
 
 class VitEmbeddings(nn.Module):
@@ -71,7 +73,7 @@ class VitEmbeddings(nn.Module):
         self.mask_token = nn.Parameter(torch.zeros(1, config.hidden), requires_grad=False)
         projection = nn.Conv2d(3, config.hidden, config.patch, stride=config.patch)
         self.patch_embeddings = nn.ModuleDict({"projection": projection})
-        self.position_embeddings = nn.Parameter(torch.randn(1, side * side + 1, config.hidden))
+        self.position_embeddings = nn.Parameter(torch.zeros(1, side * side + 1, config.hidden))
 
     def forward(self, images: Tensor) -> Tensor:
         """(n, 3, H, W) -> (n, 1 + patches, hidden)."""
@@ -111,11 +113,13 @@ class VitEncoder(nn.Module):
         super().__init__()
         self.layer = nn.ModuleList([VitLayer(config) for _ in range(config.layers)])
 
-    def forward(self, tokens: Tensor) -> list[Tensor]:
-        """(n, t, hidden) -> the same, and what each layer makes of what it is given."""
-        found = [tokens]
-        for layer in self.layer:
-            found.append(layer(found[-1]))
+    def forward(self, tokens: Tensor, wanted: Collection[int]) -> list[Tensor]:
+        """(n, t, hidden) -> the same of each layer that is `wanted`, where 0 is the input; others are not kept."""
+        found = [tokens] if 0 in wanted else []
+        for number, layer in enumerate(self.layer, start=1):
+            tokens = layer(tokens)
+            if number in wanted:
+                found.append(tokens)
         return found
 
 
@@ -184,12 +188,12 @@ class LayerScale(nn.Module):
 
 def _randomise(module: nn.Module) -> None:
     if isinstance(module, nn.Linear | nn.Conv2d):
-        nn.init.trunc_normal_(module.weight, std=_DEVIATION)
+        nn.init.trunc_normal_(module.weight, std=DEVIATION)
         assert module.bias is not None
         nn.init.zeros_(module.bias)
     elif isinstance(module, VitEmbeddings):
-        nn.init.trunc_normal_(module.position_embeddings, std=_DEVIATION)
-        nn.init.trunc_normal_(module.cls_token, std=_DEVIATION)
+        nn.init.trunc_normal_(module.position_embeddings, std=DEVIATION)
+        nn.init.trunc_normal_(module.cls_token, std=DEVIATION)
 
 
 def normalised_for_vit(images: Tensor) -> Tensor:

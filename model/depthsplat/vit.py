@@ -19,20 +19,19 @@ class IntermediateVit(nn.Module):
         self.config, self.taps = VITS[name], TAPS[name]
         self.vit = Vit(self.config, offset=POSITION_OFFSET)
 
-    def seen_size(self, height: int, width: int) -> tuple[int, int]:
-        """Height and width that pictures are resized to: whole patches."""
-        return height // self.config.patch * self.config.patch, width // self.config.patch * self.config.patch
+    def grid(self, height: int, width: int) -> tuple[int, int]:
+        """Rows and columns of whole patches, which pictures are resized to."""
+        return height // self.config.patch, width // self.config.patch
 
     def forward(self, images: Tensor) -> list[Tensor]:
         """(n, 3, H, W) normalised -> four maps (n, hidden, H/8, W/8)."""
         height, width = images.shape[-2:]
-        size = self.seen_size(height, width)
-        rows, columns = size[0] // self.config.patch, size[1] // self.config.patch
+        rows, columns = self.grid(height, width)
+        size = (rows * self.config.patch, columns * self.config.patch)
         seen = F.interpolate(images, size=size, mode="bilinear", align_corners=True)
-        layers = self.vit.tokens(seen)
         maps = []
-        for tap in self.taps:
-            tokens = self.vit.layernorm(layers[tap])[:, 1:]
+        for layer in self.vit.tokens(seen, self.taps):
+            tokens = self.vit.layernorm(layer)[:, 1:]
             grid = tokens.transpose(1, 2).reshape(-1, self.config.hidden, rows, columns)
             maps.append(F.interpolate(grid, size=(height // 8, width // 8), mode="bilinear", align_corners=True))
         return maps

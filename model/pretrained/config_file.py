@@ -13,11 +13,10 @@ from ..depth_anything import FACTORS, DptShape
 from ..vit import NORM_EPSILON
 from ..weights_file import CheckpointError
 
-# What a published configuration says of this network, in its words: fields by which the same tensors compute something
-# else.
-
 
 def stated_of_vit(config: VitConfig) -> dict[str, Any]:
+    """What a published configuration says of such a ViT, in its words: fields by which the same tensors compute
+    something else."""
     return {
         "num_attention_heads": config.heads,
         "layer_norm_eps": NORM_EPSILON,
@@ -34,6 +33,7 @@ def stated_of_tapped_vit(config: VitConfig, shape: DptShape) -> dict[str, Any]:
 
 
 def stated_of_depth(config: VitConfig) -> dict[str, Any]:
+    """What it says of the network around the ViT."""
     return {
         "depth_estimation_type": "relative",
         "reassemble_factors": list(FACTORS),

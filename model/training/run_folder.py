@@ -28,7 +28,7 @@ STATE = "state.pt"
 LOG = "log.jsonl"
 LOCK = "lock"
 
-REVISION = "5"  # to raise when the state or the derivation of random numbers changes: older runs are then refused
+REVISION = "6"  # to raise when the state or the derivation of random numbers changes: older runs are then refused
 CURES = {  # of what no option sets, where a run is of another one
     "precision": "the device decides it, so go on on one like that of the beginning",
     "revision": "go on with the version of gapmes that it began with",

@@ -112,7 +112,15 @@ def test_the_wrong_size_names_the_preset_that_fits(tmp_path: Path) -> None:
     [
         ({"depth_estimation_type": "metric"}, "depth_estimation_type = 'metric'"),
         ({"backbone_config": {"out_features": ["stage1", "stage2", "stage3"]}}, "out_features"),
+        ({"head_in_index": 0}, "head_in_index = 0"),
+        ({"patch_size": 16}, "patch_size = 16"),
+        ({"reassemble_factors": [4, 2, 1, 1]}, "reassemble_factors = "),
         ({"backbone_config": {"num_attention_heads": 12}}, "num_attention_heads = 12"),
+        ({"backbone_config": {"apply_layernorm": False}}, "apply_layernorm = False"),
+        ({"backbone_config": {"layer_norm_eps": 1e-5}}, "layer_norm_eps = 1e-05"),
+        ({"backbone_config": {"hidden_act": "relu"}}, "hidden_act = 'relu'"),
+        ({"backbone_config": {"qkv_bias": False}}, "qkv_bias = False"),
+        ({"backbone_config": {"use_swiglu_ffn": True}}, "use_swiglu_ffn = True"),
     ],
 )
 def test_look_alikes_are_told_by_their_configuration(config: dict[str, object], said: str, tmp_path: Path) -> None:

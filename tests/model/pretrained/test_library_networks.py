@@ -8,6 +8,7 @@ from layouts import SMALL, random_depth_anything, random_vit
 from library_networks import library_depth_anything, library_vit
 
 from gapmes.model.config import PRESETS, VitConfig
+from gapmes.model.depth_anything import DepthAnything
 from gapmes.model.vit import Vit
 
 # Patches, None for the grid of the position embedding, and the largest difference in float64 relative to the norm. For
@@ -33,7 +34,7 @@ def test_tokens_of_every_layer(config: VitConfig, grid: tuple[int, int] | None, 
     features, x = random_vit(1, config).double(), pictures(config, grid)
     theirs = library_vit(features).double()(pixel_values=x, output_hidden_states=True)
     assert share(features.vit(x), theirs.last_hidden_state) < most
-    tokens = features.vit.tokens(x)
+    tokens = features.vit.tokens(x, range(config.layers + 1))
     assert len(tokens) == len(theirs.hidden_states) == config.layers + 1
     for ours, hidden in zip(tokens, theirs.hidden_states, strict=True):
         assert share(ours, hidden) < most
@@ -60,13 +61,18 @@ def test_a_fixed_grid_changes_nothing_and_ends() -> None:
         assert torch.equal(vit(x), expected)
         with pytest.raises(RuntimeError, match="size"):
             vit(pictures(SMALL, (4, 4)))
+        with vit.fixed_grid(4, 4):
+            vit(pictures(SMALL, (4, 4)))
+        assert torch.equal(vit(x), expected)
     assert vit(pictures(SMALL, (4, 4))).shape == (2, 17, 48)
 
 
-def test_random_weights_are_those_of_the_publication() -> None:
-    """Deviations of 0.02 cut at 2, biases 0, scales 1, so that a layer begins close to the identity."""
+@pytest.mark.parametrize("kind", [Vit, DepthAnything])
+def test_random_weights_are_small_and_a_layer_begins_close_to_the_identity(
+    kind: type[Vit] | type[DepthAnything],
+) -> None:
     torch.manual_seed(0)
-    for name, value in Vit(SMALL).named_parameters():
+    for name, value in kind(SMALL).named_parameters():
         if name.endswith(("norm1.weight", "norm2.weight", "layernorm.weight", "lambda1")):
             assert (value == 1).all(), name
         elif name.endswith(("bias", "mask_token")):
