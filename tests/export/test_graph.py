@@ -48,11 +48,14 @@ def test_the_shipped_file_is_built_of_what_the_exporter_makes_today(small_graph:
         {
             i.name: i.raw_data
             for i in model.graph.initializer
-            if i.name.startswith("network.") and "lifted" not in i.name
+            if i.name.startswith("network.") and "lifted" not in i.name and not i.name.endswith("embeddings.constant")
         }
         for model in (small_graph, shipped)
-    )  # position embeddings are resampled to the size, and lifted out of the network
-    assert ours == theirs
+    )  # position embeddings are resampled to the size
+    assert ours.keys() == theirs.keys()
+    assert not [
+        name for name in ours if ours[name] != theirs[name]
+    ]  # without the bytes, whose comparison takes minutes
     assert len(theirs) > 100
 
 
