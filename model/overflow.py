@@ -45,7 +45,7 @@ def overflow(network: nn.Module, compute: Callable[[], object]) -> str:
     empty where the result of `compute` is finite. An error without a non-finite result before it is re-raised.
 
     Layers are watched only in a second computation, where the first is not finite: looking at all their results takes
-    as long as some networks. Where `compute` draws random numbers, the second may be finite."""
+    a third of the time of a small network. Where `compute` draws random numbers, the second may be finite."""
     with torch.no_grad():
         with suppress(*_FAILURES):
             if _finite(compute()):

@@ -20,7 +20,7 @@ ALLOWED = {"service": set(), "model": {"service"}, "export": {"service", "model"
 FORBIDDEN = {
     "service": {"torch", "transformers", "onnx", "plyfile"},
     "model": {"transformers", "fastapi", "onnx", "onnxruntime"},
-    "export": {"transformers"},  # tests compare with it; its import takes twice as long as torch's
+    "export": {"transformers"},  # tests compare with it; its import takes longer than torch's
 }
 LONGEST = 300
 

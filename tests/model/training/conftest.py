@@ -9,6 +9,6 @@ from gapmes.model.training import loop
 
 @pytest.fixture(autouse=True)
 def _little_validation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At a quarter of the area, which took more time than the steps of most runs; processes that a test starts keep the
-    usual size."""
+    """At a quarter of the area: at 128 px it took as long as the one step of a run. Processes that a test starts keep
+    the usual size."""
     monkeypatch.setattr(loop, "VALIDATION_SIZE", 64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
 
 import numba
 import pytest
@@ -47,8 +48,15 @@ def run_alone(folder: Path) -> None:
     run(SMALL, folder)
 
 
-def run(recipe: Recipe, folder: Path, validate_every: int = 2) -> None:
-    loop.train(preset("tiny"), recipe, folder, validate_every=validate_every, validation_scenes=1, save_seconds=0.0)
+def run(recipe: Recipe, folder: Path, validate_every: int = 2, save_seconds: float = 0.0) -> None:
+    loop.train(
+        preset("tiny"),
+        recipe,
+        folder,
+        validate_every=validate_every,
+        validation_scenes=1,
+        save_seconds=save_seconds,
+    )
 
 
 def log_of(folder: Path) -> list[dict[str, object]]:
@@ -137,7 +145,7 @@ def test_a_network_that_overflows_ends_the_run_in_one_sentence(tmp_path: Path, m
 
 
 def test_the_loss_on_one_scene_falls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Thirty steps on a single scene: the parts that can only fall by learning do fall."""
+    """Thirty steps on a single scene: the parts that can only fall by learning do fall. The median of three seeds."""
     batch = SceneSampler(3, "train").batch(1, 2, 2, 32, baseline=(0.2, 0.2001))
     monkeypatch.setattr(SceneSampler, "batch", lambda *_, **__: batch)
     parts: list[dict[str, float]] = []
@@ -150,12 +158,16 @@ def test_the_loss_on_one_scene_falls(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(loop, "training_loss", recorded)
     plain = replace(SMALL, zoom_share=0.0, input_noise=0.0, withheld_until=0.0)  # every step the same task
-    recipe = replace(plain, steps=30, seed=3, phases=(Phase(1.0, (32,), 1, (2,), (0.2, 0.2)),))
-    loop.train(preset("tiny"), recipe, tmp_path, validate_every=100, validation_scenes=1, save_seconds=1e9)
-    first, last = parts[0], parts[-1]
+    shares: dict[str, list[float]] = {"mse": [], "depth": []}
+    for seed in (1, 2, 3):
+        parts.clear()
+        recipe = replace(plain, steps=30, seed=seed, phases=(Phase(1.0, (32,), 1, (2,), (0.2, 0.2)),))
+        run(recipe, tmp_path / str(seed), validate_every=100, save_seconds=1e9)
+        for name, values in shares.items():
+            values.append(parts[-1][name] / parts[0][name])
     # measured over sixteen seeds: colour error to 0.41-0.65 of the first, depth error to 0.29-0.53, and once to 0.72
-    assert last["mse"] < 0.8 * first["mse"]
-    assert last["depth"] < 0.6 * first["depth"]
+    assert median(shares["mse"]) < 0.8
+    assert median(shares["depth"]) < 0.6
 
 
 def test_fifty_steps_on_generated_scenes_teach_it(tmp_path: Path) -> None:
