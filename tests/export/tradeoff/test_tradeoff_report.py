@@ -110,8 +110,10 @@ def test_the_four_errors_stand_apart(quick: tuple[Report, Path]) -> None:
     assert never.timing.stages["fade"] < default.timing.stages["fade"]
     strided = rows["pixel stride", "4"]
     assert strided.bound is None
+    budgeted = rows["leaving out", BUDGETED.value].megabytes
     assert strided.megabytes is not None
-    assert strided.megabytes < 1
+    assert budgeted is not None
+    assert strided.megabytes < budgeted / 5  # one cell of sixteen, of what is not left out; measured 0.075 and 0.586
     assert rows["early stop", "0"].setting.largest == 0
     assert rows["cut radius", "none"].setting.largest == 0
     assert rows["cut radius", "none"].how == "gapmes render"
