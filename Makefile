@@ -25,6 +25,8 @@ BUILT_FROM := pyproject.toml setup.py service/viewer/package-lock.json
 demo: .venv/.runtime
 	$(BIN)/gapmes demo --output demo
 
+# Containers often forbid bytecode: every process that a test starts would compile the whole project again.
+test: export PYTHONDONTWRITEBYTECODE :=
 test: .venv/.dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy

@@ -1,20 +1,30 @@
-"""The same networks by another implementation, the transformers library's, with weights of ours."""
+"""The same networks by another implementation, the transformers library's, with weights of ours.
+
+The library is imported where it is used: importing it takes seconds, and every process of the tests collects all files.
+"""
 
 from __future__ import annotations
 
-from transformers import DepthAnythingConfig, DepthAnythingForDepthEstimation, Dinov2Config, Dinov2Model
+from typing import TYPE_CHECKING
 
 from gapmes.model.backbones import DepthAnythingFeatures, VitFeatures
 from gapmes.model.config import VitConfig
 
+if TYPE_CHECKING:
+    from transformers import DepthAnythingForDepthEstimation, Dinov2Config, Dinov2Model
+
 
 def library_vit(features: VitFeatures) -> Dinov2Model:
+    from transformers import Dinov2Model
+
     theirs = Dinov2Model(_config(features.config)).eval()
     theirs.load_state_dict(features.vit.state_dict(), strict=True)
     return theirs
 
 
 def library_depth_anything(features: DepthAnythingFeatures) -> DepthAnythingForDepthEstimation:
+    from transformers import DepthAnythingConfig, DepthAnythingForDepthEstimation
+
     shape = features.model.shape
     backbone = _config(
         features.config, out_indices=list(shape.layers), apply_layernorm=True, reshape_hidden_states=False
@@ -36,6 +46,8 @@ def library_depth_anything(features: DepthAnythingFeatures) -> DepthAnythingForD
 
 
 def _config(vit: VitConfig, **more: object) -> Dinov2Config:
+    from transformers import Dinov2Config
+
     return Dinov2Config(
         hidden_size=vit.hidden,
         num_hidden_layers=vit.layers,
