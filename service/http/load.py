@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import anyio.to_thread
@@ -23,7 +24,7 @@ from ..settings import Settings
 from .form import CAMERAS
 from .inputs import camera_table
 from .parameters import Parameters
-from .posted import FORM, MAX_PARTS, in_time, media_type, no_file, posted_form, refuse_compressed, single, text
+from .posted import FORM, MAX_PARTS, in_time, media_type, no_file, posted_form, refuse_compressed, single, size_of, text
 from .problems import FORM_PLACE
 from .responses import json_response, server_timing
 from .runtime import RuntimeDep
@@ -96,11 +97,9 @@ async def load_scene(request: Request, query: Annotated[LoadFields, Query()], ru
                 cure=EXAMPLE,
             )
         scene_id = await anyio.to_thread.run_sync(file.scene_id)
-        stored = await anyio.to_thread.run_sync(_stored, runtime.store, scene_id)
-        new = stored is None
-        if stored is None:
-            most = settings.max_gaussians
-            stored = await runtime.files.run(lambda: load(file, scene_id, runtime.store, most), request.is_disconnected)
+        found = await anyio.to_thread.run_sync(_stored, runtime.store, scene_id)
+        loaded = partial(_loaded, file, scene_id, runtime.store, settings.max_gaussians)
+        stored, new = (found, False) if found else await runtime.files.run(loaded, request.is_disconnected)
     document = with_links(stored)
     headers = {"Location": document["links"]["self"]}
     if new:
@@ -115,12 +114,18 @@ def _stored(store: SceneStore, scene_id: str) -> dict[str, Any] | None:
     return None
 
 
+def _loaded(file: LoadedFile, scene_id: str, store: SceneStore, most: int) -> tuple[dict[str, Any], bool]:
+    """The document of the scene, and whether it is new: not if another request for the same file has stored it."""
+    stored = _stored(store, scene_id)
+    return (stored, False) if stored is not None else load(file, scene_id, store, most)
+
+
 async def _of_form(form: FormData, settings: Settings) -> LoadedFile:
     part = single(form, "file")
     if not isinstance(part, UploadFile):
         raise no_file(part, "file", EXAMPLE)
     cameras = single(form, "cameras")
-    size = 0 if cameras is None else (cameras.size or 0) if isinstance(cameras, UploadFile) else len(cameras)
+    size = 0 if cameras is None else size_of(cameras)
     if size > settings.max_camera_bytes:
         raise UploadTooLarge(
             f"{size} bytes, the limit is {settings.max_camera_bytes}", field="cameras", cure="send fewer cameras"

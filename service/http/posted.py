@@ -174,6 +174,11 @@ def text(form: FormData, name: str) -> str:
     return (part or "").strip()
 
 
+def size_of(part: UploadFile | str) -> int:
+    """Bytes of a part, of a text field in UTF-8."""
+    return (part.size or 0) if isinstance(part, UploadFile) else len(part.encode("utf-8", "surrogatepass"))
+
+
 def single(form: FormData, name: str) -> UploadFile | str | None:
     """A field or file that may be given once; None if missing. Raises `InputError`."""
     parts = form.getlist(name)

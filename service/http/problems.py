@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import logging
 from collections.abc import Mapping
@@ -16,8 +15,9 @@ from starlette.requests import ClientDisconnect
 from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ..errors import GapmesError, ServiceBusy
+from ..errors import GapmesError
 from ..problem_document import of_error, problem, public
+from ..process.disk import NO_FILE, no_further_file
 from ..process.logs import OVER_LIMIT
 from .observe import METHODS, shown
 
@@ -35,7 +35,6 @@ _DESCRIPTION: dict[str, Any] = {
 RESPONSES: dict[int | str, dict[str, Any]] = {"4XX": _DESCRIPTION, "5XX": _DESCRIPTION}
 
 FORM_PLACE = "body"  # first part of the place of an error in a form
-_NO_FILES = (errno.EMFILE, errno.ENFILE)
 _log = logging.getLogger("gapmes")
 
 
@@ -153,9 +152,9 @@ class FaultsAnswered:
 
 async def _unexpected(request: Request, error: Exception) -> Response:
     """500 without internals, and the traceback in the log; 503 if the process has too many open files."""
-    if isinstance(error, OSError) and error.errno in _NO_FILES:
+    if isinstance(error, OSError) and error.errno in NO_FILE:
         _log.warning("%s of open files is reached: requests are refused (ulimit -n)", OVER_LIMIT)
-        answer = of_document(of_error(ServiceBusy("the service may open no further file now", cure="retry later")))
+        answer = of_document(of_error(no_further_file()))
         answer.headers["Connection"] = "close"
         return answer
     request_id = getattr(request.state, "request_id", None)  # outside of the middleware that adds it to every answer

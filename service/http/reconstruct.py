@@ -49,8 +49,9 @@ async def reconstruct(request: Request, runtime: RuntimeDep) -> Response:
     form = accepted(", ".join(request.headers.getlist("accept")))
     models = runtime.models  # raises `ModelNotReady` until the default model is loaded
     runtime.jobs.table.check_room()  # before the body is read: a full queue costs no memory
-    runtime.scenes.check()
     kept = wanted_async(request.headers.getlist("prefer"))
+    if not kept:
+        runtime.scenes.check()
     async with AsyncExitStack() as held:
         async with runtime.uploads.slot():  # slow senders do not occupy a slot of `scenes`
             upload = await read_upload(request, runtime.settings, models.names)

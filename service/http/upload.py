@@ -33,7 +33,7 @@ from ..viewpoints.scene_views import SceneViews
 from .fields import flag, number, whole
 from .inputs import Inputs, captured, posted
 from .pairing import NamedImage, Pairing
-from .posted import MAX_IMAGES, MAX_PARTS, no_file, posted_form
+from .posted import MAX_IMAGES, MAX_PARTS, no_file, posted_form, size_of
 from .posted import single as _single
 from .posted import text as _text
 
@@ -220,10 +220,10 @@ async def _cameras(form: FormData, max_bytes: int) -> str | bytes:
             cure="send cameras.json, transforms.json, poses_bounds.npy, a RealEstate10K .txt or a zipped COLMAP model",
         )
     if isinstance(part, UploadFile) and await part.read(4) in SIGNATURES:
-        max_bytes = part.size or 0  # its members are bounded when they are read
+        max_bytes = size_of(part)  # its members are bounded when they are read
     if isinstance(part, UploadFile):
         await part.seek(0)
-    size = (part.size or 0) if isinstance(part, UploadFile) else len(part)
+    size = size_of(part)
     if size > max_bytes:
         cure = "send the cameras of the posted images alone"
         raise UploadTooLarge(f"{size} bytes, the limit is {max_bytes}", field="cameras", cure=cure)

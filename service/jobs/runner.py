@@ -153,6 +153,10 @@ class Runner:
             raise InputsGone(
                 "the job's photographs were deleted from the store before they were computed", cure="ask for it again"
             ) from error
+        except (ValueError, KeyError, TypeError) as error:  # they are not synced to disk
+            raise InputsGone(
+                f"what was kept of the request is damaged, as after a power cut: {error}", cure="ask for it again"
+            ) from error
 
     def _noted(self, job: Job, note: Callable[[], bool], make_room: Callable[[], None] | None = None) -> bool:
         """Call `note` until it succeeds, or until the runner stops; returns what it does, False when stopping.

@@ -54,7 +54,7 @@ class Spool:
                 shutil.rmtree(incoming, ignore_errors=True)
 
     def get(self, job_id: str) -> Work:
-        """Read a job's inputs. Raises `FileNotFoundError`."""
+        """Read a job's inputs. Raises `FileNotFoundError`; `ValueError`, `KeyError` or `TypeError` for damaged ones."""
         folder = self._root / job_id
         document = json.loads((folder / _DOCUMENT).read_bytes())
         return Work.of_document(document, [(folder / str(i)).read_bytes() for i in range(len(document["cameras"]))])

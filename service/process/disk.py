@@ -17,6 +17,7 @@ from .ending import unfinished
 from .places import open_taking, resolved, takes_bytes
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+NO_FILE = (errno.EMFILE, errno.ENFILE)
 
 
 def write_file(path: Path, data: bytes) -> None:
@@ -114,6 +115,11 @@ def full_is_refused(what: str, place: tuple[str, str] = IN_STORE) -> Iterator[No
         if error.errno in _FULL:
             raise StorageFull(f"no space for {what}: {error.strerror}", field=field, cure=cure) from error
         raise
+
+
+def no_further_file() -> ServiceBusy:
+    """The error for a process, or a system, that has as many open files as it may have."""
+    return ServiceBusy("the service may open no further file now", cure="retry later")
 
 
 @contextmanager

@@ -73,7 +73,7 @@ class _RateLimited(logging.Filter):
         begin = getattr(record, _ORIGIN, begun)
         if begin is None:
             return True
-        if record.created - self._said.get(begin, -SELDOM_S) < SELDOM_S:
+        if abs(record.created - self._said.get(begin, -SELDOM_S)) < SELDOM_S:  # the clock may be set back
             return False
         self._said[begin] = record.created
         if begin == NO_FILES:

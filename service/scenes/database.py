@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import GapmesError, ServiceBusy, StorageFull
-from ..process.disk import made_again, private_folder
+from ..process.disk import made_again, no_further_file, private_folder
 from ..process.file_lock import exclusive
 
 BUSY_S = 30.0  # that a write waits for the lock of another; the service's own writes take milliseconds
@@ -154,13 +154,16 @@ class Database:
                     connection.execute("PRAGMA journal_mode = WAL")
                 connection.execute("PRAGMA synchronous = NORMAL")  # a power cut may cost the last writes, a crash none
             except sqlite3.OperationalError as error:
-                if error.sqlite_errorcode & _KIND == sqlite3.SQLITE_CANTOPEN and self._may_be_opened():
-                    raise ServiceBusy("the service may open no further file now", cure="retry later") from error
+                if self._lacks_files(error):
+                    raise no_further_file() from error
                 raise
             failed.pop_all()
         return connection
 
-    def _may_be_opened(self) -> bool:
+    def _lacks_files(self, error: sqlite3.DatabaseError) -> bool:
+        """Whether the file can be opened, but not by a process that has as many open files as it may have."""
+        if error.sqlite_errorcode & _KIND != sqlite3.SQLITE_CANTOPEN:
+            return False
         return self._path.is_file() and os.access(self._path, os.W_OK) and os.access(self._path.parent, os.W_OK)
 
     @contextmanager
@@ -196,7 +199,8 @@ class Database:
 
     def writable(self) -> bool:
         """Whether a row can be inserted into every table: tried on a new connection, without cached pages, and rolled
-        back. Raises `ServiceBusy` if another program holds the lock for `PROBE_S`."""
+        back. Raises `ServiceBusy` if another program holds the lock for `PROBE_S`, or no further file may be
+        opened."""
         try:
             with closing(sqlite3.connect(self._path, timeout=PROBE_S, isolation_level=None)) as connection:
                 connection.execute("BEGIN IMMEDIATE")
@@ -206,6 +210,8 @@ class Database:
         except sqlite3.DatabaseError as error:
             if _is_locked(error):
                 raise _locked(PROBE_S) from error
+            if self._lacks_files(error):
+                raise no_further_file() from error
             return False
         return True
 

@@ -1,10 +1,10 @@
-"""An LRU cache of decoded Gaussians, bounded in bytes."""
+"""An LRU cache of decoded Gaussians, bounded in bytes, of the files that they were read from."""
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 
 from ..gaussians import Gaussians
 
@@ -14,7 +14,7 @@ class GaussiansCache:
 
     def __init__(self, max_bytes: int) -> None:
         self.max_bytes = max_bytes
-        self._entries: OrderedDict[str, Gaussians] = OrderedDict()
+        self._entries: OrderedDict[str, tuple[Hashable, Gaussians]] = OrderedDict()
         self._bytes = 0
         self._lock = threading.Lock()
 
@@ -23,18 +23,19 @@ class GaussiansCache:
         """Size of all entries, at most `max_bytes`."""
         return self._bytes
 
-    def get(self, key: str, load: Callable[[], Gaussians]) -> Gaussians:
-        """The entry of `key`, or the result of `load`, which is cached if it fits."""
+    def get(self, key: str, version: Hashable, load: Callable[[], Gaussians]) -> Gaussians:
+        """The entry of `key` if it has this `version`, else the result of `load`, which takes its place if it fits."""
         with self._lock:
-            if key in self._entries:
+            held, gaussians = self._entries.get(key, (None, None))
+            if gaussians is not None and held == version:
                 self._entries.move_to_end(key)
-                return self._entries[key]
+                return gaussians
         gaussians = load()
         with self._lock:
             self._remove(key)
             size = size_of(gaussians)
             if size <= self.max_bytes:
-                self._entries[key] = gaussians
+                self._entries[key] = version, gaussians
                 self._bytes += size
                 while self._bytes > self.max_bytes:
                     self._remove(next(iter(self._entries)))
@@ -46,7 +47,7 @@ class GaussiansCache:
             self._remove(key)
 
     def _remove(self, key: str) -> None:
-        gaussians = self._entries.pop(key, None)
+        _, gaussians = self._entries.pop(key, (None, None))
         if gaussians is not None:
             self._bytes -= size_of(gaussians)
 

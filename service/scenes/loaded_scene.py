@@ -65,8 +65,8 @@ class LoadedFile:
         return SceneStore.scene_id("a file", [self.data], [camera_document(camera) for camera in self.cameras], options)
 
 
-def load(file: LoadedFile, scene_id: str, store: SceneStore, max_count: int) -> dict[str, Any]:
-    """Read and store; the scene is stored as a whole or not at all. Returns its document.
+def load(file: LoadedFile, scene_id: str, store: SceneStore, max_count: int) -> tuple[dict[str, Any], bool]:
+    """Read and store; the scene is stored as a whole or not at all. Returns its document, and False where it was there.
 
     Raises `FormatError` for a file that cannot be read or is empty, `TooManyGaussians` for more than `max_count`, and
     `DepthRangeError` for a near and far that are no range.
@@ -101,8 +101,8 @@ def load(file: LoadedFile, scene_id: str, store: SceneStore, max_count: int) -> 
         "warnings": [*file.notices, *_warnings(reading)],
         "timings": {stage: round(seconds, 6) for stage, seconds in stages.timings.items()},
     }
-    store.put(scene_id, ply, document)
-    return document
+    new = store.put(scene_id, ply, document)
+    return document if new else store.document(scene_id), new
 
 
 def framed(

@@ -18,13 +18,15 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError, SceneNotFound
-from ..process.disk import full_is_refused, sync, write_file
+from ..process.disk import NO_FILE, full_is_refused, no_further_file, sync, write_file
 
 PLY = "scene.ply"
 DOCUMENT = "scene.json"
 TEMPORARY = ".incoming-"  # of folders that are being written or deleted
 _ID = re.compile(r"[0-9a-f]{32}")
-_KINDS = {"gaussians": dict, "view_cameras": list}  # members of a document that the index reads, and their types
+# Members of a document that the service reads, and their types.
+_KINDS = {"id": str, "gaussians": dict, "view_cameras": list, "warnings": list, "timings": dict}
+_DEPTHS = ("near", "far")
 _ANEW = "delete it, or ask for it again with the same photographs or file"
 
 
@@ -94,7 +96,7 @@ class SceneFiles:
             _require_gaussians(scene_id, (folder / PLY).stat())
             if not os.access(folder / PLY, os.R_OK):  # it belongs to another user, as after a restore
                 raise _unreadable(scene_id, PLY, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
-            document = json.loads((folder / DOCUMENT).read_bytes())
+            document = json.loads((folder / DOCUMENT).read_bytes(), parse_constant=_refused_number)
         except (FileNotFoundError, NotADirectoryError) as error:
             if (folder / PLY).is_file():
                 raise _damaged(scene_id, f"{DOCUMENT} is missing") from error
@@ -105,9 +107,8 @@ class SceneFiles:
             raise _damaged(scene_id, f"{DOCUMENT} is no JSON: {error}") from error
         if not isinstance(document, dict):
             raise _damaged(scene_id, f"{DOCUMENT} holds no object")
-        for name, kind in _KINDS.items():
-            if not isinstance(document.get(name, kind()), kind):
-                raise _damaged(scene_id, f"{name} in {DOCUMENT} is no {kind.__name__}")
+        if wrong := _wrong_member(document, scene_id):
+            raise _damaged(scene_id, f"{wrong} in {DOCUMENT}")
         return document
 
     def size(self, scene_id: str) -> tuple[int, int]:
@@ -180,14 +181,17 @@ class SceneFiles:
         return {entry.name for entry in os.scandir(self.root) if is_id(entry.name)}
 
     def writable(self) -> bool:
-        """Whether a file of one page (4096 bytes) can be written."""
+        """Whether a file of one page (4096 bytes) can be written. Raises `ServiceBusy` if no further file may be
+        opened."""
         probe = self.root / f"{TEMPORARY}{uuid.uuid4().hex}"
         try:
             probe.write_bytes(bytes(4096))
             probe.unlink(missing_ok=True)  # another process may have swept it
-        except OSError:
+        except OSError as error:
             with contextlib.suppress(OSError):
                 probe.unlink()
+            if error.errno in NO_FILE:
+                raise no_further_file() from error
             return False
         return True
 
@@ -237,6 +241,27 @@ def _drop(path: Path) -> None:
         shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
+
+
+def _refused_number(text: str) -> float:
+    raise ValueError(f"{text} is no number of it")
+
+
+def _wrong_member(document: dict[str, Any], scene_id: str) -> str | None:
+    """What is missing or of another type among the members that the service reads, None where all is well."""
+    for name in (*_KINDS, *_DEPTHS):
+        if name not in document:
+            return f"{name} is missing"
+    for name, kind in _KINDS.items():
+        if not isinstance(document[name], kind):
+            return f"{name} is no {kind.__name__}"
+    if document["id"] != scene_id:
+        return f"id is {document['id'][:64]!r}"
+    if not all(isinstance(camera, dict) for camera in document["view_cameras"]):
+        return "a member of view_cameras is no dict"
+    if not all(document[name] is None or isinstance(document[name], int | float) for name in _DEPTHS):
+        return "near or far is no number"
+    return None if isinstance(document.get("inputs", 0), int) else "inputs is no number"
 
 
 def _require_gaussians(scene_id: str, ply: os.stat_result) -> None:

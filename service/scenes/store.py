@@ -77,8 +77,9 @@ class SceneStore:
                 " that the service keeps in it",
             ) from error
 
-    def put(self, scene_id: str, ply: bytes, document: Mapping[str, Any], inputs: Sequence[bytes] = ()) -> None:
-        """Store a scene with PNGs of its inputs, atomically. An existing scene is kept, a damaged one replaced.
+    def put(self, scene_id: str, ply: bytes, document: Mapping[str, Any], inputs: Sequence[bytes] = ()) -> bool:
+        """Store a scene with PNGs of its inputs, atomically; returns False where it exists, and is kept. A damaged one
+        is replaced.
 
         Raises `StorageFull` if the disk is full, or if `max_bytes` is reached and all other scenes are being read.
         """
@@ -97,6 +98,7 @@ class SceneStore:
                 if new:
                     self._files.remove(scene_id)
                 raise
+        return new
 
     def listed(self, scene_id: str) -> bool:
         """Whether the scene exists undamaged; if it does, it is added to the index if a crash has prevented that."""
@@ -136,9 +138,11 @@ class SceneStore:
             return path.read_bytes()
 
     def gaussians(self, scene_id: str) -> Gaussians:
-        """The scene's Gaussians, cached in memory. Raises as `reading`."""
+        """The scene's Gaussians, cached in memory until its file is another. Raises as `reading`."""
         with self.reading(scene_id) as path:
-            return self._cache.get(scene_id, lambda: inspect_ply(path, dialect=STANDARD).gaussians)
+            file = path.stat()  # another process may have replaced a damaged one
+            version = file.st_ino, file.st_mtime_ns
+            return self._cache.get(scene_id, version, lambda: inspect_ply(path, dialect=STANDARD).gaussians)
 
     def page(self, limit: int, after: tuple[int, str] | None = None) -> Sequence[Indexed]:
         """Up to `limit` scenes that follow `after` (created_ns, id), newest first, then by id."""

@@ -178,6 +178,16 @@ def test_oversized_cameras(client: TestClient) -> None:
     assert_problem(post(client, cameras=cameras), 413, "upload_too_large", "cameras")
 
 
+@pytest.mark.parametrize("path", ["/reconstruct", "/scenes"])
+def test_a_field_of_cameras_has_its_bytes_counted(client: TestClient, path: str) -> None:
+    text = json.dumps(camera_object(2) | {"note": "é" * 600_000}, ensure_ascii=False)
+    parts = [("cameras", (None, text)), ("images", ("0.png", photograph(0))), ("images", ("1.png", photograph(1)))]
+    file = ("file", ("scene.ply", b"ply"))
+    answer = client.post(path, files=[parts[0], file] if path == "/scenes" else parts)
+    problem = assert_problem(answer, 413, "upload_too_large", "cameras")
+    assert f"{len(text.encode())} bytes" in problem["detail"]
+
+
 @pytest.mark.parametrize(
     ("kind", "body"),
     [

@@ -7,6 +7,7 @@ import time
 
 import anyio
 import pytest
+from starlette.requests import ClientDisconnect
 
 from gapmes.service.errors import ServiceBusy
 from gapmes.service.http.concurrency import ConcurrencyLimit, Pause, WorkQueue
@@ -70,3 +71,20 @@ def test_a_single_one_is_counted_as_one() -> None:
                 limit.check()
 
     anyio.run(two)
+
+
+def test_a_turn_that_comes_as_its_client_leaves_is_given_back() -> None:
+    async def leaves_at_its_turn() -> None:
+        queue = WorkQueue("pictures", 1, 4, 600.0, "drawing")
+        await queue._turns.acquire()
+
+        async def gone() -> bool:
+            queue._turns.release()
+            await anyio.sleep(0.01)  # the one that waits has its turn meanwhile
+            return True
+
+        with pytest.raises(ClientDisconnect):
+            await queue.run(lambda: None, gone)
+        assert not queue._turns.locked()
+
+    anyio.run(leaves_at_its_turn)

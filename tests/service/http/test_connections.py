@@ -167,6 +167,17 @@ def test_where_all_are_answered_the_new_one_goes(
             assert rest(one).endswith(b"ok")
 
 
+def test_beyond_twice_as_many_one_goes_at_once(monkeypatch: pytest.MonkeyPatch, address: tuple[str, int]) -> None:
+    """However long a burst is waited for otherwise."""
+    monkeypatch.setattr(module, "most_connections", lambda: 3)
+    monkeypatch.setattr(module, "CROWDED_S", 600.0)
+    with ExitStack() as stack:
+        first, *others = [stack.enter_context(connected(address)) for _ in range(7)]
+        assert first.recv(1) == b""
+        for one in others:
+            assert asked(one) == b"HTTP/1.1 "
+
+
 def test_a_burst_of_clients_is_answered(monkeypatch: pytest.MonkeyPatch, address: tuple[str, int]) -> None:
     """All that there may be twice, at once, each with its request."""
     monkeypatch.setattr(module, "most_connections", lambda: 20)

@@ -15,6 +15,7 @@ from http_requests import assert_problem, camera_object, photograph, post, wait_
 from PIL import Image
 from served_process import until
 from starlette.testclient import TestClient
+from store_folder import document
 
 from gapmes.service.app import create_app
 from gapmes.service.errors import InputsGone
@@ -166,7 +167,7 @@ def test_who_waits_for_a_job_of_a_deleted_index_is_told(tmp_path: Path) -> None:
 
 def test_what_was_deleted_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     store = SceneStore(tmp_path / "scenes")
-    store.put("a" * 32, b"ply", {})
+    store.put("a" * 32, b"ply", document("a" * 32))
     index(store.root)
     assert [row.id for row in store.page(9)] == ["a" * 32]
     assert store.totals()[0] == 1

@@ -105,6 +105,14 @@ def test_a_stream_goes_on_where_it_was_left(client: TestClient) -> None:
     assert followed(client, job, **{"Last-Event-ID": "9" * 40})[1:] == []
 
 
+def test_those_who_wait_for_scenes_keep_no_job_out(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who prefers a job has its answer at once, and takes no place among them."""
+    waiting = client.app.state.runtime.scenes
+    monkeypatch.setattr(waiting, "taken", waiting.most)
+    assert_problem(post(client, [photograph(98), photograph(99)]), 503, "service_busy")
+    wait_for(client, ask(client, 98), "done")
+
+
 def test_waiting_jobs_are_counted_followed_and_cancelled(held: tuple[TestClient, threading.Event]) -> None:
     client, going = held
     jobs = [ask(client, 2 * k) for k in range(4)]

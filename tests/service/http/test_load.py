@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
+import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any, get_args
 
@@ -53,6 +56,28 @@ def test_a_file_of_every_format_becomes_a_scene(client: TestClient, name: str) -
     [listed] = [row for row in client.get("/scenes").json()["scenes"] if row["id"] == scene["id"]]
     assert (listed["file"], listed["views"], listed["gaussians"]) == (name, 1, 300)
     assert listed["links"]["views"] == [f"/render?scene={scene['id']}&view=0"]
+
+
+def test_of_equal_files_at_once_one_is_new(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is converted once for all of them, where they wait for each other; and stored once in any case."""
+    together, looks, converted = threading.Barrier(4), count(), []
+    store, given = client.app.state.runtime.store, file_of("splat", 77)
+    exists, decode = store.listed, FORMATS["splat"].decode
+
+    def all_find_none(scene_id: str) -> bool:
+        found = exists(scene_id)
+        if next(looks) < 4:
+            together.wait(60)
+        return found
+
+    monkeypatch.setattr(store, "listed", all_find_none)
+    counting = replace(FORMATS["splat"], decode=lambda *args: converted.append(1) or decode(*args))
+    monkeypatch.setitem(FORMATS, "splat", counting)
+    with ThreadPoolExecutor(4) as pool:
+        answers = list(pool.map(lambda _: load_raw(client, given, format="splat"), range(4)))
+    assert sorted(answer.status_code for answer in answers) == [200, 200, 200, 201]
+    assert len({answer.text for answer in answers}) == 1
+    assert len(converted) == 1
 
 
 def test_it_is_drawn_orbited_and_deleted(client: TestClient, settings: Settings) -> None:

@@ -6,6 +6,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
+from store_folder import document
 
 from gapmes.service.http import runtime as runtime_module
 from gapmes.service.http.runtime import Runtime
@@ -16,8 +17,9 @@ from gapmes.service.settings import Settings
 def test_what_is_beyond_a_limit_goes_at_the_start(settings: Settings, tmp_path: Path) -> None:
     store = SceneStore(tmp_path)
     for number in range(3):
-        store.put(f"{number:032x}", b"x" * 1000, {})
-    runtime = Runtime(settings.model_copy(update={"store": tmp_path, "store_bytes": 2500}))
+        scene_id = f"{number:032x}"
+        store.put(scene_id, b"x" * 1000, document(scene_id))
+    runtime = Runtime(settings.model_copy(update={"store": tmp_path, "store_bytes": 2700}))
 
     async def until_gone() -> None:
         task = asyncio.create_task(runtime._tidy())

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from gapmes.service.process.logs import configure
+from gapmes.service.process.logs import OVER_LIMIT, SELDOM_S, configure
 
 
 @pytest.fixture
@@ -44,3 +44,14 @@ def test_a_photograph_cannot_fill_the_log(capsys: pytest.CaptureFixture[str]) ->
     warnings.warn("another", stacklevel=1)
     lines = capsys.readouterr().err.splitlines()
     assert [json.loads(line)["message"] for line in lines] == ["UserWarning: Skipping tag 0", "UserWarning: another"]
+
+
+@pytest.mark.usefixtures("logged")
+def test_a_clock_that_is_set_back_silences_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    log = logging.getLogger("gapmes")
+    for when in (1e9, 1e9 + SELDOM_S / 2, 1e9 - 3600, 1e9 - 3600 + SELDOM_S / 2, 1e9 - 1800):
+        record = log.makeRecord("gapmes", logging.WARNING, __file__, 1, f"{OVER_LIMIT} at {when}", (), None)
+        record.created = when
+        logging.getLogger().handle(record)
+    lines = capsys.readouterr().err.splitlines()
+    assert [json.loads(line)["time"] for line in lines] == [1e9, 1e9 - 3600, 1e9 - 1800]

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
+from store_folder import document
 
 from gapmes.service.errors import StorageFull
 from gapmes.service.jobs.table import JobTable
@@ -18,17 +19,17 @@ ASKED, OTHER = "a" * 32, "b" * 32
 def test_the_scene_of_a_job_is_not_evicted_before_anybody_could_see_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store = SceneStore(tmp_path, max_bytes=150)
+    store = SceneStore(tmp_path, max_bytes=400)
     table = JobTable(store.database, most=5, keep_s=100.0)
     table.submit("1", ASKED, "web")
     table.claim("me")
-    store.put(ASKED, b"x" * 100, {})
+    store.put(ASKED, b"x" * 100, document(ASKED))
     for end in (lambda: None, lambda: table.end("1", "me", "done")):
         end()
         with pytest.raises(StorageFull):
-            store.put(OTHER, b"x" * 100, {})
+            store.put(OTHER, b"x" * 100, document(OTHER))
         assert store.exists(ASKED)
     later = time.time() + HANDOVER_S + 1
     monkeypatch.setattr(time, "time", lambda: later)
-    store.put(OTHER, b"x" * 100, {})
+    store.put(OTHER, b"x" * 100, document(OTHER))
     assert not store.exists(ASKED)

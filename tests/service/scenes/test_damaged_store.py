@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
-from store_folder import names
+from store_folder import document, names
 
 from gapmes.service.errors import FormatError, SceneNotFound
 from gapmes.service.scenes.store import SceneStore
 
 A, B, C = "a" * 32, "b" * 32, "c" * 32
+
+
+def changed(folder: Path, **members: Any) -> None:
+    """Members of the document replaced, or left out if they are None."""
+    path = folder / "scene.json"
+    new = {**json.loads(path.read_bytes()), **members}
+    path.write_text(json.dumps({name: value for name, value in new.items() if members.get(name, 0) is not None}))
 
 
 DAMAGES: dict[str, Callable[[Path], object]] = {
@@ -21,8 +30,15 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "a document that is no text": lambda folder: (folder / "scene.json").write_bytes(b'{"id": "\xff"}'),
     "a document that is a list": lambda folder: (folder / "scene.json").write_bytes(b"[]"),
     "a document too deep to read": lambda folder: (folder / "scene.json").write_bytes(b"[" * 100_000),
-    "Gaussians that are a list": lambda folder: (folder / "scene.json").write_bytes(b'{"gaussians": []}'),
-    "views that are a number": lambda folder: (folder / "scene.json").write_bytes(b'{"view_cameras": 5}'),
+    "Gaussians that are a list": lambda folder: changed(folder, gaussians=[]),
+    "views that are a number": lambda folder: changed(folder, view_cameras=5),
+    "views that are numbers": lambda folder: changed(folder, view_cameras=[1]),
+    "warnings that are a text": lambda folder: changed(folder, warnings="none"),
+    "inputs that are a text": lambda folder: changed(folder, inputs="two"),
+    "a depth that is a list": lambda folder: changed(folder, far=[1]),
+    "a number that is none": lambda folder: changed(folder, more=float("nan")),
+    "the document of another": lambda folder: changed(folder, id=B),
+    **{f"no {name}": lambda folder, name=name: changed(folder, **{name: None}) for name in document(A)},
     "no document": lambda folder: (folder / "scene.json").unlink(),
     "a folder for a document": lambda folder: ((folder / "scene.json").unlink(), (folder / "scene.json").mkdir()),
     "empty Gaussians": lambda folder: (folder / "scene.ply").write_bytes(b""),
@@ -37,8 +53,8 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 def damaged(tmp_path: Path, request: pytest.FixtureRequest) -> SceneStore:
     """Scene A is damaged from outside, B is older and whole."""
     store = SceneStore(tmp_path / "scenes")
-    store.put(B, b"ply", {"id": B})
-    store.put(A, b"ply", {"id": A}, [b"a picture"])
+    store.put(B, b"ply", document(B))
+    store.put(A, b"ply", document(A), [b"a picture"])
     request.param(store.root / A)
     return store
 
@@ -62,8 +78,8 @@ def test_a_store_with_a_damaged_scene_opens_without_its_index(damaged: SceneStor
 
 
 def test_what_was_damaged_gives_way_to_the_whole_scene(damaged: SceneStore) -> None:
-    damaged.put(A, b"ply", {"id": A, "again": True})
-    assert damaged.document(A) == {"id": A, "again": True}
+    damaged.put(A, b"ply", document(A, again=True))
+    assert damaged.document(A) == document(A, again=True)
     assert damaged.ply(A) == b"ply"
     assert damaged.newest() == A
     assert names(damaged.root) == {A, B}
@@ -81,14 +97,16 @@ def test_what_was_damaged_can_be_deleted(damaged: SceneStore) -> None:
 
 def test_what_was_damaged_is_evicted_like_others(damaged: SceneStore) -> None:
     damaged.max_bytes = 2 * damaged.totals()[1]
+    free = damaged.max_bytes - damaged.totals()[1]
+    one_too_many = free + 1 - len(b"ply") - len(json.dumps(document(C, text="")))
     with damaged.reading(B):
-        damaged.put(C, b"ply", {"text": "x" * (damaged.max_bytes - damaged.totals()[1])})
+        damaged.put(C, b"ply", document(C, text="x" * one_too_many))
     assert names(damaged.root) == {B, C}
 
 
 def test_empty_gaussians_are_said_to_be_empty(tmp_path: Path) -> None:
     store = SceneStore(tmp_path / "scenes")
-    store.put(A, b"ply", {})
+    store.put(A, b"ply", document(A))
     (store.root / A / "scene.ply").write_bytes(b"")
     for call in (store.ply, store.gaussians):
         with pytest.raises(FormatError, match=r"scene\.ply holds nothing"):

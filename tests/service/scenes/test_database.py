@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import resource
 import sqlite3
 import threading
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -185,48 +182,6 @@ def test_many_open_a_new_file_at_once(tmp_path: Path) -> None:
         for thread in threads:
             thread.join()
     assert failures == []
-
-
-@contextmanager
-def no_file_left() -> Iterator[None]:
-    """This process can open no further file."""
-    before, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (256, most))
-    taken = []
-    try:
-        with suppress(OSError):
-            while True:
-                taken.append(os.open(os.devnull, os.O_RDONLY))
-        yield
-    finally:
-        for number in taken:
-            os.close(number)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (before, most))
-
-
-def test_a_thread_that_finds_no_file_left_may_try_again(tmp_path: Path) -> None:
-    """Its connection is its own; another that is open already serves on."""
-    database = Database(tmp_path / "index.sqlite")
-    told: list[BaseException | None] = []
-
-    def ask() -> None:
-        try:
-            database.rows("SELECT 1")
-            told.append(None)
-        except BaseException as error:
-            told.append(error)
-
-    def ask_elsewhere() -> None:
-        thread = threading.Thread(target=ask)
-        thread.start()
-        thread.join()
-
-    with no_file_left():
-        ask_elsewhere()
-        ask()
-    ask_elsewhere()
-    assert isinstance(told[0], ServiceBusy)
-    assert told[1:] == [None, None]
 
 
 def test_who_meets_a_locked_file_may_try_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

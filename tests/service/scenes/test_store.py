@@ -7,27 +7,13 @@ import threading
 
 import numpy as np
 import pytest
-from store_folder import names
+from store_folder import document, gaussians, names
 
 from gapmes.service.errors import GapmesError, SceneNotFound, StorageFull
 from gapmes.service.formats.ply import ply_bytes
-from gapmes.service.gaussians import Gaussians
-from gapmes.service.scenes import store as store_module
-from gapmes.service.scenes.gaussians_cache import GaussiansCache, size_of
 from gapmes.service.scenes.store import SceneStore
 
 A, B, C = "a" * 32, "b" * 32, "c" * 32
-
-
-def gaussians(count=5, seed=0):
-    rng = np.random.default_rng(seed)
-    return Gaussians.make(
-        rng.normal(size=(count, 3)),
-        rng.uniform(0.1, 1, (count, 3)),
-        rng.normal(size=(count, 4)),
-        rng.uniform(0.1, 0.9, count),
-        rng.normal(size=(count, 1, 3)),
-    )
 
 
 PLY = ply_bytes(gaussians())
@@ -39,14 +25,14 @@ def store(tmp_path):
 
 
 def test_what_is_put_can_be_read(store):
-    document = {"id": A, "count": 5, "text": "ä \ud800"}  # the last one is what UTF-8 cannot hold
-    store.put(A, PLY, document)
-    assert store.document(A) == document
+    given = document(A, count=5, text="ä \ud800")  # the last one is what UTF-8 cannot hold
+    store.put(A, PLY, given)
+    assert store.document(A) == given
     assert store.ply(A) == PLY
     np.testing.assert_allclose(store.gaussians(A).means, gaussians().means, rtol=1e-6)
     assert store.exists(A)
     assert not store.exists(B)
-    assert SceneStore(store.root).document(A) == document
+    assert SceneStore(store.root).document(A) == given
 
 
 @pytest.mark.parametrize("name", [".jobs", ".processes", ".lock", "index.sqlite-wal"])
@@ -71,9 +57,9 @@ def test_a_folder_that_cannot_be_one_is_refused(tmp_path):
 
 
 def test_the_first_put_wins(store):
-    store.put(A, PLY, {"n": 1})
-    store.put(A, b"other", {"n": 2})
-    assert store.document(A) == {"n": 1}
+    assert store.put(A, PLY, document(A, n=1))
+    assert not store.put(A, b"other", document(A, n=2))
+    assert store.document(A) == document(A, n=1)
     assert store.ply(A) == PLY
     assert names(store.root) == {A}
 
@@ -85,7 +71,7 @@ def test_many_threads_put_one_scene(store):
     def put(number):
         start.wait()
         try:
-            store.put(A, PLY + bytes([number]), {"n": number})
+            store.put(A, PLY + bytes([number]), document(A, n=number))
         except Exception as error:
             failures.append(error)
 
@@ -111,17 +97,17 @@ def test_a_full_disk_leaves_nothing_behind(store, monkeypatch, number, file):
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(StorageFull, match=r"no space for the scene") as caught:
-        store.put(A, PLY, {})
+        store.put(A, PLY, document(A))
     assert caught.value.status == 507
     assert names(store.root) == set()
     monkeypatch.undo()
-    store.put(A, PLY, {})
+    store.put(A, PLY, document(A))
     assert store.exists(A)
 
 
 def test_other_failures_leave_nothing_behind_either(store):
     with pytest.raises(ValueError, match="JSON compliant"):
-        store.put(A, PLY, {"x": float("nan")})
+        store.put(A, PLY, document(A, x=float("nan")))
     assert names(store.root) == set()
 
 
@@ -129,7 +115,7 @@ def test_leftovers_of_a_crash_are_removed_at_start(store):
     leftover = store.root / ".incoming-abc"
     leftover.mkdir()
     (leftover / "scene.ply").write_bytes(b"half")
-    store.put(A, PLY, {})
+    store.put(A, PLY, document(A))
     assert names(SceneStore(store.root).root) == {A}
 
 
@@ -163,7 +149,7 @@ BAD_IDS = [
 @pytest.mark.parametrize("scene_id", BAD_IDS)
 def test_what_is_no_id_never_becomes_a_path(store, scene_id):
     (store.root.parent / "scene.json").write_text("{}")
-    for call in (store.document, store.ply, store.gaussians, store.delete, lambda i: store.put(i, PLY, {})):
+    for call in (store.document, store.ply, store.gaussians, store.delete, lambda i: store.put(i, PLY, document(i))):
         with pytest.raises(SceneNotFound) as caught:
             call(scene_id)
         assert caught.value.status == 404
@@ -181,10 +167,10 @@ def test_newest_first_and_stable(store):
     with pytest.raises(SceneNotFound, match="holds no scene"):
         store.newest()
     for scene_id in (B, A, C):  # put faster than a file system's clock ticks
-        store.put(scene_id, PLY, {"id": scene_id})
+        store.put(scene_id, PLY, document(scene_id))
     assert [row.id for row in store.page(10)] == [C, A, B]
     assert store.newest() == C
-    store.put(B, PLY, {})  # already there: it does not become newer
+    store.put(B, PLY, document(B))  # already there: it does not become newer
     assert SceneStore(store.root).newest() == C
     for scene_id in (A, B):
         os.utime(store.root / scene_id / "scene.json", ns=(10**18, 10**18))
@@ -197,15 +183,15 @@ def test_newest_first_and_stable(store):
 
 
 def test_delete_forgets_everywhere(store):
-    store.put(A, PLY, {})
+    store.put(A, PLY, document(A))
     store.gaussians(A)
     store.delete(A)
     assert not store.exists(A)
     assert list(store.page(10)) == []
     with pytest.raises(SceneNotFound):
         store.gaussians(A)
-    store.put(A, PLY, {"again": True})
-    assert store.document(A) == {"again": True}
+    store.put(A, PLY, document(A, again=True))
+    assert store.document(A)["again"]
 
 
 def test_ids_depend_on_everything_and_only_on_that():
@@ -226,54 +212,3 @@ def test_ids_depend_on_everything_and_only_on_that():
         SceneStore.scene_id("model", images, cameras, {}),
     ]
     assert len({base, *others}) == len(others) + 1
-
-
-def test_the_cache_is_bounded_in_bytes_and_forgets_the_oldest():
-    one = size_of(gaussians(10))
-    cache = GaussiansCache(2 * one)
-    loads = []
-
-    def load(name, count=10):
-        def loader():
-            loads.append(name)
-            return gaussians(count)
-
-        return cache.get(name, loader)
-
-    load("a"), load("b"), load("a"), load("c")  # b was used longest ago
-    assert loads == ["a", "b", "c"]
-    assert cache.bytes == 2 * one
-    load("a")
-    load("b")
-    assert loads == ["a", "b", "c", "b"]
-    load("huge", 600)  # never fits: returned, not kept, and nobody is thrown out for it
-    load("a")
-    assert loads == ["a", "b", "c", "b", "huge"]
-    cache.drop("a"), cache.drop("a")
-    assert cache.bytes == one
-
-
-def test_the_store_reads_a_file_once(store, monkeypatch):
-    store.put(A, PLY, {})
-    first = store.gaussians(A)
-    monkeypatch.setattr(store_module, "inspect_ply", None)
-    assert store.gaussians(A) is first
-
-
-def test_the_cache_survives_many_threads():
-    one = size_of(gaussians(10))
-    cache = GaussiansCache(3 * one)
-
-    def use(seed):
-        for key in np.random.default_rng(seed).integers(0, 8, 300):
-            assert len(cache.get(str(key), lambda: gaussians(10))) == 10
-            assert 0 <= cache.bytes <= 3 * one
-            if key == 0:
-                cache.drop("1")
-
-    threads = [threading.Thread(target=use, args=(i,)) for i in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert cache.bytes in (0, one, 2 * one, 3 * one)

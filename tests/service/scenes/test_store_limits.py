@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from store_folder import document
 
 from gapmes.service.errors import SceneNotFound, StorageFull
 from gapmes.service.scenes.scene_index import TOUCH_NS, SceneIndex
@@ -17,14 +20,19 @@ from gapmes.service.scenes.store import DAY_NS, SceneStore
 
 IDS = [f"{number:032x}" for number in range(9)]
 PLY = b"x" * 1000
-DOCUMENT = {"text": "y" * 50}
-ONE = len(PLY) + len('{"text": "') + 50 + len('"}')
+
+
+def made(scene_id: str) -> dict[str, Any]:
+    return document(scene_id, text="y" * 50)
+
+
+ONE = len(PLY) + len(json.dumps(made(IDS[0])))
 
 
 def filled(root: Path, count: int, **limits: float) -> SceneStore:
     store = SceneStore(root, **limits)
     for scene_id in IDS[:count]:
-        store.put(scene_id, PLY, DOCUMENT)
+        store.put(scene_id, PLY, made(scene_id))
     return store
 
 
@@ -50,9 +58,9 @@ def test_what_was_read_longest_ago_goes_first(tmp_path: Path) -> None:
     for age, scene_id in enumerate(IDS[:4]):
         aged(store, scene_id, 10 - age)
     store.ply(IDS[0])  # read now
-    store.put(IDS[4], PLY, DOCUMENT)
+    store.put(IDS[4], PLY, made(IDS[4]))
     assert listed(store) == {IDS[0], IDS[2], IDS[3], IDS[4]}
-    store.put(IDS[5], PLY * 2, DOCUMENT)
+    store.put(IDS[5], PLY * 2, made(IDS[5]))
     assert listed(store) == {IDS[0], IDS[4], IDS[5]}
     assert store.totals()[1] <= 4 * ONE
 
@@ -62,14 +70,14 @@ def test_what_is_being_read_never_goes(tmp_path: Path) -> None:
     aged(store, IDS[0], 5)
     other = SceneStore(tmp_path, max_bytes=2 * ONE)  # as another process
     with store.reading(IDS[0]) as path:
-        other.put(IDS[2], PLY, DOCUMENT)
+        other.put(IDS[2], PLY, made(IDS[2]))
         assert path.read_bytes() == PLY
         assert listed(other) == {IDS[0], IDS[2]}
         with store.reading(IDS[2]), pytest.raises(StorageFull, match="are being read") as caught:
-            other.put(IDS[3], PLY, DOCUMENT)
+            other.put(IDS[3], PLY, made(IDS[3]))
         assert caught.value.status == 507
         assert listed(other) == {IDS[0], IDS[2]}
-    other.put(IDS[3], PLY, DOCUMENT)
+    other.put(IDS[3], PLY, made(IDS[3]))
     assert listed(other) == {IDS[2], IDS[3]}
 
 
@@ -77,18 +85,18 @@ def test_a_scene_beyond_the_limit_is_refused_and_takes_no_other_along(tmp_path: 
     store = filled(tmp_path, 2, max_bytes=2 * ONE)
     size = ONE + 9 * len(PLY)
     with pytest.raises(StorageFull, match=rf"the scene has {size} bytes, more than the store's limit of {2 * ONE}"):
-        store.put(IDS[5], PLY * 10, DOCUMENT)
+        store.put(IDS[5], PLY * 10, made(IDS[5]))
     assert listed(store) == set(IDS[:2])
 
 
 def test_all_files_of_a_scene_count(tmp_path: Path) -> None:
     """Its document and the pictures of its inputs, too."""
     store = filled(tmp_path, 1, max_bytes=2 * ONE + 9)
-    store.put(IDS[1], PLY, DOCUMENT, [b"x" * 5, b"x" * 4])
+    store.put(IDS[1], PLY, made(IDS[1]), [b"x" * 5, b"x" * 4])
     assert listed(store) == {IDS[0], IDS[1]}
     assert store.totals()[1] == store.max_bytes
     store.delete(IDS[0])
-    store.put(IDS[2], PLY, {"text": "y" * 51})
+    store.put(IDS[2], PLY, document(IDS[2], text="y" * 51))
     assert listed(store) == {IDS[2]}
 
 
@@ -96,7 +104,7 @@ def test_a_scene_that_a_crash_left_unlisted_is_listed_when_it_is_met_again(tmp_p
     store = filled(tmp_path, 2)
     with store.database.write() as connection:
         connection.execute("DELETE FROM scenes")
-    store.put(IDS[0], b"other", {})
+    store.put(IDS[0], b"other", document(IDS[0]))
     assert store.listed(IDS[1])
     assert not store.listed(IDS[2])
     assert listed(store) == set(IDS[:2])
@@ -153,7 +161,7 @@ def test_a_limit_that_was_lowered_holds_before_anything_is_stored(tmp_path: Path
 def test_who_reads_anything_of_a_scene_reads_it(tmp_path: Path, read: Callable[[SceneStore, str], object]) -> None:
     store = SceneStore(tmp_path, max_days=1.0)
     for scene_id in IDS[:2]:
-        store.put(scene_id, PLY, DOCUMENT, [b"a picture"])
+        store.put(scene_id, PLY, made(scene_id), [b"a picture"])
         aged(store, scene_id, 2)
     read(store, IDS[0])
     store.evict_old()
@@ -170,7 +178,7 @@ def test_a_scene_that_cannot_be_listed_is_not_kept(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(SceneIndex, "add", full)
     for scene_id in IDS[:2]:
         with pytest.raises(StorageFull, match="for the list"):
-            store.put(scene_id, PLY, DOCUMENT)
+            store.put(scene_id, PLY, made(scene_id))
     assert listed(store) == {IDS[0]}
 
 
@@ -211,7 +219,7 @@ def test_what_a_fast_clock_has_stored_is_evicted_in_its_turn(tmp_path: Path) -> 
     aged(store, IDS[0], -3)
     store.evict_old()
     aged(store, IDS[1], -0.5 * TOUCH_NS / DAY_NS)  # read a moment later
-    store.put(IDS[2], PLY, DOCUMENT)
+    store.put(IDS[2], PLY, made(IDS[2]))
     assert listed(store) == {IDS[1], IDS[2]}
 
 
@@ -234,10 +242,10 @@ def test_the_newest_is_what_was_stored_last_whatever_the_clock_says(
     store, other = SceneStore(tmp_path), SceneStore(tmp_path)
     true = time.time_ns
     monkeypatch.setattr(time, "time_ns", lambda: true() + int(days * DAY_NS))
-    store.put(IDS[8], PLY, DOCUMENT)
+    store.put(IDS[8], PLY, made(IDS[8]))
     monkeypatch.undo()
     for scene_id in (IDS[5], IDS[3]):
-        other.put(scene_id, PLY, DOCUMENT)
+        other.put(scene_id, PLY, made(scene_id))
         assert store.newest() == scene_id
     (tmp_path / "index.sqlite").unlink()
     assert [row.id for row in SceneStore(tmp_path).page(9)] == [IDS[3], IDS[5], IDS[8]]
@@ -249,7 +257,7 @@ def test_a_file_from_the_far_future_does_not_keep_the_store_from_opening(tmp_pat
     (tmp_path / "index.sqlite").unlink()
     store = SceneStore(tmp_path)
     assert store.newest() == IDS[0]
-    store.put(IDS[2], PLY, DOCUMENT)
+    store.put(IDS[2], PLY, made(IDS[2]))
     assert store.newest() == IDS[2]
 
 
@@ -261,7 +269,7 @@ def test_any_number_of_days_is_a_limit(tmp_path: Path) -> None:
 
 def test_the_index_follows_the_folders(tmp_path: Path) -> None:
     store = filled(tmp_path, 3)
-    store.put(IDS[8], PLY, {"created": "then", "gaussians": {"count": 7}, "view_cameras": [1, 2]})
+    store.put(IDS[8], PLY, document(IDS[8], created="then", gaussians={"count": 7}, view_cameras=[{}, {}]))
     for scene_id in IDS[:2]:
         for file in (tmp_path / scene_id).iterdir():
             file.unlink()
@@ -277,7 +285,7 @@ def test_an_index_that_was_kept_follows_folders_that_came_and_went(tmp_path: Pat
     """Under a root whose own folder is missing, too, as on a new volume."""
     root, other = tmp_path / "new" / "scenes", tmp_path / "other"
     filled(root, 3)
-    SceneStore(other).put(IDS[5], PLY, DOCUMENT)
+    SceneStore(other).put(IDS[5], PLY, made(IDS[5]))
     (root / IDS[1]).rename(tmp_path / "taken")
     (other / IDS[5]).rename(root / IDS[5])
     assert listed(SceneStore(root)) == {IDS[0], IDS[2], IDS[5]}
@@ -300,7 +308,7 @@ def test_a_limit_holds_while_many_write_and_read(tmp_path: Path) -> None:
         for step in range(25):
             scene_id = f"{number:016x}{step:016x}"
             try:
-                store.put(scene_id, PLY, DOCUMENT)
+                store.put(scene_id, PLY, made(scene_id))
                 assert store.ply(scene_id) == PLY
             except (SceneNotFound, StorageFull):  # another writer's scene took its place, or all are being read
                 continue
