@@ -38,18 +38,18 @@ def parse_transforms(obj: Mapping, *, size_of: SizeOf | None, indices: Sequence[
     by 0.5 px is left out; with more the view has its lens, and the pinhole that this becomes. `applied_transform` says
     what was done to the poses that are in the file: they are taken as they are. Raises `IntrinsicsError` for a lens
     that does not become a pinhole (fisheye, folds) and `CameraError` for what is missing, and for the keys of a
-    cameras.json that would state another convention.
+    cameras.json that would state another convention. A value of null counts as left out.
     """
     _refuse_conventions(obj)
     views = []
     frames = list_of(obj, "frames")
-    common = {name: value for name, value in obj.items() if name in _OF_A_FRAME}
+    common = {name: value for name, value in obj.items() if name in _OF_A_FRAME and value is not None}
     for name, value in common.items():
         if too_long(value):  # it is looked at again for every frame
             message = f"{name} = {shown(value)}... is longer than the numbers of a lens"
             raise CameraError(message, field=f"cameras.{name}", cure="is it the right key? leave it out")
     for index in range(len(frames)) if indices is None else indices:
-        frame = frames[index]
+        frame = {name: value for name, value in frames[index].items() if value is not None}
         values = {**_of_the_top(common, frame), **frame}
         name = image_name(frame, "file_path", field="frames", index=index)
         require_pinhole_model(values, field="frames", index=index)
@@ -106,6 +106,9 @@ def _size(values: Mapping, name: str | None, size_of: SizeOf | None, index: int)
         sides = [number_of(values, name, field="frames", index=index) for name in "wh"]
         width, height = (checked_side(side, name, "frames", index) for side, name in zip(sides, "wh", strict=True))
         return width, height
+    if lacking := [name for name in "wh" if name not in values and ("w" in values or "h" in values)]:
+        cure = "add it, or leave both out: then the photographs tell"
+        raise CameraError(f"{lacking[0]} is missing", field=f"frames.{lacking[0]}", index=index, cure=cure)
     if size_of is None:
         raise CameraError("w and h are missing", field="frames.w", index=index, cure="add the image size in px")
     return size_of(name, index)

@@ -171,7 +171,8 @@ class Capture:
 
     def _in_order(self) -> list[str]:
         if self._paths is None:
-            self._paths = self._photographs.in_order(len(self.table.names))
+            numbered = self.table.kind == "realestate10k"  # frames of a film; LLFF sorts as text
+            self._paths = self._photographs.in_order(len(self.table.names), by_number=numbered)
         return self._paths
 
     def _size_of(self, name: str | None, index: int) -> tuple[int, int]:

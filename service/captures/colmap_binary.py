@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO, TypeVar, cast
 
 import numpy as np
 
@@ -19,8 +19,11 @@ from .colmap_model import (
     PointsSoFar,
     Sensor,
     check_points,
+    repeated_id,
 )
 from .table import MAX_LISTED
+
+_Entry = TypeVar("_Entry")
 
 _SEEN = 8  # bytes of an image's id and the place of its point
 _POINT2D = 24  # bytes of x, y and the point's id
@@ -61,6 +64,12 @@ class _Bytes:
             raise CameraError(message, field="cameras", cure="is it a file of COLMAP, and complete?")
         return count
 
+    def add(self, entries: dict[int, _Entry], key: int, entry: _Entry) -> None:
+        """Raises `CameraError` for an id that is there already."""
+        if key in entries:
+            raise repeated_id(self._source, key)
+        entries[key] = entry
+
     def name(self) -> str:
         name = bytearray()
         while True:
@@ -79,33 +88,34 @@ class _Bytes:
 def read_cameras(stream: BinaryIO, source: str) -> dict[int, ColmapCamera]:
     """Cameras of a cameras.bin by id."""
     data = _Bytes(stream, source)
-    cameras = {}
+    cameras: dict[int, ColmapCamera] = {}
     for _ in range(data.count("cameras")):
         camera_id, model, width, height = data.unpack("IiQQ")
         if model not in MODELS:
             message = f"{source}: camera {camera_id} has model number {model}, need 0 to {max(MODELS)}"
             raise CameraError(message, field="cameras", cure="is it a file of COLMAP?")
         name, params = MODELS[model]
-        cameras[camera_id] = ColmapCamera(name, width, height, data.unpack(f"{params}d"))
+        data.add(cameras, camera_id, ColmapCamera(name, width, height, data.unpack(f"{params}d")))
     return cameras
 
 
 def read_images(stream: BinaryIO, source: str) -> dict[int, ColmapImage]:
     """Images of an images.bin by id; their points are skipped."""
     data = _Bytes(stream, source)
-    images = {}
+    images: dict[int, ColmapImage] = {}
     for _ in range(data.count("images")):
         image_id, *pose, camera_id = data.unpack("I7dI")
         name = data.name()
         data.skip(_POINT2D * data.unpack("Q")[0])
-        images[image_id] = ColmapImage(name, camera_id, tuple(pose))
+        data.add(images, image_id, ColmapImage(name, camera_id, tuple(pose)))
     return images
 
 
 def read_rigs(stream: BinaryIO, source: str) -> dict[int, dict[Sensor, tuple[float, ...] | None]]:
     """Rigs of a rigs.bin by id; the first sensor of a rig is its reference."""
     data = _Bytes(stream, source)
-    rigs, total = {}, 0
+    rigs: dict[int, dict[Sensor, tuple[float, ...] | None]] = {}
+    total = 0
     for _ in range(data.count("rigs")):
         rig_id, count = data.unpack("II")
         total = data.checked(total + count, "sensors")
@@ -116,14 +126,15 @@ def read_rigs(stream: BinaryIO, source: str) -> dict[int, dict[Sensor, tuple[flo
                 sensors[sensor] = IDENTITY
             else:
                 sensors[sensor] = data.unpack("7d") if data.unpack("B")[0] else None
-        rigs[rig_id] = sensors
+        data.add(rigs, rig_id, sensors)
     return rigs
 
 
 def read_frames(stream: BinaryIO, source: str) -> dict[int, ColmapFrame]:
     """Frames of a frames.bin by id."""
     data = _Bytes(stream, source)
-    frames, total = {}, 0
+    frames: dict[int, ColmapFrame] = {}
+    total = 0
     for _ in range(data.count("frames")):
         frame_id, rig_id, *pose, count = data.unpack("II7dI")
         total = data.checked(total + count, "images of frames")
@@ -131,7 +142,7 @@ def read_frames(stream: BinaryIO, source: str) -> dict[int, ColmapFrame]:
         for _ in range(count):
             kind, sensor_id, image_id = data.unpack("iIQ")
             images.append(((kind, sensor_id), image_id))
-        frames[frame_id] = ColmapFrame(rig_id, tuple(pose), tuple(images))
+        data.add(frames, frame_id, ColmapFrame(rig_id, tuple(pose), tuple(images)))
     return frames
 
 

@@ -154,6 +154,12 @@ class ColmapModel:
         }
 
 
+def repeated_id(where: str, key: int) -> CameraError:
+    """The error for an id that another entry of the same file has."""
+    cure = "give every entry an id of its own: COLMAP does"
+    return CameraError(f"{where}: the id {key} is that of an earlier entry", field="cameras", cure=cure)
+
+
 def check_points(points: int, seen: int, source: str) -> None:
     """Raises `CameraError` above `MAX_POINTS` points or `MAX_SEEN` pairs."""
     for count, most, what in ((points, MAX_POINTS, "points"), (seen, MAX_SEEN, "matches of points")):

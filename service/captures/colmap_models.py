@@ -8,8 +8,9 @@ import struct
 from collections.abc import Sequence
 
 from ..cameras.view_checks import Notice
-from ..errors import CaptureError
+from ..errors import CameraError, CaptureError
 from .colmap import FORMS, WHOLE, has_colmap
+from .colmap_text import read_images
 from .files import Files, joined
 from .table import MAX_LISTED
 
@@ -35,8 +36,8 @@ def several_models(files: Files, models: Sequence[str], chosen: str) -> tuple[No
 
 def largest_model(files: Files, models: Sequence[str], first: str) -> str:
     """The one with the most images of `models` among the numbered siblings of `first`, which is one of them: COLMAP's
-    mapper may leave two images in model 0 and all others in 1. `first` itself where it has no number, or does not tell
-    how many images it has."""
+    mapper may leave two images in model 0 and all others in 1. `first` itself where it has no number, or its images
+    cannot be counted."""
     if not posixpath.basename(first).isdecimal() or _images(files, first) is None:
         return first
     beside = [folder for folder in models if posixpath.dirname(folder) == posixpath.dirname(first)]
@@ -84,15 +85,20 @@ def _described(files: Files, folder: str) -> str:
 
 
 def _images(files: Files, folder: str) -> int | None:
-    """Number of images by the start of the file of images; None if it is missing or implausible."""
+    """Number of images by the start of the file of images, of a text without it by its lines; None if it cannot be read
+    or is implausible."""
     form = has_colmap(files, folder)
+    path = joined(folder, f"images.{form}")
     try:
-        with files.open(joined(folder, f"images.{form}")) as stream:
+        with files.open(path) as stream:
             head = stream.read(_HEAD if form == "txt" else 8)
-    except CaptureError:  # this model is not needed
+        if form == "txt":
+            said = re.search(rb"Number of images: (\d{1,9})\b", head)
+            if said:
+                return int(said[1])
+            with files.open(path) as stream:
+                return len(read_images(stream, path))
+    except (CaptureError, CameraError):  # this model is not needed
         return None
-    if form == "txt":
-        said = re.search(rb"Number of images: (\d{1,9})\b", head)
-        return int(said[1]) if said else None
     count = struct.unpack("<Q", head)[0] if len(head) == 8 else MAX_LISTED + 1
     return count if count <= MAX_LISTED else None

@@ -19,6 +19,7 @@ from .colmap_model import (
     Points,
     PointsSoFar,
     Sensor,
+    repeated_id,
 )
 from .table import MAX_LISTED
 
@@ -103,7 +104,7 @@ def read_points(stream: BinaryIO, source: str) -> Points:
         return [float(words[column]) for column in (1, 2, 3, 7)], images
 
     found = PointsSoFar(source)
-    for row, images in _parsed(_lines(stream, source, most=2 * MAX_POINTS), source, point):
+    for _, (row, images) in _parsed(_lines(stream, source, most=2 * MAX_POINTS), source, point):
         found.add(row, np.array(images, dtype=np.uint32))
     return found.points()
 
@@ -116,7 +117,9 @@ def _entries(
 ) -> dict[int, _Entry]:
     """Parsed lines by id; with `most` columns the last may contain spaces. Raises `CameraError` naming the line."""
     entries: dict[int, _Entry] = {}
-    for key, entry in _parsed(lines, source, parse, most):
+    for number, (key, entry) in _parsed(lines, source, parse, most):
+        if key in entries:
+            raise repeated_id(f"{source}, line {number}", key)
         entries[key] = entry
         if len(entries) > MAX_LISTED:
             message = f"{source} lists more than {MAX_LISTED} entries, the limit"
@@ -126,9 +129,9 @@ def _entries(
 
 def _parsed(
     lines: Iterator[tuple[int, str]], source: str, parse: Callable[[list[str]], _Parsed], most: int = 0
-) -> Iterator[_Parsed]:
-    """Lines parsed one by one; with `most` columns the last may contain spaces. Raises `CameraError` naming the
-    line."""
+) -> Iterator[tuple[int, _Parsed]]:
+    """Numbers of lines, and these parsed one by one; with `most` columns the last may contain spaces. Raises
+    `CameraError` naming the line."""
     for number, line in lines:
         try:
             parsed = parse(line.split(maxsplit=most - 1))
@@ -136,7 +139,7 @@ def _parsed(
             reason = str(error) if isinstance(error, ValueError) else "has too few columns"
             cure = "is it a file of COLMAP, and complete?"
             raise CameraError(f"{source}, line {number}: {reason}", field="cameras", cure=cure) from error
-        yield parsed
+        yield number, parsed
 
 
 def _lines(

@@ -16,15 +16,15 @@ NO_PHOTOGRAPHS = ("mask", "depth", "normal", "semantic")  # in names of folders:
 
 class Elsewhere:
     """The photographs in the folders below `base`, the outer ones first, listed when the first one is missing.
-    `folders` lists those in a folder."""
+    `folders` lists those in a folder, and `is_photograph` tells of a file's name."""
 
     def __init__(
-        self, files: Files, base: str, folders: Callable[[str], Sequence[str]], suffixes: tuple[str, ...]
+        self, files: Files, base: str, folders: Callable[[str], Sequence[str]], is_photograph: Callable[[str], bool]
     ) -> None:
         self._files = files
         self._base = base
         self._folders = folders
-        self._suffixes = suffixes
+        self._is_photograph = is_photograph
         self._found: dict[str, str] | None = None  # last part of the path, with and without suffix -> path
 
     def hint(self, name: str) -> str | None:
@@ -51,7 +51,7 @@ class Elsewhere:
         waiting, looked = deque([self._base]), 0
         while waiting and looked < MOST_FOLDERS and len(found) < MOST_NAMES:
             folder, looked = waiting.popleft(), looked + 1
-            found += [joined(folder, name) for name in self._files.files(folder) if name.endswith(self._suffixes)]
+            found += [joined(folder, name) for name in self._files.files(folder) if self._is_photograph(name)]
             for name in self._folders(folder):
                 if not any(word in name.lower() for word in NO_PHOTOGRAPHS):
                     waiting.append(joined(folder, name))

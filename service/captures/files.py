@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
@@ -30,7 +31,7 @@ class Files(Protocol):
         """Whether a file exists at the path."""
 
     def size(self, path: str) -> int:
-        """Size of a file in bytes, unpacked."""
+        """Size of a file in bytes, unpacked. Raises `CaptureError` if it cannot be read."""
 
     def open(self, path: str) -> BinaryIO:
         """Open a file for reading. Raises `CaptureError` if it cannot be read, also while reading."""
@@ -59,21 +60,33 @@ class FolderFiles:
             return False
 
     def size(self, path: str) -> int:
-        return (self.root / path).stat().st_size
+        with self._readable(path):
+            return (self.root / path).stat().st_size
 
     def open(self, path: str) -> BinaryIO:
-        try:
+        with self._readable(path):
             return (self.root / path).open("rb")
+
+    @contextmanager
+    def _readable(self, path: str) -> Iterator[None]:
+        """Raises `CaptureError` where the block cannot read the file."""
+        try:
+            yield
         except OSError as error:
-            message = f"{self.root / path} cannot be read: {error.strerror}"
-            raise CaptureError(message, field="capture", cure="ask who owns it for permission") from error
+            gone = isinstance(error, FileNotFoundError)
+            raise CaptureError(
+                f"{self.root / path} cannot be read: {error.strerror}",
+                field="capture",
+                cure="was it moved or deleted?" if gone else "ask who owns it for permission",
+            ) from error
 
     def _entries(self, folder: str, *, folders: bool) -> Sequence[str]:
         try:
-            entries = [path for path in (self.root / folder).iterdir() if path.is_dir() == folders]
+            entries = list((self.root / folder).iterdir())
         except (OSError, ValueError):  # missing, or an invalid name
             return []
-        return sorted(path.name for path in entries if not is_clutter(path.name))
+        wanted = [path for path in entries if (path.is_dir() if folders else path.is_file())]  # no link to nowhere
+        return sorted(path.name for path in wanted if not is_clutter(path.name))
 
 
 def is_clutter(name: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+import re
 from collections.abc import Sequence
 from functools import cached_property
 
@@ -12,10 +13,23 @@ from .elsewhere import Elsewhere
 from .files import Files, joined, read_bounded
 from .names import Endings, key
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG", ".WEBP")
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
+_PROBED = (*_SUFFIXES, *(suffix.upper() for suffix in _SUFFIXES))  # behind a name that has none
 FOLDERS = ("images", "", "images_2", "images_4", "images_8", "input", "rgb")  # that are searched, in this order
 MAX_PHOTOGRAPH_BYTES = 256 * 2**20
 _HEADER = 2**18  # bytes at the start that usually hold the size
+_NUMBER = re.compile(r"(\d+)", re.ASCII)
+
+
+def is_photograph(name: str) -> bool:
+    """Whether a name has the suffix of a photograph, in whatever case."""
+    return name.lower().endswith(_SUFFIXES)
+
+
+def _with_numbers(name: str) -> list[tuple[int, str]]:
+    """The key that sorts names by their numbers: its odd parts are the numbers, the even ones what stands between."""
+    parts = _NUMBER.split(name)
+    return [(int(part) if place % 2 else 0, part) for place, part in enumerate(parts)]
 
 
 class Photographs:
@@ -33,7 +47,7 @@ class Photographs:
         self._listed: dict[str, dict[str, list[str]]] = {}
         self._below: dict[str, dict[str, list[str]]] = {}
         self._sizes: dict[str, tuple[int, int]] = {}
-        self._elsewhere = Elsewhere(files, base, self._folders_in, SUFFIXES)
+        self._elsewhere = Elsewhere(files, base, self._folders_in, is_photograph)
 
     def find(self, name: str | None, index: int) -> str:
         """Path of a photograph: by its name, also with a missing suffix or in another case, else by a unique end of its
@@ -55,13 +69,14 @@ class Photographs:
             raise ImageError(message, field="views.image", index=index, cure=cure)
         return found
 
-    def in_order(self, count: int) -> list[str]:
-        """Sorted paths of the photographs in the first folder with `count` of them. Raises `CaptureError`."""
+    def in_order(self, count: int, *, by_number: bool = False) -> list[str]:
+        """Sorted paths of the photographs in the first folder with `count` of them; `by_number` the numbers in their
+        names are compared as such, so that 10.png follows 9.png. Raises `CaptureError`."""
         seen = {}
         for place in self._places:
-            names = [name for name in self._files.files(place) if name.endswith(SUFFIXES)]
+            names = [name for name in self._files.files(place) if is_photograph(name)]
             if len(names) == count:
-                return [joined(place, name) for name in names]
+                return [joined(place, name) for name in (sorted(names, key=_with_numbers) if by_number else names)]
             if names:
                 seen[place or "."] = len(names)
         have = ", ".join(f"{number} in {place}" for place, number in seen.items()) or "none"
@@ -97,7 +112,7 @@ class Photographs:
         return Endings(self._names)
 
     def _at(self, name: str) -> str | None:
-        suffixes = ("",) if name.endswith(SUFFIXES) else ("", *SUFFIXES)
+        suffixes = ("",) if is_photograph(name) else ("", *_PROBED)
         for place in self._places:
             path = joined(place, name)
             for suffix in suffixes:
@@ -137,7 +152,7 @@ class Photographs:
         if folder not in self._listed:
             found: dict[str, list[str]] = {}
             for name in self._files.files(folder):
-                if name.endswith(SUFFIXES):
+                if is_photograph(name):
                     for known in {key(name), posixpath.splitext(key(name))[0]}:
                         found.setdefault(known, []).append(name)
             self._listed[folder] = found

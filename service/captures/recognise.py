@@ -23,7 +23,7 @@ from .colmap_models import (
 )
 from .files import Files, joined, read_bounded
 from .llff import SIGNATURE, read_llff
-from .photographs import SUFFIXES
+from .photographs import is_photograph
 from .realestate10k import looks_like_realestate10k, read_realestate10k
 from .table import CameraTable
 
@@ -74,7 +74,7 @@ def _nothing(files: Files) -> CaptureError:
     there = [f"{name}/" for name in folders] + list(files.files(""))
     found_instead = f"holds no cameras, only {', '.join(there[:8])}" if there else "is empty"
     cure = f"it needs one of {KNOWN}"
-    if any(name.endswith(SUFFIXES) for folder in ("", *folders) for name in files.files(folder)):
+    if any(is_photograph(name) for folder in ("", *folders) for name in files.files(folder)):
         cure += "; COLMAP computes cameras from photographs: colmap automatic_reconstructor"
     return CaptureError(f"{files.label} {found_instead}", field="capture", cure=cure)
 

@@ -146,7 +146,8 @@ def test_fisheye_is_refused(top):
 @pytest.mark.parametrize(
     ("path", "match", "cure"),
     [
-        (("w",), "w and h are missing", "add the image size"),
+        (("w",), "w is missing", "leave both out: then the photographs tell"),
+        (("h",), "h is missing", "leave both out: then the photographs tell"),
         (("fl_x",), "neither fl_x nor camera_angle_x", "give fl_x, the focal length in px"),
         (("frames", 0, "transform_matrix"), "transform_matrix is missing", "camera-to-world matrix in OpenGL axes"),
     ],
@@ -155,6 +156,31 @@ def test_incomplete_transforms_are_refused(path, match, cure):
     with pytest.raises(CameraError, match=match) as caught:
         parse_camera_file(broken(path, None, transforms()))
     assert cure in caught.value.cure
+
+
+def test_without_a_size_the_photographs_must_tell():
+    document = transforms()
+    del document["w"], document["h"]
+    with pytest.raises(CameraError, match="w and h are missing") as caught:
+        parse_camera_file(document)
+    assert "add the image size" in caught.value.cure
+    views = parse_camera_file(document, size_of=lambda *_: (640, 480)).views
+    assert [(view.camera.width, view.camera.height) for view in views] == [(640, 480)] * 2
+
+
+@pytest.mark.parametrize("name", ["k1", "cx", "fl_y", "camera_model", "camera_angle_x"])
+def test_null_counts_as_left_out(name):
+    """At the top and in a frame, where it does not stand for what the top says."""
+    plain = transforms()
+    plain.pop(name, None)
+    whole = parse_camera_file(plain)
+    for document in (plain | {name: None}, plain | {"frames": [frame | {name: None} for frame in plain["frames"]]}):
+        found = parse_camera_file(document)
+        assert [view.camera.fx for view in found.views] == [view.camera.fx for view in whole.views]
+        assert [view.camera.cx for view in found.views] == [view.camera.cx for view in whole.views]
+    over = transforms(cx=20.0)
+    over["frames"][0]["cx"] = None
+    assert parse_camera_file(over).views[0].camera.cx == 20.0
 
 
 def test_a_field_of_view_in_degrees_is_refused():

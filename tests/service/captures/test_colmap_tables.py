@@ -27,9 +27,37 @@ FRAME = struct.pack("<II7dI", 5, 7, *[0.0] * 7, HALF) + struct.pack("<iIQ", 0, 1
 )
 def test_rigs_and_frames_are_limited_together(read, row: bytes, what: str) -> None:
     """Two are as long as one may be."""
-    assert read(io.BytesIO(struct.pack("<Q", 2) + row * 2), "a.bin")
+    rows = [struct.pack("<I", number) + row[4:] for number in range(3)]
+    assert len(read(io.BytesIO(struct.pack("<Q", 2) + b"".join(rows[:2])), "a.bin")) == 2
     with pytest.raises(CameraError, match=f"a.bin says that it has {3 * HALF} {what}, the limit is {MAX_LISTED}"):
-        read(io.BytesIO(struct.pack("<Q", 3) + row * 3), "a.bin")
+        read(io.BytesIO(struct.pack("<Q", 3) + b"".join(rows)), "a.bin")
+
+
+CAMERA, IMAGE = (
+    struct.pack("<IiQQ3d", 7, 0, 64, 48, 60, 32, 24),
+    struct.pack("<I7dI", 7, 1, *[0] * 6, 1) + b"a\0" + bytes(8),
+)
+RIG_OF_ONE, FRAME_OF_ONE = struct.pack("<IIiI", 7, 1, 0, 1), struct.pack("<II7dIiIQ", 7, 1, 1, *[0] * 6, 1, 0, 1, 3)
+BINARY = {"cameras": CAMERA, "images": IMAGE, "rigs": RIG_OF_ONE, "frames": FRAME_OF_ONE}
+TEXT = {
+    "cameras": "7 SIMPLE_PINHOLE 64 48 60 32 24\n",
+    "images": "7 1 0 0 0 0 0 0 1 a\n\n",
+    "rigs": "7 1 CAMERA 1\n",
+    "frames": "7 1 1 0 0 0 0 0 0 1 CAMERA 1 3\n",
+}
+
+
+@pytest.mark.parametrize("what", BINARY)
+def test_an_id_that_is_there_twice_is_refused(what: str) -> None:
+    """The last one would take the place of the first: a view less, or another lens."""
+    binary, text = (getattr(module, f"read_{what}") for module in (colmap_binary, colmap_text))
+    assert list(binary(io.BytesIO(struct.pack("<Q", 1) + BINARY[what]), "a.bin")) == [7]
+    assert list(text(io.BytesIO(TEXT[what].encode()), "a.txt")) == [7]
+    with pytest.raises(CameraError, match=r"a\.bin: the id 7 is that of an earlier entry"):
+        binary(io.BytesIO(struct.pack("<Q", 2) + 2 * BINARY[what]), "a.bin")
+    second = 3 if what == "images" else 2
+    with pytest.raises(CameraError, match=rf"a\.txt, line {second}: the id 7 is that of an earlier entry"):
+        text(io.BytesIO(2 * TEXT[what].encode()), "a.txt")
 
 
 def test_frames_in_text_are_limited_together() -> None:

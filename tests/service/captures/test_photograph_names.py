@@ -15,9 +15,9 @@ from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.elsewhere import Elsewhere
 from gapmes.service.captures.files import FolderFiles
 from gapmes.service.captures.names import MOST_PARTS, Endings, places_of, same_file, same_path
-from gapmes.service.captures.photographs import SUFFIXES
+from gapmes.service.captures.photographs import is_photograph
 from gapmes.service.captures.select import ViewSelection, named_views
-from gapmes.service.errors import ImageError, ViewError
+from gapmes.service.errors import CaptureError, ImageError, ViewError
 
 RIG = [f"{camera}/{index:04d}.png" for camera in ("cam0", "cam1") for index in range(4)]
 
@@ -48,6 +48,35 @@ ELSEWHERE = {
     "scan/rgb left/a.png": "scan/rgb left/a.png has this name: if it is this photograph, put it where",
     "images/a.jpeg": "images/a.jpeg has another suffix: if it is this photograph, give it the one",
 }
+
+
+def test_a_link_to_nowhere_is_no_photograph(tmp_path: Path) -> None:
+    """As git-annex leaves what it has not fetched: such a view is passed over, or refused where it is asked for."""
+    there = [f"images/{index}.png" for index in range(8)]
+    path = capture_of(tmp_path, there, there)
+    (path / there[3]).unlink()
+    (path / there[3]).symlink_to("/nowhere/at/all.png")
+    capture = open_capture(path)
+    chosen = capture.choose(ViewSelection())
+    assert 3 not in chosen.indices
+    assert chosen.selection["without_photograph"] == 1
+    with pytest.raises(ImageError, match=r"images/3\.png does not exist"):
+        capture.choose(ViewSelection(select="2,3"))
+
+
+def test_a_photograph_that_goes_meanwhile_is_told(tmp_path: Path) -> None:
+    chosen = open_capture(capture_of(tmp_path, ["a.png", "b.png"], ["a.png", "b.png"])).choose(ViewSelection())
+    (tmp_path / "b.png").unlink()
+    with pytest.raises(CaptureError, match=r"b\.png cannot be read: No such file or directory") as caught:
+        chosen.read(1)
+    assert caught.value.cure == "was it moved or deleted?"
+
+
+@pytest.mark.parametrize("there", ["images/a.Jpg", "images/a.JPG", "images/a.jPG"])
+@pytest.mark.parametrize("named", ["images/a.jpg", "images/a", "a.JPG", "A"])
+def test_suffixes_are_found_in_any_case(tmp_path: Path, there: str, named: str) -> None:
+    path = capture_of(tmp_path, [named, "images/c.png"], [there, "images/c.png"])
+    assert open_capture(path).choose(ViewSelection()).paths == (there, "images/c.png")
 
 
 @pytest.mark.parametrize("packed", [False, True], ids=["folder", "zip"])
@@ -92,17 +121,17 @@ def test_a_missing_photograph_is_not_looked_for_without_end(tmp_path: Path, monk
     folder = capture_of(tmp_path, ["images/a.png", "images/d.png"], ["a/b/a.png", "a/b/c/d.png"])
     listed: list[str] = []
     files = FolderFiles(folder)
-    found = Elsewhere(files, "", files.folders, SUFFIXES)
+    found = Elsewhere(files, "", files.folders, is_photograph)
     monkeypatch.setattr(files, "files", lambda place: listed.append(place) or FolderFiles.files(files, place))
     assert "a/b/a.png has this name" in found.hint("a.png")
     assert "a/b/c/d.png has this name" in found.hint("x/d.png")
     assert listed == ["", "a", "a/b", "a/b/c"]
     monkeypatch.setattr(elsewhere, "MOST_FOLDERS", 3)
-    short = Elsewhere(files, "", files.folders, SUFFIXES)
+    short = Elsewhere(files, "", files.folders, is_photograph)
     assert short.hint("a.png")
     assert short.hint("d.png") is None
     monkeypatch.setattr(elsewhere, "MOST_NAMES", 0)
-    assert Elsewhere(files, "", files.folders, SUFFIXES).hint("a.png") is None
+    assert Elsewhere(files, "", files.folders, is_photograph).hint("a.png") is None
 
 
 @pytest.mark.parametrize("above", ["", "/home/me/scans/", "C:\\scans\\rig\\", "../rig/"])

@@ -9,7 +9,7 @@ from capture_scenes import arc, names, write_colmap, zipped
 
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.select import ViewSelection
-from gapmes.service.errors import CaptureError
+from gapmes.service.errors import CameraError, CaptureError
 
 
 def write_models(root: Path, counts: dict[str, int], *, text: bool = False) -> None:
@@ -56,11 +56,23 @@ def test_the_numbered_model_with_most_images_is_read(tmp_path: Path, counts: dic
     assert open_capture(tmp_path).choose(ViewSelection()).selection["cameras"] == f"{read}/images.bin"
 
 
-def test_a_model_that_does_not_say_its_number_of_images_stays_the_first(tmp_path: Path) -> None:
+@pytest.mark.parametrize("silent", ["0", "1", "01"])
+def test_of_models_that_do_not_say_their_number_of_images_the_images_are_counted(tmp_path: Path, silent: str) -> None:
     write_models(tmp_path, {"sparse/0": 2, "sparse/1": 3}, text=True)
-    images = tmp_path / "sparse/0/images.txt"
-    images.write_text("".join(line for line in images.read_text().splitlines(True) if not line.startswith("#")))
-    assert open_capture(tmp_path).choose(ViewSelection()).selection["cameras"] == "sparse/0/images.txt"
+    for number in silent:
+        images = tmp_path / f"sparse/{number}/images.txt"
+        images.write_text("".join(line for line in images.read_text().splitlines(True) if not line.startswith("#")))
+    chosen = open_capture(tmp_path).choose(ViewSelection())
+    assert chosen.selection["cameras"] == "sparse/1/images.txt"
+    assert "sparse/1 (3 images) is read; ignored: sparse/0 (2 images)" in chosen.warnings[0]["message"]
+
+
+def test_where_its_images_cannot_be_counted_the_first_stays(tmp_path: Path) -> None:
+    """Then it is refused by its line, and not passed over."""
+    write_models(tmp_path, {"sparse/0": 2, "sparse/1": 3}, text=True)
+    (tmp_path / "sparse/0/images.txt").write_text("1 2\n")
+    with pytest.raises(CameraError, match=r"sparse/0/images.txt, line 1"):
+        open_capture(tmp_path)
 
 
 @pytest.mark.parametrize(("others", "more"), [(7, ", 2 more"), (5, "")])
