@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gapmes.model.training.generated_views import exact_views, generated_view
 from gapmes.model.training.scenes import SceneBatch, SceneSampler
 from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.view_checks import Notice
 from gapmes.service.photographs.images import FittedView, Photo, fit_view
 from gapmes.service.photographs.whole import view_shapes
 from gapmes.service.reconstruct import Reconstructor, Scene
@@ -67,11 +68,13 @@ class Case:
     at_twice: Callable[[], LargerTargets] | None = None  # computed on demand
     whole: bool = False  # whether photographs are used beyond the aspect of the network
     photographs: Photographs | None = None  # None of generated scenes
+    numbers: tuple[int, ...] | None = None  # what warnings call the inputs
+    warnings: tuple[Notice, ...] = ()  # about the capture
 
     def reconstructed(self, service: Reconstructor, **options: Any) -> Scene:
         """The scene of the inputs, without predicting any from the others; `options` as for `reconstruct`."""
-        given = {"near": self.near, "far": self.far, "whole": self.whole, "leave_one_out": 0, **options}
-        return service.reconstruct(self.photos, self.cameras, **given)
+        given = {"near": self.near, "far": self.far, "whole": self.whole, "numbers": self.numbers}
+        return service.reconstruct(self.photos, self.cameras, **{"leave_one_out": 0, **given, **options})
 
 
 def photograph_case(
@@ -103,6 +106,8 @@ def photograph_case(
         at_twice=partial(_resampled, held_out, 2 * height, 2 * width),
         whole=whole,
         photographs=views.said,
+        numbers=views.inputs.indices,
+        warnings=views.warnings,
     )
 
 

@@ -101,6 +101,8 @@ def evaluate(
             raise ModelError(str(error), field="model") from error
         except OutOfMemory as error:
             raise GapmesError(str(error)) from error
+    for scene, line in dict.fromkeys(pair for group in report.groups for pair in group.told):
+        bars.say(f"{scene}: {line}")
     missed = [floor for floor in report.floors if floor.passed is False]
     for floor in report.floors:
         verdict = {True: "pass", False: "MISSED", None: "-"}[floor.passed]

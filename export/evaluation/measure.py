@@ -11,6 +11,7 @@ from PIL import Image as Pillow
 
 from gapmes.model.training.lpips import Lpips
 from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.view_checks import Notice
 from gapmes.service.errors import GapmesError
 from gapmes.service.gaussians import Gaussians
 from gapmes.service.mending.fade_passes import DEFAULT_PASSES
@@ -63,6 +64,7 @@ class _Reconstruction:
     far: float
     routes: dict[str, NDArray]
     seconds: float
+    warnings: tuple[Notice, ...]
 
     def draw(self, camera: Camera, threads: int | None) -> Render:
         return render(self.gaussians, camera, near=NEAR_PLANE_SHARE * self.near, threads=threads)
@@ -108,15 +110,17 @@ def measure(
         )
     share = float(np.stack(masks).mean())
     routes = {name: result.routes for name, result in results.items()}
-    return Measured(SceneScore(case.name, share, scores, ours, case.photographs), pictures, masks, routes)
+    warnings = (*case.warnings, *first.warnings)
+    return Measured(SceneScore(case.name, share, scores, ours, case.photographs, warnings), pictures, masks, routes)
 
 
 def _reconstruct(case: Case, model: Model, fade: int) -> _Reconstruction:
+    # Poses that photographs contradict are measured as they are, and told of.
     scene = case.reconstructed(Reconstructor(model.engine), trust_poses=True, fade=fade)
     near, far = scene.document["near"], scene.document["far"]
     outputs = model.engine.last
     seconds = float(sum(scene.document["timings"].values()))
-    return _Reconstruction(scene.gaussians, near, far, routes_of(outputs), seconds)
+    return _Reconstruction(scene.gaussians, near, far, routes_of(outputs), seconds, tuple(scene.document["warnings"]))
 
 
 def _masks(case: Case, ours: _Reconstruction, renders: Sequence[Render], threads: int | None) -> list[Mask]:

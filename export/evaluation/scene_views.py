@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gapmes.service.cameras.camera import Camera
+from gapmes.service.cameras.view_checks import Notice
 from gapmes.service.captures.capture import Capture, ChosenViews, open_capture
 from gapmes.service.captures.files import FolderFiles
 from gapmes.service.captures.usable import usable_views
@@ -38,6 +39,7 @@ class SceneViews:
     by: str  # SUGGESTED or HELD_OUT
     inputs: ChosenViews
     targets: ChosenViews
+    warnings: tuple[Notice, ...]  # about the capture
 
     @property
     def said(self) -> Photographs:
@@ -46,7 +48,8 @@ class SceneViews:
     def spare(self) -> list[int]:
         """Indices of the views with a photograph and a usable camera that are neither inputs nor targets."""
         used = {*self.inputs.indices, *self.targets.indices}
-        return [index for index in _usable(self.capture)[0] if index not in used]
+        there, *_ = usable_views(self.capture.with_photograph(), self.capture.cameras)
+        return [index for index in there if index not in used]
 
     def photograph(self, views: ChosenViews, place: int) -> tuple[Photo, Camera]:
         """A photograph of `views` of this capture at its own size, without lens distortion, with its camera. Raises
@@ -76,18 +79,19 @@ def scene_views(path: Path, inputs: int) -> SceneViews:
     """The views of a scene folder that its `cameras.json` suggests for a number of inputs; of any other capture those
     that `held_out_views` chooses.
 
-    Raises `NoSuchViews` where there are none, and `InputError` for what is no capture and for a wrong suggestion; each
-    names the capture.
+    Raises `NoSuchViews` where there are none, and `InputError` for what is no capture, for a wrong suggestion, and for
+    inputs whose cameras or depths a reconstruction would refuse; each names the capture.
     """
     try:
         if (suggested := suggestions(path)) is not None:
             suggested_views(path, suggested, inputs)  # told before the cameras are read
         capture = open_capture(path)
         if suggested is None and (suggested := suggested_by(capture, path)) is None:
-            return _held_out(path, capture, inputs)
+            return _checked(_held_out(path, capture, inputs))
         context, targets = suggested_views(path, suggested, inputs)
         check_indices(path, inputs, (context, targets), len(capture.table.names))
-        return _distinct(SceneViews(path, capture, SUGGESTED, capture.views(context), capture.views(targets)))
+        given, held_out = capture.views(context), capture.views(targets)
+        return _checked(SceneViews(path, capture, SUGGESTED, given, held_out, given.warnings))
     except InputError as error:  # of one capture of several
         if not error.message.startswith(str(path)):
             error.message = f"{path}: {error.message}"
@@ -96,8 +100,8 @@ def scene_views(path: Path, inputs: int) -> SceneViews:
 
 def _held_out(path: Path, capture: Capture, inputs: int) -> SceneViews:
     """Raises `NoSuchViews` where there are no targets."""
-    there, middles, cameras = _usable(capture)
-    given, held_out = held_out_views(cameras, middles, inputs)
+    there, file, warnings = usable_views(capture.with_photograph(), capture.cameras)
+    given, held_out = held_out_views(file.cameras, file.middles(None, None), inputs)
     if not held_out:
         raise NoSuchViews(
             f"{path} has {counted(len(there), 'view')} with a photograph; with every second one held out, no target is "
@@ -106,12 +110,13 @@ def _held_out(path: Path, capture: Capture, inputs: int) -> SceneViews:
             cure='take more photographs between those that are there, or name views in a cameras.json: "suggested": '
             f'{{"context{inputs}": [...], "target{inputs}": [...]}}',
         )
-    views = (capture.views([there[place] for place in places]) for places in (given, held_out))
-    return _distinct(SceneViews(path, capture, HELD_OUT, *views))
+    chosen, targets = (capture.views([there[place] for place in places]) for places in (given, held_out))
+    return SceneViews(path, capture, HELD_OUT, chosen, targets, (*chosen.warnings, *warnings))
 
 
-def _distinct(views: SceneViews) -> SceneViews:
-    """Raises `ImageError` where a target has the photograph of an input."""
+def _checked(views: SceneViews) -> SceneViews:
+    """Raises `ImageError` where a target has the photograph of an input, and as `ChosenViews.checked_depths`."""
+    views.inputs.checked_depths(None, None)
     for path, index in zip(views.targets.paths, views.targets.indices, strict=True):
         if path in views.inputs.paths:
             first = views.inputs.indices[views.inputs.paths.index(path)]
@@ -122,9 +127,3 @@ def _distinct(views: SceneViews) -> SceneViews:
                 cure="a target is held out: name one photograph for each view",
             )
     return views
-
-
-def _usable(capture: Capture) -> tuple[list[int], list[float | None], tuple[Camera, ...]]:
-    """The views with a photograph and a usable camera: indices, depths at which they are compared, and cameras."""
-    there, file, _ = usable_views(capture.with_photograph(), capture.cameras)
-    return there, file.middles(None, None), file.cameras

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from gapmes.service.cameras.view_checks import Notice
+from gapmes.service.commands.summary import warning_line
+
 from ..size import Size
 from .metrics import Figures, mean_figures, mean_or_none
 from .routing import RoutingStatistics
@@ -56,6 +59,7 @@ class SceneScore:
     baselines: dict[str, MethodScore]  # TRUE_DEPTH among them where there is truth
     models: dict[str, ModelScore]
     photographs: Photographs | None = None  # None of generated scenes
+    warnings: tuple[Notice, ...] = ()  # about the capture, then those of the first model's scene
 
     @property
     def best_baseline(self) -> str:
@@ -89,6 +93,12 @@ class Group:
     @property
     def models(self) -> list[str]:
         return list(self.scenes[0].models)
+
+    @property
+    def told(self) -> list[tuple[str, str]]:
+        """Scenes of photographs, with the lines of their warnings."""
+        scenes = [scene for scene in self.scenes if scene.photographs is not None]
+        return [(scene.scene, warning_line(notice)) for scene in scenes for notice in scene.warnings]
 
     def methods(self) -> dict[str, MethodScore]:
         """Name -> mean over scenes, for every baseline and model."""

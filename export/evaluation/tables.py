@@ -37,11 +37,17 @@ def group_section(group: Group, lpips: bool) -> list[str]:
             f"{model}: {mean:+.2f} dB above each scene's best baseline; {margin:+.2f} dB above the {best}, "
             "the best on average."
         )
-    lines += ["", *_scene_table(group), "", *_twice_table(group), *_routing_table(group)]
+    lines += ["", *_scene_table(group), "", *_warnings(group), *_twice_table(group), *_routing_table(group)]
     lines += _held_out(group)
     for scene, reason in group.left_out.items():
         lines += [f"Left out: {scene}: {reason}", ""]
     return lines
+
+
+def _warnings(group: Group) -> list[str]:
+    """What a reconstruction would tell of the photographs' scenes; of generated ones it is in report.json alone."""
+    lines = [f"- {scene}: {line.removeprefix('warning: ')}" for scene, line in group.told]
+    return ["Warnings, as `reconstruct` gives them:", "", *lines, ""] if lines else []
 
 
 def _held_out(group: Group) -> list[str]:

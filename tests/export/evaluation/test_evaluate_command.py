@@ -20,9 +20,10 @@ from standin_model import METADATA, write_standin
 from gapmes.export.evaluation import command, models
 from gapmes.export.evaluation import run as measuring
 from gapmes.export.evaluation.case import GENERATED_SEED
-from gapmes.export.evaluation.scores import BASELINES, TRUE_DEPTH
+from gapmes.export.evaluation.scores import BASELINES, TRUE_DEPTH, Group
 from gapmes.export.memory import OutOfMemory
 from gapmes.export.pipeline import VerificationBroken
+from gapmes.export.size import Size
 from gapmes.service import cli, extra_commands
 from gapmes.service.network.contract import REQUIRED_OUTPUTS
 from gapmes.service.shipped import sample_folder, shipped_model
@@ -102,7 +103,8 @@ def test_check_sets_the_exit_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
 
     monkeypatch.setattr(report, "floors", lambda groups: [Floor("a", "> 1", "1", passed)])
     monkeypatch.setattr(whole, "load_models", lambda *_, **__: [])
-    monkeypatch.setattr(whole, "_group", lambda *_: None)
+    none = Group("generated", 2, Size(64, 64), "true depth", [], {})
+    monkeypatch.setattr(whole, "_group", lambda *_: none)
     monkeypatch.setattr(whole.Report, "write", lambda *_: None)
     assert run("--generated", 1, "--size", 64, "--out", tmp_path, "--check") == (1 if passed is False else 0)
     assert run("--generated", 1, "--size", 64, "--out", tmp_path) == 0
