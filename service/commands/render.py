@@ -86,6 +86,7 @@ def render(
     from ..viewpoints.framing import frame, parse_size, square
     from ..viewpoints.scene_views import SceneViews
     from ..viewpoints.seen_depths import seen_depths
+    from .asked_cameras import asked_cameras
     from .input_file import capture_of_option, check_input_file
     from .output_file import check_output_file
     from .outputs import (
@@ -100,23 +101,24 @@ def render(
     )
 
     effort = Effort(alpha_min, stop, sh_degree, samples, cut_radius)
+    sides = None if size is None else parse_size(size)
+    moving: dict[str, Any] = {"path": path, "seconds": seconds, "fps": fps, "swing": swing}
+    plan = FilmPlan.asked(output, channel, sheet, sides is not None, **moving)
     capture = capture_of_option(cameras, "cameras")
-    file = capture.cameras(range(len(capture.table.names)))
     again = path == "inputs"  # such a path may pass a view several times; pictures of it would be equal
-    specs = [str(index) for index in range(len(file.views))] if views is None else view_specs(views, repeated=again)
+    asked = None if views is None else view_specs(views, repeated=again)
+    file, notes = asked_cameras(capture, asked if plan is None else None)  # a film is about all
+    specs = [str(index) for index in range(len(file.views))] if asked is None else asked
     in_file = file.near is not None or file.far is not None
     if in_file:
         depth_range(file.cameras, file.near, file.far)  # refuses an invalid range, and one end alone
     scene = SceneViews(file.cameras, file.near, file.far)
-    sides = None if size is None else parse_size(size)
-    moving: dict[str, Any] = {"path": path, "seconds": seconds, "fps": fps, "swing": swing}
-    plan = FilmPlan.asked(output, channel, sheet, sides is not None, **moving)
 
     def fit(camera: Camera) -> Camera:
         cropped = square(camera) if crop == "square" else camera
         return cropped if sides is None else frame(cropped, *sides)
 
-    passed_over = [notice["message"] for notice in capture.table.warnings]
+    passed_over = [*(notice["message"] for notice in capture.table.warnings), *notes]
     shots = [fit(scene.resolve(spec, field="views")) for spec in specs]
     for shot in shots:  # checked before the Gaussians are read
         check_format(shot.width, shot.height, channel, "png", depth_scale)

@@ -1,0 +1,48 @@
+"""The cameras that pictures are drawn from: all of a capture, or those that the asked views need."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ..cameras.camera_fields import CameraFile
+from ..captures.capture import Capture
+from ..errors import ImageError, IntrinsicsError, PoseError
+
+_UNUSABLE = (IntrinsicsError, PoseError, ImageError)  # the last where a photograph is to tell a camera's size
+
+
+def asked_cameras(capture: Capture, specs: Sequence[str] | None) -> tuple[CameraFile, list[str]]:
+    """The cameras of all views in their order, and notes.
+
+    Where one cannot be used, and `specs` name input views or places between them alone, those that these need suffice:
+    the others have the first of these in their places, and a note names the one that cannot be used. Raises as
+    `Capture.cameras`, for a camera that is needed.
+    """
+    count = len(capture.table.names)
+    try:
+        return capture.cameras(range(count)), []
+    except _UNUSABLE as error:
+        needed = _needed(specs or (), count)
+        if not needed:
+            raise
+        passed_over = str(error) if error.index is None else f"view {error.index}: {error}"
+    found = capture.cameras(needed)
+    there = dict(zip(needed, found.views, strict=True))
+    views = tuple(there.get(index, found.views[0]) for index in range(count))
+    return replace(found, views=views), [f"a camera that is not asked for cannot be used: {passed_over}"]
+
+
+def _needed(specs: Sequence[str], count: int) -> list[int]:
+    """The input views that these are, or lie between; none where one is neither."""
+    needed: set[int] = set()
+    for spec in specs:
+        try:
+            place = float(spec)
+        except ValueError:  # an orbit, which is about all
+            return []
+        if not 0 <= place <= count - 1:
+            return []
+        needed |= {math.floor(place), math.ceil(place)}
+    return sorted(needed)
