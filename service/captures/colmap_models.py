@@ -5,7 +5,7 @@ from __future__ import annotations
 import posixpath
 import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ..cameras.view_checks import Notice
 from ..errors import CameraError, CaptureError
@@ -17,32 +17,52 @@ from .table import MAX_LISTED
 _PLACES = ("sparse", "colmap/sparse")  # the mapper writes models into their folders 0, 1, ...
 _LISTED = 5  # models that the notice names
 _HEAD = 4096  # bytes of images.txt that hold its comments with the number of images
+Counts = Mapping[str, int | None]  # of images, by the folder of the model; None where it is not known
 
 
-def several_models(files: Files, models: Sequence[str], chosen: str) -> tuple[Notice, ...]:
+def image_counts(files: Files, models: Sequence[str], first: str) -> Counts:
+    """The number of images of each of `models` by the start of its file; of texts that do not say it, among the
+    numbered siblings of `first`, by their lines, each read once."""
+    counts = {folder: _announced(files, folder) for folder in models}
+    numbered = _numbered_beside(models, first)
+    for folder in numbered if len(numbered) > 1 else ():
+        if counts[folder] is None and has_colmap(files, folder) == "txt":
+            counts[folder] = _counted(files, folder)
+    return counts
+
+
+def several_models(files: Files, counts: Counts, chosen: str) -> tuple[Notice, ...]:
     """The notice `several_models` if there are models beside the chosen one; else empty."""
+    models = list(counts)
     others = [folder for folder in models if folder != chosen]
     if not others:
         return ()
     more = [f"{len(others) - _LISTED} more"] if len(others) > _LISTED else []
-    passed_over = ", ".join([_described(files, folder) for folder in others[:_LISTED]] + more)
+    passed_over = ", ".join([_described(counts, folder) for folder in others[:_LISTED]] + more)
     other = joined(others[0], f"images.{has_colmap(files, others[0])}")
     message = (
-        f"{len(others) + 1} COLMAP models are there: {_described(files, chosen)} is read; ignored: "
+        f"{len(others) + 1} COLMAP models are there: {_described(counts, chosen)} is read; ignored: "
         f"{passed_over} (for another one name a file of it, such as {other}; in a zip keep its folder alone)"
     )
     return ({"code": "several_models", "field": "capture", "message": message},)
 
 
-def largest_model(files: Files, models: Sequence[str], first: str) -> str:
-    """The one with the most images of `models` among the numbered siblings of `first`, which is one of them: COLMAP's
+def largest_model(counts: Counts, first: str) -> str:
+    """The one with the most images among the numbered siblings of `first`, which is one of them: COLMAP's
     mapper may leave two images in model 0 and all others in 1. `first` itself where it has no number, or its images
     cannot be counted."""
-    if not posixpath.basename(first).isdecimal() or _images(files, first) is None:
+    numbered = _numbered_beside(list(counts), first)
+    if not numbered or counts[first] is None:
         return first
+    return max(numbered, key=lambda folder: counts[folder] or 0)
+
+
+def _numbered_beside(models: Sequence[str], first: str) -> list[str]:
+    """The numbered models in the folder of `first`, itself among them; none where it has no number."""
+    if not posixpath.basename(first).isdecimal():
+        return []
     beside = [folder for folder in models if posixpath.dirname(folder) == posixpath.dirname(first)]
-    numbered = [folder for folder in beside if posixpath.basename(folder).isdecimal()]
-    return max(numbered, key=lambda folder: _images(files, folder) or 0)
+    return [folder for folder in beside if posixpath.basename(folder).isdecimal()]
 
 
 def numbered_alone(files: Files, folders: Sequence[str]) -> list[str]:
@@ -78,27 +98,32 @@ def places_of_models(files: Files, base: str) -> list[str]:
     return folders
 
 
-def _described(files: Files, folder: str) -> str:
+def _described(counts: Counts, folder: str) -> str:
     """The folder, with the number of images of its model."""
-    count = _images(files, folder)
+    count = counts[folder]
     return (folder or "the capture's own folder") + ("" if count is None else f" ({count} images)")
 
 
-def _images(files: Files, folder: str) -> int | None:
-    """Number of images by the start of the file of images, of a text without it by its lines; None if it cannot be read
-    or is implausible."""
+def _announced(files: Files, folder: str) -> int | None:
+    """Number of images by the start of the file of images; None if it is missing or implausible."""
     form = has_colmap(files, folder)
-    path = joined(folder, f"images.{form}")
     try:
-        with files.open(path) as stream:
+        with files.open(joined(folder, f"images.{form}")) as stream:
             head = stream.read(_HEAD if form == "txt" else 8)
-        if form == "txt":
-            said = re.search(rb"Number of images: (\d{1,9})\b", head)
-            if said:
-                return int(said[1])
-            with files.open(path) as stream:
-                return len(read_images(stream, path))
-    except (CaptureError, CameraError):  # this model is not needed
+    except CaptureError:  # this model is not needed
         return None
+    if form == "txt":
+        said = re.search(rb"Number of images: (\d{1,9})\b", head)
+        return int(said[1]) if said else None
     count = struct.unpack("<Q", head)[0] if len(head) == 8 else MAX_LISTED + 1
     return count if count <= MAX_LISTED else None
+
+
+def _counted(files: Files, folder: str) -> int | None:
+    """Number of images in a text; None where it is damaged."""
+    path = joined(folder, "images.txt")
+    try:
+        with files.open(path) as stream:
+            return len(read_images(stream, path))
+    except CameraError:  # this model is not needed
+        return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import posixpath
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -82,11 +83,11 @@ class FolderFiles:
 
     def _entries(self, folder: str, *, folders: bool) -> Sequence[str]:
         try:
-            entries = list((self.root / folder).iterdir())
+            names = os.listdir(self.root / folder)
         except (OSError, ValueError):  # missing, or an invalid name
             return []
-        wanted = [path for path in entries if (path.is_dir() if folders else path.is_file())]  # no link to nowhere
-        return sorted(path.name for path in wanted if not is_clutter(path.name))
+        kind = os.path.isdir if folders else os.path.isfile  # False, too, for a link that cannot be followed
+        return sorted(name for name in names if not is_clutter(name) and kind(self.root / folder / name))
 
 
 def is_clutter(name: str) -> bool:

@@ -14,6 +14,7 @@ from ..errors import CameraError, CaptureError
 from ..unique_members import CURE, RepeatedMember, parsed
 from .colmap import has_colmap, is_of_colmap, is_whole, read_colmap
 from .colmap_models import (
+    image_counts,
     largest_model,
     models_below,
     numbered_alone,
@@ -141,10 +142,11 @@ def _reader_in(files: Files, base: str, max_bytes: int) -> Callable[[], CameraTa
 
 
 def _colmap(files: Files, models: Sequence[str], first: str) -> CameraTable:
-    folder = largest_model(files, models, first)
+    counts = image_counts(files, models, first)
+    folder = largest_model(counts, first)
     form = has_colmap(files, folder) or "bin"
     table = read_colmap(files, folder, form)
-    return replace(table, warnings=(*several_models(files, models, folder), *table.warnings))
+    return replace(table, warnings=(*several_models(files, counts, folder), *table.warnings))
 
 
 def _is_list(files: Files, path: str) -> bool:

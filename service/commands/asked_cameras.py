@@ -17,8 +17,8 @@ def asked_cameras(capture: Capture, specs: Sequence[str] | None) -> tuple[Camera
     """The cameras of all views in their order, and notes.
 
     Where one cannot be used, and `specs` name input views or places between them alone, those that these need suffice:
-    the others have the first of these in their places, and a note names the one that cannot be used. Raises as
-    `Capture.cameras`, for a camera that is needed.
+    the others have the first of these in their places, near and far are those of these, and a note names the first
+    that cannot be used. Raises as `Capture.cameras`, for a camera that is needed.
     """
     count = len(capture.table.names)
     try:

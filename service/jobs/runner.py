@@ -155,7 +155,7 @@ class Runner:
             ) from error
         except (ValueError, KeyError, TypeError) as error:  # they are not synced to disk
             raise InputsGone(
-                f"what was kept of the request is damaged, as after a power cut: {error}", cure="ask for it again"
+                f"what was kept of the request cannot be read, as after a power cut: {error}", cure="ask for it again"
             ) from error
 
     def _noted(self, job: Job, note: Callable[[], bool], make_room: Callable[[], None] | None = None) -> bool:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import shutil
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,17 @@ from .work import Work
 
 _DOCUMENT = "work.json"
 _REQUEST = "request"
+_DIGEST = "sha256"  # of the photographs, one after the other
 _END = "end.json"
 _TEMPORARY = ".incoming-"
 SUBMITTING_S = 3600.0  # far longer than writing the photographs and queueing the job take
+
+
+def _digest(images: Sequence[bytes]) -> str:
+    digest = hashlib.sha256()
+    for image in images:
+        digest.update(len(image).to_bytes(8, "little") + image)
+    return digest.hexdigest()
 
 
 class Spool:
@@ -48,6 +57,7 @@ class Spool:
                 for index, image in enumerate(work.images):
                     (incoming / str(index)).write_bytes(image)
                 (incoming / _DOCUMENT).write_text(json.dumps(work.document()), encoding="utf-8")
+                (incoming / _DIGEST).write_text(_digest(work.images), encoding="utf-8")
                 (incoming / _REQUEST).write_text(request_id or "", encoding="utf-8")
                 incoming.rename(self._root / job_id)
             finally:
@@ -57,7 +67,11 @@ class Spool:
         """Read a job's inputs. Raises `FileNotFoundError`; `ValueError`, `KeyError` or `TypeError` for damaged ones."""
         folder = self._root / job_id
         document = json.loads((folder / _DOCUMENT).read_bytes())
-        return Work.of_document(document, [(folder / str(i)).read_bytes() for i in range(len(document["cameras"]))])
+        images = [(folder / str(i)).read_bytes() for i in range(len(document["cameras"]))]
+        written = folder / _DIGEST
+        if written.exists() and written.read_bytes() != _digest(images).encode():  # an earlier release wrote none
+            raise ValueError("its photographs are not those that were written")
+        return Work.of_document(document, images)
 
     def request_id(self, job_id: str) -> str | None:
         """Id of the request that submitted a job, None if unknown."""

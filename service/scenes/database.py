@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import GapmesError, ServiceBusy, StorageFull
-from ..process.disk import made_again, no_further_file, private_folder
+from ..process.disk import NO_FILE, made_again, no_further_file, private_folder
 from ..process.file_lock import exclusive
 
 BUSY_S = 30.0  # that a write waits for the lock of another; the service's own writes take milliseconds
@@ -161,10 +161,14 @@ class Database:
         return connection
 
     def _lacks_files(self, error: sqlite3.DatabaseError) -> bool:
-        """Whether the file can be opened, but not by a process that has as many open files as it may have."""
+        """Whether the file cannot be opened as the process has as many open files as it may have."""
         if error.sqlite_errorcode & _KIND != sqlite3.SQLITE_CANTOPEN:
             return False
-        return self._path.is_file() and os.access(self._path, os.W_OK) and os.access(self._path.parent, os.W_OK)
+        try:
+            os.close(os.open(self._path, os.O_RDWR))
+        except OSError as cause:
+            return cause.errno in NO_FILE
+        return False
 
     @contextmanager
     def write(self, patience_s: float | None = None) -> Iterator[sqlite3.Connection]:

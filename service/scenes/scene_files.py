@@ -7,10 +7,12 @@ import contextlib
 import errno
 import fcntl
 import json
+import math
 import os
 import re
 import shutil
 import stat
+import sys
 import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -27,6 +29,7 @@ _ID = re.compile(r"[0-9a-f]{32}")
 # Members of a document that the service reads, and their types.
 _KINDS = {"id": str, "gaussians": dict, "view_cameras": list, "warnings": list, "timings": dict}
 _DEPTHS = ("near", "far")
+_CAMERA = {"width", "height", "fx", "fy", "cx", "cy", "c2w"}
 _ANEW = "delete it, or ask for it again with the same photographs or file"
 
 
@@ -96,7 +99,8 @@ class SceneFiles:
             _require_gaussians(scene_id, (folder / PLY).stat())
             if not os.access(folder / PLY, os.R_OK):  # it belongs to another user, as after a restore
                 raise _unreadable(scene_id, PLY, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
-            document = json.loads((folder / DOCUMENT).read_bytes(), parse_constant=_refused_number)
+            text = (folder / DOCUMENT).read_bytes()
+            document = json.loads(text, parse_constant=_finite, parse_float=_finite)
         except (FileNotFoundError, NotADirectoryError) as error:
             if (folder / PLY).is_file():
                 raise _damaged(scene_id, f"{DOCUMENT} is missing") from error
@@ -243,8 +247,10 @@ def _drop(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _refused_number(text: str) -> float:
-    raise ValueError(f"{text} is no number of it")
+def _finite(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{text} is no number of it")
+    return value
 
 
 def _wrong_member(document: dict[str, Any], scene_id: str) -> str | None:
@@ -257,11 +263,16 @@ def _wrong_member(document: dict[str, Any], scene_id: str) -> str | None:
             return f"{name} is no {kind.__name__}"
     if document["id"] != scene_id:
         return f"id is {document['id'][:64]!r}"
-    if not all(isinstance(camera, dict) for camera in document["view_cameras"]):
-        return "a member of view_cameras is no dict"
-    if not all(document[name] is None or isinstance(document[name], int | float) for name in _DEPTHS):
-        return "near or far is no number"
-    return None if isinstance(document.get("inputs", 0), int) else "inputs is no number"
+    if not all(isinstance(camera, dict) and camera.keys() >= _CAMERA for camera in document["view_cameras"]):
+        return "a member of view_cameras is no camera"
+    if not all(document[name] is None or (_is_number(document[name]) and document[name] > 0) for name in _DEPTHS):
+        return "near or far is no depth"
+    inputs = document.get("inputs", 0)
+    return None if type(inputs) is int and inputs >= 0 else "inputs is no count"
+
+
+def _is_number(value: object) -> bool:
+    return type(value) in (int, float) and abs(value) <= sys.float_info.max  # type: ignore[arg-type]
 
 
 def _require_gaussians(scene_id: str, ply: os.stat_result) -> None:

@@ -256,7 +256,7 @@ def _summary(scene_id: str, document: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "id": scene_id,
         "created": document.get("created"),
-        "gaussians": document.get("gaussians", {}).get("count"),
-        "views": len(document.get("view_cameras", ())),
+        "gaussians": document["gaussians"].get("count"),
+        "views": len(document["view_cameras"]),
         "file": file.get("format") if isinstance(file, Mapping) else None,
     }

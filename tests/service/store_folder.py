@@ -15,6 +15,9 @@ def names(root: Path) -> set[str]:
     return {path.name for path in root.iterdir() if not path.name.startswith(("index.sqlite", ".lock", ".writing"))}
 
 
+CAMERA = {name: 1 for name in ("width", "height", "fx", "fy", "cx", "cy", "c2w")}
+
+
 def document(scene_id: str, **more: Any) -> dict[str, Any]:
     """What the service reads of a scene's document, and `more`."""
     empty = {"gaussians": {}, "view_cameras": [], "warnings": [], "timings": {}, "near": None, "far": None}

@@ -56,6 +56,7 @@ def test_a_link_to_nowhere_is_no_photograph(tmp_path: Path) -> None:
     path = capture_of(tmp_path, there, there)
     (path / there[3]).unlink()
     (path / there[3]).symlink_to("/nowhere/at/all.png")
+    (path / "images" / "loop.png").symlink_to(path / "images" / "loop.png")
     capture = open_capture(path)
     chosen = capture.choose(ViewSelection())
     assert 3 not in chosen.indices

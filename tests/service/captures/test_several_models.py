@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from capture_scenes import arc, names, write_colmap, zipped
 
+from gapmes.service.captures import colmap_models
 from gapmes.service.captures.capture import open_capture
 from gapmes.service.captures.select import ViewSelection
 from gapmes.service.errors import CameraError, CaptureError
@@ -65,6 +66,17 @@ def test_of_models_that_do_not_say_their_number_of_images_the_images_are_counted
     chosen = open_capture(tmp_path).choose(ViewSelection())
     assert chosen.selection["cameras"] == "sparse/1/images.txt"
     assert "sparse/1 (3 images) is read; ignored: sparse/0 (2 images)" in chosen.warnings[0]["message"]
+
+
+def test_each_model_is_counted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is read of a zip is limited in all."""
+    write_models(tmp_path, {"sparse/0": 2, "sparse/1": 3, "colmap/sparse/0": 2}, text=True)
+    for images in tmp_path.rglob("images.txt"):
+        images.write_text("".join(line for line in images.read_text().splitlines(True) if not line.startswith("#")))
+    counted, count = [], colmap_models.read_images
+    monkeypatch.setattr(colmap_models, "read_images", lambda stream, path: counted.append(path) or count(stream, path))
+    assert open_capture(tmp_path).table.source == "sparse/1/images.txt"
+    assert counted == ["sparse/0/images.txt", "sparse/1/images.txt"]
 
 
 def test_where_its_images_cannot_be_counted_the_first_stays(tmp_path: Path) -> None:

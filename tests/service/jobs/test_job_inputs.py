@@ -12,7 +12,7 @@ import pytest
 from job_place import Place
 
 LOST = "were deleted from the store before they were computed"
-DAMAGED = "is damaged, as after a power cut"
+DAMAGED = "cannot be read, as after a power cut"
 
 
 def changed(folder: Path, **members: Any) -> None:
@@ -29,6 +29,9 @@ def changed(folder: Path, **members: Any) -> None:
         (lambda folder: (folder / "work.json").write_bytes(bytes(300)), DAMAGED),
         (lambda folder: (folder / "work.json").write_bytes(b"{}"), DAMAGED),
         (lambda folder: (folder / "work.json").write_bytes(b"[]"), DAMAGED),
+        (lambda folder: (folder / "1").write_bytes(b""), DAMAGED),
+        (lambda folder: (folder / "0").write_bytes(bytes(3)), DAMAGED),
+        (lambda folder: (folder / "sha256").write_bytes(b""), DAMAGED),
         (lambda folder: changed(folder, cameras=[{}, {}]), DAMAGED),
         (lambda folder: changed(folder, budget=None), DAMAGED),
     ],
@@ -46,3 +49,11 @@ def test_it_is_asked_for_again(
     assert told in job.problem["detail"]
     assert job.problem["cure"] == "ask for it again"
     assert "Traceback" not in caplog.text
+
+
+def test_photographs_that_an_earlier_release_kept_are_computed(place: Place) -> None:
+    """It wrote no digest of them."""
+    place.submit()
+    (place.root / "jobs" / "1" / "sha256").unlink()
+    place.runner(lambda *_: None)
+    assert place.ended().state == "done"

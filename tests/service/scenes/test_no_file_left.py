@@ -47,3 +47,15 @@ def test_whether_it_can_be_written_is_not_known_then(tmp_path: Path) -> None:
     assert database.writable()
     assert files.writable()
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".incoming")] == []
+
+
+def test_a_log_that_cannot_be_opened_is_no_lack_of_files(tmp_path: Path) -> None:
+    """Such as one that belongs to another user, or is a folder."""
+    database = Database(tmp_path / "index.sqlite")
+    del database
+    for path in tmp_path.glob("index.sqlite-*"):
+        path.unlink()
+    (tmp_path / "index.sqlite-wal").mkdir()
+    fresh = Database.__new__(Database)
+    fresh._path = tmp_path / "index.sqlite"
+    assert not fresh.writable()

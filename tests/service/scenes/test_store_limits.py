@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from store_folder import document
+from store_folder import CAMERA, document
 
 from gapmes.service.errors import SceneNotFound, StorageFull
 from gapmes.service.scenes.scene_index import TOUCH_NS, SceneIndex
@@ -269,7 +269,7 @@ def test_any_number_of_days_is_a_limit(tmp_path: Path) -> None:
 
 def test_the_index_follows_the_folders(tmp_path: Path) -> None:
     store = filled(tmp_path, 3)
-    store.put(IDS[8], PLY, document(IDS[8], created="then", gaussians={"count": 7}, view_cameras=[{}, {}]))
+    store.put(IDS[8], PLY, document(IDS[8], created="then", gaussians={"count": 7}, view_cameras=[CAMERA, CAMERA]))
     for scene_id in IDS[:2]:
         for file in (tmp_path / scene_id).iterdir():
             file.unlink()
