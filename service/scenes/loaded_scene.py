@@ -101,8 +101,7 @@ def load(file: LoadedFile, scene_id: str, store: SceneStore, max_count: int) -> 
         "warnings": [*file.notices, *_warnings(reading)],
         "timings": {stage: round(seconds, 6) for stage, seconds in stages.timings.items()},
     }
-    new = store.put(scene_id, ply, document)
-    return document if new else store.document(scene_id), new
+    return document, store.put(scene_id, ply, document)
 
 
 def framed(

@@ -80,9 +80,10 @@ def test_a_loaded_scene_is_answered_whatever_becomes_of_it(
     ply = alone.get(post(alone, PHOTOGRAPHS).json()["links"]["ply"]).content
     put = SceneStore.put
 
-    def evicted(*arguments: Any) -> None:
-        put(*arguments)
+    def evicted(*arguments: Any) -> bool:
+        new = put(*arguments)
         crowded.evict_old()
+        return new
 
     monkeypatch.setattr(SceneStore, "put", evicted)
     answer = alone.post("/scenes", content=ply, headers={"Content-Type": "application/octet-stream"})
