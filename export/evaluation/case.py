@@ -73,8 +73,8 @@ class Case:
 
     def reconstructed(self, service: Reconstructor, **options: Any) -> Scene:
         """The scene of the inputs, without predicting any from the others; `options` as for `reconstruct`."""
-        given = {"near": self.near, "far": self.far, "whole": self.whole, "numbers": self.numbers}
-        return service.reconstruct(self.photos, self.cameras, **{"leave_one_out": 0, **given, **options})
+        given = {"near": self.near, "far": self.far, "whole": self.whole, "numbers": self.numbers, "leave_one_out": 0}
+        return service.reconstruct(self.photos, self.cameras, **{**given, **options})
 
 
 def photograph_case(

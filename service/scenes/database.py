@@ -16,6 +16,7 @@ from ..process.disk import NO_FILE, made_again, no_further_file, private_folder
 from ..process.file_lock import exclusive
 
 BUSY_S = 30.0  # that a write waits for the lock of another; the service's own writes take milliseconds
+FILES = 3  # that a connection opens: the database, its log and their index
 PROBE_S = 2.0  # the same for `writable`, which a health check waits for
 VERSION = 2
 _log = logging.getLogger("gapmes")
@@ -160,14 +161,18 @@ class Database:
             failed.pop_all()
         return connection
 
-    def _lacks_files(self, error: sqlite3.DatabaseError) -> bool:
-        """Whether the file cannot be opened as the process has as many open files as it may have."""
+    @staticmethod
+    def _lacks_files(error: sqlite3.DatabaseError) -> bool:
+        """Whether it may be that the process has as many open files as it may have. Others are opened to find out: a
+        file of the database that is closed again would lose the locks that this process has on it."""
         if error.sqlite_errorcode & _KIND != sqlite3.SQLITE_CANTOPEN:
             return False
-        try:
-            os.close(os.open(self._path, os.O_RDWR))
-        except OSError as cause:
-            return cause.errno in NO_FILE
+        with ExitStack() as opened:
+            try:
+                for _ in range(FILES):
+                    opened.callback(os.close, os.open(os.devnull, os.O_RDONLY))
+            except OSError as cause:
+                return cause.errno in NO_FILE
         return False
 
     @contextmanager

@@ -9,8 +9,8 @@ from contextlib import contextmanager, suppress
 
 
 @contextmanager
-def no_file_left() -> Iterator[None]:
-    """This process can open no further file."""
+def no_file_left(but: int = 0) -> Iterator[None]:
+    """This process can open no further file, or only so many."""
     before, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, most))
     taken = []
@@ -18,6 +18,8 @@ def no_file_left() -> Iterator[None]:
         with suppress(OSError):
             while True:
                 taken.append(os.open(os.devnull, os.O_RDONLY))
+        for _ in range(but):
+            os.close(taken.pop())
         yield
     finally:
         for number in taken:

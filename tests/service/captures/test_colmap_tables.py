@@ -33,11 +33,10 @@ def test_rigs_and_frames_are_limited_together(read, row: bytes, what: str) -> No
         read(io.BytesIO(struct.pack("<Q", 3) + b"".join(rows)), "a.bin")
 
 
-CAMERA, IMAGE = (
-    struct.pack("<IiQQ3d", 7, 0, 64, 48, 60, 32, 24),
-    struct.pack("<I7dI", 7, 1, *[0] * 6, 1) + b"a\0" + bytes(8),
-)
-RIG_OF_ONE, FRAME_OF_ONE = struct.pack("<IIiI", 7, 1, 0, 1), struct.pack("<II7dIiIQ", 7, 1, 1, *[0] * 6, 1, 0, 1, 3)
+CAMERA = struct.pack("<IiQQ3d", 7, 0, 64, 48, 60, 32, 24)
+IMAGE = struct.pack("<I7dI", 7, 1, *[0] * 6, 1) + b"a\0" + bytes(8)
+RIG_OF_ONE = struct.pack("<IIiI", 7, 1, 0, 1)
+FRAME_OF_ONE = struct.pack("<II7dIiIQ", 7, 1, 1, *[0] * 6, 1, 0, 1, 3)
 BINARY = {"cameras": CAMERA, "images": IMAGE, "rigs": RIG_OF_ONE, "frames": FRAME_OF_ONE}
 TEXT = {
     "cameras": "7 SIMPLE_PINHOLE 64 48 60 32 24\n",

@@ -40,6 +40,8 @@ def test_a_thread_that_finds_no_file_left_may_try_again(tmp_path: Path) -> None:
 
 def test_whether_it_can_be_written_is_not_known_then(tmp_path: Path) -> None:
     database, files = Database(tmp_path / "index.sqlite"), SceneFiles(tmp_path)
+    with no_file_left(but=1), pytest.raises(ServiceBusy, match="may open no further file now"):
+        database.writable()  # its file can be opened then, and its log cannot
     with no_file_left():
         for part in (database, files):
             with pytest.raises(ServiceBusy, match="may open no further file now"):
@@ -52,10 +54,6 @@ def test_whether_it_can_be_written_is_not_known_then(tmp_path: Path) -> None:
 def test_a_log_that_cannot_be_opened_is_no_lack_of_files(tmp_path: Path) -> None:
     """Such as one that belongs to another user, or is a folder."""
     database = Database(tmp_path / "index.sqlite")
-    del database
-    for path in tmp_path.glob("index.sqlite-*"):
-        path.unlink()
+    (tmp_path / "index.sqlite-wal").unlink()
     (tmp_path / "index.sqlite-wal").mkdir()
-    fresh = Database.__new__(Database)
-    fresh._path = tmp_path / "index.sqlite"
-    assert not fresh.writable()
+    assert not database.writable()
