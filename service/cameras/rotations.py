@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
+CANCELLED = 1e-2  # of directions: where their mean is no longer, rounding and noise decide where it points
+
 
 def rotated(rotation: F64, vectors: NDArray[np.floating]) -> F64:
     """`rotation` (3, 3) applied to each of the vectors (..., 3), in float64.
@@ -108,7 +110,14 @@ def slerp(start: F64, end: F64, fraction: float) -> F64:
 
 
 def mean_rotation(rotations: F64) -> F64:
-    """(3, 3) chordal mean of rotations (N, 3, 3): the rotation closest to their arithmetic mean."""
-    u, _, vt = np.linalg.svd(np.mean(rotations, axis=0))
-    flip = np.diag([1.0, 1.0, np.linalg.det(u @ vt)])
-    return u @ flip @ vt
+    """(3, 3) chordal mean of rotations (N, 3, 3): the rotation closest to their arithmetic mean.
+
+    The first of them where no one rotation is closest, such as that of cameras in a full circle: where the two smaller
+    singular values of the arithmetic mean, the smallest one with the sign of its determinant, have a sum of at most
+    `CANCELLED`.
+    """
+    u, values, vt = np.linalg.svd(np.mean(rotations, axis=0))
+    sign = 1.0 if np.linalg.det(u @ vt) > 0 else -1.0
+    if values[1] + sign * values[2] <= CANCELLED:
+        return np.array(rotations[0], dtype=np.float64)
+    return u @ np.diag([1.0, 1.0, sign]) @ vt

@@ -14,7 +14,8 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..errors import ViewError
 from .input_path import InputPath
-from .views import mean_camera, orbit_camera, vertical
+from .level_frame import LevelFrame
+from .views import orbit_camera
 
 PathName = Literal["turntable", "inputs", "orbit"]
 PATHS: tuple[PathName, ...] = get_args(PathName)
@@ -54,10 +55,7 @@ def seen_swing(cameras: Sequence[Camera], pivot_depth: float) -> float:
     """Degrees each way within which a swing stays among the inputs: the largest azimuth, seen from the pivot, between
     the mean camera and an input, clipped to `LEAST_SWING` and `MOST_SWING`. Beyond the inputs nothing was seen.
     """
-    middle, up = mean_camera(cameras), vertical(cameras)
-    forward = middle.rotation[:, 2]
-    offsets = np.stack([camera.center - middle.center for camera in cameras]) - pivot_depth * forward  # from the pivot
-    ahead = -forward + (forward @ up) * up
-    right = np.cross(ahead, up)
-    angles = np.degrees(np.arctan2(offsets @ right, offsets @ ahead))
+    frame = LevelFrame.of(cameras, pivot_depth)
+    right, _, ahead = np.stack([frame.camera(camera).center for camera in cameras]).T
+    angles = np.degrees(np.arctan2(right, -ahead))
     return float(np.clip(np.abs(angles).max(), LEAST_SWING, MOST_SWING))

@@ -32,10 +32,10 @@ class LevelFrame:
     @classmethod
     def of(cls, cameras: Sequence[Camera], pivot_depth: float) -> LevelFrame:
         """The frame of cameras with a pivot at z-depth `pivot_depth` (caller's units) of their mean."""
-        middle, up = mean_camera(cameras), vertical(cameras)
+        middle, up = mean_camera(cameras, pivot_depth), vertical(cameras)
         ahead = middle.rotation[:, 2]
         right = np.cross(ahead, up)
-        if np.linalg.norm(right) < 1e-6:  # looking straight up or down
+        if np.linalg.norm(right) < 1e-6:  # looks along the vertical
             right = middle.rotation[:, 0]
         right = right / np.linalg.norm(right)
         level = np.stack([right, -up, np.cross(right, -up)], axis=1)

@@ -8,24 +8,23 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from camera_sets import PIVOT, UP, arc, camera, moves_with_the_world
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.rotations import about_axis, rotation_angle, rotation_vector, slerp
 from gapmes.service.errors import ViewError
-from gapmes.service.viewpoints.camera_path import LEAST_SWING, MOST_SWING, PATHS, camera_path, loop, seen_swing
+from gapmes.service.viewpoints.camera_path import (
+    LEAST_SWING,
+    MOST_SWING,
+    PATHS,
+    camera_path,
+    loop,
+    seen_swing,
+)
 from gapmes.service.viewpoints.input_path import TURN_SHARE, InputPath, distance
 from gapmes.service.viewpoints.views import between, mean_camera
-
-PIVOT = 3.0
-UP = np.array([0.0, 1.0, 0.0])
-
-
-def camera(rotation: np.ndarray, center: object, focal: float = 60.0) -> Camera:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, center
-    return Camera.make(64, 48, focal, 62.0, 31.0, 24.0, pose)
 
 
 def scattered(seed: int, count: int = 4) -> list[Camera]:
@@ -34,12 +33,6 @@ def scattered(seed: int, count: int = 4) -> list[Camera]:
     turns = [rng.normal(0, 0.25, 3) for _ in range(count)]
     rotations = [about_axis(turn / np.linalg.norm(turn), float(np.linalg.norm(turn))) for turn in turns]
     return [camera(rotation, rng.normal(0, 1, 3), 60 + 5 * i) for i, rotation in enumerate(rotations)]
-
-
-def arc(degrees: float, count: int = 5) -> list[Camera]:
-    """Cameras at distance `PIVOT` that look at the origin, evenly from -degrees to degrees about the vertical."""
-    rotations = [about_axis(UP, -math.radians(a)) for a in np.linspace(-degrees, degrees, count)]
-    return [camera(rotation, -PIVOT * rotation[:, 2]) for rotation in rotations]
 
 
 def steps(cameras: list[Camera]) -> np.ndarray:
@@ -176,6 +169,26 @@ def test_two_cameras_are_a_line_and_a_slerp():
     np.testing.assert_allclose(path.at(0.25).world_from_cam, between(start, end, 0.5).world_from_cam, atol=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_centres_lie_on_the_centripetal_catmull_rom_spline(seed):
+    """Drawn by the pyramid of Barry and Goldman (1988), with knots whose squares are the distances between poses."""
+    cameras = scattered(seed)
+    path = InputPath.through(cameras, PIVOT)
+    steps_between = [np.sqrt(distance(one, other, PIVOT)) for one, other in pairwise(cameras)]
+    assert max(steps_between) > 1.05 * min(steps_between)
+    knots, places = np.concatenate([[0.0], np.cumsum(steps_between)]), [one.center for one in cameras]
+    for u in (0.1, 0.5, 0.7):
+        at = knots[1] + u * (knots[2] - knots[1])
+        level = places
+        for width in (1, 2):
+            level = [
+                ((knots[i + width] - at) * level[i] + (at - knots[i]) * level[i + 1]) / (knots[i + width] - knots[i])
+                for i in range(len(level) - 1)
+            ]
+        expected = ((knots[2] - at) * level[0] + (at - knots[1]) * level[1]) / (knots[2] - knots[1])
+        np.testing.assert_allclose(path.pieces[1].camera(u).center, expected, atol=1e-12)
+
+
 def test_cameras_that_turn_evenly_are_a_slerp():
     cameras = arc(40)
     path = InputPath.through(cameras, PIVOT)
@@ -187,26 +200,13 @@ def test_cameras_that_turn_evenly_are_a_slerp():
 
 @given(seed=st.integers(0, 2**20), scale=st.sampled_from([1e-3, 1.0, 1e3]), name=st.sampled_from(PATHS))
 def test_paths_move_with_the_world(seed, scale, name):
-    cameras = scattered(seed)
-    turn, offset = about_axis(np.array([0.0, 0.6, 0.8]), 1.0), np.array([100.0, -200.0, 7.0])
-
-    def moved(one: Camera) -> Camera:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn @ one.rotation, scale * (turn @ one.center + offset)
-        return one.posed(pose)
-
-    plain = loop(camera_path(name, cameras, pivot_depth=PIVOT), 5)
-    other = loop(camera_path(name, [moved(one) for one in cameras], pivot_depth=scale * PIVOT), 5)
-    for one, found in zip(plain, other, strict=True):
-        expected = moved(one)
-        np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-7)
-        np.testing.assert_allclose(found.center / scale, expected.center / scale, atol=1e-7)
+    moves_with_the_world(scattered(seed), scale, name)
 
 
 @pytest.mark.parametrize("name", ["turntable", "orbit"])
 def test_what_is_looked_at_stays_in_its_place_and_distance(name):
     cameras = scattered(2)
-    middle = mean_camera(cameras)
+    middle = mean_camera(cameras, PIVOT)
     pivot = middle.center + PIVOT * middle.rotation[:, 2]
     for shot in loop(camera_path(name, cameras, pivot_depth=PIVOT), 12):
         pixels, z = shot.project(pivot[None])
@@ -217,7 +217,7 @@ def test_what_is_looked_at_stays_in_its_place_and_distance(name):
 def test_a_turntable_goes_as_far_as_it_is_told_to_both_sides_and_an_orbit_round():
     cameras = arc(10)
     shots = loop(camera_path("turntable", cameras, pivot_depth=PIVOT, swing=30), 8)
-    middle = mean_camera(cameras)
+    middle = mean_camera(cameras, PIVOT)
     angles = [math.degrees(rotation_angle(middle.rotation.T @ shot.rotation)) for shot in shots]
     np.testing.assert_allclose(angles, [0, 21.2132, 30, 21.2132, 0, 21.2132, 30, 21.2132], atol=1e-4)
     assert (shots[2].center - middle.center) @ middle.rotation[:, 0] > 0  # to the right first
@@ -229,20 +229,23 @@ def test_a_turntable_goes_as_far_as_it_is_told_to_both_sides_and_an_orbit_round(
 @pytest.mark.parametrize("swing", [1e-3, 0.5, 180.0])
 def test_a_swing_may_be_as_small_as_any_and_half_a_turn(swing):
     cameras = arc(10)
-    shot, middle = camera_path("turntable", cameras, pivot_depth=PIVOT, swing=swing)(0.25), mean_camera(cameras)
+    shot, middle = camera_path("turntable", cameras, pivot_depth=PIVOT, swing=swing)(0.25), mean_camera(cameras, PIVOT)
     assert math.degrees(rotation_angle(middle.rotation.T @ shot.rotation)) == pytest.approx(swing)
 
 
-@pytest.mark.parametrize("degrees", [12.0, 30.0])
+@pytest.mark.parametrize("degrees", [12.0, 30.0, 80.0])
 def test_the_swing_is_what_the_inputs_span(degrees):
-    """Seen from the pivot. The mean of the centres lies inside the arc, so that the pivot does behind its middle."""
     cameras = arc(degrees)
-    inward = PIVOT - np.linalg.norm(mean_camera(cameras).center)
-    side, ahead = PIVOT * math.sin(math.radians(degrees)), PIVOT * math.cos(math.radians(degrees)) + inward
-    assert seen_swing(cameras, PIVOT) == pytest.approx(math.degrees(math.atan2(side, ahead)))
-    assert 0.8 * degrees < seen_swing(cameras, PIVOT) <= degrees
+    assert seen_swing(cameras, PIVOT) == pytest.approx(degrees)
     leaning = [camera(c.rotation @ about_axis(np.array([1.0, 0, 0]), 0.5), c.center) for c in cameras]
     assert seen_swing(leaning, PIVOT) < degrees  # heights do not count
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_farthest_input_on_either_side_counts(side):
+    """Seen from their common pivot; the mean of three equal directions and one at 40 degrees lies at about 10."""
+    cameras = [camera(c.rotation, c.center) for a in (0.0, 0.0, 0.0, 40.0 * side) for c in arc(a, 2)[1:]]
+    assert 29 < seen_swing(cameras, PIVOT) < 31
 
 
 def test_a_swing_has_bounds():

@@ -83,7 +83,7 @@ def test_pixels_stay_square_between_pictures_of_other_shapes(spec):
 
 
 def test_an_orbit_keeps_the_pivot_in_its_place_and_distance(cameras):
-    middle = mean_camera(cameras)
+    middle = mean_camera(cameras, 3)
     np.testing.assert_allclose(resolve_view("orbit:0", cameras, pivot_depth=3).world_from_cam, middle.world_from_cam)
     pivot = middle.center + 3 * middle.rotation[:, 2]
     up = -np.mean([camera.rotation[:, 1] for camera in cameras], axis=0)
@@ -98,7 +98,7 @@ def test_an_orbit_keeps_the_pivot_in_its_place_and_distance(cameras):
 
 
 def test_positive_angles_go_to_the_right(cameras):
-    middle = mean_camera(cameras)
+    middle = mean_camera(cameras, 3)
     moved = resolve_view("orbit:10", cameras, pivot_depth=3).center - middle.center
     assert moved @ middle.rotation[:, 0] > 0.5
 
