@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import ImageError
-from .colour_profile import in_srgb
+from .colour_profile import grey_problem, in_srgb
 
 _STRIP = 64  # rows of a 16-bit image that are converted at a time
 _PNG_BIT_DEPTH = 24  # byte offset: behind the signature, the length and name of the header, width and height
+_GREY = ("1", "L", "LA", "La")
 _NO_COLOURS = ("F", "I", "LAB", "La")  # modes of Pillow without a known range, or that it does not convert
 _OF_A_DEPTH = ("L", "RGB")  # modes whose transparent level or colour has the file's bit depth, not the pixels'
 
@@ -19,9 +20,11 @@ def eight_bit(image: Image.Image, *, in_place: bool = False) -> tuple[NDArray[np
     """(H, W, 3) sRGB or (H, W, 4) sRGB and alpha, uint8, of an image of any mode that JPEG, PNG and WEBP can have; and
     why its colour profile was not used, if so. With `in_place` the image may be overwritten."""
     if image.mode.startswith("I"):  # 16-bit greyscale; Pillow's own conversion would clip it at 255
-        return _eight_bit_grey(image), None
+        return _eight_bit_grey(image), grey_problem(image)
     transparent = image.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in image.info
     mode = "RGBA" if transparent else "RGB"
+    if image.mode in _GREY:
+        return np.asarray(image.convert(mode)), grey_problem(image)
     if image.mode not in (mode, "CMYK"):
         image, in_place = image.convert(mode), True
     image, problem = in_srgb(image, in_place=in_place)

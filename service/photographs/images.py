@@ -18,6 +18,7 @@ from .upright import ON_ITS_SIDE, upright
 
 MIN_SIDE = 32  # px; two patches of the network, below that there is nothing to match
 _ORIENTATION = 0x0112  # EXIF tag
+_NEARLY_SQUARE = 0.01  # sides that differ by this share fit a camera of 100 px either way
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +254,8 @@ def _orientation(image: Image.Image) -> int:
 def _ambiguous_orientation(photo: Photo) -> int:
     """The EXIF orientation where the aspect does not tell whether to apply it; else 1."""
     lying = photo.orientation in ON_ITS_SIDE
-    return photo.orientation if not lying or abs(photo.width - photo.height) <= 1 else 1
+    square = abs(photo.width - photo.height) <= max(1, _NEARLY_SQUARE * max(photo.width, photo.height))
+    return photo.orientation if not lying or square else 1
 
 
 def _turned_upright(photo: Photo) -> Photo:

@@ -86,6 +86,39 @@ def test_levels_of_grey_are_taken_as_those_of_srgb() -> None:
     assert photo.profile_problem is None
 
 
+GREYS = [
+    Image.fromarray(PIXELS[..., 0]),
+    Image.merge("LA", [Image.fromarray(PIXELS[..., 0]), Image.new("L", (64, 48), 255)]),
+    Image.fromarray(PIXELS[..., 0].astype(np.uint16) * 257),
+]
+
+
+@pytest.mark.parametrize("grey", GREYS, ids=["8 bits", "with alpha", "16 bits"])
+@pytest.mark.parametrize(
+    ("profile", "why"),
+    [
+        (grey_profile(), None),
+        (SRGB.profile(), None),  # many a tool leaves it there
+        (ADOBE_RGB.profile(), "it is one of RGB, the photograph has grey levels"),
+        (cmyk_profile(), "it is one of CMYK, the photograph has grey levels"),
+        (b"no profile", "it cannot be read: "),
+    ],
+    ids=["grey", "sRGB", "Adobe RGB", "CMYK", "damaged"],
+)
+def test_levels_of_grey_stay_whatever_the_profile(grey: Image.Image, profile: bytes, why: str | None) -> None:
+    """In 8 bits and 16 alike, and one that is not of grey levels is told."""
+    photo = decode_image(encoded(grey, profile), index=0)
+    np.testing.assert_array_equal(photo.rgb, np.repeat(PIXELS[..., :1], 3, axis=2))
+    assert (photo.profile_problem is None) == (why is None)
+    assert (photo.profile_problem or "").startswith(why or "")
+
+
+@pytest.mark.parametrize(("mode", "kind", "has"), [("RGB", "PNG", "RGB"), ("CMYK", "JPEG", "CMYK")])
+def test_colours_with_a_profile_of_grey_levels_are_told(mode: str, kind: str, has: str) -> None:
+    photo = decode_image(encoded(Image.fromarray(PIXELS).convert(mode), grey_profile(), kind), index=0)
+    assert photo.profile_problem == f"it is one of grey levels, the photograph has {has}"
+
+
 def test_the_callers_image_is_left_alone() -> None:
     image = Image.fromarray(PIXELS)
     image.info["icc_profile"] = DISPLAY_P3.profile()
