@@ -82,8 +82,10 @@ def render_reference(
         a = np.hstack([jacobian @ camera.rotation.T @ own * gaussians.scales[i], sqrt(rule.dilation) * np.eye(2)])
         l1 = np.linalg.norm(a[0])
         k = a[0] @ a[1] / l1**2
+        minors = np.outer(a[0], a[1]) - np.outer(a[1], a[0])  # each twice
+        l2 = np.linalg.norm(minors) / sqrt(2) / l1  # Cauchy-Binet; |a1 - k a0| cancels for long needles
         dx, dy = columns - (camera.fx * x[i] / z[i] + camera.cx), rows - (camera.fy * y[i] / z[i] + camera.cy)
-        distance2 = (dx / l1) ** 2 + ((dy - k * dx) / np.linalg.norm(a[1] - k * a[0])) ** 2
+        distance2 = (dx / l1) ** 2 + ((dy - k * dx) / l2) ** 2
         alpha = np.minimum(gaussians.opacities[i].astype(np.float64) * np.exp(-0.5 * distance2), rule.alpha_max)
         seen = (alpha >= rule.alpha_min) & (distance2 <= rule.cut_radius * rule.cut_radius)
         if rule.inclusive_stop:

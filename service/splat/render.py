@@ -98,9 +98,10 @@ def render(
     `outputs`: planes to compute beside the colours, of `OUTPUTS`. `subset`: mask (N,) that the output "removed" sums.
     `between`: called between batches of tile lists (`Definition.max_entries`); it may raise to abort.
 
-    The image has the same bits for every number of threads, order of the input and choice of outputs. It differs from
-    the float64 reference by at most 1e-5 for a dilation and alpha_min no smaller than the defaults, except at pixels
-    where a Gaussian lies exactly on a cut-off (alpha_min, stop, near, equal depths).
+    The image has the same bits for every number of threads, order of the input and choice of outputs. With a dilation,
+    alpha_min and stop no smaller than the defaults and no larger alpha_max, opacities differ from the float64 reference
+    by at most 1.2e-5, and colours by that and 6e-8 for each layer, times the largest colour if that is above 1; except
+    at pixels where a Gaussian lies exactly on a cut-off (alpha_min, cut_radius, stop, near, equal depths).
 
     Raises `InputError` for a background, degree, plane, thread count, output, subset or size out of range.
     """

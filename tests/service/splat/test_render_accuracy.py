@@ -139,6 +139,25 @@ def test_a_needle_in_sixty_digits(sigma_px):
         assert abs(ours.alpha[rows[at], columns[at]] - exact) < 5e-6
 
 
+@pytest.mark.case("E1")
+@pytest.mark.parametrize("length", [1e10, 1e13, 1e16, 1e20])
+def test_a_needle_longer_than_float64_has_digits_in_sixty(length):
+    """Half a pixel thick; its middle is in the picture."""
+    rng, view, lit = np.random.default_rng(2), camera(16, 16, 50.0), 0
+    for _ in range(6):
+        needle = Gaussians.make(
+            [[0.02, -0.03, 1.0]], [[length, 1e-3, 2e-3]], rng.standard_normal((1, 4)), [0.9], np.zeros((1, 1, 3))
+        )
+        ours, true = render(needle, view), render_reference(needle, view)
+        for row, column in rng.integers(0, 16, (6, 2)):
+            exact = float(alpha_by_definition(needle, view, int(row), int(column)))
+            exact = exact if exact >= 1 / 255 else 0.0
+            lit += exact > 0
+            assert abs(true.alpha[row, column] - exact) < 1e-10
+            assert abs(ours.alpha[row, column] - exact) < 5e-6
+    assert lit > 5
+
+
 @pytest.mark.case("E3")
 @pytest.mark.parametrize("scale", [0.0, 0.01, 0.1, 1.0])
 def test_on_axis_sphere_has_a_closed_form(scale):
