@@ -20,7 +20,7 @@ export function nameJob(job, since) {
   else instead(addressOf(named("scene"), job));
 }
 
-/** Remove a job that has ended from the URL. */
-export function forgetJob(job) {
-  if (named("job") === job) instead(addressOf(named("scene"), null));
+/** Remove a job that has ended from the URL, which then names the scene on `show`, or none if that is null. */
+export function forgetJob(job, show) {
+  if (named("job") === job) instead(addressOf(named("scene") ?? show, null));
 }

@@ -3,8 +3,8 @@
 import { ask, askJson, checkedId, events, Refused } from "./api.js";
 import { $, counted, make, tell } from "./dom.js";
 
-const RETRIES = 20;
 const PAUSE_MS = 1500;
+const LONGEST = 8; // such pauses at most between two tries, which grow while nobody answers
 const QUEUE_MS = 3000; // between questions how many scenes are before the one that waits, of which no event tells
 const PASSING = [0, 502, 503, 504]; // transient: no answer, or a proxy whose service is restarting
 
@@ -20,20 +20,9 @@ const pathOf = (id) => `/jobs/${encodeURIComponent(id)}`;
 /** The id of the job that is followed, null if none is. */
 export const following = () => current;
 
-/** The job ended without a scene, is unknown, or its id is malformed: following it again is useless. */
-export class Ended extends Refused {}
-
-function knownId(id) {
-  try {
-    return checkedId(id, "Job");
-  } catch (error) {
-    throw new Ended(error.problem);
-  }
-}
-
-/** Follow a job; returns the id of its scene. Throws `Ended` if there is none, `Refused` if nobody answers. */
+/** Follow a job, also while nobody answers; returns the id of its scene. Throws `Refused` if there is none: it failed, is unknown, or its id is malformed. */
 export async function follow(id) {
-  current = knownId(id);
+  current = checkedId(id, "Job");
   $("progress").hidden = false;
   $("cancel").hidden = false;
   $("stages").replaceChildren();
@@ -44,7 +33,7 @@ export async function follow(id) {
   try {
     const job = await watched(id);
     if (job.state === "done") return job.links.scene.split("/").pop();
-    throw new Ended(job.problem);
+    throw new Refused(job.problem);
   } finally {
     clearInterval(asking);
     current = null;
@@ -62,7 +51,6 @@ async function watched(id) {
     let heard = false;
     const refused = await passing(async () => { job = await askJson(pathOf(id)); });
     if (job?.state === "done" || job?.problem) return job;
-    if (refused && tries === RETRIES) throw refused;
     if (refused) say(`${refused.message}; retrying`);
     else {
       tries = 0;
@@ -75,7 +63,7 @@ async function watched(id) {
         }
       });
     }
-    if (!heard) await pause(PAUSE_MS);
+    if (!heard) await pause(PAUSE_MS * Math.min(Math.max(tries, 1), LONGEST));
   }
 }
 
@@ -99,15 +87,15 @@ async function askPlace(id) {
   if (waits && id === current && job?.state === "queued") queued(job.ahead);
 }
 
-/** Run `act`; returns a transient error, null without one. Throws `Ended` for other refusals. */
+/** Run `act`; returns a transient error, null without one. Throws other refusals. */
 async function passing(act) {
   try {
     await act();
   } catch (error) {
     if (error instanceof TypeError) return new Refused({ title: "Unreachable", detail: "the connection was lost" }); // broken within a stream
     if (!(error instanceof Refused)) throw error;
-    if (!PASSING.includes(error.status)) throw new Ended(error.problem, error.status);
-    return new Refused({ ...error.problem, cure: "reload the page: the job continues" }, error.status);
+    if (!PASSING.includes(error.status)) throw error;
+    return error;
   }
   return null;
 }

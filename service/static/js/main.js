@@ -6,7 +6,7 @@ import { showAbout } from "./about.js";
 import { $, button, tell } from "./dom.js";
 import { following } from "./job.js";
 import { attend, busy, checkAgain, prepareMaking, prepareModels } from "./making.js";
-import { first, markChosen, prepareShelf, refreshShelf, remove } from "./shelf.js";
+import { first, ids, markChosen, prepareShelf, refreshShelf, remove } from "./shelf.js";
 import { prepareStage, showScene } from "./stage.js";
 
 let scene = null;
@@ -48,7 +48,7 @@ function show() {
 
 /** A scene is made or loaded: it is shown, or offered where another one is on show that the user chose meanwhile. Gives where the eye goes. */
 async function made(id, address) {
-  await refreshShelf().catch(failed);
+  await refreshShelf();
   if (address === "offer" && scene !== null && scene.id !== id) return offer(id);
   await open(id, { address: address === "replace" ? address : "push" }).catch(failed);
   $("stage").scrollIntoView({ block: "nearest" });
@@ -68,12 +68,27 @@ function offer(id) {
 async function removed(id) {
   if (id === offered) offer(null);
   if (![coming, scene?.id].includes(id)) return;
-  if (first()) return open(first(), { address: "replace" }).catch(failed);
+  const tried = new Set();
+  let fault = null;
+  for (let next = first(); next; next = ids().find((one) => !tried.has(one))) {
+    try {
+      return await open(next, { address: "replace" });
+    } catch (error) {
+      if (!(error instanceof Refused)) throw error;
+      fault = error;
+      if (![404, 422].includes(error.status)) break; // deleted elsewhere, or damaged: the one after it
+    }
+    tried.add(next);
+    const mine = turn;
+    await refreshShelf();
+    if (mine !== turn) return; // another one was opened meanwhile
+  }
   turn += 1; // nor is any to come
   scene = coming = null;
   instead(addressOf(null, following()));
   if (document.activeElement === $("remove")) $("files").focus(); // the button goes
-  return show();
+  show();
+  if (fault) failed(fault);
 }
 
 /** Wait while the service starts; with any other failure the page continues. */
@@ -104,7 +119,7 @@ async function begin() {
       if (fault) await standIn(newest);
     } else if (job !== null) await standIn(newest);
     else if (newest) await open(newest, { address: "replace" });
-    else show();
+    else if (newest === null) show();
     if (job !== null && !busy()) attend(job); // the page does not wait for it
     if (fault) throw fault;
   } catch (error) {
@@ -112,11 +127,11 @@ async function begin() {
   }
 }
 
-/** If no scene is shown, show the newest without changing the URL, or that there is none. */
+/** If no scene is shown, show the newest without changing the URL, or that there is none (null); nothing where that is not known. */
 async function standIn(newest) {
   if (scene !== null) return;
   if (newest === null) show();
-  else await open(newest, { address: null }).catch(failed);
+  else if (newest) await open(newest, { address: null }).catch(failed);
 }
 
 /** Everything that needs the API key, if there is one. */

@@ -5,9 +5,10 @@ import { ask, askBlob, askJson, Refused } from "./api.js";
 import { add, all, cameras, fillChooser, gaussians, images, isCameras, prepareChosen, strays, takeAllOut, takeOut, zips } from "./chosen.js";
 import { $, counted, discard, make, tell } from "./dom.js";
 import { prepareDropping } from "./dropping.js";
-import { Ended, follow, following } from "./job.js";
+import { follow, following } from "./job.js";
 import { fill, prepareOptions, tellSet, unset } from "./options.js";
 import { impossible, missing, MOST, withName } from "./refusals.js";
+import { shown } from "./stage.js";
 import { understood } from "./understood.js";
 
 const OF_PHOTOGRAPHS = ["near", "far", "detail", "trust_poses", "context"]; // options on which a check depends
@@ -288,11 +289,11 @@ export async function attend(id) {
     const wasHeld = held;
     const waits = location.search === addressOf(null, id);
     const place = await opened(scene, waits ? "replace" : "offer");
-    if (!waits) forgetJob(id);
+    if (!waits) forgetJob(id, shown());
     if (wasHeld) passFocus(place);
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    if (error instanceof Ended) forgetJob(id);
+    forgetJob(id, shown());
     tell($("problem"), error);
   } finally {
     ended();

@@ -10,6 +10,7 @@ let turn = 0; // number of the latest list; late pages of earlier ones are ignor
 let asking = 0; // lists on their way, which may hold scenes that are deleted meanwhile
 let chosen = null;
 let act = {};
+let unread = false; // the problem on show is that the list could not be read
 
 const problem = make("div", { id: "shelf-problem", class: "problem", role: "alert" });
 
@@ -18,15 +19,18 @@ export function prepareShelf(acts) {
   act = acts;
   $("scenes").before(problem);
   $("more").addEventListener("click", older);
-  document.addEventListener("visibilitychange", () => document.hidden || refreshShelf().catch(() => undefined)); // else it stays as it is
+  document.addEventListener("visibilitychange", () => document.hidden || reread().catch(() => undefined)); // else it stays as it is
 }
 
 const rows = () => [...$("scenes").children];
 
 const rowOf = (id) => rows().find((row) => row.dataset.id === id);
 
+/** The ids of the scenes of the list. */
+export const ids = () => rows().map((row) => row.dataset.id);
+
 /** The id of the first scene of the list, or null. */
-export const first = () => rows()[0]?.dataset.id ?? null;
+export const first = () => ids()[0] ?? null;
 
 export function markChosen(id) {
   chosen = id;
@@ -40,8 +44,21 @@ function mark(row) {
   else row.querySelector("button").removeAttribute("aria-current");
 }
 
-/** Reload as many scenes as are listed; returns the id of the newest, or null. */
+/** Reload as many scenes as are listed; returns the id of the newest, or null if there is none. What it is refused by is shown at the list, or where a key is asked for; undefined then. */
 export async function refreshShelf() {
+  try {
+    const newest = await reread();
+    if (unread) tell(problem, null);
+    unread = false;
+    return newest;
+  } catch (error) {
+    act.failed(error, error.status === 401 ? null : problem); // the key is asked for above
+    unread = true;
+    return undefined;
+  }
+}
+
+async function reread() {
   const mine = (turn += 1);
   const page = await list(Math.min(MOST, Math.max(PAGE, rows().length)), null);
   if (mine !== turn) return page.scenes[0]?.id ?? null;
@@ -109,7 +126,7 @@ async function choose(id) {
     $("stage").scrollIntoView({ block: "nearest" });
   } catch (error) {
     act.failed(error, problem);
-    if (error.status === 404) await gone(id).catch((other) => act.failed(other, problem));
+    if (error.status === 404) await gone(id);
   }
 }
 
@@ -145,6 +162,6 @@ export async function remove(id, place) {
   } catch (error) {
     return act.failed(error, place);
   }
-  await gone(id).catch((error) => act.failed(error, problem));
-  act.removed(id);
+  await gone(id);
+  await act.removed(id);
 }

@@ -7,6 +7,7 @@ import { Orbit } from "./orbit.js";
 import { turnBy } from "./turning.js";
 
 const SMALL = 128;         // px, longer side while it moves
+const LARGEST = 2048;      // px, longer side of any other picture: cameras of a file may have more than a service draws
 const SETTLE_MS = 150;     // after the last movement the full picture is drawn
 const LABELS = {
   server: "The scene. Drag, or press the arrow keys, to orbit; plus and minus to move closer and away",
@@ -75,7 +76,8 @@ function pictureOf(small) {
   const camera = scene.view_cameras[orbit.view];
   if (orbit.moved) query.set("camera", JSON.stringify(orbit.camera()));
   else query.set("view", String(orbit.view));
-  if (small) query.set(camera.width >= camera.height ? "width" : "height", String(SMALL));
+  const most = small ? SMALL : LARGEST;
+  if (small || Math.max(camera.width, camera.height) > most) query.set(camera.width >= camera.height ? "width" : "height", String(most));
   return `/render?${query}`;
 }
 
@@ -131,6 +133,9 @@ function look(small) {
   $("caption").textContent = `${place[0].toUpperCase()}${place.slice(1)}. ${how}`;
   $("picture").alt = `Scene ${scene.id}, ${place}`;
 }
+
+/** The id of the scene on show, or null. */
+export const shown = () => scene?.id ?? null;
 
 /** Show a scene document, or nothing. */
 export function showScene(document_) {

@@ -74,7 +74,7 @@ def test_beside_a_job_the_newest_scene_is_shown(tab: Tab, tmp_path: Path, held_n
     held_network.set()
     page.wait_for_selector("#problem:has-text('cancelled')")
     shows(page, newest)
-    assert "job" not in page.url
+    assert page.url.endswith(f"/?scene={newest}")
 
 
 def test_back_and_forward_in_the_middle_of_a_job_follow_it_once(
@@ -96,3 +96,44 @@ def test_back_and_forward_in_the_middle_of_a_job_follow_it_once(
     held_network.set()
     made(page, before)
     assert len(followed) == 1
+
+
+def test_beside_a_list_that_cannot_be_read_a_job_is_followed(
+    tab: Tab, tmp_path: Path, held_network: threading.Event
+) -> None:
+    """What the list is refused by is told at the list, until it is read."""
+    stored_cloud(tab.address, 17)
+    page = tab.open()
+    choose_two(page, tmp_path, seed=130)
+    before = page.url
+    page.click("#go")
+    page.wait_for_selector("#stage-name:has-text('network')")
+    busy = {"title": "Service busy", "status": 503, "code": "service_busy", "detail": "try later"}
+    page.route("**/scenes?*", lambda route: route.fulfill(status=503, json=busy))
+    page.reload()
+    page.wait_for_selector("#stage-name:has-text('network')")
+    page.wait_for_selector("#shelf-problem:has-text('try later')")
+    assert page.inner_text("#view-problem") == ""
+    assert page.is_hidden("#empty")  # whether there is a scene is not known
+    page.unroute("**/scenes?*")
+    held_network.set()
+    made(page, before)
+    page.wait_for_selector("#shelf-problem:empty", state="attached")
+
+
+def test_after_a_job_without_a_scene_the_address_names_the_one_on_show(
+    tab: Tab, tmp_path: Path, held_network: threading.Event
+) -> None:
+    """Which is not the newest."""
+    older = stored_cloud(tab.address, 18)
+    stored_cloud(tab.address, 19)
+    page = tab.open(f"/?scene={older}")
+    shows(page, older)
+    choose_two(page, tmp_path, seed=140)
+    page.click("#go")
+    page.wait_for_selector("#stage-name:has-text('network')")
+    cancelled(page, lambda: page.click("#cancel"))
+    held_network.set()
+    page.wait_for_selector("#problem:has-text('cancelled')")
+    page.wait_for_url(f"{tab.address}/?scene={older}")
+    shows(page, older)

@@ -116,3 +116,34 @@ def test_a_service_that_is_back_is_told(tab: Tab, tmp_path: Path, held_network: 
     page.reload()
     held_network.set()
     made(page, before)
+
+
+def test_a_job_is_followed_for_as_long_as_the_service_is_away(
+    tab: Tab, tmp_path: Path, held_network: threading.Event
+) -> None:
+    """Less and less often; the job goes on when it is back."""
+    page = tab.open()
+    page.clock.install()
+    choose_two(page, tmp_path, seed=190)
+    before = page.url
+    tried: list[str] = []
+
+    def away(route: Any) -> None:
+        tried.append(route.request.url)
+        route.abort()
+
+    page.route("**/jobs/**", away)
+    page.click("#go")
+
+    def long_away() -> bool:
+        page.clock.run_for(12_100)  # eight pauses
+        return len(tried) >= 30
+
+    until(page, long_away)
+    assert "the service does not answer; retrying" in page.inner_text("#stage-name")
+    assert page.inner_text("#problem") == ""
+    page.unroute("**/jobs/**")
+    held_network.set()
+    page.clock.run_for(12_100)
+    page.clock.resume()
+    made(page, before)

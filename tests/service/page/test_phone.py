@@ -97,3 +97,23 @@ def test_fingers_turn_and_come_nearer(phone: Tab, scene: str) -> None:
         page.tap("#farther")
     settled(page)
     assert np.abs(pixels_of(page, "#picture").astype(int) - nearer).mean() > 5
+
+
+@pytest.mark.parametrize("name", ["a" * 200 + ".jpg", "Photograph" * 18 + ".png"])
+def test_long_names_are_not_wider_than_the_screen(phone: Tab, scene: str, tmp_path: Path, name: str) -> None:
+    """In what was understood of the files, in warnings, and while a file is loaded."""
+    page = opened(phone, scene)
+    cameras = camera_object(2)
+    for view, other in zip(cameras["views"], ("x.jpg", "y.jpg"), strict=True):
+        view["image"] = other
+    paths = write_scene(tmp_path, [photograph(0), photograph(1)], cameras)
+    paths[0] = paths[0].rename(tmp_path / name)
+    page.set_input_files("#files", paths)
+    page.wait_for_selector(f"#understood .warning:has-text('{name[:20]}')")
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    code = """text => {
+      document.getElementById("stage-name").textContent = text;
+      document.getElementById("progress").hidden = false;
+    }"""
+    page.evaluate(code, f"Loading {name} …")
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]

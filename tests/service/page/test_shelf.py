@@ -187,8 +187,8 @@ def test_the_next_scene_may_go_before_it_is_shown(tab: Tab, *, elsewhere: bool) 
     if elsewhere:
         assert httpx.delete(f"{tab.address}/scenes/{ids[1]}", timeout=120).status_code == 204
         held[0].continue_()
-        page.wait_for_selector(f"#view-problem:has-text('{ids[1]}')")
-    page.click(f"li[data-id='{ids[1]}'] .quiet")
+    else:
+        page.click(f"li[data-id='{ids[1]}'] .quiet")
     page.wait_for_selector(f"li[data-id='{ids[1]}']", state="detached")
     page.wait_for_url(f"**/?scene={ids[2]}")
     page.wait_for_selector(f"li.chosen[data-id='{ids[2]}']")
@@ -208,3 +208,39 @@ def test_on_a_phone_a_scene_that_is_chosen_comes_into_view(browser: Any, address
     page.evaluate(SEEN)
     assert page.locator("#stage").bounding_box()["y"] < PHONE["height"] / 2
     tab.done()
+
+
+@pytest.mark.parametrize("status", [404, 422])
+def test_a_scene_that_cannot_be_shown_is_passed_over_for_the_one_after_it(tab: Tab, status: int) -> None:
+    """It is the newest: deleted elsewhere, or damaged. The one on show is deleted."""
+    stored(tab.address, 3)
+    ids = [row["id"] for row in httpx.get(f"{tab.address}/scenes", timeout=120).json()["scenes"]]
+    page = tab.open(f"/?scene={ids[1]}")
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.wait_for_selector(f"li.chosen[data-id='{ids[1]}']")
+    if status == 404:
+        assert httpx.delete(f"{tab.address}/scenes/{ids[0]}", timeout=120).status_code == 204
+    else:
+        damaged = {"title": "Scene damaged", "status": 422, "code": "scene_damaged", "detail": "it is damaged"}
+        page.route(f"**/scenes/{ids[0]}", lambda route: route.fulfill(status=422, json=damaged))
+    page.click("#remove")
+    page.wait_for_url(f"**/?scene={ids[2]}")
+    page.wait_for_selector(f"li.chosen[data-id='{ids[2]}']")
+    assert page.locator(f"li[data-id='{ids[0]}']").count() == (status == 422)
+    assert page.inner_text("#view-problem") == ""
+
+
+def test_where_no_scene_can_be_shown_why_is_told(tab: Tab) -> None:
+    stored(tab.address, 2)
+    page = tab.open()
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.wait_for_selector("#picture[src^='blob:']")
+    busy = {"title": "Service busy", "status": 503, "code": "service_busy", "detail": "try later"}
+    page.route(
+        "**/scenes/*",
+        lambda route: route.fulfill(status=503, json=busy) if route.request.method == "GET" else route.continue_(),
+    )
+    page.click("#remove")
+    page.wait_for_selector("#view-problem:has-text('try later')")
+    assert page.url == f"{tab.address}/"
+    assert page.is_hidden("#controls")
