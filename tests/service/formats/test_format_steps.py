@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from format_cases import ROUNDING, moderate, rotation_distance, there_and_back, whole_range
 
+from gapmes.service.errors import FormatError
 from gapmes.service.formats.compressed_ply import CHUNK
 from gapmes.service.formats.encoded import typical_size
 from gapmes.service.formats.registry import FORMATS
+from gapmes.service.gaussians import Gaussians
 
 COARSE = [name for name in FORMATS if name != "ply"]
 PAGE = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
@@ -112,3 +114,15 @@ def test_harmonics_of_a_compressed_ply_become_the_nearest_byte_also_at_the_ends(
     nearest = np.abs(before.harmonics[:, 1:, :, None] - decoded).min(axis=-1)
     assert np.abs(np.abs(after.harmonics - before.harmonics)[:, 1:] - nearest).max() <= ROUNDING
     assert nearest.max() <= 3 / 128 or value > 4
+
+
+@pytest.mark.parametrize("x", [4194303.5, -4194303.5])
+def test_the_farthest_position_of_spz_keeps_its_sign(x):
+    """24 bits with one for halves hold less than 2^22; beyond it is refused, not wrapped round."""
+
+    def one(at):
+        return Gaussians.make([[at, 0, 0]], [[1000.0] * 3], [[1.0, 0, 0, 0]], [0.5], np.zeros((1, 1, 3)))
+
+    assert there_and_back(one(x), "spz")[1].means[0, 0] == x
+    with pytest.raises(FormatError):
+        FORMATS["spz"].write(one(x + np.sign(x) * 0.5))
