@@ -36,6 +36,7 @@ from .verify import FAILED
 
 AS_TRAINED = Variant()
 ENDING = ".onnx"
+REJECTED = ".rejected"  # before it
 
 
 class VerificationBroken(Exception):
@@ -128,10 +129,18 @@ def export_checkpoint(
 
 
 def _check_place(out: Path, checkpoint: Path) -> None:
-    """Raises `InputError` where `out` or a file beside it cannot be written; missing folders are no error."""
+    """Raises `InputError` where `out` or a file beside it cannot be written, or would take the place of one that is not
+    an export's; missing folders are no error."""
     check_output_folder(out.parent)
     if out.is_dir():
         check_output_file(out)
+    if out.stem.endswith(REJECTED):
+        raise InputError(f"{out} has the name of a rejected file", field="output", cure="name another file")
+    if _fit_path(out).is_file() and not _exported(out):
+        message = (
+            f"{_fit_path(out)} is there, which tells of a checkpoint, and no exported file that it could belong to"
+        )
+        raise InputError(message, field="output", cure="name another file, or move that one")
     rejected = _rejected_path(out)
     for path in (out, _report_path(out), rejected, _report_path(rejected), _fit_path(out)):
         if out.parent.is_dir():
@@ -157,18 +166,20 @@ def _verified(
 
 def _kept(model: onnx.ModelProto, path: Path, report: Report) -> tuple[Path, Report]:
     """Write the model and its report under their final names. The report gets the sha256 of the final file, which names
-    its external weights otherwise than the verified one."""
+    its external weights otherwise than the verified one; before that it is written once without, so that no model comes
+    into place for whose report there is no room."""
     report_path = _report_path(path)
-    with named(path):
-        write_model(model, path)
-    report = Report(file_sha256(path), report.precision, report.versions, report.cases)
     with named(report_path), replacing(report_path) as part:
+        report.write(part)
+        with named(path):
+            write_model(model, path)
+        report = Report(file_sha256(path), report.precision, report.versions, report.cases)
         report.write(part)
     return report_path, report
 
 
 def _rejected_path(out: Path) -> Path:
-    return out.with_name(f"{out.stem}.rejected.onnx")
+    return out.with_name(f"{out.stem}{REJECTED}{ENDING}")
 
 
 def _fit_path(out: Path) -> Path:
@@ -179,15 +190,21 @@ def _report_path(model: Path) -> Path:
     return model.with_name(f"{model.stem}.report.json")
 
 
+def _exported(out: Path) -> bool:
+    """Whether an export was there before, to which what lies beside it belongs."""
+    return out.exists() and _report_path(out).exists()
+
+
 def _accept(model: onnx.ModelProto, out: Path, report: Report, fit: Fit | None, timings: dict[str, float]) -> Exported:
     add_metadata(model, {"tolerance": json.dumps(report.worst(), sort_keys=True)})
-    report_path, report = _kept(model, out, report)
     fit_path = _fit_path(out)
     if fit is None:
-        fit_path.unlink(missing_ok=True)  # of a file that was here before
-        return Exported(out, report_path, report, None, None, timings)
+        if _exported(out):
+            fit_path.unlink(missing_ok=True)  # of the file that was here before
+        return Exported(out, *_kept(model, out, report), None, None, timings)
     with named(fit_path), replacing(fit_path) as part:
         fit.write(part)
+        report_path, report = _kept(model, out, report)
     return Exported(out, report_path, report, fit, fit_path, timings)
 
 

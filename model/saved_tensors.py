@@ -21,8 +21,10 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[st
     """Write contiguous CPU tensors with their metadata; the folder is created if it is missing.
 
     The package safetensors writes metadata in the random order of a hash table, into a file that only its owner may
-    read. Here metadata are sorted, and the file has the mode of any new file. Raises `OSError`.
+    read. Here metadata are sorted, and the file has the mode of any new file. Of a symbolic link the target is
+    replaced. Raises `OSError`.
     """
+    path = path.resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
     shuffled, part = path.with_name(path.name + ".shuffled.part"), path.with_name(path.name + ".part")
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -115,15 +116,20 @@ def _held_out(path: Path, capture: Capture, inputs: int) -> SceneViews:
 
 
 def _checked(views: SceneViews) -> SceneViews:
-    """Raises `ImageError` where a target has the photograph of an input, and as `ChosenViews.checked_depths`."""
+    """Raises `ImageError` where a target has the photograph of an input, or a file that equals it to the byte, and as
+    `ChosenViews.checked_depths`."""
     views.inputs.checked_depths(None, None)
-    for path, index in zip(views.targets.paths, views.targets.indices, strict=True):
-        if path in views.inputs.paths:
-            first = views.inputs.indices[views.inputs.paths.index(path)]
+    inputs = {_digest(views.inputs, place): place for place in range(len(views.inputs.paths))}
+    for place, (path, index) in enumerate(zip(views.targets.paths, views.targets.indices, strict=True)):
+        if (same := inputs.get(_digest(views.targets, place))) is not None:
             raise ImageError(
-                f"{path} is the photograph of view {first}, an input, too",
+                f"{path} is the photograph of view {views.inputs.indices[same]}, an input, too",
                 field="views.image",
                 index=index,
                 cure="a target is held out: name one photograph for each view",
             )
     return views
+
+
+def _digest(views: ChosenViews, place: int) -> bytes:
+    return hashlib.sha256(views.read(place)).digest()

@@ -145,3 +145,44 @@ def test_what_would_be_passed_over_is_wrong_usage(arguments: list[str], text: st
     result = CliRunner().invoke(app, arguments, env={"COLUMNS": "400"})
     assert result.exit_code == 2
     assert text in result.output
+
+
+@pytest.mark.usefixtures("_stubbed")
+@pytest.mark.parametrize("before", [False, True])
+def test_without_room_for_its_report_no_model_comes_into_place(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: bool
+) -> None:
+    out = tmp_path / "net.onnx"
+    if before:
+        pipeline.export_checkpoint(checkpoint, out, **QUICK)
+    there = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Report, "write", full)
+    with pytest.raises(OSError, match=r"net\.report\.json"):
+        pipeline.export_checkpoint(checkpoint, out, precision="int8", **QUICK)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == there
+
+
+@pytest.mark.usefixtures("_stubbed")
+def test_what_tells_of_another_checkpoint_stays(checkpoint: Path, tmp_path: Path) -> None:
+    """Such as the record of a training in the same folder; that of an export before goes with it."""
+    record, out = tmp_path / "depth.checkpoint.json", tmp_path / "depth.onnx"
+    record.write_text("{}")
+    with pytest.raises(InputError, match=r"depth\.checkpoint\.json is there, which tells of a checkpoint"):
+        pipeline.export_checkpoint(checkpoint, out, **QUICK)
+    assert [path.name for path in tmp_path.iterdir()] == [record.name]
+    record.unlink()
+    pipeline.export_checkpoint(checkpoint, out, **QUICK)
+    record.write_text("{}")
+    pipeline.export_checkpoint(checkpoint, out, **QUICK)
+    assert not record.exists()
+
+
+@pytest.mark.usefixtures("_stubbed")
+def test_the_name_of_rejected_files_is_not_for_others(checkpoint: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"net\.rejected\.onnx has the name of a rejected file"):
+        pipeline.export_checkpoint(checkpoint, tmp_path / "net.rejected.onnx", **QUICK)
+    assert list(tmp_path.iterdir()) == []

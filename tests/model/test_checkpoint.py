@@ -14,6 +14,7 @@ from small_networks import scene, tiny
 
 from gapmes.model.checkpoint import load_checkpoint, read_metadata, save_checkpoint, shipped_checkpoint
 from gapmes.model.config import PRESETS, preset
+from gapmes.model.saved_tensors import save_tensors
 from gapmes.model.training import run_folder
 from gapmes.model.weights_file import CheckpointError
 
@@ -44,6 +45,16 @@ def test_a_checkpoint_may_be_read_as_any_new_file(tmp_path: Path) -> None:
     (tmp_path / "plain").touch()
     save_checkpoint(tmp_path / "a.safetensors", tiny())
     assert (tmp_path / "a.safetensors").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_behind_a_link_the_weights_are_replaced(tmp_path: Path) -> None:
+    real, link = tmp_path / "real.safetensors", tmp_path / "served.safetensors"
+    real.write_text("old")
+    link.symlink_to(real)
+    save_tensors(link, {"a": torch.arange(3.0)}, {})
+    assert link.readlink() == real
+    assert real.read_bytes() != b"old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [real.name, link.name]
 
 
 def test_a_write_that_fails_leaves_nothing_of_its_own(tmp_path: Path) -> None:

@@ -94,6 +94,20 @@ def test_a_target_with_the_photograph_of_an_input_is_refused(tmp_path: Path) -> 
     assert caught.value.index == 3
 
 
+@pytest.mark.parametrize("link", [False, True])
+def test_a_target_that_equals_an_input_to_the_byte_is_refused(tmp_path: Path, link: bool) -> None:
+    """A copy under another name, or a link: nothing would be held out."""
+    folder = scene(tmp_path / "scene")
+    target, of_input = folder / "images" / "003.png", folder / "images" / "005.png"
+    target.unlink()
+    if link:
+        target.symlink_to(of_input)
+    else:
+        shutil.copy(of_input, target)
+    with pytest.raises(ImageError, match=r"003\.png is the photograph of view 5, an input, too"):
+        scene_views(folder, 2)
+
+
 def test_a_capture_of_a_short_name_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("a").mkdir()
