@@ -84,7 +84,7 @@ class SceneDocument(BaseModel):
     model_config = _with(
         {
             "id": _SCENE, "created": "2026-01-31T12:00:00+00:00", "model": {"preset": "tiny"}, "near": 1.0, "far": 10.0,
-            "cameras": [], "view_cameras": [], "gaussians": {"count": 131072, "sh_degree": 0, "added": 3528},
+            "cameras": [], "view_cameras": [], "gaussians": {"count": 131072, "sh_degree": 0, "added": 5000},
             "warnings": [],
             "check": {}, "timings": {"network": 0.6},
             "links": {

@@ -21,7 +21,9 @@ F64 = NDArray[np.float64]
 
 CELL = 8  # px
 MARGIN = (1, 1)  # widths in cells of the sheet's rows and columns beyond the border
-RINGS = (2, 4, 8)  # widths in cells of the rings around it; with the margin 128 px to each side
+# Widths in cells of the rings around it; with the margin 512 px to each side. Flat Gaussians of wider cells would reach
+# back into the photograph.
+RINGS = (2, 4, 8, 8, 8, 16, 16)
 BEYOND = 4  # radius in cells of the neighbourhood whose farthest depth the second sheet takes
 DEEPER = 0.85  # a cell of the second sheet needs less than this share of the first one's inverse depth
 PUSH_BACK = 0.93  # on inverse depth: 7 % farther, so that a sheet never occludes what it stands behind

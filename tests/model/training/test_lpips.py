@@ -86,3 +86,11 @@ def test_lpips_refuses_weights_that_are_not_finite() -> None:
     weights["net.1.bias"][:2] = torch.tensor([torch.nan, torch.inf])
     with pytest.raises(InputError, match=r"net\.1\.bias: 2 of 192 numbers are NaN or infinite"):
         Lpips(weights)
+
+
+def test_lpips_under_a_mask_counts_the_covered_share_of_each_cell(lpips: Lpips) -> None:
+    """Every second pixel covers about half of every cell, whichever these are: all cells count alike."""
+    a, b = (RNG.random((3, 96, 128)).astype(np.float32) for _ in range(2))
+    mask = np.indices((96, 128)).sum(axis=0) % 2 == 0
+    for kept in (mask, ~mask):
+        assert lpips.distance(a, b, kept) == pytest.approx(lpips.distance(a, b), rel=0.01)
