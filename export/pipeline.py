@@ -87,7 +87,8 @@ def export_checkpoint(
 
     Raises `ExportRejected` when a check fails: the file is then kept as `NAME.rejected.onnx` with its report, and `out`
     is not changed. Raises `InputError`, before any work, where `out` or its report cannot be written, where `out` is
-    the checkpoint, and for another ending than .onnx; `CheckpointError` and `ValueError` for a wrong checkpoint or
+    the checkpoint or has the name of a rejected file, where a `NAME.checkpoint.json` is there that belongs to no
+    earlier export, and for another ending than .onnx; `CheckpointError` and `ValueError` for a wrong checkpoint or
     size; `OutOfMemory`; `VerificationBroken` when there is no verdict. The last, like an interrupt, leaves no files.
     """
     _check_place(out, checkpoint)
@@ -123,9 +124,10 @@ def export_checkpoint(
         rejected = _rejected_path(out)
         if not report.passed:
             raise ExportRejected(rejected, *_kept(model, rejected, report))
+        exported = _accept(model, out, report, loaded.fit, stages.timings)
         remove_model(rejected)  # of an export before, with its report
         _report_path(rejected).unlink(missing_ok=True)
-        return _accept(model, out, report, loaded.fit, stages.timings)
+        return exported
 
 
 def _check_place(out: Path, checkpoint: Path) -> None:
@@ -136,7 +138,7 @@ def _check_place(out: Path, checkpoint: Path) -> None:
         check_output_file(out)
     if out.stem.endswith(REJECTED):
         raise InputError(f"{out} has the name of a rejected file", field="output", cure="name another file")
-    if _fit_path(out).is_file() and not _exported(out):
+    if _fit_path(out).is_file() and not out.is_symlink() and not _exported(out):
         message = (
             f"{_fit_path(out)} is there, which tells of a checkpoint, and no exported file that it could belong to"
         )
@@ -166,8 +168,8 @@ def _verified(
 
 def _kept(model: onnx.ModelProto, path: Path, report: Report) -> tuple[Path, Report]:
     """Write the model and its report under their final names. The report gets the sha256 of the final file, which names
-    its external weights otherwise than the verified one; before that it is written once without, so that no model comes
-    into place for whose report there is no room."""
+    its external weights otherwise than the verified one; before that it is written once as it is, so that no model
+    comes into place for whose report there is no room."""
     report_path = _report_path(path)
     with named(report_path), replacing(report_path) as part:
         report.write(part)
@@ -199,9 +201,11 @@ def _accept(model: onnx.ModelProto, out: Path, report: Report, fit: Fit | None, 
     add_metadata(model, {"tolerance": json.dumps(report.worst(), sort_keys=True)})
     fit_path = _fit_path(out)
     if fit is None:
-        if _exported(out):
+        before = _exported(out)
+        report_path, report = _kept(model, out, report)
+        if before:
             fit_path.unlink(missing_ok=True)  # of the file that was here before
-        return Exported(out, *_kept(model, out, report), None, None, timings)
+        return Exported(out, report_path, report, None, None, timings)
     with named(fit_path), replacing(fit_path) as part:
         fit.write(part)
         report_path, report = _kept(model, out, report)

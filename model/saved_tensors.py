@@ -24,7 +24,10 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[st
     read. Here metadata are sorted, and the file has the mode of any new file. Of a symbolic link the target is
     replaced. Raises `OSError`.
     """
-    path = path.resolve()
+    try:
+        path = path.resolve()
+    except RuntimeError as error:  # of Python 3.11 and 3.12, for links in a circle
+        raise OSError(f"{path} cannot be written: {error}") from error
     path.parent.mkdir(parents=True, exist_ok=True)
     shuffled, part = path.with_name(path.name + ".shuffled.part"), path.with_name(path.name + ".part")
     try:

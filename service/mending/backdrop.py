@@ -146,7 +146,10 @@ def _blocks(values: NDArray) -> NDArray:
 
 def _least_within(cells: F64, distance: int) -> F64:
     """(rows, columns) least value within `distance` cells along both axes."""
-    return _about(cells, distance).min(axis=(-2, -1))
+    padded = np.pad(cells, distance, mode="edge")
+    for axis in (0, 1):  # one after the other: as many comparisons as a window has rows and columns, not cells
+        padded = np.lib.stride_tricks.sliding_window_view(padded, 2 * distance + 1, axis=axis).min(axis=-1)
+    return padded
 
 
 def _about(cells: F64, distance: int) -> F64:

@@ -155,6 +155,8 @@ def test_without_room_for_its_report_no_model_comes_into_place(
     out = tmp_path / "net.onnx"
     if before:
         pipeline.export_checkpoint(checkpoint, out, **QUICK)
+        for name in ("net.checkpoint.json", "net.rejected.onnx", "net.rejected.report.json"):
+            (tmp_path / name).write_text("{}")
     there = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
 
     def full(*_: object) -> None:
@@ -179,6 +181,12 @@ def test_what_tells_of_another_checkpoint_stays(checkpoint: Path, tmp_path: Path
     record.write_text("{}")
     pipeline.export_checkpoint(checkpoint, out, **QUICK)
     assert not record.exists()
+    link = tmp_path / "link.onnx"
+    link.symlink_to(out)
+    beside = link.with_name("link.checkpoint.json")
+    beside.write_text("{}")
+    pipeline.export_checkpoint(checkpoint, link, **QUICK)  # nothing is written beside the link
+    assert beside.read_text() == "{}"
 
 
 @pytest.mark.usefixtures("_stubbed")

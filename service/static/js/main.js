@@ -88,7 +88,9 @@ async function removed(id) {
   instead(addressOf(null, following()));
   if (document.activeElement === $("remove")) $("files").focus(); // the button goes
   show();
-  if (fault) failed(fault);
+  if (!fault) return;
+  $("empty").hidden = true; // there are scenes, or that is not known
+  failed(fault);
 }
 
 /** Wait while the service starts; with any other failure the page continues. */

@@ -293,6 +293,7 @@ export async function attend(id) {
     if (wasHeld) passFocus(place);
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
+    if (error.status === 401) return; // the key is asked for, and the address followed again with it
     forgetJob(id, shown());
     tell($("problem"), error);
   } finally {

@@ -10,7 +10,7 @@ let turn = 0; // number of the latest list; late pages of earlier ones are ignor
 let asking = 0; // lists on their way, which may hold scenes that are deleted meanwhile
 let chosen = null;
 let act = {};
-let unread = false; // the problem on show is that the list could not be read
+let unread = null; // the node that tells that the list could not be read
 
 const problem = make("div", { id: "shelf-problem", class: "problem", role: "alert" });
 
@@ -46,14 +46,13 @@ function mark(row) {
 
 /** Reload as many scenes as are listed; returns the id of the newest, or null if there is none. What it is refused by is shown at the list, or where a key is asked for; undefined then. */
 export async function refreshShelf() {
+  const mine = turn + 1;
   try {
-    const newest = await reread();
-    if (unread) tell(problem, null);
-    unread = false;
-    return newest;
+    return await reread();
   } catch (error) {
+    if (mine !== turn) return undefined;
     act.failed(error, error.status === 401 ? null : problem); // the key is asked for above
-    unread = true;
+    unread = problem.firstChild;
     return undefined;
   }
 }
@@ -61,6 +60,7 @@ export async function refreshShelf() {
 async function reread() {
   const mine = (turn += 1);
   const page = await list(Math.min(MOST, Math.max(PAGE, rows().length)), null);
+  if (unread?.isConnected) tell(problem, null);
   if (mine !== turn) return page.scenes[0]?.id ?? null;
   next = page.next;
   $("more").hidden = next === null;

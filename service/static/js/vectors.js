@@ -7,10 +7,10 @@ export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * 
 export const unit = (a) => a.map((value) => value / (Math.hypot(...a) || 1));
 export const column = (pose, i) => [pose[0][i], pose[1][i], pose[2][i]];
 
-/** The mean up direction of cameras; that of the first if they cancel. */
+/** The mean up direction of cameras; that of the first if they cancel, as they do for the service. */
 export function vertical(cameras) {
   const down = cameras.map((camera) => column(camera.c2w, 1)).reduce((sum, one) => add(sum, one));
-  return unit((Math.hypot(...down) > 1e-6 ? down : column(cameras[0].c2w, 1)).map((value) => -value));
+  return unit((Math.hypot(...down) > 1e-2 * cameras.length ? down : column(cameras[0].c2w, 1)).map((value) => -value));
 }
 
 /** `v` rotated by `angle` (radians) about a unit axis (Rodrigues' formula). */

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from browser_tab import Tab
+from http_requests import photograph, post
 from page_service import made, serving, until
 
 from gapmes.service.settings import Settings
@@ -46,6 +49,31 @@ def test_a_wrong_key_is_told_and_asked_for_again(locked: Any) -> None:
     locked.wait_for_selector("#view-problem:empty", state="attached")
     assert locked.is_hidden("#key-form")
     assert locked.evaluate("document.activeElement.id") == "stage"
+
+
+def test_a_job_in_the_address_is_followed_once_the_key_is_there(
+    browser: Any, standin_model: Path, tmp_path: Path, held_network: threading.Event
+) -> None:
+    """And stays in the address before."""
+    settings = Settings(model=standin_model, store=tmp_path / "scenes", threads=1, api_key="open sesame")
+    with serving(settings) as address:
+        key = {"Authorization": "Bearer open sesame"}
+        with httpx.Client(base_url=address, timeout=120, headers=key) as client:
+            answer = post(client, [photograph(220), photograph(221)], prefer="respond-async")
+        job = answer.json()["links"]["self"].rpartition("/")[2]
+        tab = Tab(browser, address)
+        page = tab.open(f"/?job={job}")
+        page.wait_for_selector("#key:focus")
+        page.wait_for_selector("#progress[hidden]", state="attached")
+        assert page.url == f"{address}/?job={job}"
+        assert page.inner_text("#problem") == ""
+        before = page.url
+        page.fill("#key", "open sesame")
+        page.press("#key", "Enter")
+        page.wait_for_selector("#progress:not([hidden])")
+        held_network.set()
+        made(page, before)
+        tab.done()
 
 
 HELD = """() => {

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 from browser_tab import PHONE, Tab
-from page_service import choose, cloud, stored_cloud, until
+from page_service import choose, cloud, settled, stored_cloud, until
 
 from gapmes.service.formats.registry import FORMATS
 
@@ -244,3 +244,31 @@ def test_where_no_scene_can_be_shown_why_is_told(tab: Tab) -> None:
     page.wait_for_selector("#view-problem:has-text('try later')")
     assert page.url == f"{tab.address}/"
     assert page.is_hidden("#controls")
+    assert page.is_hidden("#empty")  # there are scenes
+
+
+def test_what_a_list_was_refused_by_goes_once_it_is_read(tab: Tab) -> None:
+    """And takes nothing else that was said there along."""
+    stored(tab.address, 2)
+    page = tab.open()
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.wait_for_selector("#picture[src^='blob:']")
+    busy = {"title": "Service busy", "status": 503, "code": "service_busy", "detail": "try later"}
+    page.route("**/scenes?*", lambda route: route.fulfill(status=503, json=busy))
+    page.evaluate("dispatchEvent(new PopStateEvent('popstate'))")
+    shown = page.get_attribute("li.chosen", "data-id")
+    page.evaluate("document.getElementById('scenes').replaceChildren()")
+    page.evaluate("dispatchEvent(new PopStateEvent('popstate'))")
+    page.wait_for_selector("#shelf-problem:has-text('try later')")
+    page.unroute("**/scenes?*")
+    page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+    page.wait_for_selector(f"li[data-id='{shown}']")
+    page.wait_for_selector("#shelf-problem:empty", state="attached")
+    refused = {"title": "Forbidden", "status": 403, "code": "http_403", "detail": "not this one"}
+    page.route("**/scenes/*", lambda route: route.fulfill(status=403, json=refused))
+    page.click(f"li[data-id='{shown}'] .quiet")
+    page.wait_for_selector("#shelf-problem:has-text('not this one')")
+    with page.expect_response("**/scenes?*"):
+        page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+    settled(page)
+    assert "not this one" in page.inner_text("#shelf-problem")

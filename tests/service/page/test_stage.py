@@ -8,12 +8,27 @@ import re
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 from browser_tab import Tab, launched
-from page_service import decoded, document_of, made, opened, patient, pixels_of, rendered, serving, settled, until
+from http_requests import camera_object
+from page_service import (
+    cloud,
+    decoded,
+    document_of,
+    made,
+    opened,
+    patient,
+    pixels_of,
+    rendered,
+    serving,
+    settled,
+    until,
+)
 
 from gapmes.service.cameras.rotations import about_axis
+from gapmes.service.formats.registry import FORMATS
 from gapmes.service.http.page import STATIC
 from gapmes.service.settings import Settings
 from gapmes.service.viewpoints.scene_views import SceneViews
@@ -213,3 +228,18 @@ def test_everything_can_be_reached_by_keyboard(tab: Tab, scene: str) -> None:
         ".map(e => e.outerHTML)"
     )
     assert unnamed == []
+
+
+def test_cameras_of_a_file_with_more_pixels_than_the_service_draws_are_shown_smaller(tab: Tab) -> None:
+    """Of 3456 x 4608 px, which are twice the limit, as of a phone; with their aspect."""
+    lens = {"width": 3456, "height": 4608, "fx": 3600, "fy": 3600, "cx": 1728, "cy": 2304}
+    cameras = {"views": [{**camera_object(1)["views"][0], **lens}], "near": 1, "far": 9}
+    files = {
+        "file": ("cloud.splat", FORMATS["splat"].write(cloud(91)).data),
+        "cameras": ("cameras.json", json.dumps(cameras)),
+    }
+    scene = httpx.post(f"{tab.address}/scenes", files=files, timeout=120).json()["id"]
+    page = opened(tab, scene)
+    settled(page)
+    assert pixels_of(page, "#picture").shape == (2048, 1536, 3)
+    assert page.inner_text("#view-problem") == ""
