@@ -87,7 +87,7 @@ def test_a_model_that_is_replaced_keeps_its_mode(tmp_path: Path) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
 
 
-def test_the_record_of_a_foreign_checkpoint_is_replaced_whole(
+def test_without_room_for_the_record_of_a_foreign_checkpoint_nothing_changes(
     checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def breaks(_: Fit, path: Path) -> None:
@@ -99,12 +99,12 @@ def test_the_record_of_a_foreign_checkpoint_is_replaced_whole(
     monkeypatch.setattr(pipeline, "export_graph", lambda *_: small())
     monkeypatch.setattr(pipeline, "_verify_elsewhere", verdict)
     monkeypatch.setattr(Fit, "write", breaks)
-    record = tmp_path / "net.checkpoint.json"
-    record.write_text("before")
+    before = {name: f"{name} before" for name in ("net.checkpoint.json", "net.onnx", "net.report.json")}
+    for name, text in before.items():
+        (tmp_path / name).write_text(text)
     with pytest.raises(OSError, match=r"No space left on device: '.*net\.checkpoint\.json'"):
         pipeline.export_checkpoint(checkpoint, tmp_path / "net.onnx", **QUICK)
-    assert record.read_text() == "before"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["net.checkpoint.json", "net.onnx", "net.report.json"]
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize("allocate", [torch.empty, np.empty])
