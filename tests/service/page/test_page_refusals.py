@@ -191,7 +191,7 @@ def test_an_answer_that_breaks_off_is_told_and_the_page_goes_on(tab: Any, *, cut
 
         page.route("**/scenes?*", breaking)
         tab.open()
-        page.wait_for_selector("#view-problem:has-text('was cut off')")
+        page.wait_for_selector("#shelf-problem:has-text('was cut off')")
         page.unroute("**/scenes?*")
         tab.open(f"/?scene={second}")
         page.route(f"**/scenes/{first}", breaking)
