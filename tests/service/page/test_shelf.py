@@ -14,6 +14,7 @@ from page_service import choose, cloud, settled, stored_cloud, until
 from gapmes.service.formats.registry import FORMATS
 
 SEEDS = count(200)
+BUSY = {"title": "Service busy", "status": 503, "code": "service_busy", "detail": "try later"}
 FOCUSED = "document.activeElement.closest('li')?.dataset.id"
 
 SEEN = """() => new Promise(done => new IntersectionObserver((entries) => {
@@ -25,6 +26,15 @@ def stored(address: str, need: int) -> None:
     """At least so many scenes are in the store."""
     for _ in range(len(httpx.get(f"{address}/scenes", timeout=120).json()["scenes"]), need):
         stored_cloud(address, next(SEEDS))
+
+
+def two_scenes(tab: Tab) -> Any:
+    """The page with two scenes or more listed, the newest on show."""
+    stored(tab.address, 2)
+    page = tab.open()
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.wait_for_selector("#picture[src^='blob:']")
+    return page
 
 
 def whole_list(tab: Tab) -> Any:
@@ -231,14 +241,10 @@ def test_a_scene_that_cannot_be_shown_is_passed_over_for_the_one_after_it(tab: T
 
 
 def test_where_no_scene_can_be_shown_why_is_told(tab: Tab) -> None:
-    stored(tab.address, 2)
-    page = tab.open()
-    page.on("dialog", lambda dialog: dialog.accept())
-    page.wait_for_selector("#picture[src^='blob:']")
-    busy = {"title": "Service busy", "status": 503, "code": "service_busy", "detail": "try later"}
+    page = two_scenes(tab)
     page.route(
         "**/scenes/*",
-        lambda route: route.fulfill(status=503, json=busy) if route.request.method == "GET" else route.continue_(),
+        lambda route: route.fulfill(status=503, json=BUSY) if route.request.method == "GET" else route.continue_(),
     )
     page.click("#remove")
     page.wait_for_selector("#view-problem:has-text('try later')")
@@ -249,12 +255,8 @@ def test_where_no_scene_can_be_shown_why_is_told(tab: Tab) -> None:
 
 def test_what_a_list_was_refused_by_goes_once_it_is_read(tab: Tab) -> None:
     """And takes nothing else that was said there along."""
-    stored(tab.address, 2)
-    page = tab.open()
-    page.on("dialog", lambda dialog: dialog.accept())
-    page.wait_for_selector("#picture[src^='blob:']")
-    busy = {"title": "Service busy", "status": 503, "code": "service_busy", "detail": "try later"}
-    page.route("**/scenes?*", lambda route: route.fulfill(status=503, json=busy))
+    page = two_scenes(tab)
+    page.route("**/scenes?*", lambda route: route.fulfill(status=503, json=BUSY))
     page.evaluate("dispatchEvent(new PopStateEvent('popstate'))")
     shown = page.get_attribute("li.chosen", "data-id")
     page.evaluate("document.getElementById('scenes').replaceChildren()")
