@@ -70,7 +70,7 @@ class Database:
         a database, is damaged or cannot be written."""
         self._path = path
         self._threads = threading.local()
-        self.made_anew: Callable[[], object] = lambda: None  # called once the file was deleted and is there again
+        self.fill: Callable[[], object] = lambda: None  # a file that is made anew, before anybody else can read it
         with self._alone():
             try:
                 self._connect(switching=True)
@@ -90,7 +90,8 @@ class Database:
         return exclusive(self._path.with_name(f"{self._path.name}.lock"))
 
     def _complete(self) -> bool:
-        """Bring the file to `VERSION`; returns whether it was new. Raises `GapmesError` for a later version."""
+        """Bring the file to `VERSION`, which a new one has once it is filled; returns whether it was new. Raises
+        `GapmesError` for a later version."""
         found = self.rows("PRAGMA user_version")[0][0]
         if found not in _MISSING:
             raise GapmesError(
@@ -98,12 +99,18 @@ class Database:
                 field="store",
                 cure=f"use another store, or {_ANEW}",
             )
+        if found == 0:
+            self._execute(_SCHEMA)
+            self.fill()
         if found != VERSION:
-            with self.write() as connection:
-                for statement in _MISSING[found].split(";"):
-                    connection.execute(statement)
-                connection.execute(f"PRAGMA user_version = {VERSION}")
+            self._execute(f"{_MISSING[found]}; PRAGMA user_version = {VERSION}")
         return found == 0
+
+    def _execute(self, statements: str) -> None:
+        """In one transaction."""
+        with self.write() as connection:
+            for statement in statements.split(";"):
+                connection.execute(statement)
 
     def ensure_there(self) -> None:
         """Make the file, and its folder, anew where somebody has deleted them. Raises `ServiceBusy` if that fails."""
@@ -113,22 +120,31 @@ class Database:
     def _connection(self) -> sqlite3.Connection:
         """The thread's connection to the file that is there now: a deleted one would take writes that nobody reads."""
         connection, file = getattr(self._threads, "known", (None, None))
-        if connection is not None and (connection.in_transaction or _identity(self._path) == file):
+        there = _identity(self._path)
+        if connection is not None and (connection.in_transaction or self._is_making() or file == there is not None):
             return connection
-        if _identity(self._path) is None or not self._connect().execute("PRAGMA user_version").fetchone()[0]:
+        if there is None or not self._connect().execute("PRAGMA user_version").fetchone()[0]:
+            self._disconnect()
             self._make_anew()
         return self._threads.known[0]
+
+    def _is_making(self) -> bool:
+        """Whether this thread makes the file anew, and must not begin again where that is deleted meanwhile."""
+        return getattr(self._threads, "making", False)
 
     def _connect(self, *, switching: bool = False) -> sqlite3.Connection:
         """A new connection for this thread, in the place of an earlier one; `switching` the file to WAL mode, in which
         it stays. Only who is `_alone` may do that: it does not wait for another that does."""
+        self._disconnect()
+        connection = self._opened(switching)
+        self._threads.known = connection, _identity(self._path)
+        return connection
+
+    def _disconnect(self) -> None:
         earlier, _ = getattr(self._threads, "known", (None, None))
         self._threads.known = None, None
         if earlier is not None:
             earlier.close()
-        connection = self._opened(switching)
-        self._threads.known = connection, _identity(self._path)
-        return connection
 
     def _make_anew(self) -> None:
         """Make the file where it is missing or empty, unless another thread or process does meanwhile."""
@@ -138,11 +154,22 @@ class Database:
                 if _identity(self._path) is None:
                     for end in ("-wal", "-shm"):  # of the deleted file
                         self._path.with_name(f"{self._path.name}{end}").unlink(missing_ok=True)
-                self._connect(switching=True)
-                new = self._complete()
+                new = self._made()
         if new:
             _log.warning("%s was deleted under the service: it is made anew, and its jobs are lost", self._path)
-            self.made_anew()
+
+    def _made(self) -> bool:
+        """`_complete` on a new connection, which this thread uses for all until then, and no more if that fails."""
+        with ExitStack() as failed:
+            self._connect(switching=True)
+            failed.callback(self._disconnect)
+            self._threads.making = True
+            try:
+                new = self._complete()
+            finally:
+                self._threads.making = False
+            failed.pop_all()
+        return new
 
     def _opened(self, switching: bool) -> sqlite3.Connection:
         """A new connection. Raises `ServiceBusy` if the process has too many open files."""

@@ -67,7 +67,7 @@ class SceneStore:
                     self._files.sweep()
                     self._agree()
             self._index.used_by_now()
-            self.database.made_anew = self._agree
+            self.database.fill = self._agree
         except OSError as error:
             inside = error.filename is not None and Path(error.filename).is_relative_to(self.root)
             raise GapmesError(

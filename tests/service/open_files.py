@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import resource
 from collections.abc import Iterator
@@ -10,11 +11,14 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def no_file_left(but: int = 0) -> Iterator[None]:
-    """This process can open no further file, or only so many."""
+    """This process can open no further file, or only so many. Garbage is collected before, and not meanwhile: it holds
+    files, and would make room for others."""
+    gc.collect()
     before, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (256, most))
-    taken = []
+    taken = [os.open(os.devnull, os.O_RDONLY) for _ in range(but + 1)]
+    gc.disable()
     try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(taken) + 1, most))
         with suppress(OSError):
             while True:
                 taken.append(os.open(os.devnull, os.O_RDONLY))
@@ -22,6 +26,7 @@ def no_file_left(but: int = 0) -> Iterator[None]:
             os.close(taken.pop())
         yield
     finally:
+        gc.enable()
         for number in taken:
             os.close(number)
         resource.setrlimit(resource.RLIMIT_NOFILE, (before, most))

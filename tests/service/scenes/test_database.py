@@ -217,7 +217,7 @@ def test_a_deleted_file_is_made_anew_for_every_thread(tmp_path: Path, deleted: s
     add = "INSERT INTO scenes VALUES ('x', 1, 1, 1, '{}')"
     database = Database(tmp_path / "index.sqlite")
     told: list[str] = []
-    database.made_anew = lambda: told.append("anew")
+    database.fill = lambda: told.append("anew")
     with ThreadPoolExecutor(1) as other:
         with database.write() as connection:
             connection.execute(add)

@@ -22,7 +22,7 @@ def test_threads_that_find_it_gone_at_once_make_it_once(tmp_path: Path) -> None:
     databases = [Database(path) for _ in range(2)]
     together, made = threading.Barrier(THREADS), []
     for database in databases:
-        database.made_anew = lambda: made.append(1)
+        database.fill = lambda: made.append(1)
 
     def used(number: int) -> None:
         database = databases[number % 2]
