@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
 import subprocess
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from full_disk import full_disk
 from job_place import A, Place
+from open_files import open_below
 
 from gapmes.service.jobs.leases import Lease
 from gapmes.service.jobs.runner import Runner
@@ -134,15 +133,6 @@ def test_the_living_are_not_taken_for_dead(tmp_path: Path) -> None:
     (tmp_path / "dead").touch()  # as a process leaves it that was killed
     three = Lease(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {one.name, three.name}
-
-
-def open_below(folder: Path) -> int:
-    """How many files of a folder, also deleted ones, this process has open; other threads may open others meanwhile."""
-    count = 0
-    for handle in Path("/proc/self/fd").iterdir():
-        with suppress(OSError):  # closed meanwhile
-            count += os.readlink(handle).startswith(f"{folder}/")
-    return count
 
 
 def test_processes_whose_files_were_deleted_are_still_alive(tmp_path: Path) -> None:
