@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from bisect import bisect_right
 from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import version
@@ -21,6 +22,7 @@ from ..pictures.effort import Effort
 from ..pictures.effort import draw as effort_draw
 from ..pictures.picture import Channel
 from ..revision import DRAWING_REVISION
+from ..viewpoints.framing import frame
 from ..viewpoints.scene_views import SceneViews
 from .concurrency import Pause
 from .files import etag_of
@@ -34,13 +36,24 @@ def check_size(camera: Camera, max_pixels: int, samples: int) -> Camera:
     """The camera itself. Raises `InputError` for a picture of more than `max_pixels` samples."""
     pixels = camera.width * camera.height * samples**2
     if pixels > max_pixels:
+        fewer = "" if samples == 1 else " or fewer samples"
         raise InputError(
             f"{camera.width} x {camera.height} with {samples} x {samples} samples = {pixels} px, "
             f"the limit is {max_pixels}",
             field="width",
-            cure="ask for a smaller picture" if samples == 1 else "ask for a smaller picture or fewer samples",
+            cure=f"ask for a smaller picture{fewer}, as with width={_widest(camera, max_pixels / samples**2)}",
         )
     return camera
+
+
+def _widest(camera: Camera, pixels: float) -> int:
+    """The greatest width, at least 1 px, at which a picture of the same aspect has at most so many pixels."""
+
+    def pixels_at(width: int) -> int:
+        smaller = frame(camera, width)
+        return smaller.width * smaller.height
+
+    return max(1, bisect_right(range(1, camera.width + 1), pixels, key=pixels_at))
 
 
 def draw(
