@@ -197,7 +197,8 @@ def test_it_outlives_its_terminal_where_that_is_asked_for(tmp_path: Path, standi
 
 def test_it_ends_in_order_with_what_it_has_begun(tmp_path: Path, standin_model: Path) -> None:
     """SIGTERM while a scene is being asked for and a stream is open: the scene is answered, the stream ends, exit 0."""
-    with serving(tmp_path / "scenes", standin_model, tmp_path / "log", GAPMES_LOG="json") as (client, process):
+    environment = {"GAPMES_LOG": "json", "GAPMES_DRAIN_SECONDS": "100"}  # as long as a busy machine may take
+    with serving(tmp_path / "scenes", standin_model, tmp_path / "log", **environment) as (client, process):
         found: list[Any] = []
         job = post(client, prefer="respond-async").json()
         until(lambda: client.get(job["links"]["self"]).json()["state"] == "done")
