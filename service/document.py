@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 GAUSSIANS = "Gaussians"  # how those rows of `left_out` begin that count them
 TASKS = ("mean", "opacity", "covariance", "colour")  # order of the four task weights
+MAPPED = 36  # experts that a map can tell apart: one digit each
 
 
 def scene_document(
@@ -72,7 +73,8 @@ def routing_summary(outputs: Mapping[str, NDArray], turns: Sequence[int], rows: 
     expert and task of each patch, a string per view: a digit of base 36 per patch, row by row (`rows` of them), of the
     photographs as they came: the network had each after so many `turns` (`rolled.py`).
 
-    A network without experts or without a task gate has nothing to say about them.
+    A network without experts or without a task gate has nothing to say about them, and one whose patches went to more
+    experts than there are digits has no map of them.
     """
     summary: dict[str, Any] = {}
     maps: dict[str, list[str]] = {}
@@ -83,7 +85,8 @@ def routing_summary(outputs: Mapping[str, NDArray], turns: Sequence[int], rows: 
         summary["patches"] = int(index.shape[0] * index.shape[1])
         summary["patches_per_expert"] = {str(expert): int(count) for expert, count in enumerate(experts)}
         heaviest = np.take_along_axis(index, weight.argmax(-1)[..., None], -1)[..., 0]
-        maps["experts"] = [_digits(view) for view in turned_patches(heaviest, back, rows)]
+        if len(experts) <= MAPPED:
+            maps["experts"] = [_digits(view) for view in turned_patches(heaviest, back, rows)]
     if "task_weight" in outputs:
         tasks = outputs["task_weight"].reshape(-1, len(TASKS)).mean(axis=0)
         summary["mean_task_weight"] = {n: round(float(v), 6) for n, v in zip(TASKS, tasks, strict=True)}
@@ -94,5 +97,5 @@ def routing_summary(outputs: Mapping[str, NDArray], turns: Sequence[int], rows: 
 
 
 def _digits(numbers: NDArray[np.integer]) -> str:
-    """One character for each of up to 36 kinds."""
-    return "".join(np.base_repr(int(number), 36) for number in numbers)
+    """One character for each of up to `MAPPED` kinds."""
+    return "".join(np.base_repr(int(number), MAPPED) for number in numbers)

@@ -99,8 +99,8 @@ def table(unpruned: Unpruned, info: ModelInfo, pruned: Mapping[str, Any]) -> lis
             rows.append({"what": what, "count": int(count), "of": int(of), "error": error})
 
     row("patches under a mask", int((~patch_mask).sum()), patch_mask.size, None)
-    experts = info.config.get("experts")
-    if "expert_weight" in outputs and isinstance(experts, int) and not info.keep_all:
+    experts = info.experts
+    if "expert_weight" in outputs and experts is not None and not info.keep_all:
         runs = int((outputs["expert_weight"] > 0).sum())
         row("runs of an expert on a patch", patch_mask.size * experts - runs, patch_mask.size * experts)
         idle = experts - len(np.unique(outputs["expert_index"][outputs["expert_weight"] > 0]))

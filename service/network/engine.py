@@ -134,8 +134,13 @@ def _shown(sides: Sides) -> str:
 
 
 def _check_outputs(outputs: Arrays, views: int, info: ModelInfo) -> None:
-    """Check shapes, then finiteness and ranges; the `ModelError` names output, count and first index."""
-    count = len(outputs["means"])
+    """Check types and shapes, then finiteness and ranges; the `ModelError` names output, count and first index."""
+    for name, value in outputs.items():
+        dtype = np.dtype(np.int64 if name == "expert_index" else np.float32)
+        found = getattr(value, "dtype", type(value).__name__)  # a sequence of tensors has none
+        if found != dtype:
+            raise ModelError(f"output is {found}, need {dtype}", field=name)
+    (count,) = outputs["means"].shape[:1] or (0,)
     coefficients = outputs["harmonics"].shape[1:2]
     chosen = outputs["expert_index"].shape[2:3] if "expert_index" in outputs else ()
     maps, patches = (views, info.height, info.width), (views, info.patches)
@@ -161,7 +166,12 @@ def _check_outputs(outputs: Arrays, views: int, info: ModelInfo) -> None:
         _require(np.isfinite(value), name, "finite")
     _require(outputs["scales"] >= 0, "scales", "at least 0")
     _require(outputs["depth"] > 0, "depth", "above 0")
-    _require((outputs["opacities"] >= 0) & (outputs["opacities"] <= 1), "opacities", "in [0, 1]")
+    for name in ("opacities", "expert_weight", "task_weight"):
+        if name in outputs:
+            _require((outputs[name] >= 0) & (outputs[name] <= 1), name, "in [0, 1]")
+    if "expert_index" in outputs:
+        index, experts = outputs["expert_index"], info.most_experts
+        _require((index >= 0) & (index < experts), "expert_index", f"from 0 to {experts - 1}")
 
 
 def _require(ok: NDArray[np.bool_], name: str, need: str) -> None:

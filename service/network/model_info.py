@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..arguments import shown
 from ..errors import ModelError
 from .contract import FORMAT
 
 PATCH_PX = 16
+MOST_EXPERTS = 128
+_COUNTS = {"experts": (1, MOST_EXPERTS), "depth_planes": (2, 4096)}  # of the configuration: least and most
 _REQUIRED = ("preset", "config", "weights_sha256", "opset", "height", "width", "patch_px", "licence", "precision")
 
 
@@ -35,8 +38,17 @@ class ModelInfo:
     @property
     def depth_planes(self) -> int | None:
         """Number of planes of the network's plane sweep; None where the configuration does not state it."""
-        planes = self.config.get("depth_planes")
-        return planes if isinstance(planes, int) and planes >= 2 else None
+        return self.config.get("depth_planes")
+
+    @property
+    def experts(self) -> int | None:
+        """Number of experts; None where the configuration does not state it."""
+        return self.config.get("experts")
+
+    @property
+    def most_experts(self) -> int:
+        """An upper limit of their number."""
+        return MOST_EXPERTS if self.experts is None else self.experts
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -78,7 +90,7 @@ def parse_model_info(metadata: Mapping[str, str], path: Path, file_sha256: str) 
     try:
         info = ModelInfo(
             preset=value["preset"],
-            config=_object("config", value["config"]),
+            config=_checked_counts(_object("config", value["config"])),
             weights_sha256=value["weights_sha256"],
             file_sha256=file_sha256,
             height=int(value["height"]),
@@ -99,6 +111,15 @@ def parse_model_info(metadata: Mapping[str, str], path: Path, file_sha256: str) 
             field="model",
         )
     return info
+
+
+def _checked_counts(config: dict[str, Any]) -> dict[str, Any]:
+    """The configuration itself. Raises `ValueError` for counts that no network has."""
+    for name, (least, most) in _COUNTS.items():
+        if name in config and not (type(found := config[name]) is int and least <= found <= most):
+            need = f"need a whole number from {least} to {most}"
+            raise ValueError(f"gapmes.config has {name} {shown(found)}, {need}")
+    return config
 
 
 def _object(name: str, text: str) -> dict[str, Any]:

@@ -34,6 +34,8 @@ class OnnxHeader:
 
 def read_header(path: Path) -> OnnxHeader:
     """Parse the file at `path`. Raises `OSError` where it cannot be read and `ValueError` where it is no ONNX file."""
+    if not (path.is_file() or path.is_dir()) and path.exists():  # reading a pipe would wait for who writes
+        raise ValueError("it is a device or a pipe")
     with path.open("rb") as file:
         if not file.seek(0, 2):
             raise ValueError("it is empty")

@@ -49,7 +49,7 @@ def test_zero_bands_go_and_no_picture_changes(degree: int, max_error: str) -> No
             np.testing.assert_array_equal(getattr(one, plane), getattr(two, plane))
     outputs, mask = {"opacities": gaussians.opacities}, np.ones((2, 4), np.bool_)
     unpruned: Any = SimpleNamespace(outputs=outputs, patch_mask=mask, dropped={}, placed=SimpleNamespace(added=0))
-    info: Any = SimpleNamespace(config={}, keep_all=False)
+    info: Any = SimpleNamespace(experts=None, keep_all=False)
     rows = table(unpruned, info, report)
     assert rows == [{"what": "bands of harmonics that are 0", "count": 3 - degree, "of": 3, "error": 0.0}]
 

@@ -47,7 +47,7 @@ def test_everything_that_was_left_out_has_a_row(
         dropped=DROPPED,
         placed=SimpleNamespace(added=10),
     )
-    info: Any = SimpleNamespace(config=config, keep_all=keep_all)
+    info: Any = SimpleNamespace(experts=config.get("experts"), keep_all=keep_all)
     found = table(scene, info, PRUNED)
     bound = [row.pop("error") for row in found if row["what"] == "Gaussians within the budget"]
     assert bound == [pytest.approx(0.003 - 0.001)]
@@ -74,4 +74,4 @@ def test_what_is_none_has_no_row() -> None:
         dropped={},
         placed=SimpleNamespace(added=0),
     )
-    assert table(scene, SimpleNamespace(config={}, keep_all=False), nothing) == []  # type: ignore[arg-type]
+    assert table(scene, SimpleNamespace(experts=None, keep_all=False), nothing) == []  # type: ignore[arg-type]

@@ -1,6 +1,7 @@
 """The engine: what it refuses to load and to run, and equal bits from equal inputs."""
 
 import hashlib
+import json
 import os
 from dataclasses import replace
 from importlib.util import find_spec
@@ -121,6 +122,14 @@ def test_an_onnx_file_of_somebody_else(tmp_path):
         ({"config": "null"}, "malformed metadata: gapmes.config is 'null'"),
         ({"config": "[" * 100_000}, "malformed metadata: gapmes.config is nested too deeply"),
         ({"tolerance": "[1]"}, "malformed metadata: gapmes.tolerance is"),
+        ({"config": '{"experts": -3}'}, "config has experts -3, need a whole number from 1 to 128"),
+        ({"config": '{"experts": 129}'}, "config has experts 129, need"),
+        ({"config": '{"experts": true}'}, "config has experts True, need"),
+        ({"config": '{"depth_planes": 1}'}, "config has depth_planes 1, need a whole number from 2 to 4096"),
+        ({"config": '{"depth_planes": 4097}'}, "config has depth_planes 4097, need"),
+        ({"config": '{"depth_planes": "64"}'}, "config has depth_planes '64', need"),
+        ({"config": '{"depth_planes": 64.0}'}, r"config has depth_planes 64\.0, need"),
+        ({"config": f'{{"depth_planes": 1{"0" * 400}}}'}, "config has depth_planes 10+, need"),
         ({"height": "50"}, "need multiples of 16"),
     ],
 )
@@ -177,9 +186,12 @@ def test_a_file_says_whether_it_keeps_all(tmp_path, said, kept):
     assert Engine(write_standin(tmp_path / "model.onnx", metadata), threads=1).info.keep_all is kept
 
 
-@pytest.mark.parametrize(("planes", "known"), [(65, 65), (2, 2), (1, None), (True, None), ("64", None), (6.5, None)])
-def test_a_number_of_planes_is_two_or_more(engine, planes, known):
-    assert replace(engine.info, config={"depth_planes": planes}).depth_planes == known
+@pytest.mark.parametrize(("experts", "planes"), [(1, 2), (128, 4096)])
+def test_counts_of_the_configuration_are_known(tmp_path, experts, planes):
+    config = json.dumps({"experts": experts, "depth_planes": planes})
+    info = Engine(write_standin(tmp_path / "model.onnx", METADATA | {"config": config}), threads=1).info
+    assert (info.experts, info.depth_planes) == (experts, planes)
+    assert (replace(info, config={}).experts, replace(info, config={}).depth_planes) == (None, None)
 
 
 def test_missing_outputs_are_named(tmp_path):

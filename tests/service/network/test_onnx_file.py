@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
+from gapmes.service.errors import ModelError
+from gapmes.service.network.engine import Engine
 from gapmes.service.network.onnx_file import OnnxHeader, read_header
 from gapmes.service.shipped import shipped_model
 
@@ -54,6 +57,15 @@ def test_tensors_of_bodies_and_constants_are_found_too(tmp_path: Path) -> None:
     model = helper.make_model(helper.make_graph([node], "outer", [condition], [out]))
     (tmp_path / "m.onnx").write_bytes(model.SerializeToString())
     assert read_header(tmp_path / "m.onnx").external == {"constant.bin": 64, "inner.bin": 192}
+
+
+def test_what_would_never_end_is_not_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.onnx")
+    for path in (tmp_path / "pipe.onnx", Path("/dev/zero")):
+        with pytest.raises(ValueError, match="it is a device or a pipe"):
+            read_header(path)
+        with pytest.raises(ModelError, match="it is no ONNX file: it is a device or a pipe"):
+            Engine(path)
 
 
 def header_of(data: bytes) -> None:
