@@ -1,8 +1,8 @@
 // The panel beside the view: downloads, inputs and renders, what was left out, the self-check, cameras and timings.
 
-import { bring } from "./api.js";
 import { warned } from "./cures.js";
-import { $, count, digits, discard, make, percent, tell } from "./dom.js";
+import { count, digits, discard, make, percent } from "./dom.js";
+import { downloading } from "./downloads.js";
 import { inputs } from "./inputs.js";
 import { plan } from "./plan.js";
 import { decibels, head, row, wide } from "./table.js";
@@ -34,7 +34,8 @@ export function showAbout(target, scene) {
 }
 
 function files(scene) {
-  const link = (path, name, text) => bring(make("a", { href: path, download: name }, text), (error) => tell($("view-problem"), error));
+  const told = make("div", { id: "download-told", role: "alert" });
+  const link = (path, name, text) => downloading(path, name, text, told);
   const links = Object.entries(scene.links.files).map(([kind, path]) => link(path, `${scene.id}.${kind}`, `.${kind}`));
   links.push(link(scene.links.preview, `${scene.id}.webp`, "animation"), link(scene.links.sheet, `${scene.id}.png`, "contact sheet"));
   const corrected = (scene.warnings ?? []).some(({ code }) => code === "poses_refined"); // others would miss the scene
@@ -43,7 +44,7 @@ function files(scene) {
   const list = make("p", { id: "downloads" }, "Download: ");
   links.forEach((one, index) => list.append(index ? " · " : "", one));
   list.append(make("br"), `${count(scene.gaussians.count)} Gaussians, harmonics of degree ${scene.gaussians.sh_degree}`);
-  return list;
+  return make("div", {}, list, told);
 }
 
 function leftOut(body, scene) {

@@ -13,7 +13,7 @@ export class Refused extends Error {
 
 export const setKey = (key) => sessionStorage.setItem(KEY, key);
 
-const hasKey = () => sessionStorage.getItem(KEY) !== null;
+export const hasKey = () => sessionStorage.getItem(KEY) !== null;
 
 /** An id that is safe in a path: any other text of a URL could lead to another path. Throws `Refused`. */
 export function checkedId(text, what) {
@@ -23,7 +23,7 @@ export function checkedId(text, what) {
 }
 
 /** The result of `reading`. Throws `Refused` if the connection breaks or the body is malformed. */
-async function read(reading) {
+export async function read(reading) {
   try {
     return await reading();
   } catch (error) {
@@ -122,23 +122,4 @@ export async function* events(path, signal) {
       if (fields.data) yield { id: fields.id, event: fields.event, data: JSON.parse(fields.data) };
     }
   }
-}
-
-/** Make a link download its file with the API key if there is one; `failed` is called with an error. */
-export function bring(link, failed) {
-  link.addEventListener("click", async (event) => {
-    if (!hasKey() || link.href.startsWith("blob:")) return;
-    event.preventDefault();
-    try {
-      const address = await askPicture(link.getAttribute("href"));
-      const copy = document.createElement("a");
-      copy.href = address;
-      copy.download = link.download;
-      copy.click();
-      setTimeout(() => URL.revokeObjectURL(address), 60000);
-    } catch (error) {
-      failed(error);
-    }
-  });
-  return link;
 }

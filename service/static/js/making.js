@@ -12,6 +12,7 @@ import { shown } from "./stage.js";
 import { understood } from "./understood.js";
 
 const OF_PHOTOGRAPHS = ["near", "far", "detail", "trust_poses", "context"]; // options on which a check depends
+const USUAL = "3"; // photographs that the service takes of a zip
 const OF_GAUSSIANS = ["near", "far", "opacity", "scales", "rotation", "axes", "drop_invalid"];
 
 let asked = new AbortController(); // of the newest check or loading: a late answer to an earlier one is passed over
@@ -82,11 +83,11 @@ function others() {
   return check();
 }
 
-/** Whether fewer are to be used. */
+/** Whether fewer are to be used: as many as the service takes of a zip, until another number is chosen. */
 function askHowMany(of) {
+  if ($("choice").hidden !== of <= MOST) $("context").value = of > MOST ? USUAL : "";
   $("choice").hidden = of <= MOST;
   if (of > MOST) $("so-many").textContent = `${counted(of, "photograph")}, and a scene takes 2 to ${MOST}. Use`;
-  else $("context").value = "";
 }
 
 /** What is asked of the service until now is given up. */
@@ -140,7 +141,6 @@ async function look(again) {
     if (signal.aborted) return false;
     if (found.selection.of > MOST) {
       askHowMany(found.selection.of);
-      $("context").value ||= String(found.images.length);
     }
     say(...understood(found));
     state({ ready: true });

@@ -66,7 +66,7 @@ def test_how_many_are_used_can_be_chosen_by_keys(tab: Tab, tmp_path: Path) -> No
         view["image"] = f"{index}.png"
     page.set_input_files("#files", write_scene(tmp_path, [photograph(k) for k in range(8)], cameras))
     page.focus("#context")
-    for number in (2, 3):
+    for number in (4, 5):
         page.keyboard.press("ArrowDown")
         page.wait_for_selector(f".cards li >> nth={number - 1}")
         assert page.evaluate(FOCUS) == "context"

@@ -11,6 +11,7 @@ from browser_tab import Tab
 from http_requests import camera_object, photograph
 from page_service import broken_answers, choose, choose_two, document_of, made, serving, stored_cloud, write_scene
 
+from gapmes.service.captures.select import DEFAULT_CONTEXT
 from gapmes.service.settings import Settings
 
 
@@ -133,21 +134,21 @@ def test_a_zip_comes_alone(tab: Any, tmp_path: Path, other: str) -> None:
 
 
 def test_sixty_photographs_at_once(tab: Any, tmp_path: Path) -> None:
-    """More than a scene takes: the page asks how many to use, and nothing is refused."""
+    """More than a scene takes: the best few are used, as many as of a zip, and nothing is refused."""
     page = tab.open()
     cameras = camera_object(60)
     for index, view in enumerate(cameras["views"]):
         view["image"] = f"{index}.png"
         view["c2w"][0][3] = 0.05 * index
-    asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
     page.set_input_files("#files", write_scene(tmp_path, [photograph(k) for k in range(60)], cameras))
     page.wait_for_selector("#choice:has-text('60 photographs')")
+    page.wait_for_selector(f".cards li >> nth={DEFAULT_CONTEXT - 1}")
+    assert page.input_value("#context") == str(DEFAULT_CONTEXT)
+    page.select_option("#context", "")
     page.wait_for_selector("#understood:has-text('Choose how many')")
-    assert not any(url.endswith("/check") for url in asked)
     assert page.is_disabled("#go")
     page.select_option("#context", "3")
-    page.wait_for_selector(".cards li >> nth=2")
+    page.wait_for_selector("#go:not([disabled])")
     assert page.locator(".cards li").count() == 3
     before = page.url
     page.click("#go")
