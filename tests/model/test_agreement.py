@@ -120,3 +120,18 @@ def test_confirmation_is_a_ramp_around_the_limit() -> None:
     assert confirmation(cues).flatten().tolist() == pytest.approx([1, 1, 0.5, 0, 1, 0], abs=1e-5)
     cues[0, 3] = 0
     assert float(confirmation(cues).max()) == 0
+
+
+def test_views_without_the_point_in_frame_take_no_part_in_the_means() -> None:
+    """The third stands far aside: of the two others only the second counts, and their share is a half."""
+    intrinsics = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]).expand(1, 3, 3, 3)
+    poses = torch.eye(4).repeat(1, 3, 1, 1)
+    poses[0, :, 0, 3] = torch.tensor([0.0, 0.1, 50.0])
+    inverse, colours = maps(2.0, 6.0, 2.0)
+    colours[1] = 0.8
+    cues = agreement_cues(inverse, colours, Views.make(intrinsics, poses, torch.tensor([[NEAR, FAR]])))
+    mean, strongest, colour, seen = (float(cue) for cue in cues[0, :, 12, 12])
+    assert mean == pytest.approx(strongest)
+    assert mean > 0.9
+    assert colour == pytest.approx(0.3, abs=1e-6)
+    assert seen == 0.5

@@ -123,3 +123,18 @@ def test_reading_between_planes() -> None:
     candidates = torch.tensor([-0.2, 0.0, 0.125, 0.5, 0.9, 1.0, 1.3]).reshape(1, 7, 1, 1)
     got = at_candidates(evidence, candidates).flatten().tolist()
     assert got == pytest.approx([0.0, 0.0, 0.5, 4.0, 13.2, 16.0, 16.0], abs=1e-5)
+
+
+def test_of_several_views_it_is_the_mean() -> None:
+    """The filter is linear in the scores: three views have the mean of what the pairs have, but for their centring."""
+    images = torch.rand(3, 3, SIZE, SIZE, generator=torch.Generator().manual_seed(5))
+    images = images - images.mean((1, 2, 3), keepdim=True) + 0.5
+    intrinsics = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]])
+    poses = torch.eye(4).repeat(3, 1, 1)
+    poses[:, 0, 3] = torch.tensor([0.0, 0.3, -0.5])
+
+    def of(which: list[int]) -> torch.Tensor:
+        some = intrinsics.expand(1, len(which), 3, 3), poses[which][None], torch.tensor([[NEAR, FAR]])
+        return matching_evidence(images[which], Views.make(*some), PLANES)[0]
+
+    torch.testing.assert_close(of([0, 1, 2]), (of([0, 1]) + of([0, 2])) / 2, atol=2e-6, rtol=0)

@@ -55,3 +55,11 @@ def test_another_error_stays_itself() -> None:
     with pytest.raises(RuntimeError, match=r"shape|size"):
         overflow(network, lambda: network(*scene()[:3], torch.zeros(1, 5)))
     assert not any(module._forward_hooks for module in network.modules())
+
+
+def test_the_largest_weight_may_be_negative() -> None:
+    network = torch.nn.Sequential(torch.nn.Linear(1, 1), torch.nn.Linear(1, 1))
+    network[0].weight.data.fill_(-3e38)
+    found = overflow(network, lambda: network(torch.full((1, 1), 10.0)))
+    assert found.startswith("layer 0 overflows: ")
+    assert found.endswith("the largest weight is 3e+38, in 0.weight")

@@ -155,3 +155,18 @@ def test_names_of_files_do_not_break_the_tables() -> None:
     assert len(tables) == 4  # models, floors, means, scenes
     for rows in tables:
         assert len({len(SEPARATOR.findall(row)) for row in rows}) == 1
+
+
+@pytest.mark.parametrize(
+    ("groups", "missed"),
+    [
+        (with_scene(1, twice=Twice(18.0, -1.49, -0.5, -0.4, 0.0099, 300)), None),
+        (with_scene(1, twice=Twice(18.0, -1.5, -0.5, -0.4, 0.0, 300)), "twice the size: PSNR"),
+        (with_scene(1, twice=Twice(18.0, -1.0, -0.5, -0.4, 0.01, 300)), "twice the size: holes"),
+        ([GOOD[0], GOOD[1], group("photographs", 3, (1.4, 1.7), least_expert=0.03)], None),
+    ],
+)
+def test_floors_are_where_they_are_said_to_be(groups: list[Group], missed: str | None) -> None:
+    failed = [name for name, passed in verdicts(groups).items() if passed is False]
+    assert len(failed) == (missed is not None)
+    assert all(name.startswith(missed or "") for name in failed)

@@ -18,6 +18,7 @@ from gapmes.export.tradeoff import files, knobs, run, scenes
 from gapmes.export.tradeoff.child import Given, _in_child, peak_mb, timed
 from gapmes.export.tradeoff.errors import model_error, network_rounding, setting_error, splatter_rounding
 from gapmes.export.tradeoff.machine import this_machine
+from gapmes.export.tradeoff.page import _front
 from gapmes.export.tradeoff.scenes import load_scene
 from gapmes.export.tradeoff.schema import Report
 from gapmes.service.cameras.camera import Camera
@@ -196,3 +197,12 @@ def test_the_machine_is_named() -> None:
     assert machine.threads == 3
     assert machine.cpu
     assert set(machine.flags) <= set(FLAGS)
+
+
+def test_the_front_is_what_no_other_beats_in_both() -> None:
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots()
+    _front(axes, [(3.0, 30.0), (1.0, 20.0), (2.0, 19.0), (2.0, 25.0), (4.0, 30.0), (2.0, 25.0)])
+    (line,) = axes.lines
+    assert list(dict.fromkeys(zip(*line.get_data(), strict=True))) == [(1, 20), (2, 25), (3, 30)]

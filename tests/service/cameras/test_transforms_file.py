@@ -214,3 +214,14 @@ def test_as_many_zeros_as_a_lens_has_say_nothing():
     for value in ([0.0] * 16, [[0.0] * 8] * 2, " ".join(["0.00000000000000000000"] * 16)):
         found = parse_camera_file(file | {"distortion": value}).cameras
         assert [camera_document(camera) for camera in found] == expected
+
+
+def test_a_shift_down_is_in_the_pixels_of_fy():
+    """Slopes of 0.3 and 0.4 at the corner, in px that are not square."""
+    lens = Lens(240, 200, 800.0, 500.0, 0.0, 0.0, k1=0.1)
+    assert lens.largest_shift() == pytest.approx(0.1 * 0.25 * math.hypot(800 * 0.3, 500 * 0.4))
+
+
+def test_k4_is_of_the_denominator_where_k6_alone_says_so():
+    lens = parse_camera_file(transforms(k4=0.05, k6=1e-9)).views[0].lens
+    assert (lens.k4, lens.r8) == (0.05, 0.0)

@@ -307,3 +307,12 @@ def test_whatever_happens_a_job_ends_once_and_tells_it_in_order(tmp_path: Path, 
         assert job.attempts <= 2
     scenes = [table.get(job_id).scene_id for job_id in table.unfinished()]
     assert len(scenes) == len(set(scenes))
+
+
+def test_what_fills_the_slots_does_not_wait(tmp_path: Path) -> None:
+    """So many may wait beside those that are computed."""
+    table = JobTable(Database(tmp_path / "index.sqlite"), most=2, keep_s=100.0, slots=lambda: 3)
+    for number in range(5):
+        table.submit(str(number), f"{number:032x}")
+    with pytest.raises(ServiceBusy, match="the limit is 5"):
+        table.check_room()

@@ -8,7 +8,9 @@ from standin_model import EXTRA, HEIGHT, WIDTH
 
 from gapmes.service.errors import InputError
 from gapmes.service.leaving_out.budget import Budget
+from gapmes.service.leaving_out.certified import certified_views
 from gapmes.service.leaving_out.left_out import leave_out
+from gapmes.service.leaving_out.pruning import prune
 from gapmes.service.leaving_out.stride import thinned
 from gapmes.service.photographs.masks import FADED, REPLACED
 from gapmes.service.reconstruct import Reconstructor
@@ -145,3 +147,13 @@ def test_faint_gaussians_go_and_the_change_is_bounded(min_opacity):
 def test_what_makes_no_sense_is_refused(options, field):
     with pytest.raises(InputError, match=field):
         Budget(**options)
+
+
+def test_the_bound_is_that_of_what_is_faint_and_of_what_is_pruned_after_it():
+    gaussians, cameras = clouds.cloud(300, 4, degree=1), [clouds.view(-0.1), clouds.view(0.1)]
+    everything, scene = np.ones(300, bool), SceneViews(cameras)
+    report = leave_out(gaussians, everything, scene, Budget(0.2, min_opacity=0.3), 1)[2]
+    rest = gaussians[gaussians.opacities >= 0.3]
+    pruned = prune(rest, certified_views(cameras, 1), 0.2, threads=1)
+    assert pruned.bound > 0
+    assert report["bound"] == pytest.approx(report["faint_bound"] + pruned.bound)

@@ -235,3 +235,18 @@ def test_a_scene_of_two_exposures_is_the_scene_of_one() -> None:
     assert "exposures_differ" in {notice["code"] for notice in two.document["warnings"]}
     assert "exposures_differ" not in {notice["code"] for notice in one.document["warnings"]}
     assert errors[1] > errors[0] - 0.3  # measured 0.0; 4.9 without
+
+
+@pytest.mark.parametrize(
+    ("factors", "differ"),
+    [
+        (((1 / 16,) * 3, (1 / 40,) * 3), True),  # beyond twofold
+        (((1 / 16,) * 3, (1 / 40, 1 / 40, 1 / 20)), False),  # not in each channel
+    ],
+)
+def test_of_two_dark_photographs_a_factor_counts_beyond_two_in_each_channel(
+    factors: tuple[tuple[float, ...], ...], differ: bool
+) -> None:
+    photos, _, depths = sample()
+    views = fitted(tuple(exposed(photo, f) for photo, f in zip(photos, factors, strict=False)))
+    assert (exposures(views, depths) is not None) == differ

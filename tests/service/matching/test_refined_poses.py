@@ -245,3 +245,16 @@ def test_with_right_poses_the_option_changes_nothing() -> None:
     )
     np.testing.assert_array_equal(one.means, other.means)
     np.testing.assert_array_equal(one.harmonics, other.harmonics)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda: turned(sample(), 1, (0.0, 0.0, 1.0), 3.3),  # degrees
+        lambda: zoomed(sample(), 1, 1.13),  # found: 0.90 times, and 0.18 of the baseline
+        lambda: zoomed(plane(), 1, 0.89),  # found: 0.24 of the baseline
+    ],
+)
+def test_what_would_match_beyond_a_refinement_stays(wrong) -> None:
+    """Just beyond 3 degrees, a tenth of the focal length and a fifth of the baseline."""
+    assert corrected(wrong()) is None

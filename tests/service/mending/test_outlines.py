@@ -175,3 +175,21 @@ def test_a_cut_out_scene_shows_little_beside_its_outline() -> None:
         within.append(alpha[kept_around(outline, 4) == 1].mean())
     assert np.mean(beside) < 0.06
     assert np.mean(within) > 0.9
+
+
+def test_a_mask_says_nothing_of_what_its_view_does_not_show() -> None:
+    views, depths = views_of((-8.0, 8.0))
+    away = np.array([[9.0, 0.0, 0.0], [-9.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 0.0, -9.0]])
+    for owner in (0, 1):
+        assert clear_of_masks(away, np.full(4, owner), views, depths).all()
+
+
+def test_what_others_have_beside_a_mask_lies_at_their_own_depths() -> None:
+    """Those of the view whose mask is judged do not matter."""
+    views, depths = views_of((-4.0, 4.0))
+    there = np.ones((SIDE, SIDE), np.bool_)
+    there[32:96, 48:80] = False
+    hidden = [replace(views[0], mask=there), replace(views[1], mask=None)]
+    depths[0], depths[1] = 0.01, AWAY
+    points = np.stack([np.linspace(-0.5, 0.5, 41), np.zeros(41), np.zeros(41)], axis=1)
+    assert clear_of_masks(points, np.full(41, 1), hidden, depths).all()

@@ -351,3 +351,15 @@ def test_a_delete_does_not_wait_for_a_reader(tmp_path: Path) -> None:
     assert os.read(handle, 10) == PLY[:10]
     os.close(handle)
     assert listed(store) == set()
+
+
+def test_days_are_of_24_hours_and_reading_counts_after_two_minutes(tmp_path: Path) -> None:
+    store = filled(tmp_path, 3, max_days=1.0)
+    hour, now = 3600 * 10**9, time.time_ns()
+    with store.database.write() as connection:
+        for scene_id, hours in zip(IDS, (23, 25, 2 / 60), strict=False):
+            connection.execute("UPDATE scenes SET used_ns = ? WHERE id = ?", [now - int(hours * hour), scene_id])
+    store.ply(IDS[2])
+    assert {row.id: row.used_ns >= now for row in store.page(9)}[IDS[2]]
+    assert store.evict_old() == 1
+    assert listed(store) == {IDS[0], IDS[2]}
