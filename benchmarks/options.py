@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
+from pathlib import Path
 
-from gapmes.service.cameras.view_checks import MIN_VIEWS
+from gapmes.service.cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from gapmes.service.mending.fade_passes import MAX_PASSES
 
 
@@ -24,8 +25,28 @@ def _between(least: int, most: float = math.inf) -> Callable[[str], int]:
 
 at_least_one = _between(1)
 none_or_more = _between(0)
-view_count = _between(MIN_VIEWS)
+view_count = _between(MIN_VIEWS, MAX_VIEWS)
 passes = _between(0, MAX_PASSES)
+
+
+def there(text: str) -> Path:
+    """A file or folder that exists."""
+    if not Path(text).exists():
+        raise argparse.ArgumentTypeError(f"{text} does not exist")
+    return Path(text)
+
+
+def model_files(*, least: int = 2, most: int = 2) -> Callable[[str], tuple[Path, ...]]:
+    """So many files that exist, with = between them."""
+
+    def files(text: str) -> tuple[Path, ...]:
+        parts = text.split("=")
+        if not least <= len(parts) <= most:
+            need = f"need {least}" if least == most else f"need {least} to {most}"
+            raise argparse.ArgumentTypeError(f"{text} names {len(parts)} files, {need}, with = between them")
+        return tuple(map(there, parts))
+
+    return files
 
 
 def duration(text: str) -> float:

@@ -25,7 +25,7 @@ from gapmes.service.progress import Stage
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.shipped import sample_folder
 
-from .options import at_least_one
+from .options import at_least_one, there
 
 
 class Clock:
@@ -61,7 +61,7 @@ def one_run(service: Reconstructor, capture: Path, views: str, passes: int) -> d
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("capture", nargs="?", type=Path, default=sample_folder())
+    parser.add_argument("capture", nargs="?", type=there, default=sample_folder())
     parser.add_argument("--views", default="1,5")
     parser.add_argument("--engine", choices=ENGINES, default=DEFAULT_ENGINE)
     parser.add_argument("--rounds", type=at_least_one, default=5)

@@ -23,7 +23,7 @@ FAILED = 3
 def write_tables(
     report: Path | None, stability: Path | None, scenes: Sequence[Path], quick: bool, *, as_json: bool, quiet: bool
 ) -> None:
-    """Run the measurements that have a folder; `as_json` prints a summary to stdout.
+    """Run the measurements that have a folder; `as_json` prints a summary, or a refusal, to stdout.
 
     Exit status 1 for a folder that cannot be made, one that is no scene, lack of memory, and where a process of the
     report fails; 3 where a case is beyond its tolerance.
@@ -37,6 +37,8 @@ def write_tables(
         document, failed = _measured(report, stability, scenes, quick, quiet)
     except (ChildFailed, InputError, OutOfMemory, OSError) as error:
         Console(stderr=True, soft_wrap=True).print(f"refused: {error}", markup=False)
+        if as_json:
+            typer.echo(json.dumps({"error": {"detail": str(error)}}))
         raise typer.Exit(REFUSED) from error
     if as_json:
         typer.echo(json.dumps(document))

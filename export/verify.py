@@ -8,11 +8,8 @@ With `--parent` it ends when that process does.
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import sys
-from collections.abc import Callable, Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,198 +18,22 @@ import onnxruntime
 import torch
 
 from gapmes.model.architectures import Network, config_from_json
-from gapmes.model.config import ModelConfig
-from gapmes.model.overflow import overflow
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.errors import ModelError
-from gapmes.service.network.contract import INPUTS, REQUIRED_OUTPUTS
+from gapmes.service.commands.output_file import check_output_file
+from gapmes.service.errors import InputError, ModelError
 from gapmes.service.network.model_file import ModelFile, model_file
+from gapmes.service.process.disk import replacing
 from gapmes.service.process.machine import processor
 from gapmes.service.process.with_parent import end_with_parent
 
-from .cases import Case, verification_cases
-from .deviations import LEFT, Outputs, beside_float64, deviations, share_left, untouched_elements
-from .gate_settings import GateSetting, gate_values, with_gates
-from .graph import SceneGraph, evaluated
-from .pictures import PictureAgreement, picture_agreement
+from .cases import verification_cases
 from .report import CaseResult, Report
-from .routes import RouteAgreement, agreement, ambiguous, flipped_patches
 from .tolerance import TOLERANCES, Tolerance
 from .variant import Variant, load_variant
+from .verification import verify
 
+REFUSED = 1
 FAILED = 3
-
-
-def verify(
-    model: onnx.ModelProto,
-    network: Network,
-    cases: Iterable[Case],
-    tolerance: Tolerance,
-    on_case: Callable[[CaseResult], None] = lambda _: None,
-) -> list[CaseResult]:
-    """Run every case in both runtimes, in order; `cases` must be grouped by gate setting, one session for each."""
-    results = []
-    gated = network.gates is not None
-    trained = gate_values(network, "as trained") if gated else {}
-    for gates, group in itertools.groupby(cases, key=lambda case: case.gates):
-        if gates != "as trained" and not gated:
-            continue  # a network without gates has nothing to set
-        session = _session(model, network, gates)
-        for case in group:
-            results.append(_run(case, session, network, tolerance))
-            on_case(results[-1])
-        network.load_state_dict(trained, strict=False)
-    return results
-
-
-def _session(model: onnx.ModelProto, network: Network, gates: GateSetting) -> onnxruntime.InferenceSession:
-    """A session of the graph under a gate setting, which is applied to the torch network too."""
-    if gates != "as trained":
-        values = gate_values(network, gates)
-        model = with_gates(model, values)
-        network.load_state_dict(values, strict=False)
-    options = onnxruntime.SessionOptions()
-    options.inter_op_num_threads = 1
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # torch runs in turn on the same cores
-    return onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
-
-
-def _run(case: Case, session: onnxruntime.InferenceSession, network: Network, tolerance: Tolerance) -> CaseResult:
-    """Compare one case, as far as its outputs can be compared."""
-    if case.flat:
-        tolerance = tolerance.for_flat_images()
-    elif case.undetermined:
-        tolerance = tolerance.for_undetermined_matching()
-    result = CaseResult(case.name, case.gates, case.views)
-    logits = _GateLogits(network)
-    reference, failures = _of_torch(case, network, logits)
-    if failures:
-        return replace(result, failures=failures)
-    values = _of_file(case, session, tuple(reference))
-    if wrong := [n for n in reference if values[n].shape != reference[n].shape]:
-        return replace(result, failures=[f"{n}: shape is {values[n].shape}, need {reference[n].shape}" for n in wrong])
-    kept = case.inputs.patch_mask.numpy()
-    flipped = flipped_patches(values, reference, kept)
-    if tuple(reference) != REQUIRED_OUTPUTS:
-        trained = case.gates == "as trained"
-        undecided = logits.undecided(network).reshape(kept.shape) if trained else np.zeros_like(kept)
-        routes = agreement(flipped, undecided, kept)
-        result, failures = replace(result, routes=routes), _route_failures(routes, trained, tolerance)
-        if (left := share_left(flipped, reference)) < LEFT:
-            failures.append(f"routes: only {left:.0%} of the values are left to compare, need {LEFT:.0%}")
-            return replace(result, failures=failures)
-    result = replace(result, outputs=deviations(values, reference, flipped, case))
-    finite = all(found.finite for found in result.outputs.values())
-    if finite and tolerance.rounding_factor is not None and (beyond := _beyond(result, tolerance)):
-        exact = beside_float64(values, reference, network, case)
-        result = replace(result, beside_float64={name: exact[name] for name, _, _ in beyond})
-    failures += _value_failures(result, tolerance)
-    if case.name == "sample" and finite:
-        picture = picture_agreement(values, reference, untouched_elements(flipped, reference)["gaussian"], case)
-        result = replace(result, picture=picture)
-        failures += picture_failures(picture, tolerance)
-    return replace(result, failures=failures)
-
-
-def _of_torch(case: Case, network: Network, logits: _GateLogits) -> tuple[Outputs, list[str]]:
-    """The outputs of the torch network, with its gates' logits recorded, or failures where it gives no finite ones."""
-    try:
-        with logits:
-            outputs = evaluated(network, case.inputs, torch.float32)
-    except (IndexError, RuntimeError):
-        if told := _torch_overflow(network, case):
-            return {}, told
-        raise
-    if all(np.isfinite(value).all() for value in outputs.values()):
-        return outputs, []
-    return {}, _torch_overflow(network, case) or ["torch: numbers that are not finite"]
-
-
-def _of_file(case: Case, session: onnxruntime.InferenceSession, names: tuple[str, ...]) -> Outputs:
-    """The same outputs of the exported file."""
-    feed = {name: value.numpy() for name, value in zip(INPUTS, case.inputs.tensors(), strict=True)}
-    return dict(zip(names, session.run(list(names), feed), strict=True))
-
-
-def _route_failures(routes: RouteAgreement, trained: bool, tolerance: Tolerance) -> list[str]:
-    """Routes may differ with trained gates only: under a gate setting both runtimes have equal logits, and ties go to
-    the lowest index in both."""
-    allowed = tolerance.spare_flips + tolerance.unambiguous_flips * routes.patches if trained else 0
-    if routes.flipped_unambiguous <= allowed:
-        return []
-    return [f"routes: {routes.flipped_unambiguous} of {routes.patches} differ, {allowed:.0f} allowed"]
-
-
-def _beyond(result: CaseResult, tolerance: Tolerance) -> list[tuple[str, str, float]]:
-    """Output, kind of error and limit, for every error beyond its limit."""
-    return [
-        (name, what, limit)
-        for name, found in result.outputs.items()
-        for what, limit in tolerance.of_output(name).items()
-        if not getattr(found, what) <= limit
-    ]
-
-
-def _value_failures(result: CaseResult, tolerance: Tolerance) -> list[str]:
-    """Outputs that are not finite, and errors beyond a limit that torch's own distance from float64 does not excuse."""
-    failures = [f"{name}: not finite" for name, found in result.outputs.items() if not found.finite]
-    for name, what, limit in _beyond(result, tolerance):
-        failure = f"{name}: {what} {getattr(result.outputs[name], what):.2e}, allowed {limit:.1e}"
-        if exact := result.beside_float64.get(name):
-            ours, theirs = getattr(exact.exported, what), getattr(exact.torch, what)
-            allowed = tolerance.of_rounding(what, theirs)
-            if exact.torch.finite and ours <= max(limit, allowed):
-                continue
-            failure += f"; beside float64 {ours:.2e}, where torch has {theirs:.2e}, allowed {allowed:.1e}"
-        failures.append(failure)
-    return failures
-
-
-def _torch_overflow(network: Network, case: Case) -> list[str]:
-    """A failure that names the layer where torch itself overflows, if it does."""
-    graph = SceneGraph(network).eval()
-    found = overflow(network, lambda: graph(*case.inputs.tensors()))
-    return [f"torch: {found}"] if found else []
-
-
-def picture_failures(found: PictureAgreement, tolerance: Tolerance) -> list[str]:
-    """Failures of the whole picture, of the one without jumps, and of the share of jumped Gaussians."""
-    failures = []
-    for what, psnr, least in (
-        ("picture", found.psnr, tolerance.picture_psnr),
-        ("picture without jumps", found.without_jumps, tolerance.smooth_picture_psnr),
-    ):
-        if not psnr >= least:
-            failures.append(f"{what}: {psnr:.1f} dB, need {least:.0f}")
-    if not found.jumped <= tolerance.jumps:
-        failures.append(f"picture: {found.jumped:.2e} of the Gaussians jumped, allowed {tolerance.jumps:.1e}")
-    return failures
-
-
-class _GateLogits:
-    """A context that records the logits of both gates in a torch run."""
-
-    def __init__(self, network: Network) -> None:
-        gates = network.gates
-        both = () if gates is None else (("expert", gates.expert_gate), ("task", gates.task_gate))
-        self._gates = [(name, gate) for name, gate in both if gate is not None]
-        self.found: dict[str, np.ndarray] = {}
-
-    def __enter__(self) -> None:
-        self._hooks = [
-            gate.register_forward_hook(lambda _m, _i, out, name=name: self.found.__setitem__(name, out.numpy()))
-            for name, gate in self._gates
-        ]
-
-    def __exit__(self, *_: object) -> None:
-        for hook in self._hooks:
-            hook.remove()
-
-    def undecided(self, network: Network) -> np.ndarray:
-        """(M,) mask of patches whose route rounding may decide."""
-        assert isinstance(network.config, ModelConfig)  # the only one with gates
-        deciding = {"expert": network.config.top_k, "task": 1}
-        return np.any([ambiguous(logits, deciding[name]) for name, logits in self.found.items()], axis=0)
 
 
 def _what_it_must_be(file: ModelFile, checkpoint: Path) -> tuple[Tolerance, Network]:
@@ -230,7 +51,20 @@ def _what_it_must_be(file: ModelFile, checkpoint: Path) -> tuple[Tolerance, Netw
         variant = Variant.of(config_from_json(json.dumps(file.info.config)))
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{file.path} has a gapmes.config that this version cannot build: {error!r}") from error
-    return TOLERANCES[file.info.precision], load_variant(checkpoint, variant).network
+    network = load_variant(checkpoint, variant).network
+    need = json.loads(network.config.to_json())
+    for name in sorted(need.keys() | file.info.config.keys()):
+        pair = file.info.config.get(name), need.get(name)
+        if pair[0] != pair[1]:
+            raise ValueError(f"{file.path}: gapmes.config has {name} {pair[0]!r}, {checkpoint} has {pair[1]!r}")
+    return TOLERANCES[file.info.precision], network
+
+
+def _check_opset(model: onnx.ModelProto, file: ModelFile) -> None:
+    """Raises `ValueError` unless the graph is of the opset that its metadata tell."""
+    found = {entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")}
+    if found != {file.info.opset}:
+        raise ValueError(f"{file.path}: gapmes.opset is {file.info.opset}, the graph has {sorted(found)}")
 
 
 def versions() -> dict[str, str]:
@@ -259,9 +93,10 @@ def main(arguments: list[str] | None = None) -> int:
         file = model_file(options.model)
         tolerance, network = _what_it_must_be(file, options.checkpoint)
         model = onnx.load(options.model)
-    except (ModelError, ValueError, OSError) as error:
-        sys.stderr.write(f"refused: {error}\n")
-        return 1
+        _check_opset(model, file)
+        check_output_file(options.report)
+    except (ModelError, InputError, ValueError, OSError) as error:
+        return _refused(error)
     cases = list(verification_cases(file.info.height, file.info.width, quick=options.quick))
 
     def tell(result: CaseResult) -> None:
@@ -269,10 +104,19 @@ def main(arguments: list[str] | None = None) -> int:
         sys.stdout.write(json.dumps(event) + "\n")
         sys.stdout.flush()
 
-    results = verify(model, network, cases, tolerance, tell)
-    report = Report(file.info.file_sha256, file.info.precision, versions(), results)
-    report.write(options.report)
+    try:
+        results = verify(model, network, cases, tolerance, tell)
+        report = Report(file.info.file_sha256, file.info.precision, versions(), results)
+        with replacing(options.report) as part:
+            report.write(part)
+    except (ModelError, OSError) as error:
+        return _refused(error)
     return 0 if report.passed else FAILED
+
+
+def _refused(error: Exception) -> int:
+    sys.stderr.write(f"refused: {error}\n")
+    return REFUSED
 
 
 if __name__ == "__main__":

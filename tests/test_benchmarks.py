@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parent.parent
+HERE = str(Path(__file__).parent)
 
 
 @pytest.fixture
@@ -66,6 +67,14 @@ def test_what_did_not_run_has_an_empty_cell(benchmark, monkeypatch: pytest.Monke
         ("splat.run", ["--ply", "none.ply"], "none.ply is no file"),
         ("splat.run", ["--cameras", __file__], "1 camera files for 0 scenes"),
         ("scene.detail", [], "no scenes: name a SCENE_DIR"),
+        ("scene.detail", ["/nowhere"], "argument SCENE_DIR: /nowhere does not exist"),
+        ("scene.formats", ["/nowhere"], "argument SCENE_DIR: /nowhere does not exist"),
+        ("scene.leaving_out", ["/nowhere"], "argument SCENE_DIR: /nowhere does not exist"),
+        ("stages", ["/nowhere"], "argument capture: /nowhere does not exist"),
+        ("network.profile", ["none.onnx"], "argument MODEL.onnx: none.onnx does not exist"),
+        ("network.rounding", [__file__], "names 1 files, need 2, with = between them"),
+        ("network.rounding", [f"{__file__}=none"], "none does not exist"),
+        ("network.run", ["a=b=c=d"], "a=b=c=d names 4 files, need 1 to 3, with = between them"),
         ("viewer.compare", ["--chromium", sys.executable, "--view", "8"], "has 8 views: need 0 to 7"),
         ("viewer.compare", ["--chromium", "no-such-browser"], "no-such-browser is no command here"),
     ],
@@ -96,9 +105,9 @@ def test_wrong_usage_is_told_before_the_work(
             (module, [*more, "--rounds", rounds], f"argument --rounds: is {rounds}, need at least 1")
             for module, more in (
                 ("network.experts", []),
-                ("network.profile", ["net.onnx"]),
-                ("network.run", ["net.onnx=net.safetensors"]),
-                ("scene.leaving_out", ["scene"]),
+                ("network.profile", [__file__]),
+                ("network.run", [f"{__file__}={__file__}"]),
+                ("scene.leaving_out", [HERE]),
                 ("stages", []),
             )
             for rounds in ("0", "-1")
@@ -111,15 +120,20 @@ def test_wrong_usage_is_told_before_the_work(
         ("load.run", ["--workers", "0"], "argument --workers: is 0, need at least 1"),
         ("load.run", ["--pictures", "-1"], "argument --pictures: is -1, need at least 0"),
         ("load.run", ["--scenes", "two"], "argument --scenes: invalid whole number value: 'two'"),
-        ("network.profile", ["net.onnx", "--views", "0"], "argument --views: is 0, need at least 2"),
-        ("network.profile", ["net.onnx", "--depth", "0"], "argument --depth: is 0, need at least 1"),
-        ("network.rounding", ["a.onnx=a", "--views", "2", "0"], "argument --views: is 0, need at least 2"),
-        ("network.run", ["net.onnx=a", "--views", "1"], "argument --views: is 1, need at least 2"),
+        ("network.profile", [__file__, "--views", "0"], "argument --views: is 0, need at least 2"),
+        ("network.profile", [__file__, "--views", "7"], "argument --views: is 7, need at most 6"),
+        ("network.profile", [__file__, "--depth", "0"], "argument --depth: is 0, need at least 1"),
+        (
+            "network.rounding",
+            [f"{__file__}={__file__}", "--views", "0"],
+            "argument --views: is 0, need at least 2",
+        ),
+        ("network.run", [f"{__file__}={__file__}", "--views", "1"], "argument --views: is 1, need at least 2"),
         ("scene.detail", ["--generated", "-1"], "argument --generated: is -1, need at least 0"),
-        ("scene.detail", ["scene", "--inputs", "0"], "argument --inputs: is 0, need at least 2"),
-        ("scene.detail", ["scene", "--fade", "9"], "argument --fade: is 9, need at most 8"),
+        ("scene.detail", [HERE, "--inputs", "0"], "argument --inputs: is 0, need at least 2"),
+        ("scene.detail", [HERE, "--fade", "9"], "argument --fade: is 9, need at most 8"),
         ("scene.formats", ["--fade", "-1"], "argument --fade: is -1, need at least 0"),
-        ("scene.leaving_out", ["scene", "--fade", "-1"], "argument --fade: is -1, need at least 0"),
+        ("scene.leaving_out", [HERE, "--fade", "-1"], "argument --fade: is -1, need at least 0"),
         ("splat.run", ["--repeats", "0"], "argument --repeats: is 0, need at least 1"),
         ("splat.run", ["--threads", "0"], "argument --threads: is 0, need at least 1"),
         ("viewer.compare", ["--size", "0"], "argument --size: is 0, need at least 1"),
@@ -170,7 +184,7 @@ def test_means_of_photographs_and_of_generated_scenes_are_apart(
     monkeypatch.setattr(detail, "row", row)
     monkeypatch.setattr(detail, "drawn", lambda *_: np.zeros(0))
     monkeypatch.setattr(detail, "default_weights", lambda: None)
-    monkeypatch.setattr("sys.argv", ["detail", "a", "b", "--generated", "2"])
+    monkeypatch.setattr("sys.argv", ["detail", HERE, __file__, "--generated", "2"])
     detail.main()
     means = [line for line in capsys.readouterr().out.splitlines() if "mean" in line]
     assert [line.split("|")[1:4] for line in means] == [

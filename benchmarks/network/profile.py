@@ -30,7 +30,7 @@ from gapmes.service.network.backends.onnxruntime_session import session_options
 from gapmes.service.network.contract import INPUTS
 from gapmes.service.network.model_file import model_file
 
-from ..options import at_least_one, view_count
+from ..options import at_least_one, there, view_count
 from .worker import matrix_product
 
 KERNEL = "_kernel_time"
@@ -154,7 +154,7 @@ def table(runs: list[list[Kernel]], groups: dict[str, str], peak: float) -> list
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.network.profile", description=__doc__.splitlines()[0])
-    parser.add_argument("models", nargs="+", type=Path, metavar="MODEL.onnx")
+    parser.add_argument("models", nargs="+", type=there, metavar="MODEL.onnx")
     parser.add_argument("--views", type=view_count, default=2)
     parser.add_argument("--rounds", type=at_least_one, default=5)
     parser.add_argument("--depth", type=at_least_one, default=2, help="parts of a module's path that are distinguished")

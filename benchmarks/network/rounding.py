@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import onnx
@@ -26,7 +25,7 @@ from gapmes.export.variant import Variant, load_variant
 from gapmes.model.architectures import config_from_json
 from gapmes.service.network.contract import INPUTS
 
-from ..options import view_count
+from ..options import model_files, view_count
 
 Outputs = dict[str, NDArray[np.generic]]
 
@@ -47,28 +46,32 @@ def session_outputs(session: onnxruntime.InferenceSession, names: Mapping[str, o
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.network.rounding", description=__doc__.splitlines()[0])
-    parser.add_argument("model", help="MODEL.onnx=CHECKPOINT")
+    parser.add_argument("model", type=model_files(), metavar="MODEL.onnx=CHECKPOINT")
     parser.add_argument("--cases", nargs="+", default=["random", "sample", "noise"])
     parser.add_argument("--views", nargs="+", type=view_count, default=[2, 3])
     options = parser.parse_args()
-    file, checkpoint = options.model.split("=")
+    file, checkpoint = options.model
     metadata = {p.key: p.value for p in onnx.load(file, load_external_data=False).metadata_props}
-    network = load_variant(Path(checkpoint), Variant.of(config_from_json(metadata["gapmes.config"]))).network
-    session = onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"])
+    network = load_variant(checkpoint, Variant.of(config_from_json(metadata["gapmes.config"]))).network
+    session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
     lines = [
         "| case | views | onnxruntime beside torch | torch beside float64 | onnxruntime beside float64 |",
         "|---" * 5 + "|",
     ]
     sys.stdout.write("\n".join(lines) + "\n")
+    missing = set(options.cases)
     for case in verification_cases(int(metadata["gapmes.height"]), int(metadata["gapmes.width"])):
         if case.gates != "as trained" or case.name not in options.cases or case.views not in options.views:
             continue
+        missing.discard(case.name)
         exact = evaluated(network, case.inputs, torch.float64)
         single = evaluated(network, case.inputs, torch.float32)
         given = session_outputs(session, single, case)
         cells = [worst(given, single, case), worst(single, exact, case), worst(given, exact, case)]
         sys.stdout.write(f"| {case.name} | {case.views} | {' | '.join(cells)} |\n")
         sys.stdout.flush()
+    if missing:
+        parser.error(f"no case is named {', '.join(sorted(missing))} and has such a number of views")
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from typing import IO
 
 from gapmes.service.process.terminal import ProgressBars
 
-from ..options import at_least_one, view_count
+from ..options import at_least_one, model_files, view_count
 from .intel import told_intel
 from .worker import RUNTIMES
 
@@ -133,16 +133,16 @@ def table(timed: Sequence[Timed]) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.network.run", description=__doc__.splitlines()[0])
-    parser.add_argument("models", nargs="+", metavar="MODEL.onnx=CHECKPOINT[=INT8.onnx]")
+    kind = model_files(least=1, most=3)
+    parser.add_argument("models", nargs="+", type=kind, metavar="MODEL.onnx[=CHECKPOINT[=INT8.onnx]]")
     parser.add_argument("--views", type=view_count, nargs="+", default=[2, 4])
     parser.add_argument("--runtimes", nargs="+", choices=RUNTIMES, default=RUNTIMES)
     parser.add_argument("--rounds", type=at_least_one, default=5)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         intel = told_intel(Path(folder))
-        for text in options.models:
-            model, checkpoint, int8 = (*map(Path, text.split("=")), None, None)[:3]
-            assert model is not None
+        for files in options.models:
+            model, checkpoint, int8 = (*files, None, None)[:3]
             for views in options.views:
                 sys.stdout.write(
                     f"### {model.stem}, {views} views\n\n| runtime | CPU s | ratio | of peak | peak MB |\n"

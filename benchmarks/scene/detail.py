@@ -29,7 +29,7 @@ from gapmes.service.mending.fade_passes import DEFAULT_PASSES
 from gapmes.service.photographs.images import FittedView
 from gapmes.service.reconstruct import Reconstructor, Scene
 
-from ..options import none_or_more, passes, view_count
+from ..options import none_or_more, passes, there, view_count
 
 Targets = Sequence[FittedView]
 Found = tuple[Case, Targets, Targets]
@@ -121,7 +121,7 @@ def _shown(found: Figures) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE_DIR")
+    parser.add_argument("scenes", nargs="*", type=there, metavar="SCENE_DIR")
     parser.add_argument("--generated", type=none_or_more, default=0)
     parser.add_argument("--inputs", type=view_count, default=2)
     parser.add_argument("--fade", type=passes, default=DEFAULT_PASSES)

@@ -29,7 +29,7 @@ from gapmes.service.shipped import sample_folder
 from gapmes.service.viewpoints.framing import within
 from gapmes.service.viewpoints.scene_views import SceneViews
 
-from ..options import passes
+from ..options import passes, there
 
 SIDE = 256  # px, the longest of a picture
 
@@ -76,7 +76,7 @@ def table(title: str, found: dict[str, Cost]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="*", type=Path, default=[sample_folder()], metavar="SCENE_DIR")
+    parser.add_argument("scenes", nargs="*", type=there, default=[sample_folder()], metavar="SCENE_DIR")
     parser.add_argument("--fade", type=passes, default=DEFAULT_PASSES)
     options = parser.parse_args()
     service = Reconstructor()

@@ -27,7 +27,7 @@ from gapmes.service.pictures.picture_error import psnr
 from gapmes.service.reconstruct import Reconstructor, Scene
 from gapmes.service.viewpoints.framing import frame
 
-from ..options import at_least_one, passes
+from ..options import at_least_one, passes, there
 
 SIDE = 256  # px of inputs and targets
 PICTURE = 512  # px of the picture that is timed
@@ -83,7 +83,7 @@ def row(service: Reconstructor, folder: Path, inputs: int, fade: int, rounds: in
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="+", type=Path, metavar="SCENE_DIR")
+    parser.add_argument("scenes", nargs="+", type=there, metavar="SCENE_DIR")
     parser.add_argument("--inputs", type=int, choices=(2, 3), action="append", help="repeat for both [default: 2]")
     parser.add_argument("--fade", type=passes, default=DEFAULT_PASSES)
     parser.add_argument("--rounds", type=at_least_one, default=5)

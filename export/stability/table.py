@@ -9,6 +9,8 @@ from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
+from gapmes.service.commands.output_file import check_output_file
+from gapmes.service.process.disk import replacing
 from gapmes.service.progress import Listener, Stages, silent
 
 from . import geometry, matching, routing, splatter
@@ -18,8 +20,12 @@ CASES = 26
 
 
 def stability_table(out: Path, listener: Listener = silent) -> list[Row]:
-    """Write `out`/stability.json and stability.md; returns the rows."""
+    """Write `out`/stability.json and stability.md; returns the rows. Raises `InputError` where that cannot be done,
+    before any case is computed."""
     out.mkdir(parents=True, exist_ok=True)
+    table, text = out / "stability.json", out / "stability.md"
+    for path in (table, text):
+        check_output_file(path)
     found: list[Row] = []
     with Stages(listener).stage("stability", CASES) as done:
         for row in all_rows():
@@ -29,8 +35,10 @@ def stability_table(out: Path, listener: Listener = silent) -> list[Row]:
         "passed": all(row.passed for row in found),
         "rows": [{**asdict(row), "passed": row.passed} for row in found],
     }
-    (out / "stability.json").write_text(json.dumps(_finite(body), indent=2, allow_nan=False) + "\n")
-    (out / "stability.md").write_text(markdown(found))
+    with replacing(table) as part:
+        part.write_text(json.dumps(_finite(body), indent=2, allow_nan=False) + "\n")
+    with replacing(text) as part:
+        part.write_text(markdown(found))
     return found
 
 

@@ -112,7 +112,7 @@ def cut_bound(gaussians: Gaussians, camera: Camera, exact: Definition, cut: Defi
     whole = render_reference(there, window, definition=exactly, faint=cut.alpha_min, beyond=cut.cut_radius)
     changed = np.abs(whole.rgb - render_reference(there, window, definition=coarsely).rgb)
     most = colour_range(there) * (float(whole.removed.max()) + 2 * exactly.stop)
-    return Bound(bound=most, actual=float(changed.max()))
+    return Bound.of([most], [float(changed.max())])
 
 
 def _middle(camera: Camera, side: int) -> Camera:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections import Counter
 from collections.abc import Sequence
@@ -10,6 +11,8 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, ScalarFormatter
+
+from gapmes.service.process.disk import replacing
 
 from .errors import EQUAL_DB
 from .knobs import BANDS
@@ -23,13 +26,22 @@ TITLES = {
 }
 COLOURS = ("#0b62a4", "#c2541b", "#2e7d4f", "#7a4fa3", "#8a6d1c", "#b3267a", "#4f6d7a")
 
+WRITTEN = ("report.json", "report.schema.json", "report.md", "pareto.png")
+
 
 def write(report: Report, out: Path) -> None:
-    """Write report.json, report.schema.json, report.md and pareto.png into `out`."""
-    (out / "report.json").write_text(report.model_dump_json(indent=1) + "\n")
-    (out / "report.schema.json").write_text(json.dumps(Report.model_json_schema(), indent=1) + "\n")
-    (out / "report.md").write_text(markdown(report))
-    pareto(report).savefig(out / "pareto.png")
+    """Write the files of `WRITTEN` into `out`."""
+    picture = io.BytesIO()
+    pareto(report).savefig(picture, format="png")
+    made = (
+        (report.model_dump_json(indent=1) + "\n").encode(),
+        (json.dumps(Report.model_json_schema(), indent=1) + "\n").encode(),
+        markdown(report).encode(),
+        picture.getvalue(),
+    )
+    for name, data in zip(WRITTEN, made, strict=True):
+        with replacing(out / name) as part:
+            part.write_bytes(data)
 
 
 def markdown(report: Report) -> str:
@@ -65,7 +77,11 @@ def _table(rows: Sequence[Row]) -> list[str]:
         cells += (
             [""] * 3 if setting is None else [f"{setting.p99:.1e}", f"{setting.largest:.1e}", f"{setting.psnr:.1f}"]
         )
-        cells += ["", ""] if bound is None else [f"{bound.bound:.1e}", f"{bound.actual:.1e}"]
+        cells += (
+            ["", ""]
+            if bound is None
+            else [f"{bound.bound:.1e}", f"{bound.actual:.1e}{'' if bound.held else ' **beyond**'}"]
+        )
         if model is None:
             cells += [""] * 3
         else:

@@ -12,6 +12,7 @@ import numpy as np
 
 from gapmes.model.training.lpips import Lpips
 from gapmes.service.cameras.camera import Camera
+from gapmes.service.commands.output_file import check_output_file
 from gapmes.service.errors import InputError
 from gapmes.service.formats.ply import ply_bytes
 from gapmes.service.gaussians import Gaussians
@@ -29,7 +30,7 @@ from .child import Timed, timed
 from .errors import cut_bound, drawn, model_error, network_rounding, setting_error, splatter_rounding
 from .files import ModelFile
 from .machine import this_machine
-from .page import write
+from .page import WRITTEN, write
 from .scenes import Scene, load_scene
 from .schema import Bound, Report, Row, SettingError, Timing
 
@@ -50,8 +51,9 @@ def report(
     """Measure on the scenes in `folders` and write report.json, its schema, report.md and pareto.png into `out`.
 
     Times are those of the first scene. `quick` leaves out the exports that take minutes, and all scenes but the first.
-    Raises `InputError` for a folder that is no scene or suggests views that are not there, and for one that is given
-    twice and would count so in the means; `ChildFailed` where a process that exports or measures does.
+    Raises `InputError` for a folder that is no scene or suggests views that are not there, for one that is given twice
+    and would count so in the means, and for files that cannot be written; `ChildFailed` where a process that exports or
+    measures does.
     """
     started, stages = time.perf_counter(), Stages(listener)
     if (twice := given_twice(folders)) is not None:
@@ -59,11 +61,14 @@ def report(
     named = list(zip(folders, shortest_names(folders), strict=True))
     scenes = [load_scene(*scene) for scene in (named[:1] if quick else named)]
     out.mkdir(parents=True, exist_ok=True)
+    for name in WRITTEN:
+        check_output_file(out / name)
     weights = None if lpips is None else Lpips.load(lpips)
     with stages.stage("export files"):
         models = files.quick_files(out) if quick else files.all_files(out)
-    warm_up()
-    measure = _Measure(scenes, weights, threads)
+    with stages.stage("baseline"):
+        warm_up()
+        measure = _Measure(scenes, weights, threads)
     rows: list[Row] = []
     with stages.stage("network", len(models) + 1 + len(knobs.FADE_PASSES)) as done:
         for model in models:
@@ -116,7 +121,7 @@ class _Measure:
         return found
 
     def network(self, file: ModelFile) -> Row:
-        """A model file: time of a reconstruction, rounding, change against the default file, quality."""
+        """A model file: time of a reconstruction, rounding (not of int8), change against the default file, quality."""
         plain = (file.knob, file.value) == ("precision", "fp32")
         run = self.whole if plain else timed(file.path, self.given, KEEP_ALL, REPEATS, self.threads)
         pictures = self.exact if plain else self._pictures(run.gaussians)
@@ -124,7 +129,7 @@ class _Measure:
         return _row(
             "network", file.knob, file.value, file.how, plain, _timing(run), run.peak_mb,
             megabytes=file.path.stat().st_size / 1e6,
-            rounding=network_rounding(file, self.threads) if same else None,
+            rounding=network_rounding(file, self.threads) if same and file.value != "int8" else None,
             setting=setting_error(pictures, self.exact) if same else None,
             model=model_error(pictures, self.truth, self.lpips),
         )  # fmt: skip
@@ -155,25 +160,28 @@ class _Measure:
         run = timed(None, self.given, setting.budget, REPEATS, self.threads)
         pictures = self._pictures(run.gaussians)
         pruned = [document["pruning"] for document in run.documents]
-        bounds = [entry["bound"] for entry in pruned]
-        worst = int(np.argmax(bounds))
         seconds = self._picture_seconds(lambda: draw(run.gaussians[0], self.camera, near=self.near(0)))
         stages = {"picture": seconds, "leaving out": float(run.stages["leave out"])}
-        bounded = setting.budget.stride == 1 and pruned[worst]["certified"] is not None
+        bound = None
+        if setting.budget.stride == 1 and all(entry["certified"] is not None for entry in pruned):
+            bound = Bound.of([entry["bound"] for entry in pruned], self._actual(run))
         return _row(
             "scene", setting.knob, setting.value, f"gapmes reconstruct {setting.how}", setting.default,
             Timing(seconds=seconds, stages=stages, repeats=PICTURE_REPEATS),
             megabytes=statistics.mean(len(ply_bytes(gaussians)) for gaussians in run.gaussians) / 1e6,
             setting=setting_error(pictures, self.exact),
             model=model_error(pictures, self.truth, self.lpips),
-            bound=Bound(bound=bounds[worst], actual=self._actual(run, worst)) if bounded else None,
+            bound=bound,
         )  # fmt: skip
 
-    def _actual(self, run: Timed, index: int) -> float:
-        """The largest change in the pictures of the inputs, which are certified, of one scene."""
-        views = [Camera(**_lens(entry)) for entry in run.documents[index]["view_cameras"]]
-        pair = [drawn(sets.gaussians[index], views, self.near(index)) for sets in (run, self.whole)]
-        return setting_error(*pair).largest
+    def _actual(self, run: Timed) -> list[float]:
+        """The largest change in the pictures of the inputs, which are certified, of each scene."""
+        found = []
+        for index, document in enumerate(run.documents):
+            views = [Camera(**_lens(entry)) for entry in document["view_cameras"]]
+            pair = [drawn(sets.gaussians[index], views, self.near(index)) for sets in (run, self.whole)]
+            found.append(setting_error(*pair).largest)
+        return found
 
     def picture(self, setting: knobs.PictureSetting) -> Row:
         """A picture of the first scene at twice the network's size, against the most exact value of its knob."""
@@ -186,13 +194,13 @@ class _Measure:
         ]
         error = setting_error(shots[:1], shots[1:])
         if setting.knob == knobs.BANDS:
-            bound = Bound(bound=_bands_bound(gaussians, setting.effort.sh_degree or 0), actual=error.largest)
+            bound = Bound.of([_bands_bound(gaussians, setting.effort.sh_degree or 0)], [error.largest])
         if setting.knob in ("alpha cut", "cut radius"):
             efforts = (knobs.EXACT[setting.knob], setting.effort)
             exact, cut = (replace(effort.definition(), near=self.near(0)) for effort in efforts)
             bound = cut_bound(gaussians, self.camera, exact, cut)
         if setting.knob == "early stop":
-            bound = Bound(bound=setting.effort.stop * colour_range(gaussians), actual=error.largest)
+            bound = Bound.of([setting.effort.stop * colour_range(gaussians)], [error.largest])
         seconds = self._picture_seconds(lambda: draw(gaussians, self.camera, "rgb", setting.effort, near=self.near(0)))
         return _row(
             "picture", setting.knob, setting.value, f"gapmes render {setting.how}".strip(), setting.default,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
+
+ROUNDS = 1e-6  # of a colour: pictures are float32
 
 
 class _Strict(BaseModel):
@@ -39,11 +42,18 @@ class ModelError(_Strict):
 
 
 class Bound(_Strict):
-    """Proved (scenes: for the certified views; alpha cut and cut radius: for the middle of the picture), beside the
-    largest change found (scenes: in the inputs; both cuts: in the same pixels)."""
+    """Proved (scenes: for the certified views, the largest of all scenes; alpha cut and cut radius: for the middle of
+    the picture), beside the largest change found (scenes: in the inputs of all; both cuts: in the same pixels)."""
 
     bound: float
     actual: float
+    held: bool = Field(description="no change found, of any scene, is beyond its own bound")
+
+    @classmethod
+    def of(cls, bounds: Sequence[float], actual: Sequence[float]) -> Bound:
+        """Of one or more scenes: bound and change found of each."""
+        held = all(found <= most + ROUNDS for most, found in zip(bounds, actual, strict=True))
+        return cls(bound=max(bounds), actual=max(actual), held=held)
 
 
 class Timing(_Strict):
@@ -65,7 +75,7 @@ class Row(_Strict):
     timing: Timing
     peak_mb: float | None = Field(description="of the whole process, resident")
     megabytes: float | None = Field(description="of the model file, or of the .ply")
-    rounding: Rounding | None
+    rounding: Rounding | None = Field(description="null for int8, whose change holds it too")
     setting: SettingError | None
     model: ModelError | None
     bound: Bound | None

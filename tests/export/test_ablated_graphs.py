@@ -13,7 +13,7 @@ from gapmes.export.cases import Case
 from gapmes.export.graph import SceneGraph
 from gapmes.export.samples import random_scene
 from gapmes.export.tolerance import TOLERANCES
-from gapmes.export.verify import verify
+from gapmes.export.verification import verify
 from gapmes.model.config import ModelConfig, preset
 from gapmes.model.depth import DepthEstimate
 from gapmes.model.network import GaPMeS

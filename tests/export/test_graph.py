@@ -17,7 +17,7 @@ from gapmes.export.graph import evaluated
 from gapmes.export.metadata import MAX_VIEWS, MIN_VIEWS, OPSET
 from gapmes.export.samples import FLAT, UNDETERMINED, hostile_scenes, random_scene
 from gapmes.export.tolerance import TOLERANCES
-from gapmes.export.verify import verify
+from gapmes.export.verification import verify
 from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.weights_file import file_sha256

@@ -20,7 +20,7 @@ from gapmes.export.model_file import data_files, remove_model, write_model
 from gapmes.export.quantise import quantised
 from gapmes.export.samples import hostile_scenes, lenses_scene, random_scene
 from gapmes.export.tolerance import TOLERANCES
-from gapmes.export.verify import verify
+from gapmes.export.verification import verify
 from gapmes.model.architectures import Network, config_from_json
 from gapmes.model.depthsplat.config import Compatibility
 from gapmes.model.depthsplat.network import DepthSplat

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 from gapmes.export.cli import app
 from gapmes.export.tradeoff import files, run
 from gapmes.export.tradeoff.child import ChildFailed, _in_child
+from gapmes.export.tradeoff.page import WRITTEN
 
 
 @pytest.mark.parametrize("options", [["--report"], ["--stability"], ["--report", "--stability"]])
@@ -38,9 +40,30 @@ def test_what_fails_in_the_work_is_one_line(error: Exception, tmp_path: Path, mo
         raise error
 
     monkeypatch.setattr(run, "report", fails)
-    result = CliRunner().invoke(app, ["--report", str(tmp_path / "out"), "--quiet"])
+    words = ["--report", str(tmp_path / "out"), "--quiet"]
+    result = CliRunner().invoke(app, words)
     assert result.exit_code == 1
     assert result.output == f"refused: {error}\n"
+    told = CliRunner().invoke(app, [*words, "--json"])
+    assert (told.exit_code, json.loads(told.stdout)) == (1, {"error": {"detail": str(error)}})
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "work"),
+    [
+        *(("--report", name, "gapmes.export.tradeoff.files.quick_files") for name in WRITTEN),
+        *(("--stability", f"stability.{end}", "gapmes.export.stability.table.all_rows") for end in ("json", "md")),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_refused_before_any_work(
+    option: str, name: str, work: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(work, None)
+    (tmp_path / name).mkdir()
+    result = CliRunner().invoke(app, [option, str(tmp_path), "--quiet"])
+    assert result.exit_code == 1
+    assert result.output == f"refused: output: {tmp_path / name} is a folder, need a file (name a file in it)\n"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 @pytest.mark.parametrize("allocate", [torch.empty, np.empty, lambda _: reserve()])

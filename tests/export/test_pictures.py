@@ -14,7 +14,7 @@ from gapmes.export.compare import JUMP, jumped_rows
 from gapmes.export.pictures import PictureAgreement, picture_agreement
 from gapmes.export.samples import random_scene
 from gapmes.export.tolerance import TOLERANCES, Precision
-from gapmes.export.verify import picture_failures
+from gapmes.export.verification import picture_failures
 from gapmes.service.network.contract import GAUSSIAN_OUTPUTS
 from gapmes.service.pictures.picture_error import EQUAL_DB
 

@@ -11,7 +11,7 @@ from spoiled import spoil_lens, spoil_views
 
 from gapmes.export.cases import verification_cases
 from gapmes.export.tolerance import TOLERANCES
-from gapmes.export.verify import verify
+from gapmes.export.verification import verify
 from gapmes.model.network import GaPMeS
 
 FX, CX, FY, CY, ONE = 0, 2, 4, 5, 8  # of a flattened intrinsic matrix

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import onnx
@@ -12,14 +14,14 @@ from numpy.typing import NDArray
 from spoiled import spoil, spoil_ties
 
 from gapmes.export import deviations as judging
-from gapmes.export import verify as verifying
+from gapmes.export import verification as verifying
 from gapmes.export.cases import Case, sample_scene
 from gapmes.export.gate_settings import GateSetting, gate_values, with_gates
 from gapmes.export.graph import evaluated
 from gapmes.export.report import CaseResult
 from gapmes.export.samples import random_scene
 from gapmes.export.tolerance import CEILINGS, TOLERANCES, UNDETERMINED_CEILINGS, Tolerance
-from gapmes.export.verify import verify
+from gapmes.export.verification import verify
 from gapmes.model.network import GaPMeS
 
 FP32 = TOLERANCES["fp32"]
@@ -66,6 +68,31 @@ def test_what_is_not_finite_fails_and_is_not_drawn(model: onnx.ModelProto, netwo
     assert "opacities: not finite" in result.failures
     assert result.picture is None
     assert result.beside_float64 == {}
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda value: value.astype(np.float64), "depth: is float64 (2, 64, 64), need float32 (2, 64, 64)"),
+        (lambda value: value[..., None], "depth: is float32 (2, 64, 64, 1), need float32 (2, 64, 64)"),
+    ],
+)
+def test_other_types_and_shapes_fail(
+    change: Callable[[NDArray], NDArray],
+    told: str,
+    model: onnx.ModelProto,
+    network: GaPMeS,
+    sample: Case,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    real = verifying._of_file
+
+    def spoiled(*given: Any) -> Any:
+        found = real(*given)
+        return found | {"depth": change(found["depth"])}
+
+    monkeypatch.setattr(verifying, "_of_file", spoiled)
+    assert verified(model, network, sample, FP32).failures == [told]
 
 
 @pytest.mark.parametrize(

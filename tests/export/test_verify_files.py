@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import onnx
 import pytest
 
-from gapmes.export.metadata import add_metadata
+from gapmes.export import verify as verify_module
+from gapmes.export.metadata import OPSET, add_metadata
 from gapmes.export.verify import main
 from gapmes.model.checkpoint import shipped_checkpoint
 from gapmes.service.shipped import shipped_model
@@ -52,3 +54,44 @@ def test_metadata_that_say_nothing_are_named(
     add_metadata(model, {key: value})
     onnx.save(model, tmp_path / "odd.onnx")
     assert said in refused(tmp_path / "odd.onnx", shipped_checkpoint("tiny"), capsys)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("depth_planes", 8), ("preset", "base"), ("backing", False), ("sh_degree", 3)]
+)
+def test_a_configuration_that_is_not_the_checkpoint_s_is_named(
+    name: str, value: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The service takes it at its word, for example for the step of the depths."""
+    model = onnx.load(shipped_model())
+    config = json.loads(next(entry.value for entry in model.metadata_props if entry.key == "gapmes.config"))
+    assert config[name] != value
+    add_metadata(model, {"config": json.dumps({**config, name: value})})
+    onnx.save(model, tmp_path / "odd.onnx")
+    told = refused(tmp_path / "odd.onnx", shipped_checkpoint("tiny"), capsys)
+    assert f"gapmes.config has {name} {value!r}, {shipped_checkpoint('tiny')} has {config[name]!r}" in told
+
+
+def test_another_opset_than_the_graph_s_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = onnx.load(shipped_model())
+    add_metadata(model, {"opset": "99"})
+    onnx.save(model, tmp_path / "odd.onnx")
+    told = refused(tmp_path / "odd.onnx", shipped_checkpoint("tiny"), capsys)
+    assert f"gapmes.opset is 99, the graph has [{OPSET}]" in told
+
+
+def test_a_graph_that_onnxruntime_cannot_load_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = onnx.load(shipped_model())
+    model.graph.node[0].domain = "nowhere"
+    onnx.save(model, tmp_path / "odd.onnx")
+    told = refused(tmp_path / "odd.onnx", shipped_checkpoint("tiny"), capsys)
+    assert "onnxruntime cannot load the graph: " in told
+
+
+def test_where_no_report_can_be_written_nothing_is_computed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verify_module, "verify", None)
+    options = ["--checkpoint", str(shipped_checkpoint("tiny")), "--report", str(tmp_path / "none" / "report.json")]
+    assert main([str(shipped_model()), *options]) == 1
+    assert capsys.readouterr().err == f"refused: output: {tmp_path / 'none'} is not a folder (make it first)\n"

@@ -60,22 +60,30 @@ def _register_arena() -> None:
         ort.create_and_register_allocator(where, ort.OrtArenaCfg(sizes))
 
 
+def run_failures() -> tuple[type[Exception], ...]:
+    """What onnxruntime raises where it fails on a graph's inputs."""
+    from onnxruntime.capi import onnxruntime_pybind11_state as native
+
+    return native.Fail, native.RuntimeException, native.InvalidArgument, native.EPFail
+
+
+def load_failures() -> tuple[type[Exception], ...]:
+    """What onnxruntime raises for a graph that it cannot load."""
+    from onnxruntime.capi import onnxruntime_pybind11_state as native
+
+    return (*run_failures(), native.InvalidProtobuf, native.InvalidGraph, native.NotImplemented, native.NoModel)
+
+
 class OnnxRuntimeSession:
     """A session of onnxruntime on the CPU, see `Session`."""
 
     def __init__(self, file: ModelFile, threads: int, prepare: Path | None) -> None:
         """Load `file`; with the folder `prepare` as it is optimised there, weights mapped. Raises `ModelError`."""
         import onnxruntime as ort
-        from onnxruntime.capi import onnxruntime_pybind11_state as native
 
         ort.disable_telemetry_events()
-        self.failures: tuple[type[Exception], ...] = (
-            native.Fail,
-            native.RuntimeException,
-            native.InvalidArgument,
-            native.EPFail,
-        )
-        damaged = (*self.failures, native.InvalidProtobuf, native.InvalidGraph, native.NotImplemented, native.NoModel)
+        self.failures = run_failures()
+        damaged = load_failures()
         session: Any = None
         sha256 = file.info.file_sha256
         make_options = partial(session_options, threads)

@@ -105,3 +105,10 @@ def test_an_export_that_fails_is_named_and_ends_the_one_beside_it(
     with pytest.raises(ChildFailed, match=r"the export of .*top1\.onnx ended with status 7, need 0"):
         files.all_files(tmp_path)
     assert [process.returncode < 0 for process in started] == [False, True]
+
+
+def test_quantised_weights_do_not_carry_what_float32_was_measured_to_be(made: list[Path], tmp_path: Path) -> None:
+    write_standin(tmp_path / "shipped.onnx", METADATA | {"tolerance": '{"means": 1e-4}'})
+    told = files.quick_files(tmp_path)[1].path
+    found = {entry.key: entry.value for entry in onnx.load(told).metadata_props}
+    assert (found["gapmes.precision"], found["gapmes.tolerance"]) == ("int8", "{}")

@@ -100,6 +100,7 @@ def test_the_four_errors_stand_apart(quick: tuple[Report, Path]) -> None:
     for row in report.rows:
         assert row.timing.seconds > 0
         if row.bound is not None:
+            assert row.bound.held
             assert row.bound.actual <= row.bound.bound + 1e-6
         bounded = row.knob in ("alpha cut", "early stop", "cut radius") or "harmonics" in row.knob
         assert row.group != "picture" or (row.bound is not None) == bounded
