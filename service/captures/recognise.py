@@ -31,7 +31,7 @@ from .table import CameraTable
 JSON_NAMES = ("cameras.json", "transforms.json", "transforms_train.json")
 COLMAP_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "")  # before other folders with a model
 LLFF_NAME = "poses_bounds.npy"
-_BEFORE_JSON = b"\xef\xbb\xbf \t\r\n"  # a byte order mark, and blanks
+BEFORE_JSON = b"\xef\xbb\xbf \t\r\n"  # a byte order mark, and blanks
 MAX_CAMERA_BYTES = 64 * 2**20  # of a camera file that is read whole
 
 KNOWN = f"{', '.join(JSON_NAMES)}, a COLMAP model (sparse/0), {LLFF_NAME} or a RealEstate10K .txt"
@@ -108,7 +108,7 @@ def table_of_bytes(data: bytes, source: str, parse: Parse = parsed) -> CameraTab
         raise CameraError(f"{source} {error}", field="cameras", cure=CURE) from error
     except (ValueError, RecursionError) as error:
         message, cure = f"{source} is not readable JSON: {error}", "is it the camera file, and complete?"
-        if data.lstrip(_BEFORE_JSON)[:1] not in b"{[":  # a photograph or a .ply, say
+        if data.lstrip(BEFORE_JSON)[:1] not in b"{[":  # a photograph or a .ply, say
             message = f"{source} is no camera file, it begins with {data[:8]!r}"
             cure = f"give a folder, a .zip, or one of {KNOWN}"
         raise CameraError(message, field="cameras", cure=cure) from error
@@ -152,7 +152,7 @@ def _colmap(files: Files, models: Sequence[str], first: str) -> CameraTable:
 def _is_list(files: Files, path: str) -> bool:
     """Whether a JSON file is a list, the cameras.json of 3DGS training, which has the lowest priority."""
     with files.open(path) as stream:
-        return stream.read(64).lstrip(_BEFORE_JSON)[:1] == b"["
+        return stream.read(64).lstrip(BEFORE_JSON)[:1] == b"["
 
 
 def _is_realestate10k(files: Files, path: str) -> bool:

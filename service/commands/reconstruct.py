@@ -81,6 +81,7 @@ def reconstruct(
     from ..process.disk import named, replace_file
     from ..progress import Stages
     from ..reconstruct import Reconstructor
+    from .kept_scene import kept_if_refused
     from .output_file import check_output_file
 
     target = format_of_path(output, field="output")
@@ -106,7 +107,8 @@ def reconstruct(
             if target.extension == "ply":
                 encoded = Encoded(ply_bytes(scene.gaussians, positions=scene.positions))
             else:
-                encoded = target.write(scene.gaussians)
+                with kept_if_refused(output, scene):
+                    encoded = target.write(scene.gaussians)
             replace_file(output, encoded.data)
     bars.say(f"{len(scene.gaussians)} Gaussians in {output}")
     bars.say(selection_line(scene.document["selection"]))

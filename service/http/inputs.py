@@ -13,7 +13,7 @@ from ..cameras.view_checks import check_count
 from ..captures.archive import SIGNATURES, ZipFiles
 from ..captures.capture import Capture
 from ..captures.choose import chosen_views
-from ..captures.recognise import recognised, table_of_bytes
+from ..captures.recognise import BEFORE_JSON, recognised, table_of_bytes
 from ..captures.select import ViewSelection, several_named_views
 from ..captures.table import CameraTable
 from ..captures.usable import usable_views
@@ -23,6 +23,7 @@ from .limits import parse_json
 from .pairing import NamedImage, Pairing, PostedSizes, match_names
 
 MAX_LISTED_VIEWS = 2_000  # in a camera file; more would take seconds to match by name
+CAMERA_FILES = "send cameras.json, transforms.json, poses_bounds.npy, a RealEstate10K .txt or a zipped COLMAP model"
 ZIPPED = 4  # times `max_camera_bytes`, for a camera file in a zip, which may list a whole capture
 UNPACKED = 8  # times `max_upload_bytes`, for all unpacked files: COLMAP models shrink to about a third
 
@@ -112,11 +113,21 @@ def captured(
 
 
 @_cured()
+def _json(document: str | bytes, data: bytes) -> Any:
+    """The document as JSON. Raises `MalformedRequest`, which names all formats for what was not meant to be JSON."""
+    try:
+        return parse_json(document, "cameras")
+    except MalformedRequest as error:
+        if data.lstrip(BEFORE_JSON)[:1] not in b"{[":
+            error.cure = CAMERA_FILES  # one file of a COLMAP model, say
+        raise
+
+
 def camera_table(document: str | bytes, settings: Settings) -> CameraTable:
     """The cameras of a `cameras` part of any format, including a zip of a COLMAP model."""
     data = document.encode("utf-8", "replace") if isinstance(document, str) else document
     if not data.startswith(SIGNATURES):
-        return table_of_bytes(data, "cameras", lambda _: parse_json(document, "cameras"))
+        return table_of_bytes(data, "cameras", lambda _: _json(document, data))
     try:
         files = ZipFiles(io.BytesIO(data), max_bytes=UNPACKED * settings.max_upload_bytes)
         return recognised(files, ZIPPED * settings.max_camera_bytes)[1]

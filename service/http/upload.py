@@ -31,7 +31,7 @@ from ..plain_number import counted
 from ..settings import Settings
 from ..viewpoints.scene_views import SceneViews
 from .fields import flag, number, whole
-from .inputs import Inputs, captured, posted
+from .inputs import CAMERA_FILES, Inputs, captured, posted
 from .pairing import NamedImage, Pairing
 from .posted import MAX_IMAGES, MAX_PARTS, no_file, posted_form, size_of
 from .posted import single as _single
@@ -217,7 +217,7 @@ async def _cameras(form: FormData, max_bytes: int) -> str | bytes:
         raise InputError(
             "is missing",
             field="cameras",
-            cure="send cameras.json, transforms.json, poses_bounds.npy, a RealEstate10K .txt or a zipped COLMAP model",
+            cure=CAMERA_FILES,
         )
     if isinstance(part, UploadFile) and await part.read(4) in SIGNATURES:
         max_bytes = size_of(part)  # its members are bounded when they are read

@@ -21,6 +21,7 @@ from .borders import Bars, bars_notice, without_bars
 from .images import EncodedPhoto, FittedView, PackedView, Photo, check_aspect, fit_view, match_photo
 from .masks import check_kept
 from .undistort import match_lens, undistorted, undistorted_size
+from .upright import ON_ITS_SIDE
 from .whole import Shape
 
 Bytes = bytes | bytearray | memoryview  # of a file
@@ -174,6 +175,8 @@ def _notices(photo: Photo, camera: Camera, lens: Lens | None, index: int) -> lis
     if photo.orientation != 1:  # 1 also where it was turned
         size = f"{camera.width} x {camera.height}" if lens is None else f"{lens.width} x {lens.height}"
         message = f"EXIF orientation {photo.orientation} is not applied: the camera has the stored size {size}"
+        if photo.orientation in ON_ITS_SIDE:
+            message += "; pictures and films of the scene lie on their side as it does"
         notices.append({"code": "exif_orientation_ignored", "field": "images", "index": index, "message": message})
     return notices if lens is None else [*notices, _lens_notice(photo, lens, index)]
 

@@ -143,6 +143,25 @@ def test_malformed_json(client: TestClient, text: str) -> None:
     assert_problem(post(client, cameras=text), 400, "malformed_request", "cameras")
 
 
+@pytest.mark.parametrize(
+    "part",
+    [
+        b"# Image list with two lines of data per image:\n1 1 0 0 0 0 0 0 1 a.jpg\n",
+        b"# Camera list\n1 PINHOLE 64 48 60 60 32 24\n",
+        b"\x02\0\0\0\0\0\0\0\x81\xff",
+    ],
+    ids=["images.txt", "cameras.txt", "images.bin"],
+)
+def test_one_file_of_a_colmap_model_is_told_what_is_taken(client: TestClient, part: bytes) -> None:
+    files = [("images", ("0.png", photograph(0))), ("images", ("1.png", photograph(1)))]
+    for path in ("/reconstruct", "/check"):
+        answer = client.post(path, files=[*files, ("cameras", ("images.txt", part))])
+        cure = assert_problem(answer, 400, "malformed_request", "cameras", cured=True)["cure"]
+        assert "a zipped COLMAP model" in cure
+    broken = client.post("/check", files=[*files, ("cameras", ("cameras.json", b'{"views": ['))])
+    assert "has an example" in assert_problem(broken, 400, "malformed_request", "cameras", cured=True)["cure"]
+
+
 @pytest.mark.parametrize("cameras", [[], 3, "null", {}, {"views": {}}, {"views": []}, {"views": [1, 2]}])
 def test_json_that_is_no_camera_file(client: TestClient, cameras: Any) -> None:
     assert_problem(post(client, cameras=json.dumps(cameras)), 422, "camera_invalid")

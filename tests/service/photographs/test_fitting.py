@@ -115,6 +115,7 @@ def test_what_exif_says_is_told_whether_the_lens_bends_or_not(engine, bent, orie
     assert {notice["index"] for notice in notices} <= {1}
     if told:
         assert "the stored size 640 x 480" in notices[0]["message"]
+        assert ("lie on their side" in notices[0]["message"]) == (orientation == 6)
 
 
 @pytest.mark.parametrize("bent", [False, True])
