@@ -5,12 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from ..cameras.camera_fields import CameraFile
+from ..cameras.depth_range import depth_range
 from ..captures.capture import Capture
 from ..errors import ImageError, IntrinsicsError, PoseError
+from ..viewpoints.scene_views import SceneViews
+from .input_file import capture_of_option
 
 _UNUSABLE = (IntrinsicsError, PoseError, ImageError)  # the last where a photograph is to tell a camera's size
+
+
+def views_of_file(path: Path, specs: Sequence[str] | None) -> tuple[SceneViews, list[str]]:
+    """The views of the option `--cameras`, as `asked_cameras`, and notes of the file. Raises as `capture_of_option` and
+    `asked_cameras`, and for an invalid depth range in it, or one end alone."""
+    capture = capture_of_option(path, "cameras")
+    file, notes = asked_cameras(capture, specs)
+    if file.near is not None or file.far is not None:
+        depth_range(file.cameras, file.near, file.far)
+    told = [notice["message"] for notice in capture.table.warnings]
+    return SceneViews(file.cameras, file.near, file.far), [*told, *notes]
 
 
 def asked_cameras(capture: Capture, specs: Sequence[str] | None) -> tuple[CameraFile, list[str]]:

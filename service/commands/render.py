@@ -25,16 +25,23 @@ from .selection import view_specs
 
 if TYPE_CHECKING:
     from ..cameras.camera import Camera
+    from ..formats.reading import Reading
     from ..gaussians import Gaussians
 
 
 def render(
     ply: Annotated[Path, typer.Argument(metavar="SCENE", readable=False, help=".ply, .compressed.ply, .splat or .spz")],
-    cameras: Annotated[Path, typer.Option(readable=False, help="a camera file, or the folder or .zip of a capture")],
     output: Annotated[
         Path,
         output_option("folder for pictures, created if missing, or the file of a film or sheet", "-o", "--output"),
     ],
+    cameras: Annotated[
+        Path | None,
+        typer.Option(
+            readable=False,
+            help="a camera file, or the folder or .zip of a capture [default: one camera in front of the scene]",
+        ),
+    ] = None,
     views: Annotated[str | None, typer.Option(help="such as 5,6,7, or 5.5 between two [default: all]")] = None,
     size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in px; views are cropped to this aspect ratio")] = None,
     crop: Annotated[Literal["none", "square"], typer.Option(help="square: the centred square of each view")] = "none",
@@ -77,17 +84,18 @@ def render(
     """Render views of a scene as PNG files such as view_5.png, or a film where OUTPUT ends in .mp4, .webp or .gif.
 
     Where the camera file lacks near and far, the depths of the Gaussians that its cameras see stand in for them.
+    Without a camera file one camera looks along z at most of the scene.
     """
-    from ..cameras.depth_range import depth_range
     from ..formats.dialect import Dialect
     from ..formats.registry import inspect_gaussians
     from ..pictures.picture import check_format, parse_background
     from ..progress import Stages
+    from ..viewpoints.default_framing import default_views
     from ..viewpoints.framing import frame, parse_size, square
     from ..viewpoints.scene_views import SceneViews
     from ..viewpoints.seen_depths import seen_depths
-    from .asked_cameras import asked_cameras
-    from .input_file import capture_of_option, check_input_file
+    from .asked_cameras import views_of_file
+    from .input_file import check_input_file
     from .output_file import check_output_file
     from .outputs import (
         Drawing,
@@ -104,43 +112,45 @@ def render(
     sides = None if size is None else parse_size(size)
     moving: dict[str, Any] = {"path": path, "seconds": seconds, "fps": fps, "swing": swing}
     plan = FilmPlan.asked(output, channel, sheet, sides is not None, **moving)
-    capture = capture_of_option(cameras, "cameras")
-    again = path == "inputs"  # such a path may pass a view several times; pictures of it would be equal
-    asked = None if views is None else view_specs(views, repeated=again)
-    file, notes = asked_cameras(capture, asked if plan is None else None)  # a film is about all
-    specs = [str(index) for index in range(len(file.views))] if asked is None else asked
-    in_file = file.near is not None or file.far is not None
-    if in_file:
-        depth_range(file.cameras, file.near, file.far)  # refuses an invalid range, and one end alone
-    scene = SceneViews(file.cameras, file.near, file.far)
-
-    def fit(camera: Camera) -> Camera:
-        cropped = square(camera) if crop == "square" else camera
-        return cropped if sides is None else frame(cropped, *sides)
-
-    passed_over = [*(notice["message"] for notice in capture.table.warnings), *notes]
-    shots = [fit(scene.resolve(spec, field="views")) for spec in specs]
-    for shot in shots:  # checked before the Gaussians are read
-        check_format(shot.width, shot.height, channel, "png", depth_scale)
-    if plan is not None:
-        plan.among(scene, specs)
-        passed_over += plan.notes(plan.shape(plan.fit(shots[0])))
-    if sheet:
-        check_sheet(output, channel, shots)
-    if plan is not None or sheet:
-        check_output_file(output, as_json=as_json)
-    else:
-        check_folder(output)
+    asked = None if views is None else view_specs(views, repeated=path == "inputs")  # which may pass a view twice
     options = {"background": parse_background(background), "threads": threads}
-    check_input_file(ply, "SCENE", source_format)
+    dialect = Dialect(opacity, scales, rotation, axes)
     with ProgressBars(quiet=quiet) as bars:
         stages = Stages(bars)
-        with stages.stage("read"):
-            dialect = Dialect(opacity, scales, rotation, axes)
-            reading, _ = inspect_gaussians(ply, format=source_format, dialect=dialect, drop_invalid=drop_invalid)
-            gaussians = reading.gaussians
-        if not in_file:
-            scene = SceneViews(file.cameras, *(seen_depths(gaussians, file.cameras) or (None, None)))
+
+        def read() -> Reading:
+            if sheet or plan is not None:
+                check_output_file(output, as_json=as_json)
+            else:
+                check_folder(output)
+            check_input_file(ply, "SCENE", source_format)
+            with stages.stage("read"):
+                return inspect_gaussians(ply, format=source_format, dialect=dialect, drop_invalid=drop_invalid)[0]
+
+        reading, passed_over = None, list[str]()
+        if cameras is None:
+            reading = read()
+            scene = default_views(reading.gaussians)
+        else:
+            scene, passed_over = views_of_file(cameras, asked if plan is None else None)  # a film is about all
+        specs = [str(index) for index in range(len(scene.cameras))] if asked is None else asked
+
+        def fit(camera: Camera) -> Camera:
+            cropped = square(camera) if crop == "square" else camera
+            return cropped if sides is None else frame(cropped, *sides)
+
+        shots = [fit(scene.resolve(spec, field="views")) for spec in specs]
+        for shot in shots:  # checked before the Gaussians are read
+            check_format(shot.width, shot.height, channel, "png", depth_scale)
+        if plan is not None:
+            plan.among(scene, specs)
+            passed_over += plan.notes(plan.shape(plan.fit(shots[0])))
+        if sheet:
+            check_sheet(output, channel, shots)
+        reading = reading or read()
+        gaussians = reading.gaussians
+        if scene.near is None:
+            scene = SceneViews(scene.cameras, *(seen_depths(gaussians, scene.cameras) or (None, None)))
         drawing = Drawing(gaussians, scene, specs, fit, channel, effort, options)
         written: dict[str, Any]
         if plan is not None:
