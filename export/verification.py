@@ -15,7 +15,7 @@ from gapmes.model.architectures import Network
 from gapmes.model.config import ModelConfig
 from gapmes.model.overflow import overflow
 from gapmes.service.errors import ModelError
-from gapmes.service.network.backends.onnxruntime_session import load_failures
+from gapmes.service.network.backends.onnxruntime_session import load_failures, run_failures
 from gapmes.service.network.contract import INPUTS, REQUIRED_OUTPUTS
 
 from .cases import Case
@@ -36,7 +36,7 @@ def verify(
     on_case: Callable[[CaseResult], None] = lambda _: None,
 ) -> list[CaseResult]:
     """Run every case in both runtimes, in order; `cases` must be grouped by gate setting, one session for each. Raises
-    `ModelError` for a graph that onnxruntime cannot load."""
+    `ModelError` for a graph that onnxruntime cannot load or run."""
     results = []
     gated = network.gates is not None
     trained = gate_values(network, "as trained") if gated else {}
@@ -119,9 +119,12 @@ def _of_torch(case: Case, network: Network, logits: _GateLogits) -> tuple[Output
 
 
 def _of_file(case: Case, session: onnxruntime.InferenceSession, names: tuple[str, ...]) -> Outputs:
-    """The same outputs of the exported file."""
+    """The same outputs of the exported file. Raises `ModelError` where onnxruntime fails, as for a missing one."""
     feed = {name: value.numpy() for name, value in zip(INPUTS, case.inputs.tensors(), strict=True)}
-    return dict(zip(names, session.run(list(names), feed), strict=True))
+    try:
+        return dict(zip(names, session.run(list(names), feed), strict=True))
+    except run_failures() as error:
+        raise ModelError(f"onnxruntime cannot run the graph: {error}", field="model") from error
 
 
 def _shape(value: np.ndarray) -> str:

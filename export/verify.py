@@ -48,13 +48,14 @@ def _what_it_must_be(file: ModelFile, checkpoint: Path) -> tuple[Tolerance, Netw
             f"{checkpoint} has the sha256 {found}, {file.path} was made from {file.info.weights_sha256}: give that file"
         )
     try:
-        variant = Variant.of(config_from_json(json.dumps(file.info.config)))
+        config = config_from_json(json.dumps(file.info.config))
+        variant = Variant.of(config)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{file.path} has a gapmes.config that this version cannot build: {error!r}") from error
     network = load_variant(checkpoint, variant).network
-    need = json.loads(network.config.to_json())
-    for name in sorted(need.keys() | file.info.config.keys()):
-        pair = file.info.config.get(name), need.get(name)
+    said, need = (json.loads(each.to_json()) for each in (config, network.config))
+    for name in sorted(said.keys() | need.keys()):
+        pair = said.get(name), need.get(name)
         if pair[0] != pair[1]:
             raise ValueError(f"{file.path}: gapmes.config has {name} {pair[0]!r}, {checkpoint} has {pair[1]!r}")
     return TOLERANCES[file.info.precision], network

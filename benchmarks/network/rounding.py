@@ -52,6 +52,13 @@ def main() -> None:
     options = parser.parse_args()
     file, checkpoint = options.model
     metadata = {p.key: p.value for p in onnx.load(file, load_external_data=False).metadata_props}
+    cases = verification_cases(int(metadata["gapmes.height"]), int(metadata["gapmes.width"]))
+    trained = [case for case in cases if case.gates == "as trained"]
+    if unknown := set(options.cases) - {case.name for case in trained}:
+        parser.error(f"no case is named {', '.join(sorted(unknown))}")
+    chosen = [case for case in trained if case.name in options.cases and case.views in options.views]
+    if not chosen:
+        parser.error("no case of these names has such a number of views")
     network = load_variant(checkpoint, Variant.of(config_from_json(metadata["gapmes.config"]))).network
     session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
     lines = [
@@ -59,19 +66,13 @@ def main() -> None:
         "|---" * 5 + "|",
     ]
     sys.stdout.write("\n".join(lines) + "\n")
-    missing = set(options.cases)
-    for case in verification_cases(int(metadata["gapmes.height"]), int(metadata["gapmes.width"])):
-        if case.gates != "as trained" or case.name not in options.cases or case.views not in options.views:
-            continue
-        missing.discard(case.name)
+    for case in chosen:
         exact = evaluated(network, case.inputs, torch.float64)
         single = evaluated(network, case.inputs, torch.float32)
         given = session_outputs(session, single, case)
         cells = [worst(given, single, case), worst(single, exact, case), worst(given, exact, case)]
         sys.stdout.write(f"| {case.name} | {case.views} | {' | '.join(cells)} |\n")
         sys.stdout.flush()
-    if missing:
-        parser.error(f"no case is named {', '.join(sorted(missing))} and has such a number of views")
 
 
 if __name__ == "__main__":

@@ -17,13 +17,21 @@ if TYPE_CHECKING:
 
 @contextmanager
 def kept_if_refused(output: Path, scene: Scene) -> Iterator[None]:
-    """Where the block refuses to write `scene` to `output`, it is kept in a .ply beside that, unless there is one; the
-    cure of the `FormatError` names it."""
+    """Where the block refuses to write `scene` to `output`, it is kept in a .ply beside that, unless there is a file of
+    that name or none can be written; the cure of the `FormatError` says which."""
     try:
         yield
     except FormatError as error:
-        kept = output.with_name(f"{output.name}.ply")
-        if not kept.exists():
-            replace_file(kept, ply_bytes(scene.gaussians, positions=scene.positions))
-            error.cure = f"{error.cure}; the scene is in {kept}" if error.cure else f"the scene is in {kept}"
+        said = _kept(output.with_name(f"{output.name}.ply"), scene)
+        error.cure = f"{error.cure}; {said}" if error.cure else said
         raise
+
+
+def _kept(path: Path, scene: Scene) -> str:
+    if path.exists():
+        return f"the scene is not kept, since there is a {path} already"
+    try:
+        replace_file(path, ply_bytes(scene.gaussians, positions=scene.positions))
+    except OSError as error:
+        return f"the scene is not kept, since {path} cannot be written: {error.strerror}"
+    return f"the scene is in {path}"

@@ -84,7 +84,7 @@ def render(
     """Render views of a scene as PNG files such as view_5.png, or a film where OUTPUT ends in .mp4, .webp or .gif.
 
     Where the camera file lacks near and far, the depths of the Gaussians that its cameras see stand in for them.
-    Without a camera file one camera looks along z at most of the scene.
+    Without a camera file one camera, which looks along +z, frames most of the scene.
     """
     from ..formats.dialect import Dialect
     from ..formats.registry import inspect_gaussians
@@ -140,7 +140,7 @@ def render(
             return cropped if sides is None else frame(cropped, *sides)
 
         shots = [fit(scene.resolve(spec, field="views")) for spec in specs]
-        for shot in shots:  # checked before the Gaussians are read
+        for shot in shots:  # with cameras, checked before the Gaussians are read
             check_format(shot.width, shot.height, channel, "png", depth_scale)
         if plan is not None:
             plan.among(scene, specs)

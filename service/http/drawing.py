@@ -37,23 +37,25 @@ def check_size(camera: Camera, max_pixels: int, samples: int) -> Camera:
     pixels = camera.width * camera.height * samples**2
     if pixels > max_pixels:
         fewer = "" if samples == 1 else " or fewer samples"
+        largest = _largest(camera, max_pixels / samples**2)
         raise InputError(
             f"{camera.width} x {camera.height} with {samples} x {samples} samples = {pixels} px, "
             f"the limit is {max_pixels}",
             field="width",
-            cure=f"ask for a smaller picture{fewer}, as with width={_widest(camera, max_pixels / samples**2)}",
+            cure=f"ask for a smaller picture{fewer}, as with width={largest.width}&height={largest.height}",
         )
     return camera
 
 
-def _widest(camera: Camera, pixels: float) -> int:
-    """The greatest width, at least 1 px, at which a picture of the same aspect has at most so many pixels."""
+def _largest(camera: Camera, pixels: float) -> Camera:
+    """The camera at the greatest width, at least 1 px, at which its picture, of the same aspect, has at most so many
+    pixels."""
 
     def pixels_at(width: int) -> int:
         smaller = frame(camera, width)
         return smaller.width * smaller.height
 
-    return max(1, bisect_right(range(1, camera.width + 1), pixels, key=pixels_at))
+    return frame(camera, max(1, bisect_right(range(1, camera.width + 1), pixels, key=pixels_at)))
 
 
 def draw(

@@ -112,7 +112,6 @@ def captured(
     return Inputs(pairing, *found.file.depths(near, far), found.selection)
 
 
-@_cured()
 def _json(document: str | bytes, data: bytes) -> Any:
     """The document as JSON. Raises `MalformedRequest`, which names all formats for what was not meant to be JSON."""
     try:
@@ -123,6 +122,7 @@ def _json(document: str | bytes, data: bytes) -> Any:
         raise
 
 
+@_cured()
 def camera_table(document: str | bytes, settings: Settings) -> CameraTable:
     """The cameras of a `cameras` part of any format, including a zip of a COLMAP model."""
     data = document.encode("utf-8", "replace") if isinstance(document, str) else document

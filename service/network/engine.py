@@ -18,6 +18,8 @@ from .model_info import ModelInfo
 
 _OUT_OF_MEMORY = ("bad_alloc", "Failed to allocate memory")  # in the words of the runtimes, which have no type for it
 
+BF16 = 2**-7  # its step at 1: shares that an engine of that precision adds up may be beyond 1 by as much
+
 Arrays = dict[str, NDArray]
 
 
@@ -166,9 +168,10 @@ def _check_outputs(outputs: Arrays, views: int, info: ModelInfo) -> None:
         _require(np.isfinite(value), name, "finite")
     _require(outputs["scales"] >= 0, "scales", "at least 0")
     _require(outputs["depth"] > 0, "depth", "above 0")
-    for name in ("opacities", "expert_weight", "task_weight"):
+    _require((outputs["opacities"] >= 0) & (outputs["opacities"] <= 1), "opacities", "in [0, 1]")
+    for name in ("expert_weight", "task_weight"):
         if name in outputs:
-            _require((outputs[name] >= 0) & (outputs[name] <= 1), name, "in [0, 1]")
+            _require((outputs[name] >= 0) & (outputs[name] <= 1 + BF16), name, "in [0, 1]")
     if "expert_index" in outputs:
         index, experts = outputs["expert_index"], info.most_experts
         _require((index >= 0) & (index < experts), "expert_index", f"from 0 to {experts - 1}")

@@ -56,28 +56,25 @@ _PROBES = (
     "events VALUES ('', 0, '', '')",
     "waits VALUES ('', '')",
 )
-# Statements that bring a file of each version to `VERSION`. Version 1 counted waiting requests in `jobs.waiting`; these
-# ended with their processes.
-_MISSING = {0: _SCHEMA, 1: f"{_WAITS} ALTER TABLE jobs DROP COLUMN waiting", VERSION: ""}
+# Statements that bring a file of each version, a new one with the tables of `_SCHEMA`, to `VERSION`. Version 1 counted
+# waiting requests in `jobs.waiting`; these ended with their processes.
+_MISSING = {0: "", 1: f"{_WAITS} ALTER TABLE jobs DROP COLUMN waiting", VERSION: ""}
 
 
 class Database:
     """One connection per thread to one file in WAL mode, in which readers never wait."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, fill: Callable[[Database], object] = lambda _: None) -> None:
         """Open or create the file and migrate one of an earlier version. A file of this version is not written, so that
-        a store on a full disk can be read. Raises `GapmesError` for a file of a later version, and for one that is not
-        a database, is damaged or cannot be written."""
+        a store on a full disk can be read. `fill` is called for a new file, also where it was deleted under the
+        service, before anybody else can read it. Raises `GapmesError` for a file of a later version, and for one that
+        is not a database, is damaged or cannot be written."""
         self._path = path
         self._threads = threading.local()
-        self.fill: Callable[[], object] = lambda: None  # a file that is made anew, before anybody else can read it
+        self.fill: Callable[[], object] = lambda: fill(self)
         with self._alone():
             try:
-                self._connect(switching=True)
-                damage = self.rows("PRAGMA quick_check(1)")[0][0]
-                if damage != "ok":
-                    raise sqlite3.DatabaseError(str(damage).strip())
-                self._complete()
+                self._made(checked=True)
             except sqlite3.DatabaseError as error:
                 raise GapmesError(
                     f"{path} cannot be used: {error}",
@@ -158,13 +155,15 @@ class Database:
         if new:
             _log.warning("%s was deleted under the service: it is made anew, and its jobs are lost", self._path)
 
-    def _made(self) -> bool:
+    def _made(self, *, checked: bool = False) -> bool:
         """`_complete` on a new connection, which this thread uses for all until then, and no more if that fails."""
         with ExitStack() as failed:
             self._connect(switching=True)
             failed.callback(self._disconnect)
             self._threads.making = True
             try:
+                if checked and (damage := self.rows("PRAGMA quick_check(1)")[0][0]) != "ok":
+                    raise sqlite3.DatabaseError(str(damage).strip())
                 new = self._complete()
             finally:
                 self._threads.making = False

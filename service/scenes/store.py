@@ -59,7 +59,7 @@ class SceneStore:
         self._cache = GaussiansCache(cache_bytes)
         try:
             private_folder(self.root)
-            self.database = Database(self.root / _INDEX)
+            self.database = Database(self.root / _INDEX, self._fill)
             check_own_files(self.root)
             self._index = SceneIndex(self.database)
             with exclusive_if_free(self.root / _LOCK) as free:
@@ -67,7 +67,6 @@ class SceneStore:
                     self._files.sweep()
                     self._agree()
             self._index.used_by_now()
-            self.database.fill = self._agree
         except OSError as error:
             inside = error.filename is not None and Path(error.filename).is_relative_to(self.root)
             raise GapmesError(
@@ -228,6 +227,10 @@ class SceneStore:
             pass
         self._index.remove([row.id])
         self._cache.drop(row.id)
+
+    def _fill(self, database: Database) -> None:
+        self._index = SceneIndex(database)
+        self._agree()
 
     def _agree(self) -> None:
         """Make the index agree with the folders."""

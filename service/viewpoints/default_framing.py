@@ -21,14 +21,16 @@ SHARE = 0.8  # of all opacity that lies within the radius; what is beyond may be
 
 
 def default_views(gaussians: Gaussians) -> SceneViews:
-    """The view of one camera in front of the scene of one or more Gaussians, in OpenCV axes: x right, y down.
+    """The view of one camera in front of the scene, in OpenCV axes: x right, y down.
 
     The centre is the opacity-weighted median of the means along each axis; the sphere about it that holds 80 % of the
     opacity is framed. The camera looks along +z, as the first one of most reconstructions does, from where the sphere
     fits into a field of view of 50 degrees. `far` is the far end of the sphere, and `near` makes its centre the pivot.
-    If the radius is 0, it is three standard deviations of the largest Gaussian. Raises `GaussiansError` if the
-    camera would be too far away.
+    If the radius is 0, it is three standard deviations of the largest Gaussian. Raises `GaussiansError` if there are no
+    Gaussians, or if the camera would be too far away.
     """
+    if not len(gaussians):
+        raise GaussiansError("there is none, and a camera needs something to look at", cure="is it the right file?")
     weights = gaussians.opacities.astype(np.float64)
     if not weights.any():
         weights = np.ones(len(gaussians))

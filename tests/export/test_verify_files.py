@@ -88,6 +88,17 @@ def test_a_graph_that_onnxruntime_cannot_load_is_refused(tmp_path: Path, capsys:
     assert "onnxruntime cannot load the graph: " in told
 
 
+def test_a_graph_without_an_output_that_torch_has_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = onnx.load(shipped_model())
+    model.graph.output.remove(next(output for output in model.graph.output if output.name == "route_margin"))
+    onnx.save(model, tmp_path / "less.onnx")
+    told = refused(tmp_path / "less.onnx", shipped_checkpoint("tiny"), capsys)
+    assert "onnxruntime cannot run the graph: " in told
+    assert "route_margin" in told
+
+
 def test_where_no_report_can_be_written_nothing_is_computed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

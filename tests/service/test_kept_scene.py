@@ -45,5 +45,20 @@ def test_it_is_kept_as_a_ply_that_the_refusal_names(
 def test_a_file_of_that_name_stays(away: Path, standin_model: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (away / "out.spz.ply").write_text("mine")
     assert reconstruct(away, standin_model) == 1
-    assert "the scene is in" not in capfd.readouterr().err
+    told = capfd.readouterr().err
+    assert "farther from the origin" in told
+    assert f"the scene is not kept, since there is a {away / 'out.spz.ply'} already" in told
     assert (away / "out.spz.ply").read_text() == "mine"
+
+
+def test_a_lack_of_room_does_not_hide_why(
+    away: Path, standin_model: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("gapmes.service.commands.kept_scene.replace_file", full)
+    assert reconstruct(away, standin_model) == 1
+    told = capfd.readouterr().err
+    assert "farther from the origin" in told
+    assert f"{away / 'out.spz.ply'} cannot be written: No space left on device" in told

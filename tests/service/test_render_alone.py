@@ -52,3 +52,10 @@ def test_what_cannot_be_written_is_refused_before_it_is_read(
     monkeypatch.setattr("gapmes.service.formats.registry.inspect_gaussians", None)
     assert run("render", scene, "-o", scene.parent / "picture.png", "--json") == 1
     assert_refusal(capfd, "pictures go into a folder")
+
+
+def test_a_file_without_gaussians_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    empty = cloud(4, 3)[np.zeros(4, bool)]
+    (tmp_path / "empty.ply").write_bytes(FORMATS["ply"].write(empty).data)
+    assert run("render", tmp_path / "empty.ply", "-o", tmp_path / "out", "--json") == 1
+    assert_refusal(capfd, "there is none, and a camera needs something to look at")

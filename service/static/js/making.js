@@ -85,7 +85,8 @@ function others() {
 
 /** Whether fewer are to be used: as many as the service takes of a zip, until another number is chosen. */
 function askHowMany(of) {
-  if ($("choice").hidden !== of <= MOST) $("context").value = of > MOST ? USUAL : "";
+  if (of <= MOST) $("context").value = ""; // also one that the browser has brought back
+  else if ($("choice").hidden) $("context").value = USUAL;
   $("choice").hidden = of <= MOST;
   if (of > MOST) $("so-many").textContent = `${counted(of, "photograph")}, and a scene takes 2 to ${MOST}. Use`;
 }
@@ -139,9 +140,7 @@ async function look(again) {
   try {
     const found = await askJson("/check", { method: "POST", body: form(), signal });
     if (signal.aborted) return false;
-    if (found.selection.of > MOST) {
-      askHowMany(found.selection.of);
-    }
+    if (found.selection.of > MOST) askHowMany(found.selection.of);
     say(...understood(found));
     state({ ready: true });
     return true;

@@ -15,8 +15,10 @@ from gapmes.service.http.drawing import check_size
 from gapmes.service.viewpoints.framing import frame
 
 
-def offered(cure: str) -> int:
-    return int(re.fullmatch(r"ask for a smaller picture(?: or fewer samples)?, as with width=(\d+)", cure)[1])
+def offered(cure: str) -> tuple[int, int]:
+    words = r"ask for a smaller picture(?: or fewer samples)?, as with width=(\d+)&height=(\d+)"
+    width, height = re.fullmatch(words, cure).groups()
+    return int(width), int(height)
 
 
 @pytest.mark.parametrize("samples", [1, 3])
@@ -30,15 +32,20 @@ def test_the_width_is_the_greatest_that_is_drawn(width: int, height: int, limit:
     with pytest.raises(InputError, match=f"{width} x {height} with {samples} x {samples} samples") as refused:
         check_size(camera, limit, samples)
     greatest = offered(refused.value.cure)
-    check_size(frame(camera, greatest), limit, samples)
+    found = check_size(frame(camera, *greatest), limit, samples)
+    assert (found.width, found.height) == greatest
     with pytest.raises(InputError):
-        check_size(frame(camera, greatest + 1), limit, samples)
+        check_size(frame(camera, greatest[0] + 1), limit, samples)
 
 
-def test_a_link_that_is_refused_is_drawn_with_it(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("size", ["", "&width=60", "&height=100", "&width=100&height=100"])
+def test_a_link_that_is_refused_is_drawn_with_it(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, size: str
+) -> None:
     scene = post(client, [photograph(7), photograph(8)]).json()
     runtime = client.app.state.runtime  # type: ignore[attr-defined]
     monkeypatch.setattr(runtime, "settings", runtime.settings.model_copy(update={"max_render_pixels": 999}))
     link = scene["links"]["views"][1]
-    problem = assert_problem(client.get(link), 422, "invalid_input", "width", cured=True)
-    assert client.get(f"{link}&width={offered(problem['cure'])}").status_code == 200
+    problem = assert_problem(client.get(f"{link}{size}"), 422, "invalid_input", "width", cured=True)
+    width, height = offered(problem["cure"])
+    assert client.get(f"{link}&width={width}&height={height}").status_code == 200

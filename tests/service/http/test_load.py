@@ -183,6 +183,14 @@ def test_one_end_beyond_the_other_is_told_where_that_is_from(client: TestClient,
     assert problem["cure"] == f"{name} alone is given, the other one is from the framing: give both"
 
 
+@pytest.mark.parametrize("cameras", [b'{"views": {}}', b"3", b"images.txt"])
+def test_cameras_that_are_refused_beside_a_file_have_a_cure(client: TestClient, cameras: bytes) -> None:
+    parts = [("file", ("scene.ply", file_of("ply", 3))), ("cameras", ("cameras.json", cameras))]
+    problem = client.post("/scenes", files=parts).json()
+    assert problem["field"] == "cameras"
+    assert ("a zipped COLMAP model" if cameras == b"images.txt" else "has an example of `cameras`") in problem["cure"]
+
+
 def test_forms_that_are_none(client: TestClient) -> None:
     data = file_of("ply")
     assert_problem(client.post("/scenes", content=data), 415, "unsupported_media_type", "body")

@@ -63,6 +63,16 @@ def test_a_stray_file_spoils_nothing_and_can_be_taken_out(tab: Tab, tmp_path: Pa
     page.wait_for_selector(f"#problem:has-text('{name}: none can be used')")
 
 
+def test_a_number_that_the_browser_has_kept_takes_no_photograph_away(tab: Tab, tmp_path: Path) -> None:
+    """On the way back to the page it sets what was chosen before, also where that is out of sight."""
+    page = tab.open()
+    page.evaluate("document.getElementById('context').value = '2'")
+    cameras = camera_object(3)
+    page.set_input_files("#files", write_scene(tmp_path, [photograph(k) for k in range(3)], cameras))
+    page.wait_for_selector(".cards li >> nth=2")
+    assert page.input_value("#context") == ""
+
+
 def test_files_are_taken_out_by_keys(tab: Tab, tmp_path: Path) -> None:
     """The focus stays in the list as long as there is one."""
     page = tab.open()

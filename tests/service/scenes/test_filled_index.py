@@ -6,9 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from store_folder import document
 
 from gapmes.service.errors import StorageFull
+from gapmes.service.process.file_lock import shared
 from gapmes.service.scenes.database import Database
+from gapmes.service.scenes.store import SceneStore
 
 ADD = "INSERT INTO scenes VALUES ('x', 1, 1, 1, '{}')"
 ASK = "SELECT id FROM scenes"
@@ -82,5 +85,49 @@ def test_one_that_is_deleted_while_it_is_filled_is_made_once_more(tmp_path: Path
     database.fill = fill
     deleted(tmp_path)
     database.ensure_there()
+    assert [row["id"] for row in database.rows(ASK)] == ["x"]
+    assert len(filled) == 2
+
+
+def test_a_process_that_starts_without_an_index_lists_all_though_another_writes_to_the_store(tmp_path: Path) -> None:
+    ids = {name * 32 for name in "abc"}
+    one = SceneStore(tmp_path)
+    for scene_id in ids:
+        one.put(scene_id, b"ply", document(scene_id))
+    deleted(tmp_path)
+    with shared(tmp_path / ".lock"):
+        two = SceneStore(tmp_path)
+        for store in (two, one):
+            assert {row.id for row in store.page(9)} == ids
+
+
+def test_a_running_process_waits_for_one_that_starts_to_fill_it(tmp_path: Path) -> None:
+    running = Database(tmp_path / "index.sqlite")
+    deleted(tmp_path)
+    with ThreadPoolExecutor(1) as threads:
+        answers: list = []
+
+        def fill(starting: Database) -> None:
+            found = threads.submit(running.rows, ASK)
+            with pytest.raises(TimeoutError):
+                found.result(0.3)
+            add(starting)
+            answers.append(found)
+
+        Database(tmp_path / "index.sqlite", fill)
+        (found,) = answers
+        assert [row["id"] for row in found.result(60)] == ["x"]
+
+
+def test_one_that_is_deleted_while_a_process_starts_on_it_does_not_hold_it_up(tmp_path: Path) -> None:
+    filled: list[bool] = []
+
+    def fill(starting: Database) -> None:
+        filled.append(True)
+        if len(filled) == 1:
+            deleted(tmp_path)
+        add(starting)
+
+    database = Database(tmp_path / "index.sqlite", fill)
     assert [row["id"] for row in database.rows(ASK)] == ["x"]
     assert len(filled) == 2
