@@ -22,6 +22,7 @@ const PHRASES = [ // replaced within a cure
   [/(\. Or|, or) raise GAPMES_\w+/, ""],
   [/^is the upload complete\?$/, "the file is damaged: copy it once more from where it comes from"],
   [/^leave it out, or name the file as its view .*/, "leave it out, or give it the name that the camera file has for it"],
+  [/^send cameras\.json, .*/, CAMERA_FILES],
   [/^send one camera per image, or name .*/, "choose the photographs to which the camera file belongs, under the names that they have there"],
 ];
 const OF_REQUESTS = /`|\b(GET|POST) \/|\/readyz|Bearer|\bcurl |--[a-z]|GAPMES_|\b(over HTTP|trust_poses|refine_poses|drop_invalid)\b/;
