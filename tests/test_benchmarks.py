@@ -76,6 +76,8 @@ def test_what_did_not_run_has_an_empty_cell(benchmark, monkeypatch: pytest.Monke
         ("network.rounding", [f"{__file__}=none"], "none does not exist"),
         ("network.run", ["a=b=c=d"], "a=b=c=d names 4 files, need 1 to 3, with = between them"),
         ("viewer.compare", ["--chromium", sys.executable, "--view", "8"], "has 8 views: need 0 to 7"),
+        ("viewer.compare", ["--cameras", "none.json"], "argument --cameras: none.json does not exist"),
+        ("viewer.compare", ["--ply", "none.ply"], "argument --ply: none.ply does not exist"),
         ("viewer.compare", ["--chromium", "no-such-browser"], "no-such-browser is no command here"),
     ],
 )

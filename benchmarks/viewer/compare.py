@@ -32,7 +32,7 @@ from gapmes.service.http.viewer import viewer_settings
 from gapmes.service.shipped import sample_folder
 from gapmes.service.splat import render
 
-from ..options import at_least_one
+from ..options import at_least_one, there
 
 VIEWER = STATIC / "viewer"
 NEED_DB = 35.0
@@ -117,8 +117,8 @@ def shown_by_viewer(ply: Path, camera: Camera, chromium: str) -> np.ndarray:
 def main() -> None:
     """Draw with both, print how well they agree, write the pictures side by side; see --help."""
     parser = argparse.ArgumentParser(prog="make compare-viewer", description=__doc__)
-    parser.add_argument("--ply", type=Path, help="scene to draw (default: the sample scene, reconstructed)")
-    parser.add_argument("--cameras", type=Path, default=sample_folder() / "cameras.json", help="a camera file")
+    parser.add_argument("--ply", type=there, help="scene to draw (default: the sample scene, reconstructed)")
+    parser.add_argument("--cameras", type=there, default=sample_folder() / "cameras.json", help="a camera file")
     parser.add_argument("--view", type=int, default=3, help="index of the camera in the file (3)")
     parser.add_argument("--size", type=at_least_one, default=1024, help="width of the picture, px (1024)")
     parser.add_argument("--chromium", default="chromium", help="the browser's command (chromium)")

@@ -102,8 +102,10 @@ class Camera:
         """(3, 3) K with the first row divided by the width and the second by the height (the network's unit)."""
         return self.intrinsics / np.array([[self.width], [self.height], [1.0]])
 
-    def resized(self, width: int, height: int) -> Camera:
-        """The same view sampled on a grid of another size: intrinsics scale with it, rays do not move."""
+    def resized(self, width: float, height: float) -> Camera:
+        """The same view sampled on a grid of another size: intrinsics scale with it, rays do not move. Raises
+        `CameraError` unless both sides are whole numbers of at least 1."""
+        width, height = _checked_sides(width, height)
         sx, sy = width / self.width, height / self.height
         return replace(
             self,
@@ -115,8 +117,10 @@ class Camera:
             cy=self.cy * sy,
         )
 
-    def cropped(self, left: float, top: float, width: int, height: int) -> Camera:
-        """The window of `width` x `height` px whose upper left corner lies at (left, top)."""
+    def cropped(self, left: float, top: float, width: float, height: float) -> Camera:
+        """The window of `width` x `height` px whose upper left corner lies at (left, top). Raises `CameraError` unless
+        both sides are whole numbers of at least 1."""
+        width, height = _checked_sides(width, height)
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def posed(self, world_from_cam: F64) -> Camera:
@@ -163,6 +167,10 @@ def checked_side(value: float, name: str, field: str, index: int | None) -> int:
         message = f"{name} = {told}, need whole numbers from 1 to {MAX_SIDE}"
         raise CameraError(message, field=f"{field}.{name}", index=index, cure="give the size of the photograph in px")
     return int(number)
+
+
+def _checked_sides(width: float, height: float) -> tuple[int, int]:
+    return checked_side(width, "width", "camera", None), checked_side(height, "height", "camera", None)
 
 
 def _check_focal(value: float, size: float, name: str, field: str, index: int | None) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from ..pictures.effort import ALPHA_MIN, MAX_SAMPLES, STOP, Effort
+from ..plain_number import counted
 from ..process.streams import write_result
 from ..process.terminal import ProgressBars, Quiet
 from ..viewpoints.camera_path import PathName
@@ -161,7 +162,7 @@ def render(
             written = {"views": write_pictures(drawing, output, depth_scale, stages)}
     precision = _precision(gaussians, drawing.shots, scene.near)
     warnings = [*passed_over, *reading.notes(), *precision, *empty_pictures(drawing)]
-    bars.say(f"{len(written['views'])} pictures in {output}" if "views" in written else f"wrote {output}")
+    bars.say(f"{counted(len(written['views']), 'picture')} in {output}" if "views" in written else f"wrote {output}")
     for warning in warnings:
         bars.say(f"warning: {warning}")
     if as_json:

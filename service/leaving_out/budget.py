@@ -34,7 +34,7 @@ class Budget:
             if not isinstance(view, str):
                 cure = 'views are named by text, such as "1.5" or "orbit:20"'
                 raise InputError(f"is {shown(view)}, need text", field="asked", index=index, cure=cure)
-        max_error = None if self.max_error is None else checked_max_error(self.max_error)
+        max_error = None if self.max_error is None else checked_max_error(self.max_error, "; None keeps all")
         certify, stride = whole_number(self.certify), whole_number(self.stride)
         if certify is None or not 0 <= certify <= MAX_CERTIFY:
             raise InputError(f"is {shown(self.certify)}, need a whole number from 0 to {MAX_CERTIFY}", field="certify")
@@ -53,9 +53,9 @@ def checked_budget(budget: Budget | None) -> Budget:
     return of_type(budget, Budget, "budget", "give a Budget, or leave it out for the default one")
 
 
-def checked_max_error(value: float) -> float:
-    """`value` as a float in [0, 1]. Raises `InputError`."""
-    return _share(value, "max_error", "1/255 = 0.0039 is one level of 8 bits; off keeps all")
+def checked_max_error(value: float, keeps_all: str = "") -> float:
+    """`value` as a float in [0, 1]; `keeps_all` says how else everything is kept. Raises `InputError`."""
+    return _share(value, "max_error", f"1/255 = 0.0039 is one level of 8 bits{keeps_all}")
 
 
 def parse_max_error(text: str) -> float | None:
@@ -70,7 +70,7 @@ def parse_max_error(text: str) -> float | None:
         raise InputError(
             f"{text[:50]!r} is not a budget", field="max_error", cure="give a change of colour such as 1/255, 0, or off"
         ) from error
-    return checked_max_error(value + 0.0)  # -0 is 0
+    return checked_max_error(value + 0.0, "; off keeps all")  # -0 is 0
 
 
 def _share(value: float, field: str, cure: str | None = None) -> float:

@@ -45,6 +45,8 @@ def checked_definition(definition: Definition | None, near: float | None, compat
     plane = real_number(near)
     if plane is None:
         raise InputError(f"is {shown(near)}, need a number", field="near")
+    if not 0 <= plane <= definition.far:
+        raise InputError(f"is {plane:g}, need 0 to {definition.far:g}", field="near")
     return replace(definition, near=plane)
 
 

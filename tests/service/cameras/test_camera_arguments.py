@@ -40,6 +40,19 @@ def test_sides_that_are_no_whole_numbers_are_refused(value: float) -> None:
     assert (caught.value.field, caught.value.index) == ("camera.width", 1)
 
 
+def test_another_size_of_a_camera_is_checked_like_its_own() -> None:
+    camera = Camera.make(**GIVEN)
+    for other in (camera.resized(camera.width / 2, np.float32(192)), camera.cropped(3, 4, 256.0, np.int64(192))):
+        assert (other.width, other.height) == (256, 192)
+        assert type(other.width) is type(other.height) is int
+    for wrong in (100.5, 0, -3, "100"):
+        for name, sides in (("width", (wrong, 75)), ("height", (100, wrong))):
+            for make in (camera.resized, lambda width, height: camera.cropped(0, 0, width, height)):
+                with pytest.raises(CameraError, match=f"{name} = .*, need whole numbers from 1 to") as caught:
+                    make(*sides)
+                assert caught.value.field == f"camera.{name}"
+
+
 @pytest.mark.parametrize(
     ("value", "kind"), [([1.0], "a list"), ("x", "a text"), (None, "null"), (True, "true or false")]
 )

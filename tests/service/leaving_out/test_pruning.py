@@ -292,3 +292,12 @@ def test_budgets_as_text():
     for text in ("", "1/", "1/0", "1/1e400", "nan", "inf", "none", "2", "-1/255", "1e999999999999"):
         with pytest.raises(InputError, match="max_error"):
             parse_max_error(text)
+
+
+def test_the_cure_is_how_everything_is_kept_where_the_budget_comes_from():
+    with pytest.raises(InputError, match="; None keeps all"):
+        Budget(max_error="off")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="; off keeps all"):
+        parse_max_error("2")
+    with pytest.raises(InputError, match=r"8 bits\)$"):
+        prune(cloud(3, 0), [view()], 2.0)

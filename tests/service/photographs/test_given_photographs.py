@@ -131,14 +131,26 @@ def test_files_and_other_things_are_refused_with_a_cure(engine: Engine, tmp_path
     ("wrong", "cure", "mended"),
     [
         (lambda rgb: rgb[:, :, 0], "np.stack([array] * 3, axis=-1)", lambda array: np.stack([array] * 3, axis=-1)),
+        (lambda rgb: rgb[:, :, :1], "np.repeat(array, 3, axis=-1)", lambda array: np.repeat(array, 3, axis=-1)),
         (lambda rgb: rgb.transpose(2, 0, 1), "array.transpose(1, 2, 0)", lambda array: array.transpose(1, 2, 0)),
+        (
+            lambda rgb: rgb / np.float32(255),
+            "np.rint(255 * array).astype(np.uint8)",
+            lambda array: np.rint(255 * array).astype(np.uint8),
+        ),
+        (
+            lambda rgb: rgb * np.uint16(257),
+            "np.rint(array / 257).astype(np.uint8)",
+            lambda array: np.rint(array / 257).astype(np.uint8),
+        ),
     ],
-    ids=["grey", "channels first"],
+    ids=["grey", "grey with a channel", "channels first", "0 to 1", "16 bits"],
 )
 def test_arrays_of_other_shapes_are_refused_with_what_mends_them(wrong, cure, mended, engine: Engine) -> None:
     array = wrong(picture(*SIZE))
     assert cure in refusal(array, engine).cure
     assert view(mended(array), engine).shape[0] == 3
+    assert "255" not in refusal(array.astype(np.int64), engine).cure
 
 
 @pytest.mark.parametrize(
