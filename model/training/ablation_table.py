@@ -103,6 +103,11 @@ def check_comparable(results: Mapping[str, Runs]) -> None:
     runs = [(f"{name} (seed {seed})", scores) for name, by_seed in results.items() for seed, scores in by_seed.items()]
     for name, scores in runs[1:]:
         first, reference = runs[0]
+        if scores.copy_psnr.shape != reference.copy_psnr.shape:
+            raise ValueError(
+                f"{first} was scored on {reference.copy_psnr.size} scenes, {name} on {scores.copy_psnr.size}; was the "
+                "code changed between them? use a new folder"
+            )
         different = np.abs(scores.copy_psnr - reference.copy_psnr) > SAME_SCENE_DB
         if different.any():
             scene = int(different.argmax())

@@ -103,9 +103,9 @@ def _list_name(obj: Mapping) -> str:
     for name in ("views", "frames"):
         if name in obj:
             return name
+    names = sorted(str(name)[:50] for name in obj)[:8]
     raise CameraError(
-        f'has neither "views" (cameras.json) nor "frames" (transforms.json), only {sorted(map(str, obj))[:8]}',
-        field="cameras",
+        f'has neither "views" (cameras.json) nor "frames" (transforms.json), only {names}', field="cameras"
     )
 
 

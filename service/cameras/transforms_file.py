@@ -79,13 +79,18 @@ def _refuse_conventions(obj: Mapping) -> None:
         if str(obj.get(key)).lower() == other:
             message = f"{key} is {other}, and poses of a transforms.json are {fixed}"
             cure = f'convert the poses and leave {key} out, or list the views in a cameras.json with "{key}": "{other}"'
-            raise CameraError(message, field=key, cure=cure)
+            raise CameraError(message, field=f"cameras.{key}", cure=cure)
 
 
 def _of_the_top(common: Mapping, frame: Mapping) -> dict[str, Any]:
-    """What the top says for this frame: no focal lengths where the frame has a field of view, and the reverse."""
-    lengths, angles = (any(name in frame for name in names) for names in (_LENGTHS, _ANGLES))
-    dropped = (*(_LENGTHS if angles else ()), *(_ANGLES if lengths else ()))
+    """What the top says for this frame: no focal lengths where the frame has a field of view, and the reverse. What it
+    has for y alone leaves the top's for x."""
+    dropped: set[str] = set()
+    for own, other in ((_LENGTHS, _ANGLES), (_ANGLES, _LENGTHS)):
+        if own[0] in frame:
+            dropped.update(other)
+        elif own[1] in frame:
+            dropped.add(other[1])
     return {name: value for name, value in common.items() if name not in dropped}
 
 

@@ -136,7 +136,7 @@ def _parsed(
         try:
             parsed = parse(line.split(maxsplit=most - 1))
         except (ValueError, IndexError, StopIteration, RuntimeError, OverflowError) as error:
-            reason = str(error) if isinstance(error, ValueError) else "has too few columns"
+            reason = f"{error!s:.200}" if isinstance(error, ValueError) else "has too few columns"
             cure = "is it a file of COLMAP, and complete?"
             raise CameraError(f"{source}, line {number}: {reason}", field="cameras", cure=cure) from error
         yield number, parsed

@@ -41,7 +41,7 @@ def _view(row: Sequence[str], index: int, source: str, size_of: SizeOf | None) -
         numbers = [float(word) for word in row[1:]]
     except ValueError as error:
         cure = "is it a file of RealEstate10K, and complete?"
-        raise CameraError(f"{source}: {error}", field="cameras", index=index, cure=cure) from error
+        raise CameraError(f"{source}: {error!s:.200}", field="cameras", index=index, cure=cure) from error
     if len(row) != COLUMNS:
         message = f"{source}: the line has {len(row)} columns, need {COLUMNS}"
         raise CameraError(message, field="cameras", index=index, cure="is the file complete?")

@@ -67,3 +67,12 @@ def test_rounding_stays_rounding() -> None:
     nearly = confirmed * (1 - 1e-6 * torch.rand(inverse.shape, generator=generator))
     change = (filled_from_behind(moved, nearly) - filled_from_behind(inverse, confirmed)).abs()
     assert float(change.max()) < 2e-5  # measured 2e-6 to 2.6e-6 over four seeds
+
+
+def test_what_is_confirmed_16_px_away_fills_and_what_is_farther_off_does_not() -> None:
+    inverse = torch.full((1, 1, 40, 60), 0.6)
+    inverse[..., :10] = 0.2
+    confirmed = torch.zeros(1, 1, 40, 60)
+    confirmed[..., :10] = 1  # of a window of 33 x 33 px one column, 0.0303
+    filled = filled_from_behind(inverse, confirmed)
+    torch.testing.assert_close(filled[0, 0, 20, 22:28], torch.tensor([0.2] * 4 + [0.6] * 2))

@@ -92,3 +92,5 @@ def test_other_counts_are_refused():
         degree_of(7)
     with pytest.raises(GaussiansError):
         degree_of(36)
+    with pytest.raises(GaussiansError, match="0 coefficients"):
+        degree_of(0)

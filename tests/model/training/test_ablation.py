@@ -130,6 +130,22 @@ def test_tables_show_differences_over_the_seeds_that_both_have() -> None:
     assert "Table 5" not in text
 
 
+def test_tables_have_means_over_seeds_both_errors_and_shares_of_the_complete_model() -> None:
+    def scores(minutes: float, ssim: float, *psnr: float) -> Scores:
+        return Scores(1_000_000, minutes, np.array(psnr), np.full(2, ssim), np.full(2, 0.1), np.full(2, 18.0))
+
+    results = {
+        COMPLETE: {1: scores(3.0, 0.8, 20.0, 20.0), 2: scores(5.0, 0.8, 20.0, 20.0)},
+        "top-1": {1: scores(1.0, 0.8 - 1e-6, 14.0, 16.0), 2: scores(1.0, 0.8 - 1e-6, 15.0, 19.0)},
+        "tau-0.4": {3: scores(1.0, 0.8, 20.0, 20.0)},  # no seed of the complete model
+    }
+    text = tables(results, "caption")
+    assert "| complete | 2 | 1,000,000 | 4.0 | 20.00 |" in text
+    assert "| top-1 | -4.00 ± 1.50 (seeds ± 1.00) | +0.0000 ± 0.0000 (seeds ± 0.0000) |" in text
+    assert "| -20.0 % | +0.0 % | SSIM 0.691" in text
+    assert text.count("| tau-0.4 |") == 1
+
+
 def test_tables_say_which_runs_were_scored_without_lpips() -> None:
     random = np.random.default_rng(3)
     plain, other = drawn_scores(random, 8), drawn_scores(random, 8)
@@ -158,6 +174,8 @@ def test_runs_on_different_scenes_are_not_compared() -> None:
     other = replace(other, copy_psnr=same.copy_psnr + np.array([0, 0, 0.002, 0]))
     with pytest.raises(ValueError, match=r"complete \(seed 1\) and top-1 \(seed 3\).*scene 2"):
         check_comparable({COMPLETE: {1: same}, "top-1": {3: other}})
+    with pytest.raises(ValueError, match=r"complete \(seed 1\) was scored on 4 scenes, top-1 \(seed 3\) on 1;"):
+        check_comparable({COMPLETE: {1: same}, "top-1": {3: drawn_scores(random, 1)}})
 
 
 def test_runs_with_lpips_of_different_weights_are_not_compared() -> None:

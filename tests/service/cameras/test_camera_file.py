@@ -30,6 +30,12 @@ def test_our_file_reads_back_to_the_bit():
         np.testing.assert_array_equal(one.world_from_cam, two.world_from_cam)
 
 
+def test_a_bound_of_zero_is_not_taken_for_none():
+    """It is refused where it is used."""
+    assert parse_camera_file(our_file() | {"near": 0}).near == 0
+    assert parse_camera_file(our_file()).depths(0.0, 0.0) == (0.0, 0.0)
+
+
 @pytest.mark.case("P5")
 def test_a_pose_that_was_checked_once_stays_to_the_bit():
     rng = np.random.default_rng(0)
@@ -111,6 +117,7 @@ def test_every_stated_convention_is_the_same_camera(axes, direction):
         (("views", 1, "c2w"), np.diag([2.0, 2, 2, 1]).tolist(), PoseError, r"max \|R\^T R - I\| = 3, need", 1),
         (("views", 1, "image"), 7, CameraError, "not a file name", 1),
         (("views",), [], CameraError, "non-empty list", None),
+        (("views",), 5, CameraError, "non-empty list", None),
         (("views", 0), 3, CameraError, "is a number, need an object", 0),
         (("near",), "close", CameraError, "near = 'close'", None),
         (("axes",), "blender", CameraError, "need one of opencv, opengl", None),
@@ -121,6 +128,13 @@ def test_malformed_files_are_refused_with_their_index(path, value, error, match,
     with pytest.raises(error, match=match) as caught:
         parse_camera_file(broken(path, value))
     assert caught.value.index == index
+
+
+def test_members_of_an_object_without_views_are_listed_in_short():
+    words = r"""neither "views" .* nor "frames".*, only \['far', 'near', 'q{50}'\]"""
+    with pytest.raises(CameraError, match=words) as caught:
+        parse_camera_file({"near": 1, "far": 2, "q" * 10**6: 3})
+    assert len(caught.value.message) < 200
 
 
 def test_cures_of_other_ways_to_write_intrinsics():

@@ -55,6 +55,19 @@ def test_a_field_of_view_of_a_frame_wins_over_focal_lengths_of_the_top():
     assert (camera.fx, camera.fy) == (600, 600)
 
 
+def test_what_a_frame_says_for_y_alone_leaves_the_top_for_x():
+    def focal(top: dict, own: dict) -> tuple[float, float]:
+        file = transforms(1)
+        file["frames"][0] |= own
+        without = {name: value for name, value in file.items() if name not in ("fl_x", "fl_y")}
+        (camera,) = parse_camera_file(without | top).cameras
+        return camera.fx, camera.fy
+
+    half = math.tan(0.25)
+    assert focal({"fl_x": 500, "fl_y": 510}, {"camera_angle_y": 0.5}) == pytest.approx((500, 240 / half))
+    assert focal({"camera_angle_x": 0.5, "camera_angle_y": 0.4}, {"fl_y": 510}) == pytest.approx((320 / half, 510))
+
+
 def test_a_matrix_is_not_read_and_the_cure_says_what_is_in_it():
     frames = [
         frame | {"K": [[500.0, 0.0, 320.0], [0.0, 510.0, 240.0], [0.0, 0.0, 1.0]]} for frame in transforms(2)["frames"]
@@ -193,7 +206,7 @@ def test_a_field_of_view_in_degrees_is_refused():
 def test_another_convention_is_refused_and_not_passed_over(key, other, fixed):
     with pytest.raises(CameraError, match=f"{key} is {other.lower()}, and poses .* are {fixed}") as caught:
         parse_camera_file(transforms() | {key: other})
-    assert caught.value.field == key
+    assert caught.value.field == f"cameras.{key}"
     assert len(parse_camera_file(transforms() | {key: fixed}).cameras) == len(transforms()["frames"])
 
 

@@ -287,7 +287,7 @@ def test_rows_that_are_no_camera(tmp_path: Path, place: int, value: float, error
         (lambda words: [*words[:5], "0.1", *words[6:]], "columns 6 and 7 are 0.1 and 0"),
         (lambda words: [words[0], "500", *words[2:]], "shares of the picture"),
         (lambda words: [words[0], "nan", *words[2:]], "shares of the picture"),
-        (lambda words: [words[0], "wide", *words[2:]], "could not convert"),
+        (lambda words: [words[0], "wide" * 999, *words[2:]], "could not convert"),
     ],
 )
 def test_lines_that_are_no_camera(tmp_path: Path, change, words: str) -> None:
@@ -298,3 +298,4 @@ def test_lines_that_are_no_camera(tmp_path: Path, change, words: str) -> None:
     with pytest.raises(CameraError, match=words) as caught:
         open_capture(tmp_path).choose(ViewSelection())
     assert caught.value.index == 1
+    assert len(caught.value.message) < 500

@@ -224,6 +224,16 @@ def test_lines_that_are_wrong_are_named(tmp_path: Path, file: str, change, error
         open_capture(tmp_path).choose(ViewSelection())
 
 
+@pytest.mark.parametrize("word", ["PINHOLE", "80"])
+def test_a_refusal_does_not_repeat_a_word_of_any_length(tmp_path: Path, word: str) -> None:
+    write_colmap(tmp_path, arc(2), text=True)
+    path = tmp_path / "sparse/0/cameras.txt"
+    path.write_text(path.read_text().replace(word, 9000 * "q", 1))
+    with pytest.raises(CameraError, match=r"cameras\.txt, line \d+: .*q{100}") as caught:
+        open_capture(tmp_path).choose(ViewSelection())
+    assert len(caught.value.message) < 400
+
+
 def test_comments_empty_lines_and_carriage_returns(tmp_path: Path) -> None:
     write_colmap(tmp_path, arc(3), text=True)
     for path in (tmp_path / "sparse/0").glob("*.txt"):

@@ -193,3 +193,26 @@ def test_what_others_have_beside_a_mask_lies_at_their_own_depths() -> None:
     depths[0], depths[1] = 0.01, AWAY
     points = np.stack([np.linspace(-0.5, 0.5, 41), np.zeros(41), np.zeros(41)], axis=1)
     assert clear_of_masks(points, np.full(41, 1), hidden, depths).all()
+
+
+@pytest.mark.parametrize("focal", [140.0, 100.0])
+@pytest.mark.parametrize(("twentieths", "outline"), [(3, True), (6, False)])
+def test_a_mask_is_no_outline_where_others_show_more_than_a_quarter_of_what_it_leaves_out(
+    focal: float, twentieths: int, outline: bool
+) -> None:
+    """Of what falls into its picture; a wider view shows more besides."""
+    (first, second), depths = views_of((-4.0, 4.0))
+    there = np.ones((SIDE, SIDE), np.bool_)
+    there[32:96, 32:96] = False
+    hidden = replace(first, mask=there)
+    camera = Camera.make(SIDE, SIDE, focal, focal, SIDE / 2, SIDE / 2, second.camera.world_from_cam)
+    depths[:] = AWAY
+    other = replace(second, camera=camera, mask=None)
+    row, column = np.mgrid[:SIDE, :SIDE] // 4
+    points = camera.unproject(pixel_grid((SIDE, SIDE)), np.full(SIDE**2, AWAY))
+    x, y = first.camera.project(points)[0].T.reshape(2, SIDE, SIDE)
+    left_out = (abs(x - 64) < 32) & (abs(y - 64) < 32)
+    other = replace(other, mask=~left_out | ((7 * row + 3 * column) % 20 < twentieths))
+    points = np.stack([np.linspace(-0.5, 0.5, 41), np.zeros(41), np.zeros(41)], axis=1)
+    clear = clear_of_masks(points, np.full(41, 2), [hidden, other], depths)  # of a further view
+    assert clear.any() != outline

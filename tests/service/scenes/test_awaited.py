@@ -24,12 +24,18 @@ def test_the_scene_of_a_job_is_not_evicted_before_anybody_could_see_it(
     table.submit("1", ASKED, "web")
     table.claim("me")
     store.put(ASKED, b"x" * 100, document(ASKED))
-    for end in (lambda: None, lambda: table.end("1", "me", "done")):
-        end()
+    ended = time.time()
+    monkeypatch.setattr(time, "time", lambda: ended)
+    soon = ended + 1.5  # several turns of those who ask whether it is there
+    for step in (
+        lambda: None,
+        lambda: table.end("1", "me", "done"),
+        lambda: monkeypatch.setattr(time, "time", lambda: soon),
+    ):
+        step()
         with pytest.raises(StorageFull):
             store.put(OTHER, b"x" * 100, document(OTHER))
         assert store.exists(ASKED)
-    later = time.time() + HANDOVER_S + 1
-    monkeypatch.setattr(time, "time", lambda: later)
+    monkeypatch.setattr(time, "time", lambda: ended + HANDOVER_S + 1)
     store.put(OTHER, b"x" * 100, document(OTHER))
     assert not store.exists(ASKED)
