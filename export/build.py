@@ -16,12 +16,13 @@ from torch.export import Dim
 
 from gapmes.model.allocation import lacks_memory
 from gapmes.model.architectures import Network
+from gapmes.service.cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from gapmes.service.network.contract import INPUTS
 
 from .fold import folded
 from .graph import SceneGraph, folded_position_embeddings
 from .linear_layers import deployed_linear_layers
-from .metadata import MAX_VIEWS, MIN_VIEWS, OPSET
+from .metadata import OPSET
 from .samples import random_scene
 from .size import Size
 

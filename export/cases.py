@@ -9,13 +9,13 @@ import numpy as np
 import torch
 
 from gapmes.service.cameras.depth_range import depth_range
+from gapmes.service.cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from gapmes.service.captures.capture import load_scene_folder
 from gapmes.service.photographs.images import decode_image, fit_view
 from gapmes.service.shipped import sample_folder
 
 from .gate_settings import GateSetting
 from .graph import SceneInputs
-from .metadata import MAX_VIEWS, MIN_VIEWS
 from .samples import FLAT, UNDETERMINED, all_patches, hostile_scenes, lenses_scene, random_scene
 
 

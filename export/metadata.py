@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import onnx
 
 from gapmes.model.config import PIXELS_PER_PATCH
+from gapmes.service.cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from gapmes.service.network.contract import FORMAT
 
 if TYPE_CHECKING:
     from gapmes.model.architectures import Network
 
 OPSET = 20  # the newest that all backends in the documentation support
-MIN_VIEWS, MAX_VIEWS = 2, 6
 NEAR_FAR_RULE = "z-depth range in the units of the poses; candidates are uniform in 1/z from 1/far to 1/near"
 
 

@@ -11,9 +11,7 @@ from fastapi import APIRouter, Request, Response
 from PIL import Image
 
 from ..cameras.camera_file import camera_document
-from ..cameras.depth_range import depth_range
-from ..cameras.pose_notices import pose_notices
-from ..cameras.view_checks import DEPTH_PLANES, check_views, range_notices
+from ..cameras.view_checks import DEPTH_PLANES, range_notices
 from ..network.model_info import ModelInfo
 from ..photographs.fitting import fit_notices
 from ..photographs.images import Photo, decode_image, match_photo
@@ -44,22 +42,17 @@ async def check(request: Request, runtime: RuntimeDep) -> Response:
     models = runtime.models  # refuses until there is one
     async with runtime.uploads.slot():
         upload = await read_upload(request, runtime.settings, models.names)
-        info = models.get(upload.work.model).file.info
-        understood = partial(_understood, upload, runtime.settings, info)
-        document = await runtime.looks.run(understood, request.is_disconnected)
+    info = models.get(upload.work.model).file.info
+    understood = partial(_understood, upload, runtime.settings, info)
+    document = await runtime.looks.run(understood, request.is_disconnected)
     return json_response(document)
 
 
 def _understood(upload: Upload, settings: Settings, info: ModelInfo) -> dict[str, Any]:
     work, pairing = upload.work, upload.pairing
-    upload.check_asked()
-    work.check_pixels(settings)
     numbers = upload.selection["views"]
-    depths = depth_range(work.cameras, work.near, work.far)
-    warnings = list(pairing.warnings)
-    warnings += range_notices(depths, info.depth_planes or DEPTH_PLANES)
-    warnings += check_views(work.cameras, depths, trust_poses=work.trust_poses, numbers=numbers)
-    warnings += pose_notices(work.cameras, depths.near, numbers)
+    depths, found = upload.check(settings)
+    warnings = [*pairing.warnings, *range_notices(depths, info.depth_planes or DEPTH_PLANES), *found]
     images = []
     turns = quarter_turns(work.cameras, square=info.height == info.width)
     shapes = view_shapes(work.cameras, turns, info.shape)

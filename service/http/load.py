@@ -96,10 +96,10 @@ async def load_scene(request: Request, query: Annotated[LoadFields, Query()], ru
                 field="body",
                 cure=EXAMPLE,
             )
-        scene_id = await anyio.to_thread.run_sync(file.scene_id)
-        found = await anyio.to_thread.run_sync(_stored, runtime.store, scene_id)
-        loaded = partial(_loaded, file, scene_id, runtime.store, settings.max_gaussians)
-        stored, new = (found, False) if found else await runtime.files.run(loaded, request.is_disconnected)
+    scene_id = await anyio.to_thread.run_sync(file.scene_id)
+    found = await anyio.to_thread.run_sync(_stored, runtime.store, scene_id)
+    loaded = partial(_loaded, file, scene_id, runtime.store, settings.max_gaussians)
+    stored, new = (found, False) if found else await runtime.files.run(loaded, request.is_disconnected)
     document = with_links(stored)
     headers = {"Location": document["links"]["self"]}
     if new:

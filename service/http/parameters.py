@@ -44,18 +44,23 @@ def whole(value: Any) -> Any:
 
 
 class Parameters(BaseModel):
-    """Base of query models: unknown parameters, numbers with underscores, and other words than true and false are
-    refused."""
+    """Base of query models: unknown parameters, whole numbers that are not in decimal digits, other numbers with
+    underscores, and other words than true and false are refused."""
 
     model_config = ConfigDict(extra="forbid")
 
     @field_validator("*", mode="before")
     @classmethod
     def _plain(cls, value: Any, info: ValidationInfo) -> Any:
-        """Refuse 1_0, which Python reads as 10, and what pydantic takes for true and the fields of a form do not."""
+        """Refuse what pydantic takes for a number or for true and the fields of a form do not, such as 1_0 and 10.0."""
+        if not isinstance(value, str):
+            return value
         kind = cls.model_fields[info.field_name or ""].annotation
-        if isinstance(value, str) and "_" in value and {int, float} & {kind, *get_args(kind)}:
+        kinds = {kind, *get_args(kind)}
+        if int in kinds:
+            whole(value.removeprefix("-"))  # a range says more about a negative one
+        elif float in kinds and "_" in value:
             raise PydanticCustomError("plain_number", "Input should be a number without _")
-        if isinstance(value, str) and kind is bool and value.lower() not in ("true", "false"):
+        if kind is bool and value.lower() not in ("true", "false"):
             raise PydanticCustomError("true_or_false", "Input should be true or false")
         return value

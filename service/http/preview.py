@@ -89,7 +89,7 @@ async def preview(
         _check_cost(cameras, runtime.settings.max_render_pixels, "frames", "ask for fewer, or smaller ones")
         return views, shape, cameras, background, picture_tag(runtime, scene_id, query)
 
-    runtime.models  # noqa: B018  refuses until the kernels are warm
+    runtime.require_ready()
     with ExitStack() as held:  # until the last picture is drawn
         views, shape, cameras, background, etag = await anyio.to_thread.run_sync(asked, held)
 
@@ -128,7 +128,7 @@ async def sheet(
         _check_cost(cameras, runtime.settings.max_render_pixels, "scene", "draw its views one by one: GET /render")
         return document, views, cameras, parse_background(query.background), picture_tag(runtime, scene_id, query)
 
-    runtime.models  # noqa: B018  refuses until the kernels are warm
+    runtime.require_ready()
     with ExitStack() as held:
         document, views, cameras, background, etag = await anyio.to_thread.run_sync(asked, held)
         check = document.get("check")  # a loaded scene has none

@@ -55,7 +55,7 @@ async def reconstruct(request: Request, runtime: RuntimeDep) -> Response:
     async with AsyncExitStack() as held:
         async with runtime.uploads.slot():  # slow senders do not occupy a slot of `scenes`
             upload = await read_upload(request, runtime.settings, models.names)
-            upload.check_asked()
+            await anyio.to_thread.run_sync(upload.check, runtime.settings)
             work, summary = upload.work, RequestSummary.of(upload)
             del upload
             scene_id = await anyio.to_thread.run_sync(work.scene_id, models.get(work.model).identity)

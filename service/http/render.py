@@ -85,7 +85,7 @@ async def render(request: Request, query: Annotated[RenderQuery, Query()], runti
     """Draw a scene on the CPU; headers tell its id and what the splatter has left out."""
     if query.view is not None and query.camera is not None:
         raise ViewError("view and camera are both given, need one", field="camera")
-    runtime.models  # noqa: B018  refuses until the kernels are warm
+    runtime.require_ready()
     with ExitStack() as held:  # until it is drawn
         asked = await anyio.to_thread.run_sync(_asked, runtime, query, held)
         cache = {"ETag": asked.etag, "Cache-Control": KEPT if query.scene is not None else "no-cache"}

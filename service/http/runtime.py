@@ -223,6 +223,11 @@ class Runtime:
             raise ModelNotReady(f"loading failed in stage {self.stage!r}", cure=f"the service's log says why{hint}")
         raise ModelNotReady(f"the service is starting, stage {self.stage!r}", cure="poll /readyz and retry")
 
+    def require_ready(self) -> None:
+        """Raises `ModelNotReady` until pictures can be drawn as well: the kernels are compiled after models are
+        loaded."""
+        _ = self.models
+
 
 def _quit() -> None:
     """End at once: an orderly end would listen for a moment."""

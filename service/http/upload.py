@@ -10,8 +10,10 @@ import anyio.to_thread
 from fastapi import Request
 from starlette.datastructures import FormData, UploadFile
 
+from ..cameras.depth_range import DepthRange, depth_range
 from ..cameras.leave_one_out import DEFAULT_OTHERS, checked_others
-from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS
+from ..cameras.pose_notices import pose_notices
+from ..cameras.view_checks import MAX_VIEWS, MIN_VIEWS, Notice, check_views
 from ..captures.archive import SIGNATURES
 from ..captures.select import ViewSelection, checked_selection
 from ..errors import (
@@ -31,6 +33,7 @@ from ..plain_number import counted
 from ..settings import Settings
 from ..viewpoints.scene_views import SceneViews
 from .fields import flag, number, whole
+from .form import FORM
 from .inputs import CAMERA_FILES, Inputs, captured, posted
 from .pairing import NamedImage, Pairing
 from .posted import MAX_IMAGES, MAX_PARTS, no_file, posted_form, size_of
@@ -38,26 +41,7 @@ from .posted import single as _single
 from .posted import text as _text
 
 MAX_ASKED_VIEWS = 64  # in `views`: each is drawn, or linked
-FIELDS = (
-    "images",
-    "cameras",
-    "capture",
-    "select",
-    "context",
-    "near",
-    "far",
-    "views",
-    "trust_poses",
-    "refine_poses",
-    "max_error",
-    "certify",
-    "min_opacity",
-    "stride",
-    "leave_one_out",
-    "fade",
-    "detail",
-    "model",
-)
+FIELDS = tuple(FORM["properties"])
 
 
 @dataclass(frozen=True)
@@ -69,11 +53,17 @@ class Upload:
     work: Work
     views: tuple[str, ...]  # to draw, such as "1.5"
 
-    def check_asked(self) -> None:
-        """Raises `ViewError` if a requested view does not exist, before the reconstruction."""
+    def check(self, settings: Settings) -> tuple[DepthRange, list[Notice]]:
+        """The depth range, and the warnings about the cameras. Raises what a reconstruction would raise before it
+        decodes a photograph, and `ViewError` for a requested view that does not exist."""
         views = SceneViews(self.pairing.cameras)
         for spec in self.views:
             views.resolve(spec, field="views")
+        work, numbers = self.work, self.selection["views"]
+        work.check_pixels(settings)
+        depths = depth_range(work.cameras, work.near, work.far)
+        warnings = check_views(work.cameras, depths, trust_poses=work.trust_poses, numbers=numbers)
+        return depths, warnings + pose_notices(work.cameras, depths.near, numbers)
 
 
 @dataclass(frozen=True)

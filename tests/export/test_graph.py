@@ -14,13 +14,14 @@ from gapmes.export.build import export_graph
 from gapmes.export.cases import Case
 from gapmes.export.gate_settings import gate_values, with_gates
 from gapmes.export.graph import evaluated
-from gapmes.export.metadata import MAX_VIEWS, MIN_VIEWS, OPSET
+from gapmes.export.metadata import OPSET
 from gapmes.export.samples import FLAT, UNDETERMINED, hostile_scenes, random_scene
 from gapmes.export.tolerance import TOLERANCES
 from gapmes.export.verification import verify
 from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.weights_file import file_sha256
+from gapmes.service.cameras.view_checks import MAX_VIEWS, MIN_VIEWS
 from gapmes.service.network.contract import INPUTS, OPTIONAL_OUTPUTS, REQUIRED_OUTPUTS
 from gapmes.service.shipped import shipped_model
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import base64
 import io
 import json
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -14,6 +17,7 @@ from starlette.testclient import TestClient
 
 from gapmes.service.cameras.view_checks import MAX_VIEWS
 from gapmes.service.formats.ply import read_ply
+from gapmes.service.http import check
 from gapmes.service.settings import Settings
 
 
@@ -54,6 +58,20 @@ def test_it_refuses_what_a_reconstruction_would(client: TestClient, change: obje
     cameras = camera_object(2)
     change(cameras)
     assert_problem(checked(client, [photograph(5), photograph(6)], cameras), 422, code)
+
+
+def test_those_who_wait_for_their_turn_keep_no_upload_out(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    going, runtime = threading.Event(), client.app.state.runtime
+    understood = check._understood
+    monkeypatch.setattr(check, "_understood", lambda *given: going.wait(120) and understood(*given))
+    monkeypatch.setattr(runtime.uploads, "most", 1)
+    with ThreadPoolExecutor(2) as pool:
+        waiting = [pool.submit(checked, client, [photograph(5), photograph(6)], camera_object(2)) for _ in range(2)]
+        while runtime.looks.limit.taken < 2 or runtime.uploads.taken:
+            time.sleep(0.01)
+        assert post(client).status_code in (200, 201)
+        going.set()
+        assert [answer.result().status_code for answer in waiting] == [200, 200]
 
 
 @pytest.mark.parametrize("detail", ["1", "2"])

@@ -150,8 +150,10 @@ def test_pixels_of_a_request_together(settings: Settings, tmp_path: Path) -> Non
     limited = create_app(settings.model_copy(update={"store": tmp_path, "max_request_pixels": 2 * 96 * 72}))
     with TestClient(limited, raise_server_exceptions=False) as client:
         wait_until_ready(client)
-        body = assert_problem(post(client, [photograph(i) for i in range(3)]), 413, "image_too_large", "images")
-        assert body["detail"] == "the 3 photographs have 20736 pixels together, the limit is 13824"
+        for prefer in (None, "respond-async"):
+            answer = post(client, [photograph(i) for i in range(3)], prefer=prefer)
+            body = assert_problem(answer, 413, "image_too_large", "images")
+            assert body["detail"] == "the 3 photographs have 20736 pixels together, the limit is 13824"
         assert post(client).status_code == 201
 
 

@@ -158,6 +158,27 @@ def test_a_failed_job_says_why_as_a_request_does(client: TestClient) -> None:
     assert_problem(direct, 415, "image_unreadable", "images", 1)
 
 
+AWAY = [[-1.0, 0, 0, 0.2], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]  # beside the first camera, looking backwards
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (lambda c: c.update(near=10.0, far=1.0), "depth_range_invalid"),
+        (lambda c: c["views"][1].update(c2w=c["views"][0]["c2w"]), "no_baseline"),
+        (lambda c: c["views"][1].update(c2w=AWAY), "views_do_not_overlap"),
+    ],
+)
+def test_what_shows_without_the_photographs_makes_no_job(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, change: Any, code: str
+) -> None:
+    monkeypatch.setattr(client.app.state.runtime.jobs, "submit", None)
+    cameras = camera_object(2)
+    change(cameras)
+    for prefer in ("respond-async", None):
+        assert_problem(post(client, cameras=cameras, prefer=prefer), 422, code)
+
+
 def test_a_client_that_goes_away_takes_its_work_along(held: tuple[TestClient, threading.Event]) -> None:
     """One request waits behind a job; its client disconnects; its work never begins."""
     client, going = held

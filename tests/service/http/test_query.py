@@ -46,6 +46,16 @@ def test_a_whole_number_is_decimal_digits(client: TestClient, number: str) -> No
         assert_problem(client.get(f"/scenes/{'0' * 32}/inputs/{number}"), 422, "parameter_invalid", "index")
 
 
+@pytest.mark.parametrize("number", ["5.0", "%205", "%2B5", "1_0", "5e0", "%D9%A5", ""])
+@pytest.mark.parametrize(("path", "field"), [("/scenes", "limit"), ("/render", "width"), ("/render", "sh_degree")])
+def test_a_whole_number_of_a_query_is_decimal_digits_as_in_a_form(
+    client: TestClient, path: str, field: str, number: str
+) -> None:
+    body = assert_problem(client.get(f"{path}?{field}={number}"), 422, "parameter_invalid", field)
+    assert "whole number in decimal digits" in body["detail"]
+    assert "greater than" in client.get(f"{path}?{field}=-5").json()["detail"]
+
+
 def test_events_have_no_other_parameters(client: TestClient) -> None:
     """A misspelt one would send all events again."""
     answer = client.get(f"/jobs/{'0' * 32}/events?last=5")
