@@ -10,8 +10,8 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from gapmes.service.commands.output_file import check_output_folder
 from gapmes.service.errors import InputError
+from gapmes.service.process.output_file import check_output_folder
 from gapmes.service.process.terminal import ProgressBars
 
 from .memory import OutOfMemory, enough_memory

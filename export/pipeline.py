@@ -18,10 +18,10 @@ from gapmes.model.allocation import lacks_memory
 from gapmes.model.architectures import licence
 from gapmes.model.pretrained.fit import Fit
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.commands.output_file import check_output_file, check_output_folder
 from gapmes.service.errors import InputError
 from gapmes.service.process.disk import named, replacing
 from gapmes.service.process.ending import unfinished
+from gapmes.service.process.output_file import check_output_file, check_output_folder
 from gapmes.service.progress import Listener, Stage, Stages, silent
 
 from . import memory

@@ -22,10 +22,10 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from gapmes.service.captures.capture import load_scene_folder
-from gapmes.service.commands.output_file import check_output_file
 from gapmes.service.commands.selection import view_indices
 from gapmes.service.errors import GapmesError, InputError, ModelError
 from gapmes.service.photographs.images import EncodedPhoto
+from gapmes.service.process.output_file import check_output_file
 from gapmes.service.process.terminal import ProgressBars
 from gapmes.service.progress import Listener, silent
 from gapmes.service.reconstruct import Reconstructor

@@ -19,11 +19,11 @@ import torch
 
 from gapmes.model.architectures import Network, config_from_json
 from gapmes.model.weights_file import file_sha256
-from gapmes.service.commands.output_file import check_output_file
 from gapmes.service.errors import InputError, ModelError
 from gapmes.service.network.model_file import ModelFile, model_file
 from gapmes.service.process.disk import replacing
 from gapmes.service.process.machine import processor
+from gapmes.service.process.output_file import check_output_file
 from gapmes.service.process.with_parent import end_with_parent
 
 from .cases import verification_cases

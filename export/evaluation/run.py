@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 
 from gapmes.model.training.lpips import Lpips
-from gapmes.service.commands.output_file import check_output_folder
 from gapmes.service.errors import InputError
 from gapmes.service.mending.fade_passes import DEFAULT_PASSES
 from gapmes.service.network.backends.choice import DEFAULT_ENGINE, EngineName
+from gapmes.service.process.output_file import check_output_folder
 from gapmes.service.progress import Listener, Stages, silent
 
 from ..size import Size

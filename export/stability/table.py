@@ -9,8 +9,8 @@ from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
-from gapmes.service.commands.output_file import check_output_file
 from gapmes.service.process.disk import replacing
+from gapmes.service.process.output_file import check_output_file
 from gapmes.service.progress import Listener, Stages, silent
 
 from . import geometry, matching, routing, splatter

@@ -12,7 +12,6 @@ import numpy as np
 
 from gapmes.model.training.lpips import Lpips
 from gapmes.service.cameras.camera import Camera
-from gapmes.service.commands.output_file import check_output_file
 from gapmes.service.errors import InputError
 from gapmes.service.formats.ply import ply_bytes
 from gapmes.service.gaussians import Gaussians
@@ -21,6 +20,7 @@ from gapmes.service.leaving_out.budget import KEEP_ALL
 from gapmes.service.leaving_out.pruning import BAND_NORMS, colour_range
 from gapmes.service.mending.fade_passes import DEFAULT_PASSES
 from gapmes.service.pictures.effort import draw
+from gapmes.service.process.output_file import check_output_file
 from gapmes.service.progress import Listener, Stages, silent
 from gapmes.service.viewpoints.scene_views import NEAR_PLANE_SHARE
 

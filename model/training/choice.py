@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from gapmes.service import Reconstructor
-from gapmes.service.commands.output_file import check_output_file
 from gapmes.service.errors import InputError
 from gapmes.service.mending.choice.candidates import ABOUT, COUNT, KNOWN
 from gapmes.service.mending.choice.network import ChoiceNetwork
 from gapmes.service.process.disk import named
+from gapmes.service.process.output_file import check_output_file
 from gapmes.service.process.terminal import QUIET_HELP, ProgressBars
 from gapmes.service.process.with_parent import end_with_parent
 from gapmes.service.progress import Stages

@@ -55,9 +55,9 @@ def convert(
     from ..formats.dialect import STANDARD, Dialect
     from ..formats.registry import format_named, format_of_path, inspect_gaussians
     from ..process.disk import named, replace_file
+    from ..process.output_file import check_output_file
     from ..progress import Stages
     from .input_file import capture_of_option, check_input_file
-    from .output_file import check_output_file
 
     cure = "end it in one of them, or give --to"
     target = format_of_path(output, field="OUT", cure=cure) if to is None else format_named(to, field="to")

@@ -14,12 +14,12 @@ from ..pictures.film import FILM_FORMATS, FilmFormat, FilmShape, check_film, mos
 from ..pictures.picture import MAX_SIDE, Channel, Format, encode, encode_image
 from ..problem_document import plain
 from ..process.disk import named, replace_file
+from ..process.output_file import check_output_folder
 from ..progress import Stages
 from ..viewpoints.camera_path import Path as CameraPath
 from ..viewpoints.camera_path import PathName, loop
 from ..viewpoints.framing import even, within
 from ..viewpoints.scene_views import SceneViews
-from .output_file import check_output_folder
 
 if TYPE_CHECKING:
     from ..cameras.camera import Camera

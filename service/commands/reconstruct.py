@@ -79,10 +79,10 @@ def reconstruct(
     from ..from_capture import reconstruct_chosen
     from ..leaving_out.budget import Budget, parse_max_error
     from ..process.disk import named, replace_file
+    from ..process.output_file import check_output_file
     from ..progress import Stages
     from ..reconstruct import Reconstructor
     from .kept_scene import kept_if_refused
-    from .output_file import check_output_file
 
     target = format_of_path(output, field="output")
     check_output_file(output, as_json=as_json)

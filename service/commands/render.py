@@ -90,6 +90,7 @@ def render(
     from ..formats.dialect import Dialect
     from ..formats.registry import inspect_gaussians
     from ..pictures.picture import check_format, parse_background
+    from ..process.output_file import check_output_file
     from ..progress import Stages
     from ..viewpoints.default_framing import default_views
     from ..viewpoints.framing import frame, parse_size, square
@@ -97,7 +98,6 @@ def render(
     from ..viewpoints.seen_depths import seen_depths
     from .asked_cameras import views_of_file
     from .input_file import check_input_file
-    from .output_file import check_output_file
     from .outputs import (
         Drawing,
         FilmPlan,

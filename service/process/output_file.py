@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from ..errors import InputError
-from ..process.places import is_mounted, is_stdout, open_file, resolved, takes_bytes
+from .places import is_mounted, is_stdout, open_file, resolved, takes_bytes
 
 _DENIED = "no permission"
 _CURE = "choose another folder, or ask who owns it for permission"
